@@ -194,5 +194,6 @@ pub use observe::{
 pub use threads::{Overrun, Receipt, Spin, ThreadError, ThreadOptions};
 pub use time::{Clock, ManualClock, SystemClock, Time};
 pub use topics::{
-    AnyMessage, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter, TopicInfo,
+    AnyMessage, AnyPublication, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter,
+    TopicInfo,
 };

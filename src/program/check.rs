@@ -13,7 +13,7 @@ use crate::bridge::ros::{NodeName, ServiceName};
 use crate::bridge::{clock, rosout};
 use crate::executor::{Core, TopicInfo};
 use crate::recorder::Unrecorded;
-use crate::robot::{Catalog, ClockChoice, ExposedEndpoint, NodeFeatures, Robot, RosArgs};
+use crate::robot::{Catalog, ClockChoice, ExposedEndpoint, ModuleSource, NodeFeatures, Robot, RosArgs};
 use crate::running::add_diagnostics;
 
 pub(crate) fn check(arguments: &CheckArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
@@ -140,7 +140,14 @@ fn list_kinds(catalog: &Catalog) {
     for kind in catalog.kinds() {
         let mut core = Core::new();
         println!("{:<20} {}", kind.name(), kind.about());
-        match kind.add_to(&mut core, kind.name(), kind.options()) {
+        let [required, optional] = kind.keys();
+        if !required.is_empty() {
+            println!("    keys: {}", [required, optional].concat().join(", "));
+            println!();
+            continue;
+        }
+        let source = ModuleSource::default();
+        match kind.add_to(&mut core, kind.name(), kind.options(), &source, &catalog.interfaces) {
             Ok(()) => {
                 print_settings(&core, kind.name());
                 core.topics().for_each(|topic| print_topic(topic, &catalog.interfaces));

@@ -29,7 +29,7 @@ use downbeat_executor::SetupError;
 
 use crate::journal;
 use crate::playback::PlaybackError;
-use crate::robot::{ReplaySection, RobotFile, RobotFileError};
+use crate::robot::{ReplaySection, RobotFile, RobotFileError, Sources};
 use calls::Calls;
 use comparison::Comparisons;
 use plan::Plan;
@@ -152,7 +152,9 @@ pub fn replay(
     topics.extend(calls.finish(&plan, &options.rules));
     let mut not_compared = plan.not_compared;
     coverage::move_empty(&mut topics, &mut not_compared);
+    let sources = Sources::of(&file);
     Ok(ReplayReport {
+        changed_sources: reader.metadata().map_or_else(Vec::new, |metadata| sources.changed_since(metadata)),
         robot: file.name.clone(),
         modules: plan.attached,
         cycles,

@@ -24,6 +24,8 @@ pub struct ReplayReport {
     pub detached: Vec<(String, usize)>,
     /// The modules that were not replayed.
     pub left_out: Vec<LeftOut>,
+    /// The modules in other languages whose sources are not as they were when the bag was recorded.
+    pub changed_sources: Vec<String>,
     /// The topics that the modules inside the cycle received from the bag.
     pub inputs: Vec<String>,
     /// The topics that they received during the recording and that are not in the bag. Includes
@@ -234,6 +236,9 @@ impl fmt::Display for ReplayReport {
         }
         for left_out in &self.left_out {
             writeln!(f, "  not {left_out}")?;
+        }
+        for module in &self.changed_sources {
+            writeln!(f, "  the source of {module} has changed since the recording")?;
         }
         for topic in &self.missing_inputs {
             let lost = match topic.as_str() {

@@ -60,8 +60,10 @@ impl RobotFile {
         let mut core = self.catalog.engage(core);
         for module in &self.modules {
             self.check_thread(module)?;
-            let added = instead(module, &mut core)
-                .unwrap_or_else(|| module.kind.add_to(&mut core, &module.name, module.options()));
+            let added = instead(module, &mut core).unwrap_or_else(|| {
+                let (options, interfaces) = (module.options(), &self.catalog.interfaces);
+                module.kind.add_to(&mut core, &module.name, options, &module.source, interfaces)
+            });
             added.map_err(|error| self.located(module, &error))?;
         }
         Ok(core)

@@ -1,11 +1,15 @@
 //! A kind of module that robot files can name.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::num::NonZeroUsize;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SetupError, Synchrony};
+use downbeat_edge::Interfaces;
+use downbeat_edge::foreign::{Foreign, ForeignModule};
+use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SettingValue, SetupError, Synchrony};
 use downbeat_modules::controllers::diff_drive::DiffDriveController;
 use downbeat_modules::controllers::forward_command::ForwardCommandController;
 use downbeat_modules::controllers::joint_trajectory::JointTrajectoryController;
@@ -56,9 +60,31 @@ pub struct Kind {
     uses_device: bool,
     synchrony: Synchrony,
     files: Arc<[String]>,
+    source: Option<ForeignKind>,
     replayed: Option<ReplayedDevice>,
     add: Arc<Add>,
 }
+
+/// What a robot file says about a module in another language.
+#[derive(Clone, Debug, Default)]
+pub struct ModuleSource {
+    /// The name of the module.
+    pub module: String,
+    /// The folder of the robot file, which relative paths begin at.
+    pub folder: PathBuf,
+    /// The keys of the kind, such as `module` or `path`.
+    pub keys: BTreeMap<String, SettingValue>,
+}
+
+/// How a kind of modules in other languages reads a robot file.
+#[derive(Clone)]
+struct ForeignKind {
+    /// Those that a robot file must give, and those that it may give.
+    keys: [&'static [&'static str]; 2],
+    files: Arc<SourceFiles>,
+}
+
+type SourceFiles = dyn Fn(&ModuleSource) -> Vec<PathBuf> + Send + Sync;
 
 /// How a module that drives a device runs without it.
 #[derive(Clone)]
@@ -68,7 +94,9 @@ pub(crate) struct ReplayedDevice {
     add: Arc<AddReplayed>,
 }
 
-type Add = dyn Fn(&mut Core, &str, ModuleOptions) -> Result<(), SetupError> + Send + Sync;
+type Add = dyn Fn(&mut Core, &str, ModuleOptions, &ModuleSource, &Interfaces) -> Result<(), SetupError>
+    + Send
+    + Sync;
 /// The outer error reports invalid recorded answers.
 type AddReplayed =
     dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes]) -> Result<Result<(), SetupError>, String> + Send + Sync;
@@ -88,6 +116,38 @@ impl Kind {
         make: impl Fn() -> M + Send + Sync + 'static,
     ) -> Self {
         let make = Arc::new(make);
+        let add = move |core: &mut Core, name: &str, options, _: &ModuleSource, _: &Interfaces| {
+            let make = Arc::clone(&make);
+            core.add_restartable(name, move || make(), options)
+        };
+        Self::with_add(name, about, Arc::new(add))
+    }
+
+    /// Creates a kind of modules in another language. Beside the keys of every module, a robot file must give a module of it
+    /// the first of these `keys` and may give it the second; `load` loads the module they name, at the start and after each panic. `files` lists the files that its
+    /// behaviour depends on: bags hold their hashes, and a replay reports those that have changed.
+    ///
+    /// Modules of the kind run detached by default.
+    pub fn foreign(
+        name: impl Into<Arc<str>>,
+        about: impl Into<Arc<str>>,
+        keys: [&'static [&'static str]; 2],
+        load: impl Fn(&ModuleSource) -> Result<Box<dyn Foreign>, String> + Send + Sync + 'static,
+        files: impl Fn(&ModuleSource) -> Vec<PathBuf> + Send + Sync + 'static,
+    ) -> Self {
+        let load = Arc::new(load);
+        let add: Arc<Add> = Arc::new(move |core, name, options, source, interfaces| {
+            let (load, source, interfaces) = (Arc::clone(&load), source.clone(), interfaces.clone());
+            let make = Arc::new(move || load(&source));
+            let of_module = options.clone();
+            let make = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
+            core.add_restartable(name, make, options)
+        });
+        let source = Some(ForeignKind { keys, files: Arc::new(files) });
+        Self { source, ..Self::with_add(name, about, add) }.detached()
+    }
+
+    fn with_add(name: impl Into<Arc<str>>, about: impl Into<Arc<str>>, add: Arc<Add>) -> Self {
         Self {
             name: name.into(),
             about: about.into(),
@@ -95,11 +155,9 @@ impl Kind {
             uses_device: false,
             synchrony: Synchrony::WhenDue,
             files: Arc::default(),
+            source: None,
             replayed: None,
-            add: Arc::new(move |core, name, options| {
-                let make = Arc::clone(&make);
-                core.add_restartable(name, move || make(), options)
-            }),
+            add,
         }
     }
 
@@ -209,12 +267,30 @@ impl Kind {
         ModuleOptions { synchrony: self.synchrony, ..ModuleOptions::default() }
     }
 
-    /// Adds a module of this kind to a core. The module can be restarted after a panic.
+    /// Adds a module of this kind to a core. The module can be restarted after a panic. `source` is used by kinds of modules in
+    /// other languages.
     ///
     /// # Errors
     /// See [`Core::add_restartable`].
-    pub fn add_to(&self, core: &mut Core, name: &str, options: ModuleOptions) -> Result<(), SetupError> {
-        (self.add)(core, name, options)
+    pub fn add_to(
+        &self,
+        core: &mut Core,
+        name: &str,
+        options: ModuleOptions,
+        source: &ModuleSource,
+        interfaces: &Interfaces,
+    ) -> Result<(), SetupError> {
+        (self.add)(core, name, options, source, interfaces)
+    }
+
+    /// The keys that a robot file gives a module of this kind: those that it must have, and those that it may have.
+    pub(crate) fn keys(&self) -> [&'static [&'static str]; 2] {
+        self.source.as_ref().map_or([&[], &[]], |source| source.keys)
+    }
+
+    /// The files that the behaviour of a module depends on.
+    pub(crate) fn source_files(&self, source: &ModuleSource) -> Vec<PathBuf> {
+        self.source.as_ref().map_or_else(Vec::new, |kind| (kind.files)(source))
     }
 
     /// The settings that name files.

@@ -15,6 +15,7 @@ mod parameters;
 mod recorded;
 mod ros_args;
 mod services;
+mod sources;
 
 pub use actions::Exposures;
 pub use build::Robot;
@@ -30,7 +31,8 @@ pub use file::{
     ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
     TopicChoice,
 };
-pub use kind::Kind;
+pub use kind::{Kind, ModuleSource};
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
+pub(crate) use sources::Sources;

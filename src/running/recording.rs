@@ -12,7 +12,7 @@ use downbeat_msgs::qos::QosProfile;
 
 use super::StartError;
 use crate::recorder::{self, Unrecorded, WhenFull};
-use crate::robot::{RecordOptions, Robot, RobotFile};
+use crate::robot::{RecordOptions, Robot, RobotFile, Sources};
 use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
 /// Options of a recording.
@@ -62,6 +62,9 @@ impl RobotRecording {
         }
         if robot.file.is_emulated() {
             writer = writer.custom_data("emulated", "true");
+        }
+        if let Some((key, sources)) = Sources::of(&robot.file).entry() {
+            writer = writer.custom_data(key, sources);
         }
         let unrecorded = Unrecorded::of(&topics, &robot.file.catalog.interfaces);
         unrecorded.warn();

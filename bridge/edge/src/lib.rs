@@ -10,10 +10,13 @@
 //! servers outside the core. A [`KnownAction`] names the services and topics of an action. [`parameter_value`] converts the value of
 //! a setting.
 //!
+//! In [`foreign`], modules in other languages join a core: their ports are known by names, their messages are bytes.
+//!
 //! Nothing here knows DDS, nodes or files.
 
 mod action;
 mod core_access;
+pub mod foreign;
 mod interfaces;
 mod message;
 mod parameter;

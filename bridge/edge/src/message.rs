@@ -319,14 +319,14 @@ impl KnownType {
         }
     }
 
-    fn in_core(self) -> MessageType {
+    pub(crate) fn in_core(self) -> MessageType {
         match &self.entry.rust {
             Rust::Compiled(compiled) => compiled.in_core,
             Rust::Raw(_) => MessageType::of::<RawMessage>(),
         }
     }
 
-    fn decode(self, cdr: &[u8]) -> cdr::Result<AnyMessage> {
+    pub(crate) fn decode(self, cdr: &[u8]) -> cdr::Result<AnyMessage> {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.decode)(cdr),
             Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, Bytes::copy_from_slice(cdr)))),
@@ -334,12 +334,12 @@ impl KnownType {
     }
 
     /// Raw messages of all types have one Rust type.
-    fn is_type_of(self, message: &dyn Any) -> bool {
+    pub(crate) fn is_type_of(self, message: &dyn Any) -> bool {
         message.downcast_ref::<RawMessage>().is_none_or(|raw| raw.message_type() == self)
     }
 
     /// Returns `None` if the message has another Rust type.
-    fn encode(self, message: &dyn Any) -> Option<Bytes> {
+    pub(crate) fn encode(self, message: &dyn Any) -> Option<Bytes> {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.encode)(message).map(Bytes::from),
             Rust::Raw(_) => message.downcast_ref().map(|raw: &RawMessage| raw.cdr().clone()),

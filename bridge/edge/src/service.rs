@@ -1,5 +1,6 @@
 //! Types of services, and how requests and responses enter a core as bytes and leave it as bytes.
 
+use crate::foreign::{CallEncodedIn, ForeignError, ForeignModule, ReplyEncoded};
 use bytes::Bytes;
 use downbeat_executor::{
     CallError, Caller, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup,
@@ -185,6 +186,27 @@ impl KnownService {
         Ok(EncodedStandIn((self.entry.stand_in)(core, service)?))
     }
 
+    /// Declares that a module in another language serves the service.
+    pub(crate) fn serve_foreign(
+        self,
+        setup: &mut Setup<'_, ForeignModule>,
+        service: &str,
+        server: u32,
+    ) -> Result<(), SetupError> {
+        (self.entry.serve_foreign)(setup, service, server)
+    }
+
+    /// Declares that a module in another language calls the service.
+    pub(crate) fn foreign_client(
+        self,
+        setup: &mut Setup<'_, ForeignModule>,
+        service: &str,
+        timeout: Duration,
+        client: u32,
+    ) -> Result<CallEncodedIn, SetupError> {
+        (self.entry.foreign_client)(setup, service, timeout, client)
+    }
+
     /// The names of the Rust types of request and response.
     pub(crate) fn rust_types(self) -> (&'static str, &'static str) {
         (self.entry.rust_types)()
@@ -299,6 +321,9 @@ struct Entry {
     caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
     answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
     serve: fn(&mut Setup<'_, RemoteServices>, RemoteService) -> Result<(), SetupError>,
+    serve_foreign: fn(&mut Setup<'_, ForeignModule>, &str, u32) -> Result<(), SetupError>,
+    foreign_client:
+        fn(&mut Setup<'_, ForeignModule>, &str, Duration, u32) -> Result<CallEncodedIn, SetupError>,
     encode: fn(&mut Core, &str) -> Result<(), SetupError>,
     stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
     default_response: fn() -> Vec<u8>,
@@ -316,6 +341,8 @@ impl<S: Service> Of<S> {
         caller: caller::<S>,
         answers: |core, topic| Ok(Box::new(core.inlet::<Answer<S::Response>>(topic)?)),
         serve: serve::<S>,
+        serve_foreign: serve_foreign::<S>,
+        foreign_client: foreign_client::<S>,
         encode: |core, service| {
             core.encode_service::<S::Request, S::Response>(service, cdr::to_vec, cdr::to_vec)
         },
@@ -405,6 +432,55 @@ fn serve<S: Service>(setup: &mut Setup<'_, RemoteServices>, remote: RemoteServic
             }
         },
     )
+}
+
+fn serve_foreign<S: Service>(
+    setup: &mut Setup<'_, ForeignModule>,
+    service: &str,
+    server: u32,
+) -> Result<(), SetupError> {
+    let name: Arc<str> = service.into();
+    setup.serve_later(
+        service,
+        move |module: &mut ForeignModule, request: S::Request, responder: Responder<_, S::Response>, ctx| {
+            let name = Arc::clone(&name);
+            let reply: ReplyEncoded = Box::new(move |ctx, result| {
+                let (answer, outcome) = match result.map(cdr::from_slice::<S::Response>) {
+                    Ok(Ok(response)) => (Ok(response), Ok(())),
+                    Ok(Err(error)) => {
+                        let type_name = format!("response of {}", S::TYPE_NAME);
+                        let error = ForeignError::Decode { name: name.to_string(), type_name, error };
+                        (Err(error.to_string()), Err(error))
+                    }
+                    Err(reason) => (Err(reason), Ok(())),
+                };
+                ctx.reply(responder, answer);
+                outcome
+            });
+            module.take_request(server, cdr::to_vec(&request).into(), reply, ctx);
+        },
+    )
+}
+
+fn foreign_client<S: Service>(
+    setup: &mut Setup<'_, ForeignModule>,
+    service: &str,
+    timeout: Duration,
+    client: u32,
+) -> Result<CallEncodedIn, SetupError> {
+    let key = setup.client::<S::Request, S::Response, _>(service, timeout, move |module, reply, ctx| {
+        let result = reply.result.map(|response| cdr::to_vec(&response).into());
+        let result = result.map_err(|error| error.to_string());
+        module.take_reply(client, reply.call.number(), result, ctx);
+    })?;
+    let name = service.to_owned();
+    Ok(Box::new(move |ctx, cdr| {
+        let request = cdr::from_slice::<S::Request>(cdr).map_err(|error| {
+            let type_name = format!("request of {}", S::TYPE_NAME);
+            ForeignError::Decode { name: name.clone(), type_name, error }
+        })?;
+        Ok(ctx.call(key, request).number())
+    }))
 }
 
 #[cfg(test)]

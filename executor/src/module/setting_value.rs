@@ -52,8 +52,11 @@ impl SettingValue {
         }
     }
 
-    /// The value as the kind of `pattern`, where nothing is lost by it.
-    pub(crate) fn into_kind_of(self, pattern: &Self) -> Result<Self, String> {
+    /// Converts the value to the kind of `pattern`, as it happens when a setting is given a value.
+    ///
+    /// # Errors
+    /// If something would be lost by it, in words.
+    pub fn into_kind_of(self, pattern: &Self) -> Result<Self, String> {
         Ok(match (self, pattern) {
             (Self::Integer(value), Self::Double(_)) => Self::Double(value as f64),
             (Self::Integers(values), Self::Doubles(_)) => {
@@ -96,6 +99,17 @@ pub trait SettingType: Clone + Send + 'static {
     fn into_value(self) -> SettingValue;
     /// The value as the module reads it; nothing if the setting is of another kind.
     fn from_value(value: &SettingValue) -> Option<&Self>;
+}
+
+/// For settings whose kind is known at run time only: that of the default.
+impl SettingType for SettingValue {
+    fn into_value(self) -> SettingValue {
+        self
+    }
+
+    fn from_value(value: &SettingValue) -> Option<&Self> {
+        Some(value)
+    }
 }
 
 macro_rules! setting_types {

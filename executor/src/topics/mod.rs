@@ -11,7 +11,7 @@ pub use batch::{Kept, Received};
 pub(crate) use message_type::VisitBatch;
 pub use message_type::{AnyMessage, AnyReceived, MessageType};
 pub(crate) use names::canonical_name;
-pub use outbox::Publication;
 pub(crate) use outbox::{AnyOutbox, Outbox, Outboxes};
+pub use outbox::{AnyPublication, Publication};
 pub(crate) use topic::{Report, Subscriber, Topics};
 pub use topic::{TopicCounter, TopicInfo};

@@ -31,6 +31,13 @@ impl<T> Clone for Publication<T> {
 
 impl<T> Copy for Publication<T> {}
 
+/// A module's key to one of its topics whose type of messages is known at run time only, from
+/// [`Setup::publish_of`](crate::Setup::publish_of).
+#[derive(Clone, Copy, Debug)]
+pub struct AnyPublication {
+    outbox: u32,
+}
+
 /// The messages of one module for one topic that the sync phase has not seen yet.
 pub(crate) struct Outbox<T> {
     pub(crate) topic: usize,
@@ -81,11 +88,21 @@ pub(crate) struct Outboxes {
 impl Outboxes {
     /// The key for publishing on a topic; a topic has one outbox per module, so that its order is kept.
     pub(crate) fn open<T: Send + 'static>(&mut self, topic: usize) -> Publication<T> {
+        let make = |topic| Box::new(Outbox::<T> { topic, messages: Vec::new() }) as Box<dyn AnyOutbox>;
+        Publication::new(self.open_with(topic, make))
+    }
+
+    /// The same for an outbox that `make` creates.
+    pub(crate) fn open_any(&mut self, topic: usize, make: fn(usize) -> Box<dyn AnyOutbox>) -> AnyPublication {
+        AnyPublication { outbox: u32::try_from(self.open_with(topic, make)).unwrap_or(u32::MAX) }
+    }
+
+    fn open_with(&mut self, topic: usize, make: impl FnOnce(usize) -> Box<dyn AnyOutbox>) -> usize {
         let existing = self.boxes.iter().position(|(known, _)| *known == topic);
-        Publication::new(existing.unwrap_or_else(|| {
-            self.boxes.push((topic, Box::new(Outbox::<T> { topic, messages: Vec::new() })));
+        existing.unwrap_or_else(|| {
+            self.boxes.push((topic, make(topic)));
             self.boxes.len() - 1
-        }))
+        })
     }
 
     /// Adds messages to an outbox. Returns whether they are the first ones in it; `None` if the key is not of this module.
@@ -106,6 +123,21 @@ impl Outboxes {
             self.filled.push(index);
         }
         Some(are_first)
+    }
+
+    /// The same for a message whose type only the outbox knows; `None` also if it has another.
+    #[must_use]
+    pub(crate) fn add_any(&mut self, publication: AnyPublication, message: AnyMessage) -> Option<bool> {
+        let index = publication.outbox as usize;
+        let outbox = &mut self.boxes.get_mut(index)?.1;
+        let was_empty = outbox.is_empty();
+        if !outbox.add_any(message) {
+            return None;
+        }
+        if was_empty {
+            self.filled.push(index);
+        }
+        Some(was_empty)
     }
 
     /// Hands each outbox that holds messages, with its topic, to `consume`, which takes them, in the order in which they were first

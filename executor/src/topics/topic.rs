@@ -377,6 +377,11 @@ impl Topics {
         (&*entry.topic as &dyn Any).downcast_ref::<Topic<T>>().map(|topic| &topic.batch)
     }
 
+    /// The same for a type that only the topic knows: a `Batch<T>`, and the number of messages in it.
+    pub(crate) fn batch_of(&self, topic: usize) -> Option<(Arc<dyn Any + Send + Sync>, u32)> {
+        (self.entries[topic].epoch == self.epoch).then(|| self.share(topic))
+    }
+
     pub(crate) fn share(&self, topic: usize) -> (Arc<dyn Any + Send + Sync>, u32) {
         self.entries[topic].topic.share()
     }

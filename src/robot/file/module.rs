@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
+use std::path::Path;
 use std::time::Duration;
 
 use downbeat_executor::{
@@ -12,7 +13,7 @@ use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, choice, identifier, launcher, suggestion};
 use crate::journal;
 use crate::robot::Catalog;
-use crate::robot::kind::{INBOX, Kind};
+use crate::robot::kind::{INBOX, Kind, ModuleSource};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -25,6 +26,8 @@ pub struct ModuleEntry {
     pub kind: Kind,
     pub(crate) settings: BTreeMap<String, Given>,
     pub(crate) remaps: BTreeMap<String, Located<String>>,
+    /// Of a module in another language: which module it is.
+    pub(crate) source: ModuleSource,
     /// The line in the file with the CPUs or the priority of its thread.
     pub(crate) thread_line: usize,
     /// The options of the module, without settings and remapping rules.
@@ -60,7 +63,13 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let kind_value = table.require("kind")?;
     let kind_name = kind_value.text()?;
     let kind = catalog.kind(kind_name).cloned().ok_or_else(|| {
-        let hint = suggestion(kind_name, catalog.kinds().map(Kind::name));
+        let hint = match kind_name {
+            "python" => {
+                ": install the wheel (`pip install downbeat`) and start the robot with its command `downbeat`"
+                    .to_owned()
+            }
+            _ => suggestion(kind_name, catalog.kinds().map(Kind::name)),
+        };
         kind_value.error(format!("unknown kind of module \"{kind_name}\"{hint}"))
     })?;
     let name_value = table.take("name");
@@ -81,6 +90,9 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let remaps = entries(table.take("remap"), "remap", |value| {
         Ok(Located { line: value.line(), value: value.text()?.to_owned() })
     })?;
+    let keys = source_keys(&mut table, &kind)?;
+    let folder = value.path().parent().map(Path::to_owned).unwrap_or_default();
+    let source = ModuleSource { module: name.clone(), folder, keys };
     let synchrony = synchrony(&mut table, &kind)?;
     let (thread_line, thread) = thread(&mut table, synchrony, line)?;
     let running = ModuleOptions {
@@ -92,7 +104,22 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         ..ModuleOptions::default()
     };
     table.finish()?;
-    Ok(ModuleEntry { line, name, kind, settings, remaps, thread_line, running })
+    Ok(ModuleEntry { line, name, kind, settings, remaps, source, thread_line, running })
+}
+
+/// Reads the keys that only modules of this kind have.
+fn source_keys(table: &mut Table<'_>, kind: &Kind) -> Result<BTreeMap<String, SettingValue>> {
+    let [required, optional] = kind.keys();
+    let mut keys = BTreeMap::new();
+    for key in required {
+        keys.insert((*key).to_owned(), table.require(key)?.setting()?);
+    }
+    for key in optional {
+        if let Some(value) = table.take(key) {
+            keys.insert((*key).to_owned(), value.setting()?);
+        }
+    }
+    Ok(keys)
 }
 
 fn module_name(value: Value<'_>) -> Result<String> {

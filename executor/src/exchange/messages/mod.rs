@@ -18,8 +18,9 @@ use crate::module::{
 };
 use crate::topics::{AnyOutbox, Batch, Outboxes, Report, Subscriber, Topics, for_each_message};
 use crate::{
-    Context, Core, CoreHandle, Mechanism, Module, ModuleChange, ModuleId, OutletStatistics, Port,
-    Publication, Receipt, Received, Role, Setup, SetupError, Step, SyncPhase, Time, TopicInfo, Version,
+    AnyMessage, AnyPublication, AnyReceived, Context, Core, CoreHandle, Mechanism, MessageType, Module,
+    ModuleChange, ModuleId, OutletStatistics, Port, Publication, Receipt, Received, Role, Setup, SetupError,
+    Step, SyncPhase, Time, TopicInfo, Version,
 };
 
 /// Messages from outside the cycle come first: those of inlets in the order in which the inlets were made, those of
@@ -312,7 +313,49 @@ impl<M: Module> Setup<'_, M> {
     /// # Errors
     /// A name that is not valid, or a topic that carries another type.
     pub fn publish<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Publication<T>, SetupError> {
-        let index = self.open_topic::<T>(topic)?;
+        let index = self.open_topic(topic, Topics::open::<T>)?;
+        self.use_to_publish(index);
+        Ok(self.io.outboxes.open(index))
+    }
+
+    /// The same for a type of messages that is known at run time only: for modules in other languages. The key is for
+    /// [`Context::publish_any`].
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, MessageType, Module, Setup, SetupError, Time};
+    /// /// Repeats the messages of one topic on another, whatever their type.
+    /// struct Relay(MessageType);
+    ///
+    /// impl Module for Relay {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         let out = setup.publish_of(self.0, "out")?;
+    ///         setup.subscribe_of(self.0, "in", move |_, received, ctx| {
+    ///             if let Some(metres) = received.message.downcast_ref::<f64>() {
+    ///                 ctx.publish_any(out, Box::new(*metres));
+    ///             }
+    ///         })
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("relay", Relay(MessageType::of::<f64>()))?;
+    /// core.inlet("in")?.publish(1.5)?;
+    /// (0..2).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(core.topics().find(|topic| &*topic.name == "out").unwrap().counter.messages(), 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn publish_of(&mut self, message: MessageType, topic: &str) -> Result<AnyPublication, SetupError> {
+        let index = self.open_topic(topic, message.open)?;
+        self.use_to_publish(index);
+        Ok(self.io.outboxes.open_any(index, message.outbox))
+    }
+
+    fn use_to_publish(&mut self, index: usize) {
         topics_of(self.host).add_publisher(index);
         self.uses.push(Use {
             of: MESSAGES,
@@ -321,7 +364,6 @@ impl<M: Module> Setup<'_, M> {
             ends: UseEnds::AtEnd,
             give_back: |host, _, used| topics_of(host).release_publisher(used.index),
         });
-        Ok(self.io.outboxes.open(index))
     }
 
     /// Calls `callback` with each message of a topic, in the cycle after it was published.
@@ -333,20 +375,8 @@ impl<M: Module> Setup<'_, M> {
         T: Send + Sync + 'static,
         F: FnMut(&mut M, Received<'_, T>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        let index = self.open_topic::<T>(topic)?;
-        let topics = topics_of(self.host);
-        topics.add_user(index);
-        topics.subscribe(index, subscriber(self.io.id));
-        self.uses.push(Use {
-            of: MESSAGES,
-            direction: Direction::In,
-            index,
-            ends: UseEnds::AtEnd,
-            give_back: |host, module, used| {
-                topics_of(host).unsubscribe(used.index, subscriber(module));
-                topics_of(host).release(used.index);
-            },
-        });
+        let index = self.open_topic(topic, Topics::open::<T>)?;
+        self.use_to_receive(index);
         self.steps.add(Causes::MESSAGES, move |module, ctx| match ctx.input() {
             Input::Views(views) => {
                 if let Some(batch) = views.topics.batch::<T>(index) {
@@ -365,9 +395,66 @@ impl<M: Module> Setup<'_, M> {
         Ok(())
     }
 
-    fn open_topic<T: Send + Sync + 'static>(&mut self, name: &str) -> Result<usize, SetupError> {
+    /// The same for a type of messages that is known at run time only, see [`publish_of`](Self::publish_of).
+    ///
+    /// # Errors
+    /// A name that is not valid, or a topic that carries another type.
+    pub fn subscribe_of<F>(
+        &mut self,
+        message: MessageType,
+        topic: &str,
+        mut callback: F,
+    ) -> Result<(), SetupError>
+    where
+        F: FnMut(&mut M, AnyReceived<'_>, &mut Context<'_, M::Ports>) + Send + 'static,
+    {
+        let index = self.open_topic(topic, message.open)?;
+        self.use_to_receive(index);
+        let mut each = move |module: &mut M, ctx: &mut Context<'_, M::Ports>, batch: &dyn Any, missed| {
+            let mut missed = missed;
+            (message.visit)(batch, &mut |received| {
+                callback(module, AnyReceived { missed: std::mem::take(&mut missed), ..received }, ctx);
+            });
+        };
+        self.steps.add(Causes::MESSAGES, move |module, ctx| match ctx.input() {
+            Input::Views(views) => {
+                if let Some((batch, messages)) = views.topics.batch_of(index) {
+                    ctx.io().received += messages as usize;
+                    each(module, ctx, &*batch, 0);
+                }
+            }
+            Input::Batches(deliveries) => {
+                for delivery in deliveries.iter().filter(|delivery| delivery.topic == index) {
+                    each(module, ctx, &*delivery.batch, delivery.missed);
+                }
+            }
+        });
+        Ok(())
+    }
+
+    fn use_to_receive(&mut self, index: usize) {
+        let topics = topics_of(self.host);
+        topics.add_user(index);
+        topics.subscribe(index, subscriber(self.io.id));
+        self.uses.push(Use {
+            of: MESSAGES,
+            direction: Direction::In,
+            index,
+            ends: UseEnds::AtEnd,
+            give_back: |host, module, used| {
+                topics_of(host).unsubscribe(used.index, subscriber(module));
+                topics_of(host).release(used.index);
+            },
+        });
+    }
+
+    fn open_topic(
+        &mut self,
+        name: &str,
+        open: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
+    ) -> Result<usize, SetupError> {
         let name = self.remapped(name);
-        topics_of(self.host).open::<T>(&name, &self.io.name)
+        open(topics_of(self.host), &name, &self.io.name)
     }
 }
 
@@ -406,6 +493,19 @@ impl<P> Context<'_, P> {
         messages: impl IntoIterator<Item = T>,
     ) {
         self.publish_with(publication, |outbox| outbox.extend(messages));
+    }
+
+    /// Publishes a message whose type is known at run time only.
+    ///
+    /// # Panics
+    /// Stops the module if the message is not of the type that the key was made for.
+    pub fn publish_any(&mut self, publication: AnyPublication, message: AnyMessage) {
+        let io = self.io();
+        match io.outboxes.add_any(publication, message) {
+            Some(true) => io.ask(MESSAGES),
+            Some(false) => {}
+            None => self.foreign("published a message of another type, or with"),
+        }
     }
 
     #[inline]

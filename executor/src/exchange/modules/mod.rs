@@ -31,14 +31,12 @@ pub(crate) struct Modules {
 enum Command {
     Add {
         candidate: Box<Candidate>,
+        /// Who joins if the setup of the candidate fails.
+        fallback: Option<Box<Candidate>>,
         receipt: Option<ReceiptSender<Result<(), SetupError>>>,
     },
     /// To be paused, resumed, stepped or removed.
-    Change {
-        module: String,
-        change: Change,
-        receipt: Option<ReceiptSender<Result<(), UnknownModule>>>,
-    },
+    Change { module: String, change: Change, receipt: Option<ReceiptSender<Result<(), UnknownModule>>> },
     Transition {
         module: String,
         transition: Transition,
@@ -256,10 +254,15 @@ impl Modules {
             return;
         }
         match command {
-            Command::Add { candidate, receipt } => {
+            Command::Add { candidate, fallback, receipt } => {
                 let result = admit(phase, *candidate);
                 if let (Err(error), None) = (&result, &receipt) {
                     tracing::error!("not added: {error}");
+                }
+                if let (Err(_), Some(fallback)) = (&result, fallback)
+                    && let Err(error) = admit(phase, *fallback)
+                {
+                    tracing::error!("not added again: {error}");
                 }
                 answer(receipt, result);
             }
@@ -397,7 +400,62 @@ impl<P> Context<'_, P> {
     /// Adds a module, which runs for the first time in the next cycle. What is wrong with it is logged.
     pub fn add<M: Module>(&mut self, name: &str, module: M, options: ModuleOptions) {
         let candidate = Candidate { name: name.to_owned(), source: Source::once(module), options };
-        self.command(Command::Add { candidate: Box::new(candidate), receipt: None });
+        self.command(Command::Add { candidate: Box::new(candidate), fallback: None, receipt: None });
+    }
+
+    /// Removes this module and adds the one that `make` makes under its name, in one sync phase: for a new version of the
+    /// same module. If its setup fails, which is logged, one that `fallback` makes is added.
+    ///
+    /// Both are restartable. The new module is the last in the order of registration. What waits in the inbox of a detached
+    /// module is dropped.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
+    /// /// Counts its versions.
+    /// struct Planner(u32);
+    ///
+    /// impl Module for Planner {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         if self.0 == 3 {
+    ///             return Err(setup.refuse("there is no version 3"));
+    ///         }
+    ///         let version = setup.publish::<u32>("version")?;
+    ///         setup.subscribe::<(), _>("next", move |planner, _, ctx| {
+    ///             let current = planner.0;
+    ///             ctx.replace_self(ModuleOptions::default(), move || Planner(current + 1), move || Planner(current));
+    ///         })?;
+    ///         setup.subscribe::<(), _>("ask", move |planner, _, ctx| ctx.publish(version, planner.0))
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("planner", Planner(1))?;
+    /// let (sender, versions) = std::sync::mpsc::channel();
+    /// let _outlet = core.outlet("version", downbeat_executor::Inbox::KeepAll, move |version| drop(sender.send(*version)))?;
+    /// let (next, ask) = (core.inlet("next")?, core.inlet("ask")?);
+    /// for _ in 0..2 {
+    ///     next.publish(())?;
+    ///     (0..2).try_for_each(|_| core.cycle())?;
+    ///     ask.publish(())?;
+    ///     (0..3).try_for_each(|_| core.cycle())?;
+    /// }
+    /// assert_eq!(versions.try_iter().collect::<Vec<u32>>(), [2, 2]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn replace_self<M: Module>(
+        &mut self,
+        options: ModuleOptions,
+        make: impl FnMut() -> M + Send + 'static,
+        fallback: impl FnMut() -> M + Send + 'static,
+    ) {
+        let name = self.module_name().to_owned();
+        let candidate = |source, options| Box::new(Candidate { name: name.clone(), source, options });
+        let fallback = candidate(Source::factory(fallback), options.clone());
+        let candidate = candidate(Source::factory(make), options);
+        self.remove(&name);
+        self.command(Command::Add { candidate, fallback: Some(fallback), receipt: None });
     }
 
     /// Removes a module, this one or another: its last callback runs in this cycle's sync phase, and everything it
@@ -577,7 +635,7 @@ impl CoreHandle {
         options: ModuleOptions,
     ) -> Receipt<Result<(), SetupError>> {
         let candidate = Box::new(Candidate { name: name.to_owned(), source, options });
-        self.command(|receipt| Command::Add { candidate, receipt })
+        self.command(|receipt| Command::Add { candidate, fallback: None, receipt })
     }
 
     fn change(&self, module: &str, change: Change) -> Receipt<Result<(), UnknownModule>> {

@@ -30,6 +30,14 @@ impl<Q, R> Copy for Client<Q, R> {}
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CallId(pub(crate) u64);
 
+impl CallId {
+    /// How many calls the client had made before this one.
+    #[must_use]
+    pub fn number(self) -> u64 {
+        self.0
+    }
+}
+
 /// The end of a call: the answer, or why there is none.
 #[derive(Debug)]
 pub struct Reply<R> {

@@ -1,0 +1,171 @@
+//! What a module in another language declares, as data.
+
+use downbeat_executor::SettingValue;
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// What a module declares in its setup. Each declaration returns its number, by which [`Event`](super::Event) and
+/// [`ForeignContext`](super::ForeignContext) name it; each sort of declarations counts from 0.
+#[derive(Debug, Default)]
+pub struct Declarations {
+    pub(super) module_name: String,
+    /// The values that settings were given where the module was added.
+    pub(super) given: BTreeMap<String, SettingValue>,
+    pub(super) items: Vec<Declaration>,
+    pub(super) settings: Vec<SettingDeclaration>,
+    pub(super) is_run_each_cycle: bool,
+    pub(super) is_reloading: bool,
+    counts: Counts,
+}
+
+/// A setting of a module in another language, see [`SettingInfo`](downbeat_executor::SettingInfo).
+#[derive(Clone, Debug)]
+pub struct SettingDeclaration {
+    /// The name, unique in the module.
+    pub name: String,
+    /// Its purpose and unit.
+    pub description: String,
+    /// Its kind, and the value that it has unless it is given another.
+    pub default: SettingValue,
+    /// The numbers it may have; `None` for no limit.
+    pub range: Option<RangeInclusive<f64>>,
+    /// True if it does not change after the start.
+    pub is_read_only: bool,
+}
+
+/// A port or a timer.
+#[derive(Debug)]
+pub(super) enum Declaration {
+    Publish { topic: String, message: Named },
+    Subscribe { topic: String, message: Named },
+    Serve { service: String, of: Named },
+    Client { service: String, of: Named, timeout: Duration },
+    Every { period: Duration },
+    Task,
+}
+
+/// A type by its name, and by its hash if the module was compiled with one.
+#[derive(Debug)]
+pub(super) struct Named {
+    pub(super) name: String,
+    pub(super) hash: Option<String>,
+}
+
+/// How many there are of each sort.
+#[derive(Debug, Default)]
+struct Counts {
+    publishers: u32,
+    subscriptions: u32,
+    servers: u32,
+    clients: u32,
+    timers: u32,
+    tasks: u32,
+}
+
+impl Declarations {
+    /// Creates an empty list for a module that is added under `module_name` with these values of settings.
+    #[must_use]
+    pub fn new(module_name: &str, given: BTreeMap<String, SettingValue>) -> Self {
+        Self { module_name: module_name.to_owned(), given, ..Self::default() }
+    }
+
+    /// The name under which the module is added.
+    #[must_use]
+    pub fn module_name(&self) -> &str {
+        &self.module_name
+    }
+
+    /// Declares that the module publishes messages of the type `message`, such as `sensor_msgs/msg/Imu`. `hash` is the
+    /// `RIHS01_` hash of the definition that the module was compiled with, which is checked.
+    pub fn publish(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32 {
+        let message = Named::new(message, hash);
+        self.items.push(Declaration::Publish { topic: topic.to_owned(), message });
+        next(&mut self.counts.publishers)
+    }
+
+    /// Declares that the module receives the messages of a topic, as [`Event::Message`](super::Event::Message).
+    pub fn subscribe(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32 {
+        let message = Named::new(message, hash);
+        self.items.push(Declaration::Subscribe { topic: topic.to_owned(), message });
+        next(&mut self.counts.subscriptions)
+    }
+
+    /// Declares that the module serves a service of the type `service_type`, such as `std_srvs/srv/SetBool`, with
+    /// [`Event::Request`](super::Event::Request).
+    pub fn serve(&mut self, service: &str, service_type: &str, hash: Option<&str>) -> u32 {
+        let of = Named::new(service_type, hash);
+        self.items.push(Declaration::Serve { service: service.to_owned(), of });
+        next(&mut self.counts.servers)
+    }
+
+    /// Declares that the module calls a service. Each call ends with one [`Event::Reply`](super::Event::Reply), after `timeout`
+    /// at the latest.
+    pub fn client(
+        &mut self,
+        service: &str,
+        service_type: &str,
+        hash: Option<&str>,
+        timeout: Duration,
+    ) -> u32 {
+        let of = Named::new(service_type, hash);
+        self.items.push(Declaration::Client { service: service.to_owned(), of, timeout });
+        next(&mut self.counts.clients)
+    }
+
+    /// Declares a timer, see [`Event::Timer`](super::Event::Timer).
+    pub fn every(&mut self, period: Duration) -> u32 {
+        self.items.push(Declaration::Every { period });
+        next(&mut self.counts.timers)
+    }
+
+    /// Declares something that can be scheduled, see [`Event::Task`](super::Event::Task).
+    pub fn task(&mut self) -> u32 {
+        self.items.push(Declaration::Task);
+        next(&mut self.counts.tasks)
+    }
+
+    /// Requests [`Event::EachRun`](super::Event::EachRun) at the end of each run of the module.
+    pub fn each_run(&mut self) {
+        self.is_run_each_cycle = true;
+    }
+
+    /// Declares a setting. Returns its number, and the value that it has at the start.
+    ///
+    /// # Errors
+    /// If it was given a value of another kind or out of its range.
+    pub fn setting(&mut self, setting: SettingDeclaration) -> Result<(u32, SettingValue), String> {
+        let SettingDeclaration { name, default, range, .. } = &setting;
+        let value = self.given.get(name).unwrap_or(default).clone().into_kind_of(default);
+        let value = value.map_err(|problem| format!("setting \"{name}\": {problem}"))?;
+        let number = match &value {
+            SettingValue::Integer(value) => Some(*value as f64),
+            SettingValue::Double(value) => Some(*value),
+            _ => None,
+        };
+        if let (Some(number), Some(range)) = (number, range)
+            && !range.contains(&number)
+        {
+            let (start, end) = (range.start(), range.end());
+            return Err(format!("setting \"{name}\": {number} is out of range, {start} to {end} is allowed"));
+        }
+        self.settings.push(setting);
+        Ok((u32::try_from(self.settings.len() - 1).unwrap_or(u32::MAX), value))
+    }
+
+    /// Makes the core ask regularly for a [successor](super::Foreign::successor).
+    pub fn reload(&mut self) {
+        self.is_reloading = true;
+    }
+}
+
+impl Named {
+    fn new(name: &str, hash: Option<&str>) -> Self {
+        Self { name: name.to_owned(), hash: hash.map(str::to_owned) }
+    }
+}
+
+fn next(count: &mut u32) -> u32 {
+    *count += 1;
+    *count - 1
+}

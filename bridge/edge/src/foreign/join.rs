@@ -1,0 +1,217 @@
+//! How a module in another language joins a core: its declarations become ports.
+
+use super::declarations::{Declaration, Declarations, Named};
+use super::module::{Event, ForeignModule, Publisher};
+use crate::{Interfaces, KnownAction, KnownService, KnownType};
+use downbeat_executor::{Context, Module, Setup, SetupError, Transition, TransitionError};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How often a module that can be reloaded is asked for a successor.
+const RELOAD_PERIOD: Duration = Duration::from_millis(200);
+
+impl Module for ForeignModule {
+    type Ports = ();
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        let declared = match self.declared.take() {
+            Some(declared) => declared,
+            None => {
+                let mut foreign = (self.make)().map_err(|reason| setup.refuse(reason))?;
+                let mut declared = Declarations::new(setup.module_name(), self.options.settings.clone());
+                foreign.setup(&mut declared).map_err(|reason| setup.refuse(reason))?;
+                self.foreign = Some(foreign);
+                Arc::new(declared)
+            }
+        };
+        self.declare_settings(&declared, setup)?;
+        let (mut subscriptions, mut servers, mut timers) = (0_u32.., 0_u32.., 0_u32..);
+        let (mut clients, mut tasks) = (0_u32.., 0_u32..);
+        for declaration in &declared.items {
+            match declaration {
+                Declaration::Publish { topic, message } => self.declare_publisher(setup, topic, message)?,
+                Declaration::Subscribe { topic, message } => {
+                    let message = self.message_on(setup, topic, message)?;
+                    subscribe(setup, topic, message, number(&mut subscriptions))?;
+                }
+                Declaration::Serve { service, of } => {
+                    let service_type = self.service(setup, of)?;
+                    service_type.serve_foreign(setup, service, number(&mut servers))?;
+                }
+                Declaration::Client { service, of, timeout } => {
+                    let service_type = self.service(setup, of)?;
+                    let call = service_type.foreign_client(setup, service, *timeout, number(&mut clients))?;
+                    self.ports.clients.push(call);
+                }
+                Declaration::Every { period } => {
+                    let timer = number(&mut timers);
+                    setup.every(*period, move |module, ctx| module.take(Event::Timer { timer }, ctx))?;
+                }
+                Declaration::Task => {
+                    let task = number(&mut tasks);
+                    let task = setup.task(move |module, ctx| module.take(Event::Task { task }, ctx));
+                    self.ports.tasks.push(task);
+                }
+            }
+        }
+        if declared.is_run_each_cycle {
+            setup.each_run(|module, ctx| module.take(Event::EachRun, ctx));
+        }
+        if declared.is_reloading {
+            setup.every(RELOAD_PERIOD, Self::look_for_successor)?;
+        }
+        self.declared = Some(declared);
+        Ok(())
+    }
+
+    fn configure(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Configure, ctx).map_err(TransitionError::new)
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Activate, ctx).map_err(TransitionError::new)
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Deactivate, ctx).map_err(TransitionError::new)
+    }
+
+    fn cleanup(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Cleanup, ctx).map_err(TransitionError::new)
+    }
+
+    fn shutdown(&mut self, ctx: &mut Context<'_>) {
+        if let Err(reason) = self.make_transition(Transition::Shutdown, ctx) {
+            tracing::error!(module = ctx.module_name(), "its shutdown failed: {reason}");
+        }
+    }
+}
+
+impl ForeignModule {
+    fn declare_settings(
+        &mut self,
+        declared: &Declarations,
+        setup: &mut Setup<'_, Self>,
+    ) -> Result<(), SetupError> {
+        for (number, setting) in (0_u32..).zip(&declared.settings) {
+            let (name, about, default) = (&setting.name, &setting.description, setting.default.clone());
+            let key = match &setting.range {
+                _ if setting.is_read_only => setup.read_only_setting(name, default, about)?,
+                Some(range) => setup.setting_in(name, default, range.clone(), about)?,
+                None => setup.setting(name, default, about)?,
+            };
+            setup.accept_if(key, move |module, value| match &mut module.foreign {
+                Some(foreign) => foreign.accept(number, value),
+                None => Ok(()),
+            });
+            setup.on_change(key, move |module, ctx| module.take(Event::Setting { setting: number }, ctx));
+            self.ports.settings.push(key);
+        }
+        Ok(())
+    }
+
+    fn declare_publisher(
+        &mut self,
+        setup: &mut Setup<'_, Self>,
+        topic: &str,
+        message: &Named,
+    ) -> Result<(), SetupError> {
+        let message = self.message_on(setup, topic, message)?;
+        self.ports.publishers.push(Publisher {
+            key: setup.publish_of(message.in_core(), topic)?,
+            topic: topic.to_owned(),
+            type_name: message.name(),
+            decode: Box::new(move |cdr| message.decode(cdr)),
+        });
+        Ok(())
+    }
+
+    /// The type of that name. If the topic carries another Rust type of the same definition, that.
+    fn message_on(
+        &self,
+        setup: &mut Setup<'_, Self>,
+        topic: &str,
+        Named { name, hash }: &Named,
+    ) -> Result<KnownType, SetupError> {
+        let found = message(&self.interfaces, name).map_err(|reason| setup.refuse(reason))?;
+        check_hash(setup, name, hash.as_deref(), found.hash())?;
+        let topic = setup.remapped(topic);
+        let on_topic = setup.topics().find(|known| *known.name == *topic.trim_start_matches('/'));
+        let carried = on_topic.and_then(|topic| self.interfaces.message_of(topic.message_type_id));
+        Ok(carried.filter(|carried| *carried == found).unwrap_or(found))
+    }
+
+    fn service(
+        &self,
+        setup: &Setup<'_, Self>,
+        Named { name, hash }: &Named,
+    ) -> Result<KnownService, SetupError> {
+        let found = service(&self.interfaces, name).map_err(|reason| setup.refuse(reason))?;
+        check_hash(setup, name, hash.as_deref(), found.hash())?;
+        Ok(found)
+    }
+}
+
+/// The message of that name, or the one of an action.
+fn message(interfaces: &Interfaces, name: &str) -> Result<KnownType, String> {
+    let unknown = match interfaces.message(name) {
+        Ok(known) => return Ok(known),
+        Err(unknown) => unknown,
+    };
+    if let Some(action) = part_of_action(interfaces, name, "_FeedbackMessage") {
+        return Ok(action.feedback());
+    }
+    let raw = KnownType::raw(name, &interfaces.definitions()).map_err(|error| error.to_string())?;
+    if raw.hash().is_empty() { Err(unknown.to_string()) } else { Ok(raw) }
+}
+
+/// The service of that name, or the one of an action.
+fn service(interfaces: &Interfaces, name: &str) -> Result<KnownService, String> {
+    let unknown = match interfaces.service(name) {
+        Ok(known) => return Ok(known),
+        Err(unknown) => unknown,
+    };
+    let of_action = part_of_action(interfaces, name, "_SendGoal").map(KnownAction::send_goal);
+    let of_action =
+        of_action.or_else(|| part_of_action(interfaces, name, "_GetResult").map(KnownAction::get_result));
+    of_action.ok_or_else(|| unknown.to_string())
+}
+
+fn part_of_action(interfaces: &Interfaces, name: &str, suffix: &str) -> Option<KnownAction> {
+    interfaces.action(name.strip_suffix(suffix)?).ok()
+}
+
+fn check_hash(
+    setup: &Setup<'_, ForeignModule>,
+    name: &str,
+    compiled: Option<&str>,
+    known: &str,
+) -> Result<(), SetupError> {
+    match compiled {
+        Some(compiled) if compiled != known => Err(setup.refuse(format!(
+            "it was compiled with another definition of {name}: {compiled}, but the robot has {known}; generate its \
+             messages again and compile it again"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+fn subscribe(
+    setup: &mut Setup<'_, ForeignModule>,
+    topic: &str,
+    message: KnownType,
+    subscription: u32,
+) -> Result<(), SetupError> {
+    setup.subscribe_of(message.in_core(), topic, move |module, received, ctx| {
+        if !message.is_type_of(received.message) {
+            return;
+        }
+        let Some(cdr) = message.encode(received.message) else { return };
+        let (time, missed, is_last) = (received.time, received.missed, received.is_last);
+        module.take(Event::Message { subscription, cdr, time, missed, is_last }, ctx);
+    })
+}
+
+fn number(numbers: &mut std::ops::RangeFrom<u32>) -> u32 {
+    numbers.next().unwrap_or(u32::MAX)
+}
