@@ -202,6 +202,17 @@ impl App {
     #[cfg(feature = "cli")]
     #[must_use]
     pub fn main(&self) -> std::process::ExitCode {
-        crate::program::main(self)
+        self.main_with(std::env::args_os())
+    }
+
+    /// Runs a command line as [`main`](Self::main) does, for programs that another language starts: the name of the program
+    /// comes first.
+    #[cfg(feature = "cli")]
+    #[must_use]
+    pub fn main_with(
+        &self,
+        line: impl IntoIterator<Item = std::ffi::OsString>,
+    ) -> std::process::ExitCode {
+        crate::program::main(self, line)
     }
 }

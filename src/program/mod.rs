@@ -25,6 +25,7 @@ mod stop;
 mod top;
 mod trace;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::CommandFactory;
@@ -36,9 +37,9 @@ use logging::Log;
 use look::Environment;
 use screen::Screen;
 
-/// Runs the command line. Errors are printed on standard error and exit with code 1.
-pub(crate) fn main(app: &App) -> ExitCode {
-    let cli = Cli::parse_with_ros_args(std::env::args_os());
+/// Runs a command line, the name of the program first. Errors are printed on standard error and exit with code 1.
+pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = Cli::parse_with_ros_args(line);
     let screen = Screen::new();
     let Cli { command, ros } = cli;
     let log = match Log::start(&screen, &ros.log) {

@@ -5,6 +5,7 @@ use std::fmt;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use downbeat_edge::Interfaces;
@@ -74,6 +75,8 @@ pub struct ModuleSource {
     pub folder: PathBuf,
     /// The keys of the kind, such as `module` or `path`.
     pub keys: BTreeMap<String, SettingValue>,
+    /// How long one run of the module may take.
+    pub deadline: Option<Duration>,
 }
 
 /// How a kind of modules in other languages reads a robot file.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use downbeat_bags::Metadata;
+use downbeat_bags::metadata::Metadata;
 use sha2::{Digest, Sha256};
 
 use super::RobotFile;

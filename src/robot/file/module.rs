@@ -91,8 +91,6 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         Ok(Located { line: value.line(), value: value.text()?.to_owned() })
     })?;
     let keys = source_keys(&mut table, &kind)?;
-    let folder = value.path().parent().map(Path::to_owned).unwrap_or_default();
-    let source = ModuleSource { module: name.clone(), folder, keys };
     let synchrony = synchrony(&mut table, &kind)?;
     let (thread_line, thread) = thread(&mut table, synchrony, line)?;
     let running = ModuleOptions {
@@ -104,6 +102,8 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         ..ModuleOptions::default()
     };
     table.finish()?;
+    let folder = value.path().parent().map(Path::to_owned).unwrap_or_default();
+    let source = ModuleSource { module: name.clone(), folder, keys, deadline: running.deadline };
     Ok(ModuleEntry { line, name, kind, settings, remaps, source, thread_line, running })
 }
 
