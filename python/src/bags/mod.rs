@@ -1,0 +1,7 @@
+//! Reading and writing bags.
+
+use pyo3::prelude::*;
+
+pub(crate) fn register(_: &Bound<'_, PyModule>) -> PyResult<()> {
+    Ok(())
+}

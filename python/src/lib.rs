@@ -1,0 +1,16 @@
+//! The Rust half of the Python package `downbeat`: the extension module `downbeat._core`.
+//!
+//! [`messages`] are the message classes and their conversion from and to CDR, [`bags`] reads and writes bags. The Python
+//! half is in `python/downbeat/`.
+
+use pyo3::prelude::*;
+
+mod bags;
+mod messages;
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    messages::register(module)?;
+    bags::register(module)?;
+    Ok(())
+}
