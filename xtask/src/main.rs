@@ -5,6 +5,7 @@ mod node;
 mod python;
 mod steps;
 mod test;
+mod wheel;
 mod wire;
 
 use clap::{Parser, Subcommand};
@@ -25,6 +26,8 @@ enum Command {
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
+    /// The wheel of the Python package, for release, under target/wheels; prints its path.
+    Wheel,
     /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,
     /// Only the npm packages under target/node; prints their folder, or nothing if there is no Node.js.
@@ -35,6 +38,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Wire => wire::wire(),
+        Command::Wheel => wheel::build("release").map(|path| println!("{}", path.display())),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
         Command::Node => {
             node::modules().map(|path| path.iter().for_each(|path| println!("{}", path.display())))

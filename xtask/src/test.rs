@@ -4,7 +4,7 @@ use std::process::Command;
 
 use crate::matrix::Notes;
 use crate::steps::{Steps, run};
-use crate::{node, python};
+use crate::{node, python, wheel};
 
 /// The features that are not enabled by default, except for those that compile C.
 const ALL: &[&str] = &["--features", "downbeat/physics,downbeat/tables"];
@@ -65,6 +65,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
         command.envs(node_modules.map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
         run(command.env("DOWNBEAT_MATRIX", notes.folder()))
     });
+    steps.step("the Python package", wheel::test);
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("documentation tests", || run(&mut cargo(&["test", "--workspace", "--doc", "--quiet"])));
     steps.step("documentation", || {

@@ -1,0 +1,165 @@
+//! An instance of a user's class as a module of a core.
+
+use super::link::{Link, Request};
+use super::loader::ModuleOrigin;
+use super::values;
+use super::watch::Watch;
+use crate::messages;
+use downbeat::edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState};
+use downbeat::executor::{SettingValue, Transition};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+/// A module in Python.
+pub(super) struct PythonModule {
+    instance: Py<PyAny>,
+    link: Py<Link>,
+    origin: Arc<ModuleOrigin>,
+    watch: Watch,
+}
+
+impl PythonModule {
+    /// An instance of a class that the origin has loaded.
+    pub(super) fn new(class: &Bound<'_, PyAny>, origin: Arc<ModuleOrigin>) -> PyResult<Self> {
+        let instance = class.call0()?;
+        let link = instance.getattr("_link")?.extract()?;
+        let watch = Watch::new(&origin.source.module, origin.source.deadline);
+        Ok(Self { instance: instance.unbind(), link, origin, watch })
+    }
+
+    /// Calls Python, with the traceback as the error.
+    fn attached<T>(&self, call: impl FnOnce(&Self, Python<'_>) -> PyResult<T>) -> Result<T, String> {
+        Python::attach(|py| {
+            let _watched = self.watch.begin(py);
+            call(self, py).map_err(|error| traceback(py, &error))
+        })
+    }
+
+    /// Calls Python, and then, detached, asks the core for what the callback has asked for.
+    fn running(
+        &self,
+        context: &mut ForeignContext<'_, '_>,
+        call: impl FnOnce(&Self, Python<'_>) -> PyResult<()>,
+    ) -> Result<(), String> {
+        self.link.get().running(context, || self.attached(call))
+    }
+
+    fn call(&self, py: Python<'_>, event: Event) -> PyResult<()> {
+        let link = self.link.get();
+        match event {
+            Event::Message { subscription, cdr, .. } => {
+                let found = link.callbacks(|callbacks| {
+                    let found = callbacks.subscriptions.get(subscription as usize);
+                    found.map(|(message, callback)| (Arc::clone(message), callback.clone_ref(py)))
+                });
+                let Some((message, callback)) = found else { return Ok(()) };
+                callback.call1(py, (messages::from_cdr(py, &message, cdr)?,))?;
+            }
+            Event::Request { server, request, cdr } => {
+                let found = link.callbacks(|callbacks| {
+                    let found = callbacks.servers.get(server as usize);
+                    found.map(|server| (Arc::clone(&server.request), Arc::clone(&server.response), server.callback.clone_ref(py)))
+                });
+                let Some((request_type, response, callback)) = found else { return Ok(()) };
+                let open = Request::new(self.link.clone_ref(py), request, response);
+                callback.call1(py, (messages::from_cdr(py, &request_type, cdr)?, open))?;
+            }
+            Event::Reply { client, call, result } => {
+                let found = link.callbacks(|callbacks| {
+                    let then = callbacks.replies.remove(&(client, call))?;
+                    Some((then, Arc::clone(callbacks.clients.get(client as usize)?)))
+                });
+                let Some((then, response)) = found else { return Ok(()) };
+                match result {
+                    Ok(cdr) => then.call1(py, (messages::from_cdr(py, &response, cdr)?, py.None()))?,
+                    Err(reason) => then.call1(py, (py.None(), reason))?,
+                };
+            }
+            Event::Setting { setting } => {
+                let changed = link.callbacks(|callbacks| {
+                    let of_setting = callbacks.on_change.iter().filter(|(number, _)| *number == setting as usize);
+                    of_setting.map(|(_, callback)| callback.clone_ref(py)).collect::<Vec<_>>()
+                });
+                changed.iter().try_for_each(|callback| callback.call0(py).map(drop))?;
+            }
+            Event::Timer { timer } => {
+                let callback = link.callbacks(|all| all.timers.get(timer as usize).map(|found| found.clone_ref(py)));
+                callback.map(|callback| callback.call0(py)).transpose()?;
+            }
+            Event::Task { task } => {
+                let callback = link.callbacks(|all| all.tasks.get(task as usize).map(|found| found.clone_ref(py)));
+                callback.map(|callback| callback.call0(py)).transpose()?;
+            }
+            Event::EachRun => {
+                let all = link.callbacks(|all| all.each_run.iter().map(|found| found.clone_ref(py)).collect::<Vec<_>>());
+                all.iter().try_for_each(|callback| callback.call0(py).map(drop))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Foreign for PythonModule {
+    fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
+        if self.origin.is_reloading {
+            declarations.reload();
+        }
+        self.attached(|module, py| {
+            module.link.get().declaring(declarations, || module.instance.call_method0(py, "_set_up").map(drop))
+        })
+    }
+
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        if let Event::Setting { setting } = event {
+            self.link.get().refresh(setting, context);
+        }
+        self.running(context, |module, py| module.call(py, event))
+    }
+
+    fn transition(&mut self, transition: Transition, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        let method = match transition {
+            Transition::Configure => "configure",
+            Transition::Activate => "activate",
+            Transition::Deactivate => "deactivate",
+            Transition::Cleanup => "cleanup",
+            Transition::Shutdown => "shutdown",
+        };
+        self.running(context, |module, py| module.instance.call_method0(py, method).map(drop))
+    }
+
+    fn accept(&mut self, setting: u32, value: &SettingValue) -> Result<(), String> {
+        let name = self.link.get().setting_name(setting);
+        Python::attach(|py| {
+            let accepted = values::to_python(py, value)
+                .and_then(|value| self.instance.call_method1(py, "accept", (name, value)));
+            // In one line: whoever sets the parameter reads it.
+            accepted.map(drop).map_err(|error| error.value(py).to_string())
+        })
+    }
+
+    fn successor(&mut self) -> Result<Option<Box<dyn Foreign>>, String> {
+        self.origin.successor()
+    }
+
+    fn save(&mut self) -> Result<SavedState, String> {
+        let state = self.attached(|module, py| module.instance.call_method0(py, "save"))?;
+        Ok(Box::new(state))
+    }
+
+    fn restore(&mut self, state: SavedState) -> Result<(), String> {
+        let Ok(state) = state.downcast::<Py<PyAny>>() else { return Ok(()) };
+        self.attached(|module, py| match state.is_none(py) {
+            true => Ok(()),
+            false => module.instance.call_method1(py, "restore", (&*state,)).map(drop),
+        })
+    }
+}
+
+/// An exception as Python prints it.
+pub(super) fn traceback(py: Python<'_>, error: &PyErr) -> String {
+    let format = || -> PyResult<String> {
+        let lines = py.import("traceback")?.call_method1("format_exception", (error.value(py),))?;
+        Ok(lines.extract::<Vec<String>>()?.concat().trim_end().to_owned())
+    };
+    format().unwrap_or_else(|_| error.to_string())
+}

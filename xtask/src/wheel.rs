@@ -1,0 +1,64 @@
+//! The Python package: built as a wheel, installed into an environment of its own, tested by pytest and mypy.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::Context;
+
+use crate::python;
+use crate::steps::{run, workspace};
+
+/// What the tests need beside the wheel and what it depends on.
+const TOOLS: [&str; 3] = ["pytest==9.2.0", "mypy==2.4.1", "mcap-ros2-support==0.6.0"];
+const TABLES: [&str; 2] = ["pandas==3.1.1", "pyarrow==26.0.1"];
+const MATURIN: &str = "maturin==1.16.0";
+
+/// Builds the wheel with a profile of cargo and returns its path.
+pub(crate) fn build(profile: &str) -> anyhow::Result<PathBuf> {
+    let peers = python::interpreter()?;
+    run(Command::new(&peers).args(["-m", "pip", "install", "--quiet", MATURIN]))?;
+    let wheels = workspace().join("target/wheels").join(profile);
+    if wheels.exists() {
+        std::fs::remove_dir_all(&wheels).with_context(|| wheels.display().to_string())?;
+    }
+    let arguments = ["-m", "maturin", "build", "--quiet", "--manifest-path", "python/Cargo.toml"];
+    run(Command::new(&peers).args(arguments).args(["--profile", profile, "--out"]).arg(&wheels))?;
+    let mut built = std::fs::read_dir(&wheels).with_context(|| wheels.display().to_string())?;
+    Ok(built.next().context("maturin built no wheel")??.path())
+}
+
+/// Builds the wheel, and tests it in a fresh environment.
+pub(crate) fn test() -> anyhow::Result<()> {
+    let peers = python::interpreter()?;
+    let wheel = build("dev")?;
+    let environment = workspace().join("target/wheel-venv");
+    run(Command::new(&peers).args(["-m", "venv", "--clear"]).arg(&environment))?;
+    let python = environment.join("bin/python");
+    let pip = |arguments: &[&str]| {
+        run(Command::new(&python).args(["-m", "pip", "install", "--quiet"]).args(arguments))
+    };
+    pip(&[&wheel.to_string_lossy()])?;
+    // With nothing but the wheel and its dependencies.
+    run(Command::new(environment.join("bin/downbeat")).args(["check", "--kinds"]))?;
+    pip(&TOOLS)?;
+    pip(&TABLES)?;
+    share(&peers, &environment)?;
+    let folder = workspace().join("python");
+    let mut pytest = Command::new(&python);
+    pytest.args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"]).arg(&folder);
+    run(pytest.env("DOWNBEAT_PYTHON", &peers).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))?;
+    let mypy = ["-m", "mypy", "--cache-dir", "target/mypy", "--config-file", "python/pyproject.toml"];
+    run(Command::new(&python).args(mypy).args(["--package", "downbeat"]))
+}
+
+/// Lets the environment find the packages of the peers, such as rclpy, behind its own.
+fn share(peers: &Path, environment: &Path) -> anyhow::Result<()> {
+    let packages = |python: &Path| -> anyhow::Result<String> {
+        let program = "import sysconfig; print(sysconfig.get_path('purelib'))";
+        let output = Command::new(python).args(["-c", program]).output();
+        Ok(String::from_utf8(output.with_context(|| python.display().to_string())?.stdout)?)
+    };
+    let own = packages(&environment.join("bin/python"))?;
+    let path = Path::new(own.trim()).join("peers.pth");
+    std::fs::write(&path, packages(peers)?).with_context(|| path.display().to_string())
+}
