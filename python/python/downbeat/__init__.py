@@ -1,6 +1,46 @@
 """Robot software as small modules in one process: modules, messages and bags in Python."""
 
 from downbeat import _core, msgs
-from downbeat._core import Message
+from downbeat._core import Client, Message, Publisher, ReplayReport, Request, Robot
+from downbeat.action import ActionClient, Goal
+from downbeat.module import (
+    Module,
+    Refused,
+    Task,
+    Time,
+    action,
+    each_run,
+    every,
+    on_change,
+    serve,
+    setting,
+    subscribe,
+)
+from downbeat.program import main, replay, run, start
 
-__all__ = ["Message", "msgs"]
+__all__ = [
+    "ActionClient",
+    "Client",
+    "Goal",
+    "Message",
+    "Module",
+    "Publisher",
+    "Refused",
+    "ReplayReport",
+    "Request",
+    "Robot",
+    "Task",
+    "Time",
+    "action",
+    "each_run",
+    "every",
+    "main",
+    "msgs",
+    "on_change",
+    "replay",
+    "run",
+    "serve",
+    "setting",
+    "start",
+    "subscribe",
+]

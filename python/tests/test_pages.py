@@ -1,0 +1,58 @@
+"""The page "Modules in Python": its files and commands, as a reader types them."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import downbeat
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+
+pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="the pages are not beside the package")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+def test_the_first_module_runs_as_the_page_says(tmp_path, program):
+    (tmp_path / "level_head.py").write_text(blocks("python")[0])
+    (tmp_path / "robot.toml").write_text(blocks("toml")[0])
+    for command in blocks("sh")[1].splitlines():
+        name, *arguments = command.split()
+        assert name == "downbeat"
+        run = program(*arguments)
+        if arguments[0] == "run":
+            run.wait_for("exposes|running|joined|my_robot|cycles")
+            assert run.stop() == 0, run.text()
+        else:
+            assert run.wait() == 0, run.text()
+            assert "level_head" in run.text() and "joint_commands" in run.text()
+
+
+def test_the_script_runs_the_robot_with_its_class(tmp_path):
+    (tmp_path / "level_head.py").write_text(blocks("python")[0])
+    (tmp_path / "robot.toml").write_text(
+        blocks("toml")[0].replace('kind = "python"', 'kind = "level_head"').replace("module =", "# module =")
+    )
+    script = tmp_path / "robot.py"
+    script.write_text(blocks("python")[1].replace("LevelHead})", "LevelHead}, duration=0.5)"))
+    ran = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_a_run_is_recorded_and_replayed_as_the_page_says(tmp_path, program):
+    (tmp_path / "level_head.py").write_text(blocks("python")[0])
+    (tmp_path / "robot.toml").write_text(blocks("toml")[0])
+    record, replay = (command.replace("10s", "1s").split()[1:] for command in blocks("sh")[3].splitlines())
+    for arguments in (record, replay):
+        run = program(*arguments)
+        assert run.wait() == 0, run.text()
+    downbeat.replay(tmp_path / "robot.toml", tmp_path / "walk").assert_same()
+
+
+@pytest.mark.parametrize("code", blocks("python") if PAGE.exists() else [])
+def test_every_example_is_python(code):
+    compile(code, "docs/python.md", "exec")
