@@ -51,9 +51,6 @@ ROBOT = """
     kind = "python"
     name = "level_head"
     module = "level_head.py:LevelHead"
-
-    [record]
-    topics = ["joint_commands", "imu/data_raw"]
 """
 
 
@@ -197,47 +194,48 @@ def test_an_action_is_served_and_called_with_feedback_result_and_cancel(write, p
         class M(db.Module):
             def setup(self):
                 self.goals = []
-                self.client_of = self.action_client("count", "example_interfaces/action/Fibonacci")
+                self.gripper = self.action_client("gripper", "control_msgs/action/GripperCommand")
 
-            @db.action("count", "example_interfaces/action/Fibonacci")
+            @db.action("gripper", "control_msgs/action/GripperCommand")
             def take(self, goal):
-                if goal.request.order < 0:
+                if goal.request.command.position < 0:
                     raise db.Refused("no")
-                self.goals.append((goal, []))
+                self.goals.append([goal, 0.0])
 
             def activate(self):
-                self.send(3)
-                self.send(-1)
-                self.endless = self.send(1000)
+                self.send(3.0)
+                self.send(-1.0)
+                self.endless = self.send(1000.0)
 
-            def send(self, order):
-                return self.client_of.send(
-                    order=order,
-                    then=lambda status, result: self.log.info(f"order {order}: {status} {result}"),
-                    feedback=lambda feedback: self.log.info(f"feedback {list(feedback.sequence)}"),
+            def send(self, position):
+                return self.gripper.send(
+                    command={"position": position},
+                    then=lambda status, result: self.log.info(f"to {position}: {status} {result}"),
+                    feedback=lambda feedback: self.log.info(f"feedback {feedback.position}"),
                 )
 
             @db.every("20ms")
             def work(self):
-                for goal, sequence in list(self.goals):
-                    sequence.append(len(sequence))
-                    goal.feedback(sequence=sequence)
+                for entry in list(self.goals):
+                    entry[1] += 1.0
+                    goal, position = entry
+                    goal.feedback(position=position)
                     if goal.is_canceling:
-                        goal.canceled(sequence=sequence)
-                    elif len(sequence) == goal.request.order:
-                        goal.succeed(sequence=sequence)
-                        self.client_of.cancel(self.endless)
+                        goal.canceled(position=position)
+                    elif position == goal.request.command.position:
+                        goal.succeed(position=position, reached_goal=True)
+                        self.gripper.cancel(self.endless)
                     else:
                         continue
-                    self.goals.remove((goal, sequence))
+                    self.goals.remove(entry)
         """,
     )
     write("robot.toml", one_module())
     run = program("run", "robot.toml")
-    run.wait_for(r"feedback \[0, 1, 2\]")
-    run.wait_for("order 3: 4 ")
-    run.wait_for("order -1: 0 the goal was refused")
-    run.wait_for("order 1000: 5 ")
+    run.wait_for(r"feedback 2\.0")
+    run.wait_for(r"to 3\.0: 4 .*reached_goal=True")
+    run.wait_for(r"to -1\.0: 0 the goal was refused")
+    run.wait_for(r"to 1000\.0: 5 ")
     assert run.stop() == 0
 
 
@@ -282,7 +280,7 @@ def test_an_exception_ends_the_module_alone_with_its_traceback_and_is_restarted(
         (
             "import downbeat as db\nclass M(db.Module):\n  def setup(self): self.publish('a', 'std_msgs/msg/Strnig')",
             "module.py:M",
-            'std_msgs/msg/Strnig.*did you mean "std_msgs/msg/String"',
+            'std_msgs/msg/Strnig.*did you mean std_msgs/msg/String\\?',
         ),
         (
             "import downbeat as db\nclass M(db.Module):\n  x = db.setting(1)\n  def setup(self): self.x = 2",

@@ -158,7 +158,8 @@ impl Foreign for PythonModule {
 /// An exception as Python prints it.
 pub(super) fn traceback(py: Python<'_>, error: &PyErr) -> String {
     let format = || -> PyResult<String> {
-        let lines = py.import("traceback")?.call_method1("format_exception", (error.value(py),))?;
+        let parts = (error.get_type(py), error.value(py), error.traceback(py));
+        let lines = py.import("traceback")?.call_method1("format_exception", parts)?;
         Ok(lines.extract::<Vec<String>>()?.concat().trim_end().to_owned())
     };
     format().unwrap_or_else(|_| error.to_string())

@@ -20,7 +20,7 @@ pub(super) fn to_python(py: Python<'_>, value: &SettingValue) -> PyResult<Py<PyA
     }
 }
 
-/// The value of a setting. An empty list holds numbers.
+/// The value of a setting. An empty list is of any kind.
 pub(crate) fn from_python(value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
     if let Some(value) = scalar(value)? {
         return Ok(value);
@@ -30,13 +30,16 @@ pub(crate) fn from_python(value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
     }
     if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
         let items = value.try_iter()?.collect::<PyResult<Vec<_>>>()?;
-        if items.iter().all(|item| item.is_instance_of::<PyBool>()) && !items.is_empty() {
+        if items.is_empty() {
+            return Ok(SettingValue::Integers(Vec::new()));
+        }
+        if items.iter().all(|item| item.is_instance_of::<PyBool>()) {
             return Ok(SettingValue::Bools(value.extract()?));
         }
-        if items.iter().all(|item| item.is_instance_of::<PyString>()) && !items.is_empty() {
+        if items.iter().all(|item| item.is_instance_of::<PyString>()) {
             return Ok(SettingValue::Texts(value.extract()?));
         }
-        if items.iter().all(|item| item.is_instance_of::<PyInt>()) && !items.is_empty() {
+        if items.iter().all(|item| item.is_instance_of::<PyInt>()) {
             return Ok(SettingValue::Integers(value.extract()?));
         }
         if let Ok(values) = value.extract() {

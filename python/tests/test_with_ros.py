@@ -1,0 +1,179 @@
+"""Modules in Python as ROS 2 sees them: real rclpy hears their topics, sets their parameters and calls their services."""
+
+import os
+import threading
+import time
+
+import downbeat
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="real ROS 2 is not installed here: see `cargo xtask python`")
+
+ROBOT = """
+    [robot]
+    name = "level"
+
+    [[module]]
+    kind = "python"
+    name = "level_head"
+    module = "level_head.py:LevelHead"
+
+    [expose]
+    out = ["joint_commands"]
+    in = ["imu/data_raw"]
+    parameters = ["level_head.*"]
+    services = ["level"]
+"""
+
+LEVEL_HEAD = """
+    import downbeat as db
+
+    class LevelHead(db.Module):
+        gain = db.setting(0.5, unit="s", range=(0, 1))
+
+        def setup(self):
+            self.tilt = 0.0
+            self.goal = None
+            self.out = self.publish("joint_commands", "sensor_msgs/msg/JointState")
+
+        @db.subscribe("imu/data_raw", "sensor_msgs/msg/Imu")
+        def imu(self, m):
+            self.tilt += m.angular_velocity.y * self.gain
+
+        @db.every("20ms")
+        def tick(self):
+            self.out(name=["head_tilt"], position=[self.tilt])
+
+        @db.serve("level", "std_srvs/srv/Trigger")
+        def level(self, request):
+            was, self.tilt = self.tilt, 0.0
+            return {"success": True, "message": f"was {was}"}
+"""
+
+
+class Peer:
+    """A node of rclpy that spins on a thread of its own."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node("peer", context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.thread = threading.Thread(target=self._spin)
+        self.thread.start()
+
+    def _spin(self) -> None:
+        try:
+            self.executor.spin()
+        except rclpy.executors.ExternalShutdownException:
+            pass
+
+    def wait(self, condition, what: str):
+        end = time.monotonic() + 60.0
+        while not (result := condition()):
+            assert time.monotonic() < end, f"waited in vain for {what}"
+            time.sleep(0.02)
+        return result
+
+    def call(self, client, request):
+        assert client.wait_for_service(60.0), client.srv_name
+        future = client.call_async(request)
+        self.wait(future.done, client.srv_name)
+        return future.result()
+
+    def stop(self) -> None:
+        self.executor.shutdown()
+        self.context.shutdown()
+        self.thread.join()
+
+
+@pytest.fixture
+def robot(write, monkeypatch):
+    domain = 30 + os.getpid() % 30
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    write("level_head.py", LEVEL_HEAD)
+    with downbeat.start(write("robot.toml", ROBOT)) as running:
+        peer = Peer(domain)
+        yield running, peer
+        peer.stop()
+
+
+def test_rclpy_hears_sets_and_calls(robot):
+    from rcl_interfaces.srv import GetParameters, SetParameters
+    from rclpy.parameter import Parameter
+    from sensor_msgs.msg import Imu, JointState
+    from std_srvs.srv import Trigger
+
+    _, peer = robot
+    tilts = []
+    peer.node.create_subscription(JointState, "joint_commands", lambda m: tilts.append(m.position[0]), 10)
+    peer.wait(lambda: tilts, "joint_commands")
+
+    imu = peer.node.create_publisher(Imu, "imu/data_raw", 10)
+    message = Imu()
+    message.angular_velocity.y = 2.0
+
+    def tilted() -> bool:
+        imu.publish(message)
+        return tilts[-1] >= 1.0
+
+    peer.wait(tilted, "a tilt")
+
+    setter = peer.node.create_client(SetParameters, "/level/set_parameters")
+    values = [Parameter("level_head.gain", value=value).to_parameter_msg() for value in (0.25, 7.0)]
+    results = peer.call(setter, SetParameters.Request(parameters=values)).results
+    assert [result.successful for result in results] == [True, False]
+    assert "7 is out of range" in results[1].reason
+    getter = peer.node.create_client(GetParameters, "/level/get_parameters")
+    gain = peer.call(getter, GetParameters.Request(names=["level_head.gain"])).values[0]
+    assert gain.double_value == 0.25
+
+    response = peer.call(peer.node.create_client(Trigger, "level"), Trigger.Request())
+    assert response.success and float(response.message.removeprefix("was ")) >= 1.0
+
+
+def test_rclpys_messages_are_published_as_they_are(write, monkeypatch):
+    domain = 30 + os.getpid() % 30
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    write(
+        "module.py",
+        """
+        import downbeat as db
+        from geometry_msgs.msg import Twist
+
+        class M(db.Module):
+            def setup(self):
+                self.out = self.publish("cmd_vel", "geometry_msgs/msg/Twist")
+
+            @db.every("20ms")
+            def tick(self):
+                m = Twist()
+                m.linear.x = 0.25
+                self.out(m)
+        """,
+    )
+    robot = write(
+        "robot.toml",
+        """
+        [robot]
+        name = "twist"
+
+        [[module]]
+        kind = "python"
+        name = "module"
+        module = "module.py:M"
+
+        [expose]
+        out = ["cmd_vel"]
+        """,
+    )
+    from geometry_msgs.msg import Twist
+
+    with downbeat.start(robot):
+        peer = Peer(domain)
+        heard = []
+        peer.node.create_subscription(Twist, "cmd_vel", heard.append, 10)
+        peer.wait(lambda: heard, "cmd_vel")
+        peer.stop()
+    assert heard[0].linear.x == 0.25
