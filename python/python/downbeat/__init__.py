@@ -1,6 +1,7 @@
 """Robot software as small modules in one process: modules, messages and bags in Python."""
 
 from downbeat import _core, msgs
+from downbeat._bags import Bag, BagMessage, Table, Topic, Writer
 from downbeat._core import Client, Message, Publisher, ReplayReport, Request, Robot
 from downbeat.action import ActionClient, Goal
 from downbeat.module import (
@@ -20,6 +21,8 @@ from downbeat.program import main, replay, run, start
 
 __all__ = [
     "ActionClient",
+    "Bag",
+    "BagMessage",
     "Client",
     "Goal",
     "Message",
@@ -29,8 +32,11 @@ __all__ = [
     "ReplayReport",
     "Request",
     "Robot",
+    "Table",
     "Task",
     "Time",
+    "Topic",
+    "Writer",
     "action",
     "each_run",
     "every",

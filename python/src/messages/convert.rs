@@ -17,7 +17,9 @@ use downbeat_msgs::definitions::{Element, Primitive, Shape};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyBytes, PyDict, PyFloat, PyInt, PyList, PyMapping, PySet, PyString, PyTuple};
+use pyo3::types::{
+    PyBool, PyBytes, PyDict, PyFloat, PyInt, PyList, PyMapping, PySet, PyString, PyTuple, PyType,
+};
 
 use super::buffer::{NumPy, with_values};
 use super::message::{self, Message};
@@ -347,7 +349,7 @@ pub(super) fn to_message<'py>(
     }
     let is_ros = value.hasattr(intern!(py, "get_fields_and_field_types"))?;
     let fields = if is_ros {
-        let name = ros_name(value)?;
+        let name = ros_name(&value.get_type())?;
         if name != of.name {
             return Err(Problem {
                 kind: Kind::Type,
@@ -374,10 +376,9 @@ pub(super) fn to_message<'py>(
     Ok(object)
 }
 
-/// The name of the type of a message of rclpy, from its class: `std_msgs.msg._header`, `Header`.
-pub(crate) fn ros_name(value: &Bound<'_, PyAny>) -> PyResult<String> {
-    let class = value.get_type();
-    let module: String = class.getattr(intern!(value.py(), "__module__"))?.extract()?;
+/// The name of the type of a class of rclpy: that of `std_msgs.msg._header`, `Header`.
+pub(crate) fn ros_name(class: &Bound<'_, PyType>) -> PyResult<String> {
+    let module: String = class.getattr(intern!(class.py(), "__module__"))?.extract()?;
     let mut parts = module.split('.');
     let (package, kind) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
     Ok(format!("{package}/{kind}/{}", class.name()?))

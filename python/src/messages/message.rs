@@ -297,7 +297,11 @@ fn no_field(of: &MessageType, name: &Bound<'_, PyString>) -> PyErr {
     PyAttributeError::new_err(format!("{} has no field '{name}'{hint}", of.name))
 }
 
-fn type_of(class: &Bound<'_, PyType>) -> PyResult<Arc<MessageType>> {
+/// The type of a class of messages.
+///
+/// # Errors
+/// `TypeError` if it is none.
+pub(crate) fn type_of(class: &Bound<'_, PyType>) -> PyResult<Arc<MessageType>> {
     let Ok(handle) = class.getattr(intern!(class.py(), "_type")) else {
         return Err(PyTypeError::new_err(
             "Message is the base of the message classes: use one of them, for example downbeat.msgs.std_msgs.msg.String",

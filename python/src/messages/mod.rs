@@ -20,12 +20,14 @@ use std::sync::Arc;
 use bytes::Bytes;
 use downbeat_msgs::definitions::{Element, Shape};
 use downbeat_msgs::dynamic::DynamicMessage;
+use pyo3::exceptions::PyTypeError;
+use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyType};
 
 use buffer::SharedBytes;
 pub(crate) use convert::ros_name;
-pub(crate) use message::Message;
+pub(crate) use message::{Message, type_of};
 pub(crate) use types::{MessageType, described_type, message_type};
 
 /// Creates a message from its serialised form. The bytes are kept, not copied, unless they are in another representation than
@@ -72,6 +74,23 @@ pub(crate) fn to_cdr(
 #[pyfunction]
 fn message_class(py: Python<'_>, name: &str) -> PyResult<Py<PyType>> {
     Ok(message::class(py, &message_type(py, name)?)?.clone().unbind())
+}
+
+/// The type of a message of ours or of rclpy.
+///
+/// # Errors
+/// `TypeError` if the object is none, `KeyError` if the definition of a message of rclpy is not known.
+pub(crate) fn type_of_message(message: &Bound<'_, PyAny>) -> PyResult<Arc<MessageType>> {
+    if let Ok(message) = message.cast::<Message>() {
+        return Ok(Arc::clone(&message.try_borrow()?.of));
+    }
+    if !message.hasattr(intern!(message.py(), "get_fields_and_field_types"))? {
+        let class = message.get_type().name()?;
+        return Err(PyTypeError::new_err(format!(
+            "expected a message of downbeat.msgs or of rclpy, got {class}"
+        )));
+    }
+    message_type(message.py(), &convert::ros_name(&message.get_type())?)
 }
 
 /// The class of the messages of a type.

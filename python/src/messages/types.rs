@@ -113,6 +113,7 @@ pub(crate) fn message_type(py: Python<'_>, name: &str) -> PyResult<Arc<MessageTy
 pub(crate) fn described_type(
     py: Python<'_>,
     name: &str,
+    encoding: &str,
     text: &str,
     origin: &str,
 ) -> PyResult<Arc<MessageType>> {
@@ -120,7 +121,12 @@ pub(crate) fn described_type(
         |error| PyValueError::new_err(format!("cannot use the definition of {name} in {origin}: {error}"));
     let parsed: TypeName = name.parse().map_err(invalid)?;
     let mut catalog = Catalog::new();
-    catalog.add_definition_text(&parsed, DefinitionEncoding::Ros2Msg, text, origin).map_err(invalid)?;
+    // Jazzy's rosbag2 writes this encoding for the text of a service, which starts with a line of `=`.
+    let is_service = encoding == "unknown" && text.starts_with("===");
+    let encoding = if is_service { "ros2msg" } else { encoding };
+    catalog
+        .add_definition_text(&parsed, encoding.parse().map_err(invalid)?, text, origin)
+        .map_err(invalid)?;
     KNOWN.lock().compile(py, &catalog, &parsed)
 }
 
