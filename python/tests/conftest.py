@@ -1,4 +1,6 @@
-"""Robots for the tests: each test has a folder, a DDS domain and a process of its own."""
+"""Robots for the tests, each with a folder, a DDS domain and a process of its own, and random messages of any type."""
+
+from __future__ import annotations
 
 import itertools
 import os
@@ -7,10 +9,15 @@ import subprocess
 import sys
 import textwrap
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+
+from downbeat import _core, msgs
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -81,3 +88,59 @@ def write(tmp_path: Path) -> Callable[[str, str], Path]:
         return path
 
     return write_file
+
+
+_FIELD = re.compile(r"(?P<element>[\w/]+)(<=(?P<length>\d+))?(\[(?P<most><=)?(?P<count>\d*)\])?")
+_TEXT = "aB9_-/ äß€漢"
+
+
+class Values:
+    """Random values of fields, the same for each run and type."""
+
+    def __init__(self, seed: str) -> None:
+        self.random = np.random.default_rng(zlib.crc32(seed.encode()))
+
+    def message(self, name: str) -> Any:
+        fields = {
+            field: self.field(element, declared) for field, element, _, declared, _ in _core.describe_fields(name)
+        }
+        return msgs.message_class(name)(**fields)
+
+    def field(self, element: str, declared: str) -> Any:
+        matched = _FIELD.fullmatch(declared)
+        assert matched, declared
+        length = int(matched["length"] or 12)
+        if matched["count"] is None:
+            return self.one(element, length)
+        most = int(matched["count"] or 3)
+        count = int(self.random.integers(most + 1)) if matched["most"] or not matched["count"] else most
+        return [self.one(element, length) for _ in range(count)]
+
+    def one(self, element: str, length: int) -> Any:
+        if "/" in element:
+            return self.message(element)
+        if element == "string":
+            count = int(self.random.integers(length // 3 + 1))
+            return "".join(self.random.choice(list(_TEXT), count))
+        if element == "bool":
+            return bool(self.random.integers(2))
+        if element.startswith("float"):
+            return float(np.float32(self.random.normal() * 1e3))
+        info = np.iinfo({"byte": "uint8", "char": "uint8"}.get(element, element))
+        return int(self.random.integers(info.min, info.max, dtype=info.dtype, endpoint=True))
+
+
+@pytest.fixture
+def random_message() -> Callable[..., Any]:
+    """A random message of the type of this name."""
+    return lambda name, seed="": Values(name + seed).message(name)
+
+
+def message_names() -> list[str]:
+    """Every message of every interface that downbeat carries."""
+    names = []
+    for package in _core.interface_packages():
+        for kind, name in _core.interfaces(package):
+            parts = {"msg": [""], "srv": ["_Request", "_Response"], "action": ["_Goal", "_Result", "_Feedback"]}[kind]
+            names += [f"{package}/{kind}/{name}{part}" for part in parts]
+    return names

@@ -49,7 +49,7 @@ def _encoding(name: str) -> tuple[int, np.dtype[Any]]:
 
 
 def _strided(data: Array, shape: tuple[int, ...], dtype: np.dtype[Any], strides: tuple[int, ...]) -> Array:
-    array: Array = np.ndarray(shape, dtype, data, 0, strides)  # type: ignore[arg-type]
+    array: Array = np.ndarray(shape, dtype, data, 0, strides)
     return array if array.flags.aligned else array.copy()
 
 
@@ -129,7 +129,7 @@ def point_cloud_to_numpy(self: Any) -> Array:
         formats.append(kind if field.count == 1 else (kind, (field.count,)))
         offsets.append(field.offset)
     dtype: np.dtype[Any] = np.dtype(
-        {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.point_step}  # type: ignore[arg-type]
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.point_step}
     )
     height, width, data = self.height, self.width, self.data
     needed = self.row_step * (height - 1) + width * self.point_step if height and width else 0
@@ -139,7 +139,7 @@ def point_cloud_to_numpy(self: Any) -> Array:
             f"fit data of {len(data)} bytes"
         )
     # Views of structures need no alignment.
-    points: Array = np.ndarray((height, width), dtype, data, 0, (self.row_step, self.point_step))  # type: ignore[arg-type]
+    points: Array = np.ndarray((height, width), dtype, data, 0, (self.row_step, self.point_step))
     return points if height != 1 else points[0]
 
 

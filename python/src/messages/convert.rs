@@ -157,7 +157,7 @@ pub(super) fn to_float(primitive: Primitive, value: &Bound<'_, PyAny>) -> Conver
     }
     let rounded = f64::from(number as f32);
     if rounded.is_infinite() && number.is_finite() {
-        return Err(Problem::value(format!("{number} is out of the range of float32")));
+        return Err(Problem::value(format!("{number:?} is out of the range of float32")));
     }
     Ok(rounded)
 }
