@@ -50,9 +50,29 @@ pub(super) struct NumPy {
     pub(super) asarray: Py<PyAny>,
     pub(super) array_equal: Py<PyAny>,
     pub(super) ndarray: Py<PyAny>,
-    frombuffer: Py<PyAny>,
     dtypes: [Py<PyAny>; Primitive::ALL.len()],
+    new_from_descr: NewFromDescr,
+    set_base_object: SetBaseObject,
 }
+
+/// `PyArray_NewFromDescr`: class, type of elements (which it takes over), dimensions, lengths, strides, data, flags, object.
+type NewFromDescr = unsafe extern "C" fn(
+    *mut ffi::PyTypeObject,
+    *mut ffi::PyObject,
+    c_int,
+    *const isize,
+    *const isize,
+    *mut c_void,
+    c_int,
+    *mut ffi::PyObject,
+) -> *mut ffi::PyObject;
+
+/// `PyArray_SetBaseObject`: array, object that owns the data (which it takes over).
+type SetBaseObject = unsafe extern "C" fn(*mut ffi::PyObject, *mut ffi::PyObject) -> c_int;
+
+const NEW_FROM_DESCR: usize = 94;
+const SET_BASE_OBJECT: usize = 282;
+const WRITEABLE: c_int = 0x400;
 
 impl NumPy {
     pub(super) fn get(py: Python<'_>) -> PyResult<&'static Self> {
@@ -61,20 +81,32 @@ impl NumPy {
             let numpy = py.import("numpy")?;
             let function = |name: &str| numpy.getattr(name).map(Bound::unbind);
             let of = |primitive: Primitive| Ok(numpy.call_method1("dtype", (dtype(primitive),))?.unbind());
-            let dtypes =
-                Primitive::ALL.iter().map(|primitive| of(*primitive)).collect::<PyResult<Vec<_>>>()?;
+            let dtypes = Primitive::ALL.iter().map(|primitive| of(*primitive)).collect::<PyResult<Vec<_>>>()?;
+            // In NumPy 1 the module has another name.
+            let core = py.import("numpy._core._multiarray_umath");
+            let core = core.or_else(|_| py.import("numpy.core._multiarray_umath"))?;
+            let table = core.getattr("_ARRAY_API")?;
+            // SAFETY: NumPy documents the capsule as a table of pointers to functions, whose numbers and signatures are part of its
+            // binary interface since version 1.7 (numpy/_core/code_generators/numpy_api.py).
+            let (new_from_descr, set_base_object) = unsafe {
+                let table = ffi::PyCapsule_GetPointer(table.as_ptr(), std::ptr::null()).cast::<*const c_void>();
+                if table.is_null() {
+                    return Err(PyErr::fetch(py));
+                }
+                (
+                    std::mem::transmute::<*const c_void, NewFromDescr>(*table.add(NEW_FROM_DESCR)),
+                    std::mem::transmute::<*const c_void, SetBaseObject>(*table.add(SET_BASE_OBJECT)),
+                )
+            };
             Ok(Self {
                 asarray: function("asarray")?,
                 array_equal: function("array_equal")?,
                 ndarray: function("ndarray")?,
-                frombuffer: function("frombuffer")?,
                 dtypes: dtypes.try_into().map_err(|_| PyBufferError::new_err("a dtype is missing"))?,
+                new_from_descr,
+                set_base_object,
             })
         })
-    }
-
-    pub(super) fn dtype(&self, primitive: Primitive) -> &Py<PyAny> {
-        &self.dtypes[primitive as usize]
     }
 
     /// A read-only array on a part of shared bytes if it is aligned in memory, otherwise on a copy. An array of a new message
@@ -92,22 +124,57 @@ impl NumPy {
         if shared.is_default || part.is_empty() {
             return self.copy(py, primitive, part);
         }
-        let dtype = self.dtype(primitive);
-        let array = if part.as_ptr().align_offset(primitive.size()) == 0 {
-            self.frombuffer.bind(py).call1((source, dtype, length / primitive.size(), offset))?
-        } else {
-            self.frombuffer.bind(py).call1((PyBytes::new(py, part), dtype))?
-        };
-        Ok(array.unbind())
+        let count = length / primitive.size();
+        if part.as_ptr().align_offset(primitive.size()) == 0 {
+            // SAFETY: the bytes belong to the base and never change.
+            return unsafe { self.on(source.as_any(), primitive, count, part.as_ptr(), 0) };
+        }
+        let copy = PyBytes::new(py, part);
+        // SAFETY: as above.
+        unsafe { self.on(copy.as_any(), primitive, count, copy.as_bytes().as_ptr(), 0) }
     }
 
     /// A writable array with these little-endian values.
     pub(super) fn copy(&self, py: Python<'_>, primitive: Primitive, bytes: &[u8]) -> PyResult<Py<PyAny>> {
-        let dtype = self.dtype(primitive);
-        if bytes.is_empty() {
-            return Ok(self.ndarray.bind(py).call1((0, dtype))?.unbind());
+        let count = bytes.len() / primitive.size();
+        let copy = PyByteArray::new(py, bytes);
+        // SAFETY: the bytes belong to the base, which nobody else has, so that nobody resizes it.
+        unsafe { self.on(copy.as_any(), primitive, count, copy.data(), WRITEABLE) }
+    }
+
+    /// An array of `count` numbers at `data`.
+    ///
+    /// # Safety
+    /// The numbers must belong to `base`, stay there, and be written by nobody else.
+    unsafe fn on(
+        &self,
+        base: &Bound<'_, PyAny>,
+        primitive: Primitive,
+        count: usize,
+        data: *const u8,
+        flags: c_int,
+    ) -> PyResult<Py<PyAny>> {
+        let py = base.py();
+        let length = isize::try_from(count).unwrap_or(0);
+        // SAFETY: the functions are those of NumPy. The first takes over the type of the elements, the second the base, so that both get a
+        // new reference; with a length of 0 the data is not used.
+        unsafe {
+            let array = (self.new_from_descr)(
+                self.ndarray.as_ptr().cast(),
+                self.dtypes[primitive as usize].clone_ref(py).into_ptr(),
+                1,
+                &raw const length,
+                std::ptr::null(),
+                data.cast_mut().cast(),
+                flags,
+                std::ptr::null_mut(),
+            );
+            let array = Bound::from_owned_ptr_or_err(py, array)?;
+            if (self.set_base_object)(array.as_ptr(), base.clone().into_ptr()) != 0 {
+                return Err(PyErr::fetch(py));
+            }
+            Ok(array.unbind())
         }
-        Ok(self.frombuffer.bind(py).call1((PyByteArray::new(py, bytes), dtype))?.unbind())
     }
 }
 

@@ -371,9 +371,7 @@ pub(super) fn to_message<'py>(
     };
     let mut filled = Message::over(Arc::clone(of), of.defaults(py)?, 0);
     filled.set_all(py, &fields)?;
-    let object = message::class(py, of)?.call0()?.cast_into::<Message>().map_err(PyErr::from)?;
-    *object.try_borrow_mut().map_err(PyErr::from)? = filled;
-    Ok(object)
+    Ok(message::object(py, filled)?)
 }
 
 /// The name of the type of a class of rclpy: that of `std_msgs.msg._header`, `Header`.

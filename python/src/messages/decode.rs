@@ -52,6 +52,22 @@ pub(super) fn field(
     }
 }
 
+/// Decodes all fields of a message whose fields are scalars.
+pub(super) fn scalars(
+    source: &Bound<'_, SharedBytes>,
+    of: &MessageType,
+    start: usize,
+) -> PyResult<Vec<Option<Py<PyAny>>>> {
+    let body = source.get().bytes.get(HEADER..).unwrap_or_default();
+    let mut cursor = Cursor { body, at: start };
+    let decoded = of.fields.iter().map(|field| {
+        scalar(source.py(), &field.of.element, &mut cursor)
+            .map(Some)
+            .map_err(|problem| invalid(of, &in_field(&field.name, &problem)))
+    });
+    decoded.collect()
+}
+
 /// A number, a truth value, or a text.
 fn scalar(py: Python<'_>, element: &Element<Arc<MessageType>>, cursor: &mut Cursor<'_>) -> Read<Py<PyAny>> {
     macro_rules! integer {

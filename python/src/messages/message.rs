@@ -1,5 +1,6 @@
 //! The base of all message classes, and the classes themselves, which are created on first use.
 
+use std::cell::Cell;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -27,8 +28,8 @@ pub(crate) struct Message {
     source: Py<SharedBytes>,
     /// Where the message starts in the body of the source.
     start: usize,
-    /// Where its first fields start, as far as they were needed.
-    starts: Vec<usize>,
+    /// The last field whose start was needed, and where it starts.
+    known: (usize, usize),
     /// The fields that were read or set; empty if none was.
     slots: Vec<Option<Py<PyAny>>>,
 }
@@ -54,12 +55,9 @@ impl FieldReader {
         if instance.is_none() {
             return Ok(slf.clone().into_any().unbind());
         }
-        let this = slf.get();
+        let Self { of, index } = slf.get();
         let message = instance.cast::<Message>()?;
-        if !Arc::ptr_eq(&message.try_borrow()?.of, &this.of) {
-            return Err(PyTypeError::new_err(format!("this field is one of {}", this.of.name)));
-        }
-        get(message, this.index)
+        get_of(message, *index, Some(of))
     }
 
     fn __repr__(&self) -> String {
@@ -78,6 +76,9 @@ impl Message {
         args: &Bound<'_, PyTuple>,
         fields: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
+        if let Some(next) = NEXT.take() {
+            return Ok(next);
+        }
         let py = class.py();
         let of = type_of(class)?;
         if !args.is_empty() {
@@ -118,10 +119,6 @@ impl Message {
             types.set_item(&field.name, types::rosidl_name(field))?;
         }
         Ok(types)
-    }
-
-    fn __getattr__(slf: &Bound<'_, Self>, name: &Bound<'_, PyString>) -> PyResult<Py<PyAny>> {
-        Err(no_field(&slf.try_borrow()?.of, name))
     }
 
     fn __setattr__(
@@ -177,7 +174,7 @@ impl Message {
 
 impl Message {
     pub(super) fn over(of: Arc<MessageType>, source: Py<SharedBytes>, start: usize) -> Self {
-        Self { of, source, start, starts: Vec::new(), slots: Vec::new() }
+        Self { of, source, start, known: (0, start), slots: Vec::new() }
     }
 
     /// A message with the same fields, which can be set without changing this one.
@@ -186,7 +183,7 @@ impl Message {
             of: Arc::clone(&self.of),
             source: self.source.clone_ref(py),
             start: self.start,
-            starts: self.starts.clone(),
+            known: self.known,
             slots: self.slots.iter().map(|slot| slot.as_ref().map(|value| value.clone_ref(py))).collect(),
         }
     }
@@ -233,35 +230,59 @@ impl Message {
     /// Finds where a field starts.
     fn start_of(&mut self, index: usize) -> Read<usize> {
         let body = self.source.get().bytes.get(HEADER..).unwrap_or_default();
-        if self.starts.is_empty() {
-            self.starts.reserve_exact(self.of.fields.len());
-            self.starts.push(self.start);
+        // Fields are mostly read in order.
+        let (mut field, at) = if index < self.known.0 { (0, self.start) } else { self.known };
+        let mut cursor = Cursor { body, at };
+        while field < index {
+            cursor.skip(&self.of.fields[field])?;
+            field += 1;
         }
-        while self.starts.len() <= index {
-            let last = self.starts.len() - 1;
-            let mut cursor = Cursor { body, at: self.starts[last] };
-            cursor.skip(&self.of.fields[last])?;
-            self.starts.push(cursor.at);
-        }
-        Ok(self.starts[index])
+        self.known = (index, cursor.at);
+        Ok(cursor.at)
     }
 }
 
 /// The value of a field, which is decoded when it is read for the first time.
 pub(super) fn get(message: &Bound<'_, Message>, index: usize) -> PyResult<Py<PyAny>> {
+    get_of(message, index, None)
+}
+
+/// Like [`get`], if the message is of this type.
+fn get_of(
+    message: &Bound<'_, Message>,
+    index: usize,
+    expected: Option<&Arc<MessageType>>,
+) -> PyResult<Py<PyAny>> {
     let py = message.py();
     let (of, source, start) = {
         let mut this = message.try_borrow_mut()?;
+        if let Some(expected) = expected.filter(|expected| !Arc::ptr_eq(expected, &this.of)) {
+            return Err(PyTypeError::new_err(format!("this field is one of {}", expected.name)));
+        }
         if let Some(value) = this.slot(index) {
             return Ok(value.clone_ref(py));
         }
-        let start = this.start_of(index).map_err(|problem| invalid(&this.of, &problem))?;
-        (Arc::clone(&this.of), this.source.clone_ref(py), start)
+        let start = if this.of.is_scalars && this.slots.is_empty() {
+            None
+        } else {
+            Some(this.start_of(index).map_err(|problem| invalid(&this.of, &problem))?)
+        };
+        (Arc::clone(&this.of), this.source.clone_ref(py), start.ok_or(this.start))
     };
     // Not borrowed here: creating objects may run the garbage collector, and with it any code.
-    let value = decode::field(source.bind(py), &of, &of.fields[index], start)?;
-    message.try_borrow_mut()?.put(index, value.clone_ref(py));
-    Ok(value)
+    match start {
+        Ok(start) => {
+            let value = decode::field(source.bind(py), &of, &of.fields[index], start)?;
+            message.try_borrow_mut()?.put(index, value.clone_ref(py));
+            Ok(value)
+        }
+        Err(start) => {
+            let values = decode::scalars(source.bind(py), &of, start)?;
+            let value = values[index].as_ref().map_or_else(|| py.None(), |value| value.clone_ref(py));
+            message.try_borrow_mut()?.slots = values;
+            Ok(value)
+        }
+    }
 }
 
 /// Creates an object for a message in a source.
@@ -271,12 +292,22 @@ pub(super) fn instance<'py>(
     source: Py<SharedBytes>,
     start: usize,
 ) -> PyResult<Bound<'py, Message>> {
-    let object = class(py, of)?.call0()?.cast_into::<Message>()?;
-    let mut message = object.try_borrow_mut()?;
-    message.source = source;
-    message.start = start;
-    drop(message);
-    Ok(object)
+    object(py, Message::over(Arc::clone(of), source, start))
+}
+
+/// Creates an object of the class of a message.
+pub(super) fn object(py: Python<'_>, message: Message) -> PyResult<Bound<'_, Message>> {
+    let of = Arc::clone(&message.of);
+    let class = class(py, &of)?;
+    NEXT.set(Some(message));
+    let object = class.call0();
+    NEXT.set(None);
+    Ok(object?.cast_into::<Message>()?)
+}
+
+thread_local! {
+    /// The contents of the object that [`object`] is creating: Python calls the constructor without them.
+    static NEXT: Cell<Option<Message>> = const { Cell::new(None) };
 }
 
 /// Bytes that are not a message of the type.

@@ -65,9 +65,7 @@ pub(crate) fn to_cdr(
     let Some(fields) = fields.filter(|fields| !fields.is_empty()) else { return encode::to_cdr(&message) };
     let mut changed = message.try_borrow()?.shallow_copy(py);
     changed.set_all(py, fields).map_err(|problem| problem.of(&of.name))?;
-    let object = message::instance(py, of, of.defaults(py)?, 0)?;
-    *object.try_borrow_mut()? = changed;
-    encode::to_cdr(&object)
+    encode::to_cdr(&message::object(py, changed)?)
 }
 
 /// The class of the messages of a type, by its name as in `sensor_msgs/msg/Imu`.

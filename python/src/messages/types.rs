@@ -17,6 +17,9 @@ use pyo3::types::{PyString, PyType};
 
 use super::buffer::SharedBytes;
 
+/// The most fields that are decoded together.
+const MOST_TOGETHER: usize = 4;
+
 /// A message type. Two types of the same name and hash are one object.
 pub(crate) struct MessageType {
     /// As in `sensor_msgs/msg/JointState`.
@@ -31,6 +34,8 @@ pub(crate) struct MessageType {
     pub(super) fields: Vec<Field>,
     /// If the fields are numbers of one width only: this width, and the size of all.
     pub(super) uniform: Option<(usize, usize)>,
+    /// Whether it has a few fields which are numbers and texts: they are decoded together.
+    pub(super) is_scalars: bool,
     /// The least size in CDR, without padding; at least 1.
     pub(super) least_size: usize,
     /// The CDR of a message with the defaults of the definition.
@@ -224,7 +229,10 @@ impl Known {
                 declared: field.field_type.to_string(),
             });
         }
+        let is_scalar =
+            |field: &Field| field.of.shape == Shape::Single && !matches!(field.of.element, Element::Message(_));
         let compiled = Arc::new(MessageType {
+            is_scalars: (1..=MOST_TOGETHER).contains(&fields.len()) && fields.iter().all(is_scalar),
             uniform: uniform(&fields),
             least_size: fields.iter().map(least_size).sum::<usize>().max(1),
             definition: catalog.definition_text(name).map_err(|error| invalid(error.to_string()))?,
