@@ -5,7 +5,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{Running, output_of, python, record_until, text_of, wait_until};
+use common::{Running, output_of, python, record_until, recorded_messages, text_of, wait_until};
 use downbeat::modules::servo_bus::protocol::{Id, Instruction, Protocol, ReadEntry, WriteEntry};
 use serde_json::{Value, json};
 
@@ -13,15 +13,15 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Copies a robot file and its description, with a port of its own.
-fn robot(name: &str, folder: &Path) -> PathBuf {
+/// Copies a robot file and its description, with this port.
+fn robot(name: &str, folder: &Path, port: &str) -> PathBuf {
     let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
-    let (port, path) = (folder.join("port"), folder.join("robot.toml"));
+    let path = folder.join("robot.toml");
     std::fs::create_dir(folder.join("servos")).unwrap();
     let description = format!("servos/{name}.toml");
     std::fs::copy(robots.join(&description), folder.join(&description)).unwrap();
     let robot = std::fs::read_to_string(robots.join(format!("{name}.toml"))).unwrap();
-    std::fs::write(&path, robot.replace(&format!("/tmp/downbeat_{name}"), text(&port))).unwrap();
+    std::fs::write(&path, robot.replace(&format!("memory:{name}"), port)).unwrap();
     path
 }
 
@@ -29,7 +29,8 @@ fn robot(name: &str, folder: &Path) -> PathBuf {
 fn robots_run_from_their_files_alone_and_replay_bit_for_bit() {
     for name in ["so101", "op3"] {
         let folder = tempfile::tempdir().unwrap();
-        let (robot, bag) = (robot(name, folder.path()), folder.path().join("bag"));
+        let port = folder.path().join("port");
+        let (robot, bag) = (robot(name, folder.path(), text(&port)), folder.path().join("bag"));
         let arguments = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
         record_until(&arguments, &bag, "/joint_states", 100);
         let output = output_of(&["bag", "replay", text(&robot), text(&bag), "--json"]);
@@ -40,6 +41,54 @@ fn robots_run_from_their_files_alone_and_replay_bit_for_bit() {
         let states = topics.iter().find(|topic| topic["topic"] == "/joint_states").unwrap();
         assert!(states.to_string().contains("compared"), "{states}");
     }
+}
+
+#[test]
+fn an_emulated_robot_in_simulated_time_gives_the_same_bag_in_every_run() {
+    for (name, cycles) in [("so101", 2000), ("op3", 2500)] {
+        let folder = tempfile::tempdir().unwrap();
+        let robot = robot(name, folder.path(), &format!("memory:{name}"));
+        let [one, two] = ["one", "two"].map(|bag| folder.path().join(bag));
+        for bag in [&one, &two] {
+            text_of(&["run", text(&robot), "--fast", "--duration", "20s", "--record", text(bag)]);
+        }
+        let states = recorded_messages(&one, "/joint_states");
+        assert!((cycles - 100..cycles).contains(&states), "{name}: {states} states in 20 s");
+        // `diagnostics` of the process has times of this machine.
+        text_of(&["bag", "diff", text(&one), text(&two), "--ignore", "diagnostics"]);
+    }
+}
+
+#[test]
+fn a_wrong_description_is_refused_with_both_files_and_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot("so101", folder.path(), "memory:so101");
+    let description = folder.path().join("servos/so101.toml");
+    let good = std::fs::read_to_string(&description).unwrap();
+    let refusal = |bad: String| {
+        assert_ne!(bad, good);
+        std::fs::write(&description, bad).unwrap();
+        let output = output_of(&["check", text(&robot)]);
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).unwrap().replace(&format!("{}/", folder.path().display()), "")
+    };
+    let same_id = refusal(good.replace("id = 2\n", "id = 1\n"));
+    assert!(
+        same_id.contains("robot.toml:17: ")
+            && same_id.contains(
+                "servos/so101.toml:27: joint \"shoulder_lift\" has the id 1 of \"shoulder_pan\" (line 22) on the same bus; give one \
+                 of the two another id, with `downbeat servo set-id`"
+            ),
+        "{same_id}"
+    );
+    let no_limits = refusal(good.replace("limits = [-1.69, 1.69]\n", ""));
+    assert!(
+        no_limits.contains(
+            "servos/so101.toml:32: joint \"elbow_flex\" needs \"limits\", its smallest and largest angle in rad, such as limits = \
+             [-1.5, 1.5]"
+        ),
+        "{no_limits}"
+    );
 }
 
 /// The servos of a robot in `robots/`, emulated by the program.

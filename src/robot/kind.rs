@@ -334,7 +334,7 @@ impl ReplayedDevice {
 pub(super) fn built_in() -> Vec<Kind> {
     // Emulators and hardware modules of one catalog meet here.
     let ports = MemoryPorts::default();
-    let [of_hardware, of_emulator, of_simulator] = [ports.clone(), ports.clone(), ports];
+    let [of_hardware, of_emulator, of_servos, of_servo_emulator] = std::array::from_fn(|_| ports.clone());
     let mut kinds = vec![
         Kind::new(
             "darwin_op",
@@ -392,7 +392,7 @@ pub(super) fn built_in() -> Vec<Kind> {
         Kind::new(
             "servo_bus",
             "the hardware of a robot of serial servos, Dynamixel or Feetech, as a file describes it",
-            ServoBus::serial,
+            move || ServoBus::new(Box::new(of_servos.bus())),
         )
         .with_files(&["description"])
         .drives_device()
@@ -401,7 +401,7 @@ pub(super) fn built_in() -> Vec<Kind> {
         Kind::new(
             "servo_emulator",
             "emulated servos of such a file behind a pseudo terminal, with faults on request",
-            ServoEmulator::default,
+            move || ServoEmulator::new(of_servo_emulator.clone()),
         )
         .with_files(&["description"])
         .drives_device()
@@ -414,7 +414,7 @@ pub(super) fn built_in() -> Vec<Kind> {
             TransformServer::default,
         ),
     ];
-    kinds.extend(simulator(of_simulator));
+    kinds.extend(simulator(ports));
     kinds
 }
 

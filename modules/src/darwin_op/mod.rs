@@ -16,6 +16,7 @@ mod settings;
 pub use crate::servo_bus::{bus, protocol};
 
 pub use module::{CYCLE, DarwinOp};
+pub(crate) use settings::FEET;
 
 #[cfg(test)]
 mod tests;

@@ -25,9 +25,10 @@ const GREEN: u16 = 0x1F << 5;
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names and values that are not finite are ignored, other values are clamped to the limits |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad, clamped to the limits; unknown names are counted; what is not finite, or more than a turn beyond the limits, is refused and reported |
 /// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
 /// | `led/head`, `led/eyes` (in) | `std_msgs/ColorRGBA` | the lights on the head |
+/// | `led/panel` (in) | `std_msgs/ColorRGBA` | the three lights on the back, red, green and blue: on from 0.5 |
 /// | `foot_pressure/right`, `foot_pressure/left` | `std_msgs/Float64MultiArray` | with `foot_sensors`: four forces in N, centre of pressure as a share of half the foot, NaN without load |
 /// | `joint_states` | `sensor_msgs/JointState` | 20 joints in the order of the ids: rad, rad/s, load as a fraction of the drive; stale joints have velocity and effort NaN |
 /// | `imu/data_raw` | `sensor_msgs/Imu` | forward, left, up: rad/s, m/s^2 |
@@ -97,14 +98,14 @@ impl DarwinOp {
         }
     }
 
-    fn on_command(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+    fn on_command(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         if self.settings.is_some() {
-            self.hardware.on_command(&command);
+            self.hardware.on_command(&command, ctx.now());
         }
     }
 
-    fn on_torque(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
-        self.hardware.on_torque(&command);
+    fn on_torque(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
+        self.hardware.on_torque(&command, ctx.now());
     }
 
     /// Sets the colour of a light on the head.
@@ -113,6 +114,16 @@ impl DarwinOp {
         let part = |value: f32| (value.clamp(0.0, 1.0) * 31.0).round() as u16;
         let value = part(colour.r) | part(colour.g) << 5 | part(colour.b) << 10;
         let (address, data) = (u16::from(light.address), value.to_le_bytes().to_vec());
+        self.hardware.write_later(WriteEntry { id: Id::CM730, address, data });
+    }
+
+    /// Switches the lights on the back, of which each has one colour.
+    fn light_panel(&mut self, colour: &ColorRGBA) {
+        let bit = |value: f32, bit: u8| u8::from(value >= 0.5) << bit;
+        let (address, data) = (
+            u16::from(cm730::LED_PANEL.address),
+            vec![bit(colour.r, 0) | bit(colour.b, 1) | bit(colour.g, 2)],
+        );
         self.hardware.write_later(WriteEntry { id: Id::CM730, address, data });
     }
 
@@ -168,6 +179,12 @@ impl Module for DarwinOp {
             "led/eyes",
             |module: &mut Self, colour: Received<'_, ColorRGBA>, _: &mut Context<'_, Ports>| {
                 module.light(&cm730::LED_EYE, &colour);
+            },
+        )?;
+        setup.subscribe(
+            "led/panel",
+            |module: &mut Self, colour: Received<'_, ColorRGBA>, _: &mut Context<'_, Ports>| {
+                module.light_panel(&colour);
             },
         )?;
         setup.subscribe("joint_commands", Self::on_command)?;

@@ -99,6 +99,7 @@ impl Settings {
         let Ok(registers) = Registers::of(model) else { unreachable!() };
         let joint = |(joint, offset): (&super::tables::joints::Joint, i16)| Joint {
             name: joint.name.to_owned(),
+            declared_at: None,
             id: joint.id,
             model: Arc::clone(model),
             registers: registers.clone(),
@@ -136,11 +137,12 @@ fn persistent(model: &Model, joint: &super::tables::joints::Joint) -> Vec<(Regis
 }
 
 /// The feet with force sensors, and their ids.
-pub(super) const FEET: [(&str, u8); 2] = [("right foot", 111), ("left foot", 112)];
+pub(crate) const FEET: [(&str, Id); 2] =
+    [("right foot", Id::new(111).expect("below 254")), ("left foot", Id::new(112).expect("below 254"))];
 
 /// A foot, of which the forces and their centre are read.
-fn foot_plan(name: &str, id: u8) -> DevicePlan {
-    let (Some(model), Some(id)) = (models::find("FSR"), Id::new(id)) else { unreachable!() };
+fn foot_plan(name: &str, id: Id) -> DevicePlan {
+    let Some(model) = models::find("FSR") else { unreachable!() };
     let read = ["fsr_1", "fsr_2", "fsr_3", "fsr_4", "fsr_x", "fsr_y"];
     DevicePlan {
         name: name.to_owned(),

@@ -24,17 +24,19 @@
 //! - **Servos**: position control with speed limit, P gain and torque limit; positions in whole ticks; load, temperature,
 //!   supply voltage; errors of voltage, temperature and overload, with shutdown.
 //! - **Board**: battery voltage that sags with the load, buttons, a 10-bit IMU with noise.
+//! - **Feet**: the force sensors with the ids 111 and 112, if the body has feet.
 //! - **Mechanics**: a [`Body`]. That of this module, [`Standing`], has joints with friction and a little gravity, and feet
 //!   that are assumed to stand flat on the floor, so that the angles of hips, knees and ankles determine the lean of the
-//!   trunk, which follows with a short lag. It cannot walk or fall; `downbeat-physics` has a body that can.
+//!   trunk, which follows with a short lag, and every corner of the soles carries the same load. It cannot walk or fall; `downbeat-physics` has a body that can.
 //!
 //! # What is not emulated
-//! Factory reset (answered as an unknown instruction); I and D gains, punch, goal acceleration, multi-turn; the answer to an instruction with a wrong checksum (it is ignored); foot
-//! pressure sensors, microphones and analogue inputs. A SYNC_WRITE longer than the servo's buffer of 143
+//! Factory reset (answered as an unknown instruction); I and D gains, punch, goal acceleration, multi-turn; the answer to an instruction with a wrong checksum (it is ignored);
+//! microphones and analogue inputs. A SYNC_WRITE longer than the servo's buffer of 143
 //! bytes works, as on robots, where each servo needs only its own part.
 
 mod board;
 mod control_table;
+mod foot;
 mod module;
 mod robot;
 mod servo;
@@ -48,15 +50,16 @@ pub use board::Button;
 pub use module::DarwinOpEmulator;
 pub use standing::Standing;
 
+use crate::darwin_op::FEET;
 use crate::darwin_op::protocol::Id;
 use crate::darwin_op::tables::joints::JOINTS;
 use robot::Robot;
 use std::time::Duration;
 
-/// Returns whether a Darwin OP has a servo with this id.
+/// Returns whether a Darwin OP has a servo or a foot with this id.
 #[must_use]
-pub fn has_servo(id: Id) -> bool {
-    JOINTS.iter().any(|joint| joint.id == id)
+pub fn has_unit(id: Id) -> bool {
+    JOINTS.iter().any(|joint| joint.id == id) || FEET.iter().any(|(_, foot)| *foot == id)
 }
 
 impl Emulator {

@@ -1,8 +1,8 @@
 //! The emulator as a module of the robot whose hardware it emulates.
 
-use super::{Emulator, EmulatorOptions, Fault, MemoryPorts, Timing, has_servo};
+use super::{Emulator, Fault, MemoryPorts, has_unit};
+use crate::servo_emulator::Served;
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
-use std::path::PathBuf;
 
 /// Runs an [`Emulator`] as long as the robot runs, so that the hardware module finds a port.
 ///
@@ -10,16 +10,14 @@ use std::path::PathBuf;
 /// `faults`, each in the textual form of [`Fault`]. It has no topics: everything goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct DarwinOpEmulator {
-    ports: MemoryPorts,
-    options: EmulatorOptions,
-    emulator: Option<Emulator>,
+    served: Served,
 }
 
 impl DarwinOpEmulator {
     /// An emulator that can be among these ports in memory.
     #[must_use]
     pub fn new(ports: MemoryPorts) -> Self {
-        Self { ports, ..Self::default() }
+        Self { served: Served::new(ports) }
     }
 }
 
@@ -40,48 +38,26 @@ impl Module for DarwinOpEmulator {
         )?;
         let texts = setup.value(faults).map_or(&[][..], Vec::as_slice);
         let parsed: Result<Vec<Fault>, _> =
-            texts.iter().map(|text| text.parse::<Fault>()?.check(has_servo)).collect();
+            texts.iter().map(|text| text.parse::<Fault>()?.check(has_unit)).collect();
+        let faults = parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?;
         let port = setup.value(link).cloned().unwrap_or_default();
-        let is_memory = MemoryPorts::is_memory(&port);
-        self.options = EmulatorOptions {
-            link: Some(PathBuf::from(&port)),
-            // Negative seeds are valid.
-            seed: setup.value(seed).map_or(0, |seed| seed.cast_unsigned()),
-            timing: if is_memory { Timing::Stepped } else { Timing::Measured },
-            faults: parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?,
-        };
-        if is_memory {
-            let emulator = Emulator::in_memory(&self.options, None);
-            let offered = self.ports.offer(&port, &emulator);
-            offered.map_err(|error| setup.refuse_value(link, error.to_string()))?;
-            self.emulator = Some(emulator);
-        }
-        Ok(())
+        let seed = setup.value(seed).copied().unwrap_or_default();
+        self.served
+            .prepare(&port, seed, faults, |options| Emulator::in_memory(options, None))
+            .map_err(|error| setup.refuse_value(link, error.to_string()))
     }
 
     fn activate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        if self.options.timing == Timing::Measured {
-            self.emulator = Some(Emulator::start(self.options.clone())?);
-        }
-        Ok(())
+        Ok(self.served.open(Emulator::start)?)
     }
 
     fn deactivate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.close();
+        self.served.close();
         Ok(())
     }
 
     fn shutdown(&mut self, _ctx: &mut Context<'_>) {
-        self.close();
-    }
-}
-
-impl DarwinOpEmulator {
-    /// A port in memory stays: it is no more than the robot itself.
-    fn close(&mut self) {
-        if self.options.timing == Timing::Measured {
-            self.emulator = None;
-        }
+        self.served.close();
     }
 }
 

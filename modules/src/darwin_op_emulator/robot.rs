@@ -1,8 +1,10 @@
 //! All devices, and their answers to instructions.
 
 use super::board::Board;
+use super::foot::Foot;
 use super::servo::Servo;
 use super::standing::Standing;
+use crate::darwin_op::FEET;
 use crate::darwin_op::bus::BAUD_RATE;
 use crate::darwin_op::protocol::{Id, Packet, Protocol, StatusError};
 use crate::darwin_op::tables::joints::COUNT;
@@ -19,6 +21,8 @@ pub(super) struct Robot {
     time: Duration,
     board: Board,
     servos: Vec<Servo>,
+    /// Right, left; none if the body has no feet.
+    feet: Vec<Foot>,
     dead: [bool; COUNT],
     body: Box<dyn Body>,
     noise: Random,
@@ -42,8 +46,9 @@ impl Robot {
         for (index, servo) in servos.iter_mut().enumerate() {
             servo.feel(body.joint(index));
         }
+        let feet = body.foot_forces().map_or(Vec::new(), |_| FEET.map(|(_, id)| Foot::new(id)).into());
         let (dead, noise) = ([false; COUNT], Random::new(seed, 2));
-        Self { time: Duration::ZERO, board, servos, dead, body, noise }
+        Self { time: Duration::ZERO, board, servos, feet, dead, body, noise }
     }
 
     fn switch_power(&mut self) {
@@ -85,14 +90,25 @@ impl Devices for Robot {
         for (dead, servo) in self.dead.iter_mut().zip(&self.servos) {
             *dead = is_dead(servo.id());
         }
+        for foot in &mut self.feet {
+            foot.is_dead = is_dead(foot.id);
+        }
         self.switch_power();
     }
 
     fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
+        if let Some(forces) = self.body.foot_forces() {
+            for (foot, forces) in self.feet.iter_mut().zip([forces.right, forces.left]) {
+                foot.feel(forces);
+            }
+        }
+        let has_power = self.board.gives_power();
         let board: &mut dyn Device = &mut self.board;
+        let feet = self.feet.iter_mut().filter(|foot| has_power && !foot.is_dead);
+        let feet = feet.map(|foot| &mut foot.unit as &mut dyn Device);
         let servos = self.servos.iter_mut().filter(|servo| servo.is_awake());
         let mut awake: Vec<&mut dyn Device> =
-            std::iter::once(board).chain(servos.map(|servo| servo as &mut dyn Device)).collect();
+            std::iter::once(board).chain(feet).chain(servos.map(|servo| servo as &mut dyn Device)).collect();
         let answers = answer(Protocol::Dynamixel1, &mut awake, packet, is_lost);
         self.switch_power();
         answers

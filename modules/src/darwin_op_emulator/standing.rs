@@ -11,7 +11,7 @@
 
 use crate::darwin_op::tables::joints::{COUNT, JOINTS};
 use crate::darwin_op::tables::units::{CENTRE_TICKS, PRESENT_SPEED_UNIT, RADIANS_PER_TICK, STANDARD_GRAVITY};
-use crate::servo_emulator::{Body, ImuMotion, JointMotion, ServoCommand};
+use crate::servo_emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
 use std::time::Duration;
 
 /// At 12 V, in ticks/s.
@@ -21,6 +21,8 @@ const SPEED_STEP: f64 = PRESENT_SPEED_UNIT / RADIANS_PER_TICK;
 /// The share of the full drive below which a servo at rest does not move.
 const STATIC_FRICTION: f64 = 0.006;
 const MOTOR_LAG_S: f64 = 0.02;
+/// 2.925 kg.
+const WEIGHT_N: f64 = 2.925 * STANDARD_GRAVITY;
 /// Of the trunk, behind the legs.
 const LAG_S: f64 = 0.08;
 
@@ -51,6 +53,11 @@ impl Body for Standing {
 
     fn joint(&self, index: usize) -> JointMotion {
         self.joints.get(index).map(Joint::motion).unwrap_or_default()
+    }
+
+    fn foot_forces(&self) -> Option<FootForces> {
+        let corner = WEIGHT_N / 8.0;
+        Some(FootForces { right: [corner; 4], left: [corner; 4] })
     }
 
     fn imu(&self) -> ImuMotion {

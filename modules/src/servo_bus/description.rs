@@ -323,6 +323,7 @@ impl Parser<'_> {
         let cycle = buses[bus].cycle;
         let joint = Joint {
             name: name.clone(),
+            declared_at: Some(format!("{}:{}", self.source.path, line_of(self.source.text, at))),
             id: self.id(at, entry.id)?,
             zero: entry.zero.unwrap_or(centre) + entry.offset.unwrap_or(0),
             sign,

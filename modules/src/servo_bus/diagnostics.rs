@@ -1,7 +1,7 @@
 //! The robot's faults in the form of `diagnostics` (REP-107).
 
 use super::description::{BusPlan, DevicePlan};
-use super::driver::{DeviceUnit, Driver, Phase};
+use super::driver::{Counted, DeviceUnit, Driver, Phase};
 use super::joint::{Joint, Protection};
 use super::module::header;
 use super::protocol::StatusError;
@@ -22,6 +22,8 @@ pub(crate) struct Labels<'a> {
     pub(crate) hardware_id: &'a str,
     /// How often a command named an unknown joint.
     pub(crate) unknown_names: u64,
+    /// Commands that were refused.
+    pub(crate) refused: &'a Refused,
     /// Whether late cycles are reported.
     pub(crate) reports_cycles: bool,
 }
@@ -50,11 +52,27 @@ pub(crate) fn report(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels
     DiagnosticArray { header: header(now, ""), status }
 }
 
+/// Counts refused commands.
+#[derive(Default)]
+pub(crate) struct Refused {
+    pub(crate) count: Counted,
+    /// The last one: when, and why.
+    pub(crate) last: Option<(Time, String)>,
+}
+
+impl Refused {
+    fn recently(&self, now: Time) -> Option<&str> {
+        self.last.as_ref().filter(|(at, _)| is_recent(now, Some(*at))).map(|(_, reason)| &**reason)
+    }
+}
+
 fn bus_level(now: Time, driver: &Driver, labels: &Labels<'_>) -> u8 {
     match driver.phase {
+        Phase::Running if driver.is_held() => DiagnosticStatus::ERROR,
         Phase::Running if is_lossy(now, driver) || (labels.reports_cycles && is_slow(now, driver)) => {
             DiagnosticStatus::WARN
         }
+        Phase::Running if labels.refused.recently(now).is_some() => DiagnosticStatus::WARN,
         Phase::Running => DiagnosticStatus::OK,
         Phase::PowerOn { .. } | Phase::Preparing { .. } => DiagnosticStatus::WARN,
         Phase::Closed { .. } | Phase::Open { .. } => DiagnosticStatus::ERROR,
@@ -108,6 +126,7 @@ fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
 fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> DiagnosticStatus {
     let board = plan.devices.first().filter(|device| device.power.is_some());
     let message = match driver.phase {
+        Phase::Running if driver.is_held() => driver.misfit(plan).unwrap_or_default(),
         Phase::Running if is_lossy(now, driver) && is_recent(now, driver.last_late_at) => {
             "running, but this machine is too busy: answers come after they were given up".to_owned()
         }
@@ -115,7 +134,10 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
         Phase::Running if labels.reports_cycles && is_slow(now, driver) => {
             format!("running, but cycles of {} ms begin late", plan.cycle.as_secs_f64() * 1000.0)
         }
-        Phase::Running => "running".to_owned(),
+        Phase::Running => match labels.refused.recently(now) {
+            Some(reason) => format!("running, but a command was refused: {reason}"),
+            None => "running".to_owned(),
+        },
         Phase::PowerOn { .. } => "switching the servos on".to_owned(),
         Phase::Preparing { .. } => "preparing the servos".to_owned(),
         Phase::Open { .. } => format!("the {} does not answer", board.map_or("", |board| &board.name)),
@@ -131,6 +153,9 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
     ];
     values.extend(board.map(|board| value(&format!("{} silent", board.name), troubles.silent_board.count())));
     values.push(value("joint names unknown in commands", labels.unknown_names));
+    if labels.refused.last.is_some() {
+        values.push(value("commands refused", labels.refused.count.count()));
+    }
     if labels.reports_cycles {
         values.push(value("late cycles", troubles.late_cycles.count()));
     }

@@ -5,6 +5,7 @@
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::description::BusPlan;
+use super::joint::Joint;
 use super::models::Register;
 use super::protocol::{Id, Instruction, Protocol, WriteEntry};
 use super::reading::{Answer, Answered, Reading, Unit, requests, understand};
@@ -151,6 +152,23 @@ impl Driver {
         reading
     }
 
+    /// Returns whether nothing may move, because a servo was not the declared one at the start and is not exchanged yet: then the
+    /// description is that of another robot, or its ids are mixed up.
+    pub(crate) fn is_held(&self) -> bool {
+        self.servos.iter().any(|servo| servo.misfit.is_some())
+    }
+
+    /// Says why nothing may move, with the remedy.
+    pub(crate) fn misfit(&self, plan: &BusPlan) -> Option<String> {
+        let mut servos = self.servos.iter().zip(&plan.joints);
+        let (reason, joint) = servos.find_map(|(servo, joint)| Some((servo.misfit.as_ref()?, joint)))?;
+        let at = joint.declared_at.as_ref().map_or(String::new(), |at| format!("{at}: "));
+        let Joint { id, name, .. } = joint;
+        Some(format!(
+            "nothing moves: {at}servo {id} ({name}) is not the declared one, {reason}; correct its model or exchange it"
+        ))
+    }
+
     /// Closes the port, after this write to a device. The servos hold their position: without torque the robot would
     /// collapse.
     pub(crate) fn stop(
@@ -257,8 +275,15 @@ impl Driver {
         }
         let (id, name) = plan.label(unit);
         let what = kind(unit);
+        let is_other = matches!(prepared, Err(PrepareError::OtherModel(_)));
         match prepared {
             Ok(position) => {
+                if let Unit::Joint(index) = unit
+                    && self.servos[index].misfit.take().is_some()
+                    && !self.is_held()
+                {
+                    tracing::info!("all servos are the declared ones: commands are followed again");
+                }
                 if was_out {
                     let missed = self.link(unit).missed;
                     tracing::info!("{what} {id} ({name}) is back; it missed {missed} answers so far");
@@ -273,9 +298,13 @@ impl Driver {
             }
             Err(PrepareError::Trouble(Trouble::PortFailed)) => return Err(PortFailed),
             Err(PrepareError::Trouble(_)) => self.silence(unit, now, plan),
-            Err(PrepareError::Unsuitable(reason)) => {
+            Err(PrepareError::OtherModel(reason) | PrepareError::Unsuitable(reason)) => {
                 if !was_out {
                     tracing::warn!("{what} {id} ({name}) cannot be used: {reason}");
+                }
+                if let (Unit::Joint(index), Phase::Preparing { .. }, true) = (unit, self.phase, is_other) {
+                    self.servos[index].misfit = Some(reason.clone());
+                    tracing::error!("{}", self.misfit(plan).unwrap_or_default());
                 }
                 self.link(unit).service = Service::Unsuitable { reason, retry_at: now + RETRY_UNIT };
             }
@@ -366,11 +395,12 @@ impl Driver {
 
     /// The goals of all servos that hold one. Devices do not acknowledge, so goals are written in every cycle.
     fn goals(&mut self, plan: &BusPlan) -> Vec<WriteEntry> {
+        let is_held = self.is_held();
         let driven = self.servos.iter_mut().zip(&plan.joints);
         driven
             .filter(|(servo, _)| servo.link.is_active() && servo.has_torque())
             .map(|(servo, joint)| {
-                let goal = servo.next_goal(joint.approach_steps);
+                let goal = if is_held { servo.hold() } else { servo.next_goal(joint.approach_steps) };
                 write(joint.id, &joint.registers.goal, plan.line.protocol, goal)
             })
             .collect()

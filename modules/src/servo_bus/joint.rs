@@ -3,6 +3,7 @@
 use super::models::{Access, Model, Register};
 use super::protocol::{Id, Protocol};
 use serde::Deserialize;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 /// One joint and the servo that turns it.
@@ -10,6 +11,8 @@ use std::sync::Arc;
 pub struct Joint {
     /// Its name in ROS.
     pub name: String,
+    /// The file and line that declare it; `None` if it is built in.
+    pub declared_at: Option<String>,
     /// The address of its servo.
     pub id: Id,
     /// The model of its servo.
@@ -126,10 +129,11 @@ impl Joint {
         self.sign * self.registers.position.to_si(raw - self.zero) / self.gear
     }
 
-    /// The raw goal for an angle, which is clamped to the limits. `None` if the angle is not finite.
+    /// The raw goal for an angle, which is clamped to the limits. `None` if the angle is not finite, or more than a turn beyond
+    /// the limits: that is a mistake of the sender, for example an angle in degrees.
     #[must_use]
     pub fn goal(&self, angle_rad: f64) -> Option<i64> {
-        if !angle_rad.is_finite() {
+        if !(self.min_rad - TAU..=self.max_rad + TAU).contains(&angle_rad) {
             return None;
         }
         let goal = &self.registers.goal;

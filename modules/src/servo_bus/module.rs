@@ -2,7 +2,7 @@
 
 use super::bus::{Bus, Exchange, SerialBus};
 use super::description::{BusPlan, Description};
-use super::diagnostics::{Labels, Levels, levels, report};
+use super::diagnostics::{Labels, Levels, Refused, levels, report};
 use super::driver::{Counted, Driver};
 use super::protocol::{Id, WriteEntry};
 use super::reading::Reading;
@@ -29,6 +29,7 @@ pub(crate) struct Hardware {
     reports_cycles: bool,
     exchanges: Vec<Exchange>,
     unknown_names: Counted,
+    refused: Refused,
     last_diagnostics: Option<(Time, Levels)>,
 }
 
@@ -61,6 +62,7 @@ impl Hardware {
             reports_cycles,
             exchanges: Vec::new(),
             unknown_names: Counted::default(),
+            refused: Refused::default(),
             last_diagnostics: None,
         }
     }
@@ -78,25 +80,46 @@ impl Hardware {
         waiting.push_back(entry);
     }
 
-    /// Takes commanded positions: unknown names are logged and counted, values that are not finite are ignored, others are
-    /// clamped to the limits.
-    pub(crate) fn on_command(&mut self, command: &JointState) {
+    /// Takes commanded positions: unknown names are logged and counted, impossible values refused, others clamped to the limits.
+    pub(crate) fn on_command(&mut self, command: &JointState, now: Time) {
         for (name, position) in command.name.iter().zip(&command.position) {
             let Some(index) = self.index_of(name, "joint_commands") else { continue };
-            if let Some(goal) = self.plan.joints[index].goal(*position) {
-                self.driver.servos[index].want(goal);
+            let joint = &self.plan.joints[index];
+            match joint.goal(*position) {
+                _ if self.driver.is_held() => {
+                    let reason = self.driver.misfit(&self.plan).unwrap_or_default();
+                    self.refuse(reason, now);
+                }
+                Some(goal) => self.driver.servos[index].want(goal),
+                None => {
+                    let (min, max) = (joint.min_rad, joint.max_rad);
+                    let reason = format!(
+                        "joint_commands has {position} rad for {name}, whose limits are {min} to {max} rad; check unit and sender"
+                    );
+                    self.refuse(reason, now);
+                }
             }
         }
     }
 
     /// Takes commanded shares of the largest torque.
-    pub(crate) fn on_torque(&mut self, command: &JointState) {
+    pub(crate) fn on_torque(&mut self, command: &JointState, now: Time) {
         for (name, share) in command.name.iter().zip(&command.effort) {
             let Some(index) = self.index_of(name, "joint_torque") else { continue };
             if share.is_finite() {
                 self.driver.servos[index].command_torque(*share);
+            } else {
+                self.refuse(format!("joint_torque has {share} for {name}; give a share from 0 to 1"), now);
             }
         }
+    }
+
+    fn refuse(&mut self, reason: String, now: Time) {
+        if self.refused.count.is_worth_a_line() {
+            let count = self.refused.count.count();
+            tracing::warn!("a command is refused ({count} times so far): {reason}");
+        }
+        self.refused.last = Some((now, reason));
     }
 
     /// Switches the torque of all joints.
@@ -140,6 +163,7 @@ impl Hardware {
         let labels = Labels {
             hardware_id: &self.hardware_id,
             unknown_names: self.unknown_names.count(),
+            refused: &self.refused,
             reports_cycles: self.reports_cycles,
         };
         let levels = levels(now, &self.plan, &self.driver, &labels);
@@ -220,7 +244,7 @@ pub(crate) fn battery_state(sent: Time, volts: f64) -> BatteryState {
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad; unknown names are counted, values that are not finite ignored, other values clamped to the limits |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad, clamped to the limits; unknown names are counted; what is not finite, or more than a turn beyond the limits, is refused and reported |
 /// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
 /// | `joint_states` | `sensor_msgs/JointState` | in the order of the description: rad, rad/s, load (share of the drive) or current (A); stale joints have velocity and effort NaN |
 /// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second, if a device measures it |
@@ -258,15 +282,15 @@ impl ServoBus {
         Self { bus: Some(bus), hardware: None, last_battery_at: None }
     }
 
-    fn on_command(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+    fn on_command(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         if let Some(hardware) = &mut self.hardware {
-            hardware.on_command(&command);
+            hardware.on_command(&command, ctx.now());
         }
     }
 
-    fn on_torque(&mut self, command: Received<'_, JointState>, _ctx: &mut Context<'_, Ports>) {
+    fn on_torque(&mut self, command: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         if let Some(hardware) = &mut self.hardware {
-            hardware.on_torque(&command);
+            hardware.on_torque(&command, ctx.now());
         }
     }
 

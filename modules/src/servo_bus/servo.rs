@@ -75,6 +75,8 @@ pub(crate) struct Servo {
     pub(crate) link: Link,
     /// Its last measurement.
     pub(crate) last: Option<Measurement>,
+    /// Why it is not the declared model, if that was found at the start.
+    pub(crate) misfit: Option<String>,
     /// What its guard demands.
     pub(crate) protection: Protection,
     /// A change of the protection that begins to take effect, and since when.
@@ -109,6 +111,7 @@ impl Servo {
         Self {
             link: Link::new(),
             last: None,
+            misfit: None,
             protection: Protection::None,
             pending: None,
             is_torque_commanded: true,
@@ -171,6 +174,12 @@ impl Servo {
         self.has_caught_up = false;
         self.torque = (self.wants_torque(), 0);
         self.written = written;
+    }
+
+    /// The goal of the next cycle while nothing may move. Forgets the command.
+    pub(crate) fn hold(&mut self) -> i64 {
+        self.wanted = None;
+        self.goal
     }
 
     /// The goal of the next cycle.
@@ -242,6 +251,8 @@ pub(crate) fn reading(measurement: &Measurement) -> String {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum PrepareError {
     Trouble(Trouble),
+    /// It is not what is declared.
+    OtherModel(String),
     Unsuitable(String),
 }
 
@@ -289,7 +300,7 @@ pub(crate) fn prepare_device(
             } else {
                 "an"
             };
-        return Err(PrepareError::Unsuitable(format!(
+        return Err(PrepareError::OtherModel(format!(
             "it is model {found}, not {article} {} ({expected})",
             model.name
         )));

@@ -20,7 +20,7 @@ pub trait Body: Send {
     /// What an IMU in the trunk feels.
     fn imu(&self) -> ImuMotion;
 
-    /// The force on each corner of the soles, in N; `None` if the body has no contacts. No device reports it yet.
+    /// The force on each corner of the soles, in N; `None` for a body without feet.
     fn foot_forces(&self) -> Option<FootForces> {
         None
     }

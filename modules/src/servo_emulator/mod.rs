@@ -59,8 +59,10 @@ pub(crate) use emulator::Devices;
 pub use emulator::{Emulator, EmulatorError, EmulatorOptions};
 pub use fault::{Fault, FaultKind, FaultParseError, Rate};
 pub use memory::{MemoryBus, MemoryPorts, NameInUse, PortBus};
+pub(crate) use module::Served;
 pub use module::ServoEmulator;
 pub(crate) use random::Random;
+pub(crate) use servos::Unit;
 pub(crate) use wire::Answer;
 pub use wire::Timing;
 

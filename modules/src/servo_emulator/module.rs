@@ -1,19 +1,86 @@
 //! The emulator as a module of the robot whose hardware it emulates.
 
-use super::{Emulator, EmulatorOptions, Fault, Timing};
+use super::{Emulator, EmulatorError, EmulatorOptions, Fault, MemoryPorts, NameInUse, Timing};
 use crate::servo_bus::{BusPlan, Description};
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use std::path::PathBuf;
 
 /// Runs an [`Emulator`] of described servos as long as the robot runs, so that the hardware module finds a port.
 ///
-/// Settings: `description` and `bus`, as those of the hardware module; `link`, the path of the port; `seed`; `faults`, each
-/// in the textual form of [`Fault`]. It has no topics: everything goes through the port. Leave it out of replays.
+/// Settings: `description` and `bus`, as those of the hardware module; `link`, the path of the port, or `memory:NAME` for a port in
+/// memory, which exists from the setup on; `seed`; `faults`, each in the textual form of [`Fault`]. It has no topics: everything
+/// goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct ServoEmulator {
-    options: EmulatorOptions,
+    served: Served,
     plan: Option<BusPlan>,
+}
+
+impl ServoEmulator {
+    /// An emulator that can be among these ports in memory.
+    #[must_use]
+    pub fn new(ports: MemoryPorts) -> Self {
+        Self { served: Served::new(ports), plan: None }
+    }
+}
+
+/// The emulator of a module: behind a pseudo terminal while the module is active, or among the ports in memory from the setup on.
+#[derive(Default)]
+pub(crate) struct Served {
+    ports: MemoryPorts,
+    options: EmulatorOptions,
     emulator: Option<Emulator>,
+}
+
+impl Served {
+    pub(crate) fn new(ports: MemoryPorts) -> Self {
+        Self { ports, ..Self::default() }
+    }
+
+    /// Prepares the port with this name. One in memory is served at once by what `make` returns.
+    ///
+    /// # Errors
+    /// If the name is in use.
+    pub(crate) fn prepare(
+        &mut self,
+        port: &str,
+        seed: i64,
+        faults: Vec<Fault>,
+        make: impl FnOnce(&EmulatorOptions) -> Emulator,
+    ) -> Result<(), NameInUse> {
+        let is_memory = MemoryPorts::is_memory(port);
+        self.options = EmulatorOptions {
+            link: Some(PathBuf::from(port)),
+            // Negative seeds are valid.
+            seed: seed.cast_unsigned(),
+            timing: if is_memory { Timing::Stepped } else { Timing::Measured },
+            faults,
+        };
+        if is_memory {
+            let emulator = make(&self.options);
+            self.ports.offer(port, &emulator)?;
+            self.emulator = Some(emulator);
+        }
+        Ok(())
+    }
+
+    /// Opens a pseudo terminal, if that is the port.
+    pub(crate) fn open(
+        &mut self,
+        start: impl FnOnce(EmulatorOptions) -> Result<Emulator, EmulatorError>,
+    ) -> Result<(), EmulatorError> {
+        if self.options.timing == Timing::Measured {
+            self.emulator = Some(start(self.options.clone())?);
+        }
+        Ok(())
+    }
+
+    /// Closes the pseudo terminal. A port in memory stays: it is no more than the robot itself.
+    pub(crate) fn close(&mut self) {
+        if self.options.timing == Timing::Measured {
+            self.emulator = None;
+        }
+    }
 }
 
 impl Module for ServoEmulator {
@@ -30,7 +97,7 @@ impl Module for ServoEmulator {
         let link = setup.read_only_setting(
             "link",
             "/tmp/downbeat_servos_emulated".to_owned(),
-            "path of the port; the hardware module's setting \"port\" is the same",
+            "path of the port, or memory:NAME; the hardware module's setting \"port\" is the same",
         )?;
         let seed = setup.read_only_setting("seed", 1_i64, "same seed, same starting pose and faults")?;
         let faults = setup.read_only_setting(
@@ -50,29 +117,28 @@ impl Module for ServoEmulator {
         let has = |id| self.plan.as_ref().is_none_or(|plan| plan.joints.iter().any(|joint| joint.id == id));
         let parsed: Result<Vec<Fault>, _> =
             texts.iter().map(|text| text.parse::<Fault>()?.check(has)).collect();
-        self.options = EmulatorOptions {
-            link: setup.value(link).map(PathBuf::from),
-            // Negative seeds are valid.
-            seed: setup.value(seed).map_or(0, |seed| seed.cast_unsigned()),
-            timing: Timing::Measured,
-            faults: parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?,
-        };
-        Ok(())
+        let faults = parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?;
+        let port = setup.value(link).cloned().unwrap_or_default();
+        let seed = setup.value(seed).copied().unwrap_or_default();
+        let Some(plan) = &self.plan else { return Ok(()) };
+        let make = |options: &EmulatorOptions| Emulator::servos_in_memory(plan, options);
+        self.served
+            .prepare(&port, seed, faults, make)
+            .map_err(|error| setup.refuse_value(link, error.to_string()))
     }
 
     fn activate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
         let plan = self.plan.as_ref().ok_or(NoDescription)?;
-        self.emulator = Some(Emulator::start_servos(plan, self.options.clone())?);
-        Ok(())
+        Ok(self.served.open(|options| Emulator::start_servos(plan, options))?)
     }
 
     fn deactivate(&mut self, _ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.emulator = None;
+        self.served.close();
         Ok(())
     }
 
     fn shutdown(&mut self, _ctx: &mut Context<'_>) {
-        self.emulator = None;
+        self.served.close();
     }
 }
 

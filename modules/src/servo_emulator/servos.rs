@@ -5,6 +5,7 @@ use super::devices::{Device, answer};
 use super::emulator::Devices;
 use super::random::Random;
 use super::wire::Answer;
+use crate::servo_bus::bus::LineSettings;
 use crate::servo_bus::models::{Access, Model, Register};
 use crate::servo_bus::protocol::{Id, Packet, Protocol, StatusError};
 use crate::servo_bus::{BusPlan, Joint};
@@ -128,7 +129,7 @@ impl Devices for Servos {
 }
 
 /// One device and its control table.
-struct Unit {
+pub(crate) struct Unit {
     model: Arc<Model>,
     protocol: Protocol,
     /// The id in the description, by which faults name it.
@@ -145,12 +146,8 @@ struct Unit {
 }
 
 impl Unit {
-    fn new(
-        model: &Arc<Model>,
-        id: Id,
-        line: crate::servo_bus::bus::LineSettings,
-        joint: Option<(Joint, usize)>,
-    ) -> Self {
+    /// A new device with this id, on a bus of this speed.
+    pub(crate) fn new(model: &Arc<Model>, id: Id, line: LineSettings, joint: Option<(Joint, usize)>) -> Self {
         let mut unit = Self {
             model: Arc::clone(model),
             protocol: line.protocol,
@@ -186,7 +183,8 @@ impl Unit {
         self.memory[usize::from(register.address)..usize::from(register.end())].copy_from_slice(&bytes);
     }
 
-    fn set_named(&mut self, name: &str, raw: i64) {
+    /// Sets a register, if the model has it.
+    pub(crate) fn set_named(&mut self, name: &str, raw: i64) {
         let model = Arc::clone(&self.model);
         if let Some(register) = model.register(name) {
             self.set(register, raw);

@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::darwin_op::tables::{cm730, mx28};
-use crate::darwin_op_emulator::Button;
+use crate::darwin_op_emulator::{Button, Fault};
 use downbeat_executor::{Inbox, Synchrony};
+use downbeat_msgs::std_msgs::msg::Float64MultiArray;
 
 #[test]
 fn a_running_robot_publishes_everything_in_every_cycle() {
@@ -56,7 +57,7 @@ fn a_command_moves_the_joints_it_names_inside_their_limits() {
     let mut run = Run::on(&emulator);
     run.until_running();
     let before = run.cycles(1).remove(0);
-    run.command(&[("head_pan", 0.6), ("head_tilt", 100.0), ("r_el", f64::NAN), ("tail", 1.0)]);
+    run.command(&[("head_pan", 0.6), ("head_tilt", 6.0), ("r_el", f64::NAN), ("tail", 1.0)]);
     run.until("the head is where it is wanted", |_, states| {
         let state = &states[states.len() - 1];
         let tilt = JOINTS[index_of("head_tilt").unwrap()].max_rad();
@@ -226,8 +227,41 @@ fn lights_are_set_by_one_write_each() {
 }
 
 #[test]
+fn feet_measure_the_weight_and_where_it_is() {
+    let emulator = emulator();
+    let mut run = Run::on_with(&emulator, &[("foot_sensors", true.into())]);
+    let feet = ["foot_pressure/right", "foot_pressure/left"]
+        .map(|topic| Collector::<Float64MultiArray>::add(&mut run.core, topic));
+    run.until_running();
+    run.cycles(10);
+    let feet = feet.map(|foot| foot.take().pop().unwrap().data);
+    let weight: f64 = feet.iter().flat_map(|foot| &foot[..4]).sum();
+    assert!((weight / 9.806_65 - 2.925).abs() < 0.01, "{weight} N on {feet:?}");
+    assert!(feet.iter().all(|foot| foot[4..] == [0.0, 0.0]), "in the middle: {feet:?}");
+    assert_eq!(run.health_of("right foot"), (DiagnosticStatus::OK, "OK".into()));
+}
+
+#[test]
+fn the_lights_on_the_back_are_switched_one_by_one() {
+    let emulator = emulator();
+    let mut run = Run::on(&emulator);
+    let panel = run.core.inlet("led/panel").unwrap();
+    run.until_running();
+    run.exchanges.take();
+    let colour = downbeat_msgs::std_msgs::msg::ColorRGBA { r: f32::NAN, g: 0.5, b: 1.0, a: 1.0 };
+    panel.publish(colour).unwrap();
+    run.cycles(10);
+    let is_panel = |e: &BusExchange| e.instruction.get(4..6) == Some(&[0x03, cm730::LED_PANEL.address][..]);
+    let written: Vec<_> = run.exchanges.take().into_iter().filter(is_panel).collect();
+    assert_eq!(written.iter().map(|exchange| exchange.instruction[6]).collect::<Vec<_>>(), [0b110]);
+}
+
+#[test]
 fn feet_that_do_not_answer_disturb_nobody() {
     let emulator = emulator();
+    for (_, id) in crate::darwin_op::FEET {
+        emulator.inject(Fault::always(FaultKind::DeadServo(id)));
+    }
     let mut run = Run::on_with(&emulator, &[("foot_sensors", true.into())]);
     run.until_running();
     run.cycles(150);

@@ -57,7 +57,7 @@ fn endure(kind: usize, seconds: usize) {
     let (mut fresh, mut states, mut controlled, mut longest_gap, mut gap) = (0, 0, 0, 0, [0; 4]);
     let mut last: Option<JointState> = None;
     for second in 0..seconds {
-        let angle = [0.8, -0.8, f64::NAN, 1e9, -1e300, 0.0][second % 6];
+        let angle = [0.8, -0.8, f64::NAN, 3.0, -1e300, 0.0][second % 6];
         run.command(&[("pan", angle), ("lift", -angle), ("elbow", angle), ("wrist", angle / 2.0)]);
         for state in run.cycles(100) {
             states += 1;

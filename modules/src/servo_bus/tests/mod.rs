@@ -91,6 +91,39 @@ impl Run {
         let status = self.health.status.iter().find(|status| status.name.ends_with(part)).unwrap();
         (status.level, &status.message)
     }
+
+    fn value_of(&self, part: &str, key: &str) -> &str {
+        let status = self.health.status.iter().find(|status| status.name.ends_with(part)).unwrap();
+        &status.values.iter().find(|value| value.key == key).unwrap().value
+    }
+}
+
+#[test]
+fn a_command_that_cannot_be_meant_is_refused_and_reported() {
+    let mut run = Run::of(&arm("feetech_sts", "STS3215", ""));
+    let start = run.cycles(50).pop().unwrap();
+    for (count, (angle, shown)) in
+        [(f64::NAN, "NaN"), (f64::NEG_INFINITY, "-inf"), (90.0, "90"), (-1e9, "-1000000000")]
+            .iter()
+            .enumerate()
+    {
+        run.command(&[("pan", *angle)]);
+        let state = run.cycles(100).pop().unwrap();
+        assert!((position(&state, "pan") - position(&start, "pan")).abs() < 0.01, "{shown}: it moves");
+        let expected = format!(
+            "running, but a command was refused: joint_commands has {shown} rad for pan, whose limits are -1 to 1 rad; check unit \
+             and sender"
+        );
+        assert_eq!(run.health_of("arm: bus"), (DiagnosticStatus::WARN, &*expected));
+        assert_eq!(run.value_of("arm: bus", "commands refused"), (count + 1).to_string());
+    }
+    run.torque(&[("pan", f64::NAN)]);
+    run.cycles(100);
+    assert!(run.health_of("arm: bus").1.contains("joint_torque has NaN for pan; give a share from 0 to 1"));
+    run.command(&[("pan", 0.5)]);
+    let state = run.cycles(300).pop().unwrap();
+    assert!((position(&state, "pan") - 0.5).abs() < 0.02, "and the next one is followed");
+    assert_eq!(run.health_of("arm: bus"), (DiagnosticStatus::OK, "running"));
 }
 
 fn message(joints: &[(&str, f64)], set: impl Fn(&mut JointState, Vec<f64>)) -> JointState {
@@ -125,7 +158,7 @@ fn servos_of_every_protocol_go_where_they_are_commanded_and_not_before() {
             let (first, last) = (position(&states[0], name), position(&states[states.len() - 1], name));
             assert!((first - last).abs() < 0.01, "{model}: {name} moved from {first} to {last}");
         }
-        run.command(&[("pan", 0.5), ("lift", -0.4), ("elbow", 0.7), ("wrist", 9.0), ("tail", 1.0)]);
+        run.command(&[("pan", 0.5), ("lift", -0.4), ("elbow", 0.7), ("wrist", 5.0), ("tail", 1.0)]);
         let states = run.cycles(300);
         let state = &states[states.len() - 1];
         for (name, wanted) in [("pan", 0.5), ("lift", -0.4), ("elbow", 0.7), ("wrist", 1.0)] {
@@ -213,6 +246,19 @@ fn a_servo_of_another_model_is_refused() {
     assert!(
         states[states.len() - 1].velocity[3].is_nan() && states[states.len() - 1].velocity[0].is_finite()
     );
+    run.command(&[("pan", 0.5), ("lift", 0.5)]);
+    let held = run.cycles(200);
+    let first = position(&states[0], "pan");
+    assert!(held.iter().all(|state| (position(state, "pan") - first).abs() < 0.01), "nothing moves");
+    assert_eq!(
+        run.health_of("arm: bus"),
+        (
+            DiagnosticStatus::ERROR,
+            "nothing moves: description:26: servo 4 (wrist) is not the declared one, it is model 1200, not an XM430-W350 (1020); \
+             correct its model or exchange it"
+        )
+    );
+    assert_eq!(run.value_of("arm: bus", "commands refused"), "2");
 }
 
 #[test]
@@ -269,8 +315,7 @@ fn a_late_cycle_is_counted_and_not_made_up_for() {
         run.health_of("arm: bus"),
         (DiagnosticStatus::WARN, "running, but cycles of 10 ms begin late")
     );
-    let late = run.health.status[0].values.iter().find(|value| value.key == "late cycles").unwrap();
-    assert_eq!(late.value, "1");
+    assert_eq!(run.value_of("arm: bus", "late cycles"), "1");
 }
 
 #[test]
