@@ -6,9 +6,8 @@ use super::protocol::{Id, Protocol, WriteEntry};
 use super::settings::{SettingKeys, Settings};
 use super::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, volts_from_raw};
 use super::tables::{Field, cm730};
-use crate::servo_bus::{DevicePlan, Hardware, SLOW, Topics, header};
+use crate::servo_bus::{DevicePlan, Hardware, ImuReading, SLOW, Topics, header};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
-use downbeat_msgs::geometry_msgs::msg::Vector3;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
 use downbeat_msgs::std_msgs::msg::{ColorRGBA, Float64MultiArray};
 use downbeat_msgs::std_srvs::srv::SetBoolRequest;
@@ -278,22 +277,16 @@ fn foot_pressure(foot: &DevicePlan, piece: &[u8]) -> Float64MultiArray {
 /// The capacity of the battery, in Ah.
 const DESIGN_CAPACITY_AH: f32 = 1.0;
 
-/// Angular rate and specific force. The orientation is not measured, as marked by -1.
-///
-/// The covariances take one step of the 10-bit numbers as standard deviation.
+/// Angular rate and specific force.
 fn imu(sent: Time, board: &BoardReading, gyro_rest: Option<[f64; 3]>, settings: &Settings) -> Imu {
     let rest = gyro_rest.unwrap_or([f64::from(IMU_CENTRE); 3]);
-    let mut orientation_covariance = [0.0; 9];
-    orientation_covariance[0] = -1.0;
-    Imu {
-        header: header(sent, &settings.imu_frame),
-        orientation_covariance,
-        angular_velocity: vector(settings.imu.angular_velocity_from(board.gyro, rest)),
-        angular_velocity_covariance: diagonal(settings.imu.radians_per_lsb()),
-        linear_acceleration: vector(settings.imu.linear_acceleration(board.acceleration)),
-        linear_acceleration_covariance: diagonal(ACCELERATION_PER_LSB),
-        ..Imu::default()
-    }
+    let reading = ImuReading {
+        angular_velocity: settings.imu.angular_velocity_from(board.gyro, rest),
+        angular_step: settings.imu.radians_per_lsb(),
+        linear_acceleration: settings.imu.linear_acceleration(board.acceleration),
+        linear_step: ACCELERATION_PER_LSB,
+    };
+    reading.message(header(sent, &settings.imu_frame))
 }
 
 /// The battery, of which only the voltage is measured.
@@ -309,13 +302,4 @@ pub(super) fn battery_state(sent: Time, board: &BoardReading) -> BatteryState {
 pub(super) fn buttons(sent: Time, board: &BoardReading) -> Joy {
     let button = |bit: u16| i32::from(board.buttons >> bit & 1);
     Joy { header: header(sent, ""), axes: Vec::new(), buttons: vec![button(0), button(1)] }
-}
-
-fn vector([x, y, z]: [f64; 3]) -> Vector3 {
-    Vector3 { x, y, z }
-}
-
-fn diagonal(deviation: f64) -> [f64; 9] {
-    let variance = deviation * deviation;
-    [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
 }

@@ -103,6 +103,7 @@ impl Settings {
             id: joint.id,
             model: Arc::clone(model),
             registers: registers.clone(),
+            drive: None,
             zero: i64::from(CENTRE_TICKS) + i64::from(offset),
             sign: 1.0,
             gear: 1.0,
@@ -151,6 +152,7 @@ fn foot_plan(name: &str, id: Id) -> DevicePlan {
         read: read.iter().filter_map(|name| model.register(name).cloned()).collect(),
         power: None,
         battery: None,
+        imu: None,
     }
 }
 
@@ -166,6 +168,7 @@ fn board_plan(model: Arc<Model>) -> DevicePlan {
         read: vec![power.clone(), voltage.clone()],
         power: Some(PowerSwitch { register: power, wait: POWER_ON }),
         battery: Some((voltage, LOW_BATTERY_V)),
+        imu: None,
         model,
     }
 }

@@ -20,7 +20,7 @@
 //! ```
 
 use super::bus::LineSettings;
-use super::joint::{Guard, Joint, Registers};
+use super::joint::{Drive, Guard, Joint, Quantity, Registers};
 use super::models::{self, Model, Register, line_of};
 use super::protocol::{Id, Protocol};
 use downbeat_msgs::definitions::suggestion;
@@ -33,6 +33,8 @@ use toml::Spanned;
 
 /// How fast a joint approaches its first command by default, in rad/s.
 const APPROACH_RAD_S: f64 = 1.0;
+/// How long a commanded velocity or effort is valid by default, in s.
+const COMMAND_TIMEOUT_S: f64 = 0.5;
 
 /// A robot of serial servos.
 #[derive(Clone, Debug)]
@@ -80,6 +82,19 @@ pub struct DevicePlan {
     pub power: Option<PowerSwitch>,
     /// If the device measures the battery: the register, and the voltage below which it needs charging.
     pub battery: Option<(Register, f64)>,
+    /// If the device has an IMU: its registers.
+    pub imu: Option<ImuPlan>,
+}
+
+/// An IMU among the registers of a device, in the frame of REP-103.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuPlan {
+    /// The angular rates about forward, left and up, in rad/s, each with the sign with which the register counts.
+    pub angular_velocity: [(f64, Register); 3],
+    /// The specific forces forward, left and up, in m/s^2.
+    pub linear_acceleration: [(f64, Register); 3],
+    /// The frame of its messages.
+    pub frame: String,
 }
 
 /// The power of the servos, switched by a register.
@@ -252,13 +267,18 @@ impl Parser<'_> {
         let model = self.model(model_name, &buses[bus])?;
         let registers = Registers::of(&model)
             .map_err(|problem| error(format!("cannot be a {}: {problem}", model.name)))?;
-        let [min_rad, max_rad] = entry.limits.ok_or_else(|| {
-            error(
-                "needs \"limits\", its smallest and largest angle in rad, such as limits = [-1.5, 1.5]"
-                    .to_owned(),
-            )
-        })?;
-        if !(min_rad.is_finite() && max_rad.is_finite() && min_rad < max_rad) {
+        let drive = self.drive(at, entry, &model, buses[bus].cycle)?;
+        let [min_rad, max_rad] = match (entry.limits, &drive) {
+            (Some(limits), _) => limits,
+            (None, Some(_)) => [f64::NEG_INFINITY, f64::INFINITY],
+            (None, None) => {
+                return Err(error(
+                    "needs \"limits\", its smallest and largest angle in rad, such as limits = [-1.5, 1.5]"
+                        .to_owned(),
+                ));
+            }
+        };
+        if entry.limits.is_some() && !(min_rad.is_finite() && max_rad.is_finite() && min_rad < max_rad) {
             return Err(error(format!(
                 "has the limits {min_rad} and {max_rad}: give the smaller angle first, in rad"
             )));
@@ -333,14 +353,15 @@ impl Parser<'_> {
             gains: [gains.d, gains.i, gains.p],
             max_torque,
             max_current_a,
-            further: self.further(entry, &model)?,
+            further: self.further(entry, &model, drive.as_ref())?,
+            drive,
             approach_steps: (registers.goal.steps(approach * cycle.as_secs_f64()) * gear).round().max(1.0)
                 as i64,
             guard,
             model,
             registers,
         };
-        for limit in [min_rad, max_rad] {
+        for limit in [min_rad, max_rad].into_iter().filter(|_| joint.drive.is_none()) {
             let (raw, goal) = (joint.steps(limit), &joint.registers.goal);
             if raw < goal.min - 1 || raw > goal.max + 1 {
                 let ends = [joint.angle(goal.min), joint.angle(goal.max)];
@@ -353,9 +374,74 @@ impl Parser<'_> {
         Ok((bus, joint))
     }
 
+    /// How a joint is driven by velocities or efforts.
+    fn drive(
+        &self,
+        at: usize,
+        entry: &JointEntry,
+        model: &Model,
+        cycle: Duration,
+    ) -> Result<Option<Drive>, DescriptionError> {
+        let error = |problem: String| self.source.error(at, format!("joint \"{}\" {problem}", entry.name));
+        let defaults = &self.file.defaults;
+        let (quantity, key, name, mode, largest) = match entry.mode.or(defaults.mode).unwrap_or_default() {
+            Mode::Position => return Ok(None),
+            Mode::Velocity => (
+                Quantity::Velocity,
+                "max_velocity_rad_s",
+                "goal_velocity",
+                model.modes.velocity,
+                entry.max_velocity_rad_s.or(defaults.max_velocity_rad_s),
+            ),
+            Mode::Effort => (
+                Quantity::Effort,
+                "max_current_a",
+                "goal_current",
+                model.modes.effort,
+                entry.max_current_a.or(defaults.max_current_a),
+            ),
+        };
+        let goal = mode.and_then(|_| model.register(name)).ok_or_else(|| {
+            error(format!(
+                "cannot be driven like this: {} has no such mode; leave out \"mode\", or take another model",
+                model.name
+            ))
+        })?;
+        let gear = if quantity == Quantity::Velocity { entry.gear.unwrap_or(1.0) } else { 1.0 };
+        let most = goal.to_si(goal.max) / gear;
+        let largest = largest.filter(|largest| *largest > 0.0 && *largest <= most).ok_or_else(|| {
+            error(format!("needs \"{key}\", the largest goal in either direction: above 0, up to {most:.3}"))
+        })?;
+        let seconds = entry.command_timeout_s.or(defaults.command_timeout_s).unwrap_or(COMMAND_TIMEOUT_S);
+        let least = 2.0 * cycle.as_secs_f64();
+        if !(least..=60.0).contains(&seconds) {
+            return Err(error(format!("has the command_timeout_s {seconds}: {least} (two cycles) to 60")));
+        }
+        let (goal, timeout) = (goal.clone(), Duration::from_secs_f64(seconds));
+        Ok(Some(Drive { quantity, goal, largest, timeout }))
+    }
+
     /// The registers that a joint sets, those of `[defaults]` first.
-    fn further(&self, entry: &JointEntry, model: &Model) -> Result<Vec<(Register, i64)>, DescriptionError> {
+    fn further(
+        &self,
+        entry: &JointEntry,
+        model: &Model,
+        drive: Option<&Drive>,
+    ) -> Result<Vec<(Register, i64)>, DescriptionError> {
         let mut further: Vec<(Register, i64)> = Vec::new();
+        if let Some(drive) = drive {
+            let (mode, limit) = match drive.quantity {
+                Quantity::Velocity => (model.modes.velocity, model.register("velocity_limit")),
+                // That of the current is set with max_current_a.
+                Quantity::Effort => (model.modes.effort, None),
+            };
+            let gear = entry.gear.unwrap_or(1.0);
+            let limit = limit.map(|register| (register, register.steps(drive.largest * gear).ceil() as i64));
+            let mode = model.register("operating_mode").zip(mode);
+            let own = mode.into_iter().chain(limit);
+            further
+                .extend(own.map(|(register, raw)| (register.clone(), raw.clamp(register.min, register.max))));
+        }
         for (name, value) in self.file.defaults.registers.iter().chain(&entry.registers) {
             let error = |problem| self.source.error(value.span().start, problem);
             let register = model.register(name).ok_or_else(|| {
@@ -363,7 +449,9 @@ impl Parser<'_> {
                 error(format!("{} has no register \"{name}\"{near}", model.name))
             })?;
             let raw = *value.get_ref();
-            if register.access == models::Access::Read || ["id", "baud_rate"].contains(&&**name) {
+            if register.access == models::Access::Read
+                || ["id", "baud_rate", "operating_mode"].contains(&&**name)
+            {
                 return Err(error(format!("\"{name}\" cannot be set by a description")));
             }
             if !(register.min..=register.max).contains(&raw) {
@@ -409,8 +497,16 @@ impl Parser<'_> {
             None => None,
             Some(battery) => Some((register(&battery.register)?, battery.low_v)),
         };
-        let needed =
-            power.iter().map(|power| &power.register).chain(battery.iter().map(|(register, _)| register));
+        let imu = match &entry.imu {
+            None => None,
+            Some(imu) => Some(self.imu(imu, &register)?),
+        };
+        let axes = imu.iter().flat_map(|imu| imu.angular_velocity.iter().chain(&imu.linear_acceleration));
+        let needed = power
+            .iter()
+            .map(|power| &power.register)
+            .chain(battery.iter().map(|(register, _)| register))
+            .chain(axes.map(|(_, register)| register));
         for register in needed {
             if !read.contains(register) {
                 read.push(register.clone());
@@ -418,6 +514,10 @@ impl Parser<'_> {
         }
         if buses[bus].devices.iter().any(|device| device.power.is_some()) && power.is_some() {
             let problem = format!("device \"{name}\" is the second one on its bus that switches the power");
+            return Err(self.source.error(at, problem));
+        }
+        if buses[bus].devices.iter().any(|device| device.imu.is_some()) && imu.is_some() {
+            let problem = format!("device \"{name}\" is the second one on its bus with an IMU");
             return Err(self.source.error(at, problem));
         }
         Ok((
@@ -429,8 +529,37 @@ impl Parser<'_> {
                 read,
                 power,
                 battery,
+                imu,
             },
         ))
+    }
+
+    fn imu(
+        &self,
+        entry: &ImuEntry,
+        register: &impl Fn(&Spanned<String>) -> Result<Register, DescriptionError>,
+    ) -> Result<ImuPlan, DescriptionError> {
+        let axis = |name: &Spanned<String>, unit: &str| {
+            let (sign, plain) = match name.get_ref().strip_prefix('-') {
+                Some(plain) => (-1.0, plain),
+                None => (1.0, &**name.get_ref()),
+            };
+            let found = register(&Spanned::new(name.span(), plain.to_owned()))?;
+            if found.unit == unit {
+                return Ok((sign, found));
+            }
+            let problem = format!("\"{plain}\" cannot be an axis of this IMU: it is not in {unit}");
+            Err(self.source.error(name.span().start, problem))
+        };
+        let axes = |names: &[Spanned<String>; 3], unit| -> Result<[(f64, Register); 3], DescriptionError> {
+            let [forward, left, up] = names;
+            Ok([axis(forward, unit)?, axis(left, unit)?, axis(up, unit)?])
+        };
+        Ok(ImuPlan {
+            angular_velocity: axes(&entry.angular_velocity, "rad/s")?,
+            linear_acceleration: axes(&entry.linear_acceleration, "m/s^2")?,
+            frame: entry.frame.clone().unwrap_or_else(|| "imu_link".to_owned()),
+        })
     }
 
     fn bus_of(
@@ -595,10 +724,23 @@ struct Defaults {
     gains: Option<Gains>,
     max_torque: Option<f64>,
     max_current_a: Option<f64>,
+    mode: Option<Mode>,
+    max_velocity_rad_s: Option<f64>,
+    command_timeout_s: Option<f64>,
     approach_rad_s: Option<f64>,
     guard: Option<Guard>,
     #[serde(default)]
     registers: BTreeMap<String, Spanned<i64>>,
+}
+
+/// What the goals of a joint are.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Mode {
+    #[default]
+    Position,
+    Velocity,
+    Effort,
 }
 
 #[derive(Deserialize)]
@@ -616,6 +758,9 @@ struct JointEntry {
     gains: Option<Gains>,
     max_torque: Option<f64>,
     max_current_a: Option<f64>,
+    mode: Option<Mode>,
+    max_velocity_rad_s: Option<f64>,
+    command_timeout_s: Option<f64>,
     approach_rad_s: Option<f64>,
     guard: Option<Guard>,
     #[serde(default)]
@@ -641,6 +786,16 @@ struct DeviceEntry {
     read: Vec<Spanned<String>>,
     power: Option<PowerEntry>,
     battery: Option<BatteryEntry>,
+    imu: Option<ImuEntry>,
+}
+
+/// Registers of the axes forward, left and up; with a minus in front of those that count against them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ImuEntry {
+    angular_velocity: [Spanned<String>; 3],
+    linear_acceleration: [Spanned<String>; 3],
+    frame: Option<String>,
 }
 
 #[derive(Deserialize)]

@@ -97,6 +97,18 @@ fn wrong_values_are_refused_with_line_and_remedy() {
         error(device)
             .contains(":12: device \"board\": OpenCR has no register \"buton\", did you mean \"button\"?")
     );
+    let imu = |axis: &str| {
+        format!(
+            "[[device]]\nname = \"b\"\nid = 200\nmodel = \"OpenCR\"\nimu = {{ angular_velocity = [\"gyro_x\", \"{axis}\", \"gyro_z\"], linear_acceleration = [\"acc_x\", \"acc_y\", \"acc_z\"] }}\n"
+        )
+    };
+    assert!(
+        error(&imu("-gyro_q"))
+            .contains(":12: device \"b\": OpenCR has no register \"gyro_q\", did you mean \"gyro_")
+    );
+    assert!(
+        error(&imu("-acc_x")).contains(":12: \"acc_x\" cannot be an axis of this IMU: it is not in rad/s")
+    );
     assert!(error("[[bus]]\n").contains("missing field"));
     let buses = "[[bus]]\nname = \"arm\"\nport = \"x\"\nbaud = 1\nprotocol = \"dynamixel2\"\ncycle_ms = 8\n";
     assert!(error(buses).contains(":8: bus \"arm\" has 1 bit/s"));

@@ -5,7 +5,7 @@
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::description::BusPlan;
-use super::joint::Joint;
+use super::joint::{Drive, Joint};
 use super::models::Register;
 use super::protocol::{Id, Instruction, Protocol, WriteEntry};
 use super::reading::{Answer, Answered, Reading, Unit, requests, understand};
@@ -184,6 +184,12 @@ impl Driver {
         }
         bus.begin_step(now);
         let mut line = Line { bus, protocol: plan.line.protocol, exchanges };
+        let driven = self.servos.iter().zip(&plan.joints);
+        let driven = driven.filter(|(servo, joint)| servo.link.is_active() && joint.drive.is_some());
+        let rest =
+            driven.map(|(_, joint)| write(joint.id, joint.goal_register(), line.protocol, 0)).collect();
+        // Ignores whether the port works: the watchdogs of the servos stop them as well.
+        let _ = self.write_all(&mut line, rest);
         if let Some((id, data, address)) = last_write {
             // Ignores whether the device obeys.
             let _ = line.write(id, address, data);
@@ -292,6 +298,7 @@ impl Driver {
                     Unit::Joint(index) => {
                         let softness = self.servos[index].softness(&plan.joints[index]);
                         self.servos[index].join(position, softness);
+                        self.arm_watchdog(&plan.joints[index], plan.line.protocol);
                     }
                     Unit::Device(_) => self.link(unit).join(),
                 }
@@ -312,11 +319,24 @@ impl Driver {
         Ok(())
     }
 
+    /// Has a driven servo stop by itself if it hears nothing for as long as a command is valid. Done in one of the next cycles: it
+    /// expects instructions from then on. After it has stopped it takes no goals until the watchdog is cleared.
+    fn arm_watchdog(&mut self, joint: &Joint, protocol: Protocol) {
+        let Some((watchdog, Drive { timeout, .. })) =
+            joint.model.register("bus_watchdog").zip(joint.drive.as_ref())
+        else {
+            return;
+        };
+        for value in [0, watchdog.from_si(timeout.as_secs_f64()).max(1)] {
+            self.to_write.push_back(write(joint.id, watchdog, protocol, value));
+        }
+    }
+
     fn cycle(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) -> Result<Reading, PortFailed> {
         self.write_softness(plan, line)?;
         let (on, off) = self.torque_writes(plan);
         self.write_all(line, off)?;
-        let goals = self.goals(plan);
+        let goals = self.goals(now, plan);
         self.write_all(line, goals)?;
         self.write_all(line, on)?;
         if let Some(entry) = self.to_write.pop_front()
@@ -394,14 +414,19 @@ impl Driver {
     }
 
     /// The goals of all servos that hold one. Devices do not acknowledge, so goals are written in every cycle.
-    fn goals(&mut self, plan: &BusPlan) -> Vec<WriteEntry> {
+    fn goals(&mut self, now: Time, plan: &BusPlan) -> Vec<WriteEntry> {
         let is_held = self.is_held();
         let driven = self.servos.iter_mut().zip(&plan.joints);
         driven
             .filter(|(servo, _)| servo.link.is_active() && servo.has_torque())
             .map(|(servo, joint)| {
-                let goal = if is_held { servo.hold() } else { servo.next_goal(joint.approach_steps) };
-                write(joint.id, &joint.registers.goal, plan.line.protocol, goal)
+                let goal = match &joint.drive {
+                    Some(_) if is_held => 0,
+                    Some(drive) => servo.next_driven_goal(joint, drive, now),
+                    None if is_held => servo.hold(),
+                    None => servo.next_goal(joint.approach_steps),
+                };
+                write(joint.id, joint.goal_register(), plan.line.protocol, goal)
             })
             .collect()
     }
@@ -590,6 +615,14 @@ impl Driver {
         let last = self.last_step_at.replace(now);
         let is_late = last.is_some_and(|last| last + plan.cycle + plan.cycle / 2 <= now);
         if is_late && self.phase == Phase::Running {
+            for joint in plan.joints.iter().filter(|joint| {
+                joint
+                    .drive
+                    .as_ref()
+                    .is_some_and(|drive| last.is_some_and(|last| last + drive.timeout / 2 <= now))
+            }) {
+                self.arm_watchdog(joint, plan.line.protocol);
+            }
             self.last_late_cycle_at = Some(now);
             if self.troubles.late_cycles.is_worth_a_line() {
                 let (count, cycle) = (self.troubles.late_cycles.count(), plan.cycle);

@@ -5,6 +5,7 @@ use super::protocol::{Id, Protocol};
 use serde::Deserialize;
 use std::f64::consts::TAU;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// One joint and the servo that turns it.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +20,8 @@ pub struct Joint {
     pub model: Arc<Model>,
     /// The registers of the model that the driver uses.
     pub registers: Registers,
+    /// How it is driven by velocities or efforts; `None` if its goals are positions.
+    pub drive: Option<Drive>,
     /// The raw position at 0 rad.
     pub zero: i64,
     /// 1, or -1 if the servo counts against the joint.
@@ -41,6 +44,28 @@ pub struct Joint {
     pub approach_steps: i64,
     /// When the joint is protected.
     pub guard: Guard,
+}
+
+/// How a joint is driven by goals other than positions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// What its goals are.
+    pub quantity: Quantity,
+    /// The register of the goal.
+    pub goal: Register,
+    /// The largest goal of the joint, in either direction: in rad/s or A.
+    pub largest: f64,
+    /// How long a command is valid. After that the goal is 0.
+    pub timeout: Duration,
+}
+
+/// What the goals of a [`Drive`] are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Velocities of the joint, in rad/s.
+    Velocity,
+    /// Currents of its servo, in A, positive towards larger angles.
+    Effort,
 }
 
 /// The registers of a servo that the driver uses.
@@ -138,6 +163,31 @@ impl Joint {
         }
         let goal = &self.registers.goal;
         Some(self.steps(angle_rad.clamp(self.min_rad, self.max_rad)).clamp(goal.min, goal.max))
+    }
+
+    /// The raw goal for a velocity or effort, which is clamped to the largest one. `None` if it is not finite, or more than ten
+    /// times the largest: that is a mistake of the sender.
+    #[must_use]
+    pub fn driven_goal(&self, drive: &Drive, value: f64) -> Option<i64> {
+        if !(-10.0 * drive.largest..=10.0 * drive.largest).contains(&value) {
+            return None;
+        }
+        let gear = if drive.quantity == Quantity::Velocity { self.gear } else { 1.0 };
+        let steps = drive.goal.steps(value.clamp(-drive.largest, drive.largest) * self.sign * gear);
+        // Towards 0, so that no goal exceeds the largest one.
+        Some((steps.trunc() as i64).clamp(drive.goal.min, drive.goal.max))
+    }
+
+    /// The register that goals are written to.
+    #[must_use]
+    pub fn goal_register(&self) -> &Register {
+        self.drive.as_ref().map_or(&self.registers.goal, |drive| &drive.goal)
+    }
+
+    /// Returns whether this goal of a drive leads out of the limits, where the joint is already.
+    pub(crate) fn leads_out(&self, goal: i64, raw_position: i64) -> bool {
+        let (angle, direction) = (self.angle(raw_position), goal as f64 * self.sign);
+        (direction > 0.0 && angle >= self.max_rad) || (direction < 0.0 && angle <= self.min_rad)
     }
 
     /// The nearest raw position to an angle, in or out of reach.

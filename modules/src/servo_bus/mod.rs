@@ -20,10 +20,10 @@ mod reading;
 mod servo;
 mod tool;
 
-pub use description::{BusPlan, Description, DescriptionError, DevicePlan, PowerSwitch};
-pub use joint::{Guard, Joint, Measurement, Protection, Registers, Thresholds};
+pub use description::{BusPlan, Description, DescriptionError, DevicePlan, ImuPlan, PowerSwitch};
+pub use joint::{Drive, Guard, Joint, Measurement, Protection, Quantity, Registers, Thresholds};
 pub use module::ServoBus;
-pub(crate) use module::{Hardware, SLOW, Topics, battery_state, header};
+pub(crate) use module::{Hardware, ImuReading, SLOW, Topics, battery_state, header};
 pub use tool::{Caution, Found, ServoError, ServoPort};
 
 #[cfg(test)]

@@ -1,16 +1,19 @@
 //! The hardware of a robot of serial servos as a module.
 
 use super::bus::{Bus, Exchange, SerialBus};
-use super::description::{BusPlan, Description};
+use super::description::{BusPlan, Description, DevicePlan};
 use super::diagnostics::{Labels, Levels, Refused, levels, report};
 use super::driver::{Counted, Driver};
-use super::protocol::{Id, WriteEntry};
+use super::joint::Quantity;
+use super::models::Register;
+use super::protocol::{Id, Protocol, WriteEntry};
 use super::reading::Reading;
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
-use downbeat_msgs::sensor_msgs::msg::{BatteryState, JointState};
+use downbeat_msgs::geometry_msgs::msg::Vector3;
+use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout};
 use downbeat_msgs::std_srvs::srv::SetBoolResponse;
 use std::time::Duration;
@@ -80,26 +83,51 @@ impl Hardware {
         waiting.push_back(entry);
     }
 
-    /// Takes commanded positions: unknown names are logged and counted, impossible values refused, others clamped to the limits.
+    /// Takes commanded positions, velocities and efforts: unknown names are logged and counted, impossible values refused, others
+    /// clamped to the limits.
     pub(crate) fn on_command(&mut self, command: &JointState, now: Time) {
-        for (name, position) in command.name.iter().zip(&command.position) {
+        let JointState { position, velocity, effort, .. } = command;
+        for (place, name) in command.name.iter().enumerate() {
+            if [position, velocity, effort].iter().all(|values| place >= values.len()) {
+                continue;
+            }
             let Some(index) = self.index_of(name, "joint_commands") else { continue };
-            let joint = &self.plan.joints[index];
-            match joint.goal(*position) {
-                _ if self.driver.is_held() => {
-                    let reason = self.driver.misfit(&self.plan).unwrap_or_default();
-                    self.refuse(reason, now);
-                }
-                Some(goal) => self.driver.servos[index].want(goal),
-                None => {
-                    let (min, max) = (joint.min_rad, joint.max_rad);
-                    let reason = format!(
-                        "joint_commands has {position} rad for {name}, whose limits are {min} to {max} rad; check unit and sender"
-                    );
-                    self.refuse(reason, now);
-                }
+            let values = match self.plan.joints[index].drive.as_ref().map(|drive| drive.quantity) {
+                None => position,
+                Some(Quantity::Velocity) => velocity,
+                Some(Quantity::Effort) => effort,
+            };
+            match self.commanded(index, values.get(place).copied()) {
+                Ok(goal) => self.driver.servos[index].want(goal, now),
+                Err(reason) => self.refuse(reason, now),
             }
         }
+    }
+
+    /// The goal of a joint for a commanded value, or why it is refused.
+    fn commanded(&self, index: usize, value: Option<f64>) -> Result<i64, String> {
+        if let Some(reason) = self.driver.misfit(&self.plan) {
+            return Err(reason);
+        }
+        let joint = &self.plan.joints[index];
+        let (name, min, max) = (&joint.name, joint.min_rad, joint.max_rad);
+        let (quantities, unit) = match joint.drive.as_ref().map(|drive| drive.quantity) {
+            None => ("positions", "rad"),
+            Some(Quantity::Velocity) => ("velocities", "rad/s"),
+            Some(Quantity::Effort) => ("efforts", "A"),
+        };
+        let Some(value) = value else {
+            return Err(format!("joint_commands has none of the {quantities} that {name} takes"));
+        };
+        let (goal, range) = match &joint.drive {
+            None => (joint.goal(value), format!("limits are {min} to {max}")),
+            Some(drive) => (joint.driven_goal(drive, value), format!("largest is {}", drive.largest)),
+        };
+        goal.ok_or_else(|| {
+            format!(
+                "joint_commands has {value} {unit} for {name}, whose {range} {unit}; check unit and sender"
+            )
+        })
     }
 
     /// Takes commanded shares of the largest torque.
@@ -217,6 +245,54 @@ pub(crate) fn header(stamp: Time, frame_id: &str) -> Header {
     Header { stamp, frame_id: frame_id.to_owned() }
 }
 
+/// What an IMU measured, forward, left and up, with the steps of its numbers, in rad/s and m/s^2.
+pub(crate) struct ImuReading {
+    pub(crate) angular_velocity: [f64; 3],
+    pub(crate) angular_step: f64,
+    pub(crate) linear_acceleration: [f64; 3],
+    pub(crate) linear_step: f64,
+}
+
+impl ImuReading {
+    /// The reading of a device with an IMU.
+    pub(super) fn of<'a>(
+        device: &'a DevicePlan,
+        protocol: Protocol,
+        piece: &[u8],
+    ) -> Option<(Self, &'a str)> {
+        let imu = device.imu.as_ref()?;
+        let axis = |(sign, register): &(f64, Register)| Some(sign * device.value(protocol, register, piece)?);
+        let axes = |[x, y, z]: &[_; 3]| Some([axis(x)?, axis(y)?, axis(z)?]);
+        let reading = Self {
+            angular_velocity: axes(&imu.angular_velocity)?,
+            angular_step: imu.angular_velocity[0].1.to_si(1),
+            linear_acceleration: axes(&imu.linear_acceleration)?,
+            linear_step: imu.linear_acceleration[0].1.to_si(1),
+        };
+        Some((reading, &imu.frame))
+    }
+
+    /// The message. The orientation is not measured, as marked by -1; the covariances take one step as standard deviation.
+    pub(crate) fn message(&self, header: Header) -> Imu {
+        let vector = |[x, y, z]: [f64; 3]| Vector3 { x, y, z };
+        let diagonal = |deviation: f64| {
+            let variance = deviation * deviation;
+            [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
+        };
+        let mut orientation_covariance = [0.0; 9];
+        orientation_covariance[0] = -1.0;
+        Imu {
+            header,
+            orientation_covariance,
+            angular_velocity: vector(self.angular_velocity),
+            angular_velocity_covariance: diagonal(self.angular_step),
+            linear_acceleration: vector(self.linear_acceleration),
+            linear_acceleration_covariance: diagonal(self.linear_step),
+            ..Imu::default()
+        }
+    }
+}
+
 /// A battery of which only the voltage is measured.
 pub(crate) fn battery_state(sent: Time, volts: f64) -> BatteryState {
     BatteryState {
@@ -244,10 +320,11 @@ pub(crate) fn battery_state(sent: Time, volts: f64) -> BatteryState {
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `joint_commands` (in) | `sensor_msgs/JointState` | positions by name, rad, clamped to the limits; unknown names are counted; what is not finite, or more than a turn beyond the limits, is refused and reported |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | by name: positions, rad, clamped to the limits; velocities, rad/s, or efforts, A, of joints with that `mode`. Unknown names are counted; what is not finite, or far beyond the limits, is refused and reported |
 /// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
 /// | `joint_states` | `sensor_msgs/JointState` | in the order of the description: rad, rad/s, load (share of the drive) or current (A); stale joints have velocity and effort NaN |
 /// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second, if a device measures it |
+/// | `imu/data_raw` | `sensor_msgs/Imu` | forward, left, up: rad/s, m/s^2; in every cycle, if a device has an `imu` |
 /// | `devices/<name>` | `std_msgs/Float64MultiArray` | the registers of a device that are read, in their units; a label for each |
 /// | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | once a second and when a level changes |
 /// | `bus/exchanges` | `downbeat_interfaces/BusExchange` | all traffic on the bus |
@@ -266,6 +343,7 @@ pub struct ServoBus {
 pub struct Ports {
     topics: Topics,
     battery: Option<Publication<BatteryState>>,
+    imu: Option<Publication<Imu>>,
     devices: Vec<Publication<Float64MultiArray>>,
 }
 
@@ -311,6 +389,11 @@ impl ServoBus {
                 });
                 let layout = MultiArrayLayout { dim: dim.collect(), data_offset: 0 };
                 ctx.publish(ctx.ports.devices[index], Float64MultiArray { layout, data });
+                if let (Some(topic), Some((imu, frame))) =
+                    (ctx.ports.imu, ImuReading::of(device, protocol, piece))
+                {
+                    ctx.publish(topic, imu.message(header(reading.sent, frame)));
+                }
                 let is_due = self.last_battery_at.is_none_or(|at| at + SLOW <= ctx.now());
                 if let (Some(topic), Some((register, _)), true) = (ctx.ports.battery, &device.battery, is_due)
                     && let Some(volts) = device.value(protocol, register, piece)
@@ -364,12 +447,15 @@ impl Module for ServoBus {
             hardware = Some((plan, value(hardware_id), value(joint_frame)));
         }
         let topics = Topics::declare(setup)?;
-        let (mut battery, mut devices) = (None, Vec::new());
+        let (mut battery, mut imu, mut devices) = (None, None, Vec::new());
         if let Some((plan, hardware_id, joint_frame)) = hardware {
             for device in &plan.devices {
                 devices.push(setup.publish(&format!("devices/{}", device.name))?);
                 if device.battery.is_some() && battery.is_none() {
                     battery = Some(setup.publish("battery_state")?);
+                }
+                if device.imu.is_some() {
+                    imu = Some(setup.publish("imu/data_raw")?);
                 }
             }
             setup.every(plan.cycle, Self::tick)?;
@@ -392,7 +478,7 @@ impl Module for ServoBus {
                 None => Err("there is no description of the servos".to_owned()),
             },
         )?;
-        Ok(Ports { topics, battery, devices })
+        Ok(Ports { topics, battery, imu, devices })
     }
 
     fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {

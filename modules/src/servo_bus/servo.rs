@@ -2,7 +2,7 @@
 
 use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
 use super::driver::Counted;
-use super::joint::{Joint, Measurement, Protection};
+use super::joint::{Drive, Joint, Measurement, Protection};
 use super::models::{Access, Model, Register};
 use super::protocol::{Id, Instruction, Protocol, Receiver, Status, StatusError};
 use downbeat_executor::Time;
@@ -91,8 +91,10 @@ pub(crate) struct Servo {
     pub(crate) written: Softness,
     /// The goal that is written to it.
     goal: i64,
-    /// The commanded position, if any.
+    /// The commanded goal, if any.
     wanted: Option<i64>,
+    /// When that was commanded.
+    wanted_at: Time,
     /// Whether it has reached its command since it came into service.
     has_caught_up: bool,
 }
@@ -120,13 +122,14 @@ impl Servo {
             written: Softness::default(),
             goal: 0,
             wanted: None,
+            wanted_at: Time::ZERO,
             has_caught_up: false,
         }
     }
 
-    /// Sets the commanded position.
-    pub(crate) fn want(&mut self, raw: i64) {
-        self.wanted = Some(raw);
+    /// Sets the commanded goal.
+    pub(crate) fn want(&mut self, raw: i64, now: Time) {
+        (self.wanted, self.wanted_at) = (Some(raw), now);
     }
 
     /// Commands a share of the largest torque, from 0 to 1; 0 is none. A new command ends the protection that switched
@@ -180,6 +183,18 @@ impl Servo {
     pub(crate) fn hold(&mut self) -> i64 {
         self.wanted = None;
         self.goal
+    }
+
+    /// The velocity or effort of the next cycle: 0 without a recent command, and beyond a limit.
+    pub(crate) fn next_driven_goal(&mut self, joint: &Joint, drive: &Drive, now: Time) -> i64 {
+        let is_recent = now < self.wanted_at + drive.timeout;
+        let wanted = self.wanted.filter(|_| is_recent).unwrap_or(0);
+        let position = self.last.filter(|_| !self.link.is_stale()).map(|last| last.position);
+        let is_safe = match position {
+            Some(position) => !joint.leads_out(wanted, position),
+            None => joint.min_rad == f64::NEG_INFINITY && joint.max_rad == f64::INFINITY,
+        };
+        if is_safe { wanted } else { 0 }
     }
 
     /// The goal of the next cycle.
@@ -357,8 +372,13 @@ pub(crate) fn prepare(
         current.zip(joint.max_current_a).map(|(register, current)| (register, register.from_si(current)));
     let gains = registers.gains.iter().zip(softness.gains);
     let gains = gains.filter_map(|(register, gain)| register.as_ref().zip(gain));
-    let at_start =
-        joint.model.at_start.iter().chain(&joint.further).map(|(register, value)| (register, *value));
+    // What the description sets replaces what the model sets, and the goal is set below.
+    let is_replaced = |(register, _): &&(Register, i64)| {
+        joint.goal_register().name == register.name
+            || joint.further.iter().any(|(other, _)| other.name == register.name)
+    };
+    let of_model = joint.model.at_start.iter().filter(|entry| !is_replaced(entry));
+    let at_start = of_model.chain(&joint.further).map(|(register, value)| (register, *value));
     let torque_limit = registers.torque_limit.as_ref().zip(softness.torque_limit);
     let (persistent, mut volatile): (Vec<_>, Vec<_>) = at_start
         .chain(gains)
@@ -369,7 +389,7 @@ pub(crate) fn prepare(
     let position = line.read(joint.id, registers.position.address, registers.position.size)?;
     let position = registers.position.raw_in(protocol, &position, registers.position.address).unwrap_or(0);
     let goal = position.clamp(registers.goal.min, registers.goal.max);
-    volatile.push((&registers.goal, goal));
+    volatile.push((joint.goal_register(), if joint.drive.is_some() { 0 } else { goal }));
     for (address, bytes) in blocks(&joint.model, protocol, volatile) {
         line.write(joint.id, address, &bytes)?;
     }
@@ -513,11 +533,11 @@ mod tests {
     #[test]
     fn a_servo_that_comes_back_approaches_its_command_slowly_and_then_follows_at_once() {
         let mut servo = Servo::new();
-        servo.want(2025);
+        servo.want(2025, Time::ZERO);
         servo.join(2000, Softness::default());
         let goals: Vec<i64> = (0..4).map(|_| servo.next_goal(10)).collect();
         assert_eq!(goals, [2010, 2020, 2025, 2025]);
-        servo.want(1000);
+        servo.want(1000, Time::ZERO);
         assert_eq!(servo.next_goal(10), 1000);
     }
 

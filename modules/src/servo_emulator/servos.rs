@@ -22,6 +22,8 @@ const MOTOR_LAG_S: f64 = 0.02;
 /// The share of the full drive below which a joint does not move.
 const FRICTION: f64 = 0.006;
 const STALL_CURRENT_A: f64 = 2.0;
+/// Of the velocity control: how much of an error is added to the goal.
+const VELOCITY_GAIN: f64 = 2.0;
 /// With full drive, before cooling.
 const HEATING_PER_S: f64 = 0.5;
 const COOLING_TIME_S: f64 = 300.0;
@@ -99,7 +101,7 @@ impl Devices for Servos {
         while self.time + STEP <= now {
             self.time += STEP;
             let joints = self.units.iter().filter(|unit| unit.joint.is_some());
-            let commands: Vec<ServoCommand> = joints.map(Unit::command).collect();
+            let commands: Vec<ServoCommand> = joints.map(|unit| unit.command(&*self.body)).collect();
             self.body.advance(STEP, &commands);
             for unit in &mut self.units {
                 unit.advance(STEP.as_secs_f64(), &*self.body);
@@ -119,6 +121,16 @@ impl Devices for Servos {
     }
 
     fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
+        let imu = self.body.imu();
+        for (device, unit) in self.plan.devices.iter().zip(&mut self.units) {
+            let Some(plan) = &device.imu else { continue };
+            let axes = plan.angular_velocity.iter().zip(imu.angular_velocity);
+            for ((sign, register), felt) in
+                axes.chain(plan.linear_acceleration.iter().zip(imu.specific_force))
+            {
+                unit.set(register, register.from_si(sign * felt));
+            }
+        }
         let (protocol, baud) = (self.plan.line.protocol, self.baud);
         let awake = self.units.iter_mut().filter(|unit| unit.has_power && unit.baud() == baud);
         let mut awake: Vec<&mut dyn Device> = awake.map(|unit| unit as &mut dyn Device).collect();
@@ -179,8 +191,7 @@ impl Unit {
     }
 
     fn set(&mut self, register: &Register, raw: i64) {
-        let bytes = register.bytes(self.protocol, raw);
-        self.memory[usize::from(register.address)..usize::from(register.end())].copy_from_slice(&bytes);
+        put(&mut self.memory, self.protocol, register, raw);
     }
 
     /// Sets a register, if the model has it.
@@ -215,8 +226,8 @@ impl Unit {
         self.show(body);
     }
 
-    fn command(&self) -> ServoCommand {
-        let Some((joint, _)) = &self.joint else { return ServoCommand::OFF };
+    fn command(&self, body: &dyn Body) -> ServoCommand {
+        let Some((joint, index)) = &self.joint else { return ServoCommand::OFF };
         if !self.has_power {
             return ServoCommand::OFF;
         }
@@ -234,12 +245,40 @@ impl Unit {
             .torque_limit
             .as_ref()
             .map_or(1.0, |limit| self.get(limit) as f64 / limit.max as f64);
+        if let Some(drive) = self.driven(joint, body.joint(*index).velocity) {
+            // The drive of a servo is that of a position control: here its goal is ahead by as much as gives this drive.
+            let goal = body.joint(*index).position + drive / DRIVE_PER_RADIAN;
+            return ServoCommand { goal, gain: DRIVE_PER_RADIAN, max_drive, supply };
+        }
         ServoCommand {
             goal: joint.angle(self.get(&joint.registers.goal)),
             gain: DRIVE_PER_RADIAN * share("p_gain"),
             max_drive,
             supply,
         }
+    }
+
+    /// The drive of a joint with this velocity, if the operating mode has goals other than positions.
+    fn driven(&self, joint: &Joint, velocity: f64) -> Option<f64> {
+        let mode = self.get_named("operating_mode")?;
+        let goal = |name| {
+            let register = self.model.register(name)?;
+            Some(joint.sign * register.to_si(self.get(register)))
+        };
+        if self.model.modes.velocity == Some(mode) {
+            let wanted = goal("goal_velocity")? / joint.gear;
+            return Some((wanted + VELOCITY_GAIN * (wanted - velocity)) / NO_LOAD_RAD_S);
+        }
+        if self.model.modes.effort == Some(mode) {
+            return Some(goal("goal_current")? / STALL_CURRENT_A);
+        }
+        None
+    }
+
+    /// A servo that turns on and on counts within one turn if its position has two bytes.
+    fn counted(&self, joint: &Joint, position: i64) -> i64 {
+        let Register { size, max, .. } = joint.registers.goal;
+        if size == 2 && self.driven(joint, 0.0).is_some() { position.rem_euclid(max + 1) } else { position }
     }
 
     fn advance(&mut self, dt: f64, body: &dyn Body) {
@@ -256,18 +295,19 @@ impl Unit {
     fn show(&mut self, body: &dyn Body) {
         let Some((joint, index)) = &self.joint else { return };
         let JointMotion { position, velocity, drive } = body.joint(*index);
-        let registers = joint.registers.clone();
-        let (position, sign, gear) = (joint.steps(position), joint.sign, joint.gear);
-        self.set(&registers.position, position);
+        let position = self.counted(joint, joint.steps(position));
+        let (registers, protocol, memory) = (&joint.registers, self.protocol, &mut self.memory);
+        put(memory, protocol, &registers.position, position);
         if let Some(register) = &registers.velocity {
-            self.set(register, register.steps(velocity * sign * gear).round() as i64);
+            let raw = register.steps(velocity * joint.sign * joint.gear).round() as i64;
+            put(memory, protocol, register, raw);
         }
         if let Some(register) = &registers.effort {
             let effort = if register.unit == "A" { drive * STALL_CURRENT_A } else { drive };
-            self.set(register, register.steps(effort * sign).round() as i64);
+            put(memory, protocol, register, register.steps(effort * joint.sign).round() as i64);
         }
         if let Some(register) = &registers.temperature {
-            self.set(register, register.steps(self.celsius).round() as i64);
+            put(memory, protocol, register, register.steps(self.celsius).round() as i64);
         }
     }
 
@@ -302,6 +342,12 @@ impl Unit {
         }
         Ok(())
     }
+}
+
+/// Sets a register of a table.
+fn put(memory: &mut [u8], protocol: Protocol, register: &Register, raw: i64) {
+    let bytes = register.bytes(protocol, raw);
+    memory[usize::from(register.address)..usize::from(register.end())].copy_from_slice(&bytes);
 }
 
 impl Device for Unit {

@@ -9,6 +9,7 @@
 //! source = "manual, or repository and path"
 //! reads = "bulk"                   # how several are read at once: "bulk", "sync" or "one_by_one"
 //! at_start = { return_delay = 0 }  # written when a servo comes into service: raw values
+//! modes = { velocity = 1 }         # values of operating_mode for goals other than positions: velocity, effort
 //! baud_rates = [[1, 1_000_000]]    # value of the register baud_rate, bit/s
 //!
 //! [registers]
@@ -17,15 +18,16 @@
 //!
 //! A register has an address `at`, a `size` of 1, 2 or 4 bytes (1), an `access` (`"ram"`; `"eeprom"` if it outlives the
 //! power, `"read"` if only the device writes it), `signed = true` (two's complement) or a `sign_bit`, the raw values
-//! `min`, `max` and `initial`, and a unit: raw × `scale` / `per` in `"turn"`, `"rpm"`, `"V"`, `"A"`, `"N"`, `"degC"`, `"s"`
-//! or `"1"`. Values are published in SI units: rad and rad/s for turns and rpm.
+//! `min`, `max` and `initial`, and a unit: raw × `scale` / `per` in `"turn"`, `"rpm"`, `"dps"`, `"g"`, `"V"`, `"A"`, `"N"`,
+//! `"degC"`, `"s"` or `"1"`. Values are published in SI units: rad for turns, rad/s for rpm and degrees per second, m/s^2 for g.
 //!
 //! The modules find registers by name. A servo needs `model_number`, `id`, `torque_enable`, `goal_position` and
 //! `present_position`; it may have `firmware_version`, `baud_rate`, `return_delay`, `status_return_level`, `p_gain`,
 //! `i_gain`, `d_gain`, `torque_limit`, `current_limit`, `min_position_limit`, `max_position_limit`, `present_velocity`,
-//! `present_load` or `present_current`, `present_voltage`, `present_temperature`, `lock`.
+//! `operating_mode`, `goal_velocity`, `velocity_limit`, `goal_current`, `bus_watchdog`, `present_load` or `present_current`, `present_voltage`, `present_temperature`, `lock`.
 
 use super::protocol::Protocol;
+use crate::darwin_op::tables::units::STANDARD_GRAVITY;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -50,10 +52,22 @@ pub struct Model {
     pub eeprom_needs_torque_off: bool,
     /// The registers that are set when a servo comes into service, with raw values, in the order of their addresses.
     pub at_start: Vec<(Register, i64)>,
+    /// How it is driven by goals other than positions.
+    pub modes: Modes,
     /// Values of the register `baud_rate`, and what they mean in bit/s.
     pub baud_rates: Vec<(i64, u32)>,
     /// Its registers, in the order of their addresses.
     pub registers: Vec<Register>,
+}
+
+/// The values of the register `operating_mode` for goals other than positions; `None` if the model has no such mode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Modes {
+    /// The goal is `goal_velocity`, in rad/s.
+    pub velocity: Option<i64>,
+    /// The goal is `goal_current`, in A.
+    pub effort: Option<i64>,
 }
 
 /// How several devices of a model are read at once.
@@ -111,7 +125,7 @@ pub struct Register {
     pub max: i64,
     /// The raw value of a new device, or after switching on.
     pub initial: i64,
-    /// The unit of [`to_si`](Self::to_si): "rad", "rad/s", "V", "A", "N", "degC", "s", "1", or empty for raw values.
+    /// The unit of [`to_si`](Self::to_si): "rad", "rad/s", "m/s^2", "V", "A", "N", "degC", "s", "1", or empty for raw values.
     pub unit: &'static str,
     /// A raw value times `factor` divided by `per` is in SI units.
     factor: f64,
@@ -200,6 +214,7 @@ impl Model {
             reads: file.reads,
             eeprom_needs_torque_off: file.eeprom_needs_torque_off,
             at_start,
+            modes: file.modes,
             baud_rates: file.baud_rates,
             registers,
         })
@@ -305,6 +320,8 @@ struct ModelFile {
     #[serde(default)]
     at_start: BTreeMap<String, toml::Spanned<i64>>,
     #[serde(default)]
+    modes: Modes,
+    #[serde(default)]
     baud_rates: Vec<(i64, u32)>,
     registers: BTreeMap<String, toml::Spanned<RegisterEntry>>,
 }
@@ -379,6 +396,7 @@ impl RegisterEntry {
             Some("turn") => ("rad", scale * TAU),
             Some("rpm") => ("rad/s", scale * TAU / 60.0),
             Some("dps") => ("rad/s", scale * (PI / 180.0)),
+            Some("g") => ("m/s^2", scale * STANDARD_GRAVITY),
             Some("V") => ("V", scale),
             Some("A") => ("A", scale),
             Some("N") => ("N", scale),
@@ -387,7 +405,7 @@ impl RegisterEntry {
             Some("1") => ("1", scale),
             Some(unit) => {
                 return Err(format!(
-                    "\"{name}\": unknown unit \"{unit}\"; there are turn, rpm, dps, V, A, N, degC, s and 1"
+                    "\"{name}\": unknown unit \"{unit}\"; there are turn, rpm, dps, g, V, A, N, degC, s and 1"
                 ));
             }
         };

@@ -1,12 +1,15 @@
 //! The module with emulated servos, in all protocols.
 #![allow(clippy::unwrap_used)]
 
+mod drives;
 mod faults;
 
+use super::module::ImuReading;
+use super::protocol::Protocol;
 use super::*;
 use crate::servo_emulator::{Emulator, EmulatorOptions, Fault, FaultKind, Timing};
 use crate::testing::{Collector, core_at_zero};
-use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions, SettingValue};
+use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions, SettingValue, Time};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, JointState};
@@ -300,6 +303,33 @@ fn a_board_switches_the_power_and_measures_the_battery() {
         (vec!["button", "dynamixel_power", "present_voltage"], vec![0.0, 1.0, 12.0])
     );
     assert_eq!(run.health_of("board"), (DiagnosticStatus::OK, "OK"));
+}
+
+#[test]
+fn an_imu_is_published_in_si_units_along_the_axes_of_the_robot() {
+    let board = "[[device]]\nname = \"board\"\nid = 200\nmodel = \"OpenCR\"\nimu = { angular_velocity = [\"-gyro_x\", \"-gyro_y\", \"gyro_z\"], linear_acceleration = [\"-acc_x\", \"-acc_y\", \"acc_z\"], frame = \"body_link\" }\n";
+    let description = Description::load(&(arm("dynamixel2", "XM430-W350", "") + board)).unwrap();
+    let device = &description.bus("").unwrap().devices[0];
+    let (first, length) = device.span();
+    assert_eq!((first, length), (32, 12));
+    // 1640 steps are 100 degrees/s, 16384 steps 1 g.
+    let raw = [1640_i16, -1640, 0, 0, 16_384, -16_384].map(i16::to_le_bytes).concat();
+    let (reading, frame) = ImuReading::of(device, Protocol::Dynamixel2, &raw).unwrap();
+    let message = reading.message(header(Time::ZERO, frame));
+    let near = |found: [f64; 3], expected: [f64; 3]| {
+        assert!(found.iter().zip(expected).all(|(f, e)| (f - e).abs() < 1e-9), "{found:?} {expected:?}");
+    };
+    let (rate, force) = (message.angular_velocity, message.linear_acceleration);
+    near([rate.x, rate.y, rate.z], [-100_f64.to_radians(), 100_f64.to_radians(), 0.0]);
+    near([force.x, force.y, force.z], [0.0, -9.806_65, -9.806_65]);
+    assert_eq!((&*message.header.frame_id, message.orientation_covariance[0]), ("body_link", -1.0));
+
+    let mut run = Run::of(&(arm("dynamixel2", "XM430-W350", "") + board));
+    let imu = Collector::<downbeat_msgs::sensor_msgs::msg::Imu>::add(&mut run.core, "imu/data_raw");
+    let states = run.cycles(100);
+    let felt = imu.take();
+    assert_eq!(felt.len(), states.len(), "one in every cycle");
+    assert!((felt[0].linear_acceleration.z - 9.81).abs() < 0.01, "{:?}", felt[0]);
 }
 
 #[test]

@@ -1,0 +1,172 @@
+//! The module with joints that are driven by velocities and efforts.
+
+use super::*;
+use crate::controllers::forward_command::ForwardCommandController;
+
+/// Two wheels, one of them reversed and geared, and a joint that goes to positions.
+fn base(protocol: &str, model: &str, wheels: &str) -> String {
+    let mut text = format!(
+        "name = \"base\"\n[[bus]]\nname = \"bus\"\nport = \"p\"\nbaud = 1000000\nprotocol = \"{protocol}\"\ncycle_ms = 10\n[defaults]\nmodel = \"{model}\"\n"
+    );
+    for (id, (name, rest)) in [("left", ""), ("right", "sign = -1\ngear = 2.0")].iter().enumerate() {
+        text += &format!("[[joint]]\nname = \"{name}\"\nid = {}\n{wheels}\n{rest}\n", id + 1);
+    }
+    text + "[[joint]]\nname = \"mast\"\nid = 3\nlimits = [-1.0, 1.0]\n"
+}
+
+const WHEELS: &str = "mode = \"velocity\"\nmax_velocity_rad_s = 2.0";
+const MOTORS: &str = "mode = \"effort\"\nmax_current_a = 0.5";
+
+impl Run {
+    fn velocities(&self, joints: &[(&str, f64)]) {
+        self.commands.publish(message(joints, |message, velocities| message.velocity = velocities)).unwrap();
+    }
+
+    fn efforts(&self, joints: &[(&str, f64)]) {
+        self.commands.publish(message(joints, |message, efforts| message.effort = efforts)).unwrap();
+    }
+
+    /// Runs for this many cycles, commanding in each; returns the last state.
+    fn driven(&mut self, cycles: usize, command: impl Fn(&Self)) -> JointState {
+        let mut last = JointState::default();
+        for _ in 0..cycles {
+            command(self);
+            last = self.cycles(1).pop().unwrap_or(last);
+        }
+        last
+    }
+}
+
+fn near(found: f64, wanted: f64, tolerance: f64) {
+    assert!((found - wanted).abs() <= tolerance, "{found} in place of {wanted}");
+}
+
+#[test]
+fn wheels_turn_at_commanded_velocities_within_their_limits() {
+    for (protocol, model) in
+        [("dynamixel2", "XM430-W350"), ("dynamixel2", "XL330-M288"), ("feetech_sts", "STS3215")]
+    {
+        let mut run = Run::of(&base(protocol, model, WHEELS));
+        let start = run.cycles(50).pop().unwrap();
+        assert!(start.velocity.iter().all(|velocity| *velocity == 0.0), "{model}: nothing moves: {start:?}");
+        run.command(&[("mast", 0.5)]);
+        let state = run.driven(150, |run| run.velocities(&[("left", 1.5), ("right", -1.0)]));
+        near(state.velocity[0], 1.5, 0.1);
+        near(state.velocity[1], -1.0, 0.1);
+        near(position(&state, "mast"), 0.5, 0.02);
+        let state = run.driven(100, |run| run.velocities(&[("left", 9.0), ("right", f64::NAN)]));
+        near(state.velocity[0], 2.0, 0.1);
+        assert_eq!(state.velocity[1], 0.0, "{model}: without a valid command it stops");
+        assert!(run.health_of("base: bus").1.ends_with(
+            "joint_commands has NaN rad/s for right, whose largest is 2 rad/s; check unit and sender"
+        ));
+    }
+}
+
+#[test]
+fn a_wheel_stops_half_a_second_after_its_last_command() {
+    let mut run = Run::of(&base("dynamixel2", "XM430-W350", WHEELS));
+    run.cycles(50);
+    run.velocities(&[("left", 1.0)]);
+    let states = run.cycles(100);
+    near(states[45].velocity[0], 1.0, 0.1);
+    assert_eq!(states[99].velocity[0], 0.0);
+}
+
+#[test]
+fn motors_get_the_commanded_current_within_its_limit() {
+    let mut run = Run::of(&base("dynamixel2", "XM430-W350", MOTORS));
+    run.cycles(50);
+    let state = run.driven(100, |run| run.efforts(&[("left", 0.2), ("right", -4.0)]));
+    near(state.effort[0], 0.2, 0.005);
+    near(state.effort[1], -0.5, 0.005);
+    assert!(state.velocity[0] > 0.1 && state.velocity[1] < -0.1, "{state:?}");
+    run.efforts(&[("left", 1e9)]);
+    run.command(&[("right", 0.3)]);
+    run.cycles(100);
+    assert_eq!(run.value_of("base: bus", "commands refused"), "2");
+}
+
+#[test]
+fn a_driven_joint_stops_at_its_limit_and_can_be_driven_back() {
+    let mut run = Run::of(&base("dynamixel2", "XM430-W350", &format!("{WHEELS}\nlimits = [-0.5, 0.5]")));
+    run.cycles(50);
+    let state = run.driven(200, |run| run.velocities(&[("left", 1.0), ("right", -1.0)]));
+    for (joint, limit) in [("left", 0.5), ("right", -0.5)] {
+        near(position(&state, joint), limit, 0.08);
+    }
+    assert!(state.velocity[..2].iter().all(|velocity| *velocity == 0.0), "{state:?}");
+    let state = run.driven(30, |run| run.velocities(&[("left", -1.0), ("right", 1.0)]));
+    assert!(position(&state, "left") < 0.45 && position(&state, "right") > -0.45, "{state:?}");
+}
+
+#[test]
+fn wheels_stop_when_the_robot_does() {
+    let mut run = Run::of(&base("feetech_sts", "STS3215", WHEELS));
+    run.cycles(50);
+    run.driven(20, |run| run.velocities(&[("left", 1.0), ("right", 1.0)]));
+    run.core.stop();
+    let exchanges = run.exchanges.take();
+    let [.., rest, close] = &exchanges[..] else { panic!("{exchanges:?}") };
+    // A sync write of two bytes at 46, for the servos 1 and 2.
+    assert_eq!(rest.instruction[4..13], [0x83, 46, 2, 1, 0, 0, 2, 0, 0]);
+    assert_eq!(close.kind, BusExchange::CLOSE);
+}
+
+#[test]
+fn servos_with_a_watchdog_stop_by_themselves_if_nobody_speaks() {
+    let mut run = Run::of(&base("dynamixel2", "XM430-W350", WHEELS));
+    run.cycles(50);
+    let watchdogs: Vec<_> = run
+        .exchanges
+        .take()
+        .into_iter()
+        .filter(|e| e.instruction.get(7..10) == Some(&[3, 98, 0][..]))
+        .map(|exchange| (exchange.instruction[4], exchange.instruction[10]))
+        .collect();
+    assert_eq!(watchdogs, [(1, 0), (1, 25), (2, 0), (2, 25)], "25 steps of 20 ms");
+}
+
+#[test]
+fn the_forward_command_controller_drives_wheels() {
+    let mut run = Run::of(&base("dynamixel2", "XM430-W350", WHEELS));
+    let settings = [
+        ("joints".to_owned(), vec!["left".to_owned(), "right".to_owned()].into()),
+        ("interface_name".to_owned(), "velocity".to_owned().into()),
+    ];
+    let options = ModuleOptions { settings: settings.into(), ..ModuleOptions::default() };
+    run.core.add_with("wheels", ForwardCommandController::default(), options).unwrap();
+    let commands = run.core.inlet("wheels/commands").unwrap();
+    run.cycles(50);
+    let state = run.driven(100, |_| {
+        commands.publish(Float64MultiArray { data: vec![0.5, 0.8], ..Float64MultiArray::default() }).unwrap();
+    });
+    near(state.velocity[0], 0.5, 0.1);
+    near(state.velocity[1], 0.8, 0.1);
+}
+
+#[test]
+fn a_mode_that_the_model_lacks_or_without_a_limit_is_refused() {
+    let error = |model: &str, protocol: &str, wheels: &str| {
+        Description::load(&base(protocol, model, wheels)).unwrap_err().to_string()
+    };
+    assert_eq!(
+        error("MX-28", "dynamixel1", WHEELS),
+        "description:10: joint \"left\" cannot be driven like this: MX-28 has no such mode; leave out \"mode\", or take another model"
+    );
+    assert_eq!(
+        error("XM430-W350", "dynamixel2", "mode = \"velocity\""),
+        "description:10: joint \"left\" needs \"max_velocity_rad_s\", the largest goal in either direction: above 0, up to 49.089"
+    );
+    assert!(
+        error("XM430-W350", "dynamixel2", "mode = \"effort\"\nmax_current_a = 9.0").contains("up to 3.209")
+    );
+    assert!(
+        error("XM430-W350", "dynamixel2", &format!("{WHEELS}\ncommand_timeout_s = 0.001"))
+            .contains("has the command_timeout_s 0.001: 0.02 (two cycles) to 60")
+    );
+    assert!(
+        error("XM430-W350", "dynamixel2", &format!("{WHEELS}\nregisters = {{ operating_mode = 4 }}"))
+            .contains("\"operating_mode\" cannot be set by a description")
+    );
+}
