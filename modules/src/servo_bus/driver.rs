@@ -504,10 +504,11 @@ impl Driver {
             }
             let link = self.link(*unit);
             if answer.is_some() {
-                link.misses = 0;
+                (link.misses, link.unheard) = (0, 0);
                 continue;
             }
             link.missed += 1;
+            link.unheard = link.unheard.saturating_add(1);
             let is_first = answered.first_missing == Some(position);
             if is_first || answered.chain_went_on {
                 link.misses += 1;

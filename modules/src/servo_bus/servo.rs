@@ -13,6 +13,10 @@ const GUARD_DELAY: Duration = Duration::from_secs(1);
 /// How often a change of the torque is written: nobody acknowledges it.
 const TORQUE_WRITES: u8 = 3;
 
+/// The number of consecutive reads without an answer after which data is stale: a device behind a silent one in a read of several
+/// misses two until the silent one is left out.
+const UNHEARD: u32 = 3;
+
 /// Whether a device is in service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Service {
@@ -30,8 +34,10 @@ pub(crate) enum Service {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Link {
     pub(crate) service: Service,
-    /// The number of consecutive missing answers.
+    /// The number of consecutive missing answers of which it is the cause.
     pub(crate) misses: u32,
+    /// The number of consecutive reads without its answer, whatever the cause; [`UNHEARD`] before the first answer.
+    pub(crate) unheard: u32,
     /// How many times it stopped answering.
     pub(crate) outages: Counted,
     /// The total number of missing answers.
@@ -43,16 +49,17 @@ pub(crate) struct Link {
 impl Link {
     pub(crate) fn new() -> Self {
         let (outages, error) = (Counted::default(), StatusError::NONE);
-        Self { service: Service::Unknown, misses: 0, outages, missed: 0, error }
+        Self { service: Service::Unknown, misses: 0, unheard: UNHEARD, outages, missed: 0, error }
     }
 
     pub(crate) fn is_active(&self) -> bool {
         self.service == Service::Active
     }
 
-    /// Returns whether its data is stale: it is not in service, or missed its last answers.
+    /// Returns whether its data is stale: it is not in service, missed its last answers, or has not answered since it came into
+    /// service.
     pub(crate) fn is_stale(&self) -> bool {
-        !self.is_active() || self.misses >= 2
+        !self.is_active() || self.misses >= 2 || self.unheard >= UNHEARD
     }
 
     /// When to poll it again, if it is out of service.
@@ -65,7 +72,7 @@ impl Link {
 
     pub(crate) fn join(&mut self) {
         self.service = Service::Active;
-        self.misses = 0;
+        (self.misses, self.unheard) = (0, UNHEARD);
     }
 }
 

@@ -311,15 +311,16 @@ impl Unit {
         }
     }
 
-    /// Checks what a write would leave in the table.
-    fn check(&self, after: &Unit, address: u16, data: &[u8]) -> Result<(), StatusError> {
+    /// Checks the table that a write would leave.
+    fn check(&self, after: &[u8], address: u16, data: &[u8]) -> Result<(), StatusError> {
+        let after = |register: &Register| register.raw_in(self.protocol, after, 0).unwrap_or(0);
         let written = address..address + data.len() as u16;
         let is_touched =
             |register: &&Register| register.address < written.end && written.start < register.end();
         let is_modern = self.protocol == Protocol::Dynamixel2;
         let locked = if is_modern { self.is_torque_enabled() } else { self.get_named("lock") == Some(1) };
         for register in self.model.registers.iter().filter(is_touched) {
-            let value = after.get(register);
+            let value = after(register);
             match register.access {
                 Access::Read if is_modern => return Err(StatusError::ACCESS),
                 Access::Read => return Err(StatusError::RANGE),
@@ -332,9 +333,10 @@ impl Unit {
                 _ => {}
             }
         }
-        let limits = (after.get_named("min_position_limit"), after.get_named("max_position_limit"));
+        let limit = |name| self.model.register(name).map(after);
+        let limits = (limit("min_position_limit"), limit("max_position_limit"));
         if let (Some((joint, _)), (Some(min), Some(max))) = (&self.joint, limits) {
-            let goal = after.get(&joint.registers.goal);
+            let goal = after(&joint.registers.goal);
             let changed = goal != self.get(&joint.registers.goal);
             if changed && min < max && !(min..=max).contains(&goal) {
                 return Err(StatusError::ANGLE_LIMIT);
@@ -389,15 +391,8 @@ impl Device for Unit {
         let mut memory = self.memory.clone();
         let target = memory.get_mut(begin..begin + data.len()).filter(|target| !target.is_empty());
         target.ok_or(StatusError::RANGE)?.copy_from_slice(data);
-        let after = Unit {
-            memory,
-            model: Arc::clone(&self.model),
-            joint: self.joint.clone(),
-            registered: None,
-            ..*self
-        };
-        self.check(&after, address, data)?;
-        self.memory = after.memory;
+        self.check(&memory, address, data)?;
+        self.memory = memory;
         Ok(())
     }
 

@@ -56,13 +56,27 @@ fn endure(kind: usize, seconds: usize) {
     run.exchanges.take();
     let (mut fresh, mut states, mut controlled, mut longest_gap, mut gap) = (0, 0, 0, 0, [0; 4]);
     let mut last: Option<JointState> = None;
+    let mut unheard = [0_usize; 4];
     for second in 0..seconds {
         let angle = [0.8, -0.8, f64::NAN, 3.0, -1e300, 0.0][second % 6];
         run.command(&[("pan", angle), ("lift", -angle), ("elbow", angle), ("wrist", angle / 2.0)]);
-        for state in run.cycles(100) {
+        let cycles: Vec<(JointState, [usize; 4])> = (0..100)
+            .flat_map(|_| {
+                let (state, exchanges) = (run.cycles(1).pop(), run.exchanges.take());
+                controlled += exchanges.iter().filter(|exchange| check_goals(&plan, exchange)).count();
+                let heard = heard(&plan, &exchanges);
+                for (unheard, is_heard) in unheard.iter_mut().zip(heard) {
+                    *unheard = if is_heard { 0 } else { *unheard + 1 };
+                }
+                state.map(|state| (state, unheard))
+            })
+            .collect();
+        for (state, unheard) in cycles {
             states += 1;
             for (joint, gap) in gap.iter_mut().enumerate() {
                 let is_stale = state.velocity[joint].is_nan();
+                assert!(is_stale || unheard[joint] < 3, "old data is shown as fresh: {unheard:?} {state:?}");
+                assert!(!is_stale || unheard[joint] > 0, "fresh data is shown as old: {state:?}");
                 fresh += usize::from(!is_stale);
                 *gap = if is_stale { *gap + 1 } else { 0 };
                 longest_gap = longest_gap.max(*gap);
@@ -76,13 +90,44 @@ fn endure(kind: usize, seconds: usize) {
             }
             last = Some(state);
         }
-        controlled += run.exchanges.take().iter().filter(|exchange| check_goals(&plan, exchange)).count();
     }
     let cycles = seconds * 100;
     assert!(controlled >= cycles - 1, "{model}: goals in {controlled} of {cycles} cycles");
     assert!(states > cycles * 95 / 100, "{model}: {states} states in {cycles} cycles");
     assert!(fresh > states * 4 * 9 / 10, "{model}: {fresh} of {} samples are fresh", states * 4);
     assert!(longest_gap < 600, "{model}: a joint was stale for {longest_gap} cycles");
+}
+
+/// Which joints' measurements are in valid answers among these exchanges, as an independent reading of the bytes.
+fn heard(plan: &BusPlan, exchanges: &[BusExchange]) -> [bool; 4] {
+    use crate::servo_bus::protocol::{Instruction, Packet, Receiver, Status, split_joined};
+    let mut heard = [false; 4];
+    let mut hear = |status: Status| {
+        let joint = plan.joints.iter().position(|joint| {
+            joint.id == status.id && usize::from(joint.registers.span().1) == status.parameters.len()
+        });
+        if let Some(joint) = joint {
+            heard[joint] = true;
+        }
+    };
+    for exchange in exchanges {
+        let packet = Packet::new_checked(plan.line.protocol, &exchange.instruction);
+        let instruction = packet.ok().and_then(|packet| Instruction::parse(&packet).ok());
+        if let Some(Instruction::FastSyncRead { length, ids, .. }) = instruction {
+            let requested: Vec<_> = ids.into_iter().map(|id| (id, length)).collect();
+            split_joined(&exchange.reply, &requested).into_iter().for_each(&mut hear);
+            continue;
+        }
+        let mut receiver = Receiver::new(plan.line.protocol);
+        receiver.push(&exchange.reply);
+        receiver.end();
+        while let Some(packet) = receiver.next_packet() {
+            if let Ok(status) = Status::parse(&packet) {
+                hear(status);
+            }
+        }
+    }
+    heard
 }
 
 /// Asserts that all goals in an instruction are within the limits of their joints. Returns false if it has none.
