@@ -1,5 +1,5 @@
-//! Tests the pages for users: runs every command in `sh` blocks and transcripts, and reads every robot file
-//! in `toml` blocks. Rust snippets are compiled as documentation tests (`src/lib.rs`).
+//! Tests the pages for users: runs every command in `sh` blocks and transcripts, and reads every robot file,
+//! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests (`src/lib.rs`).
 //!
 //! A `ros2` command is replaced by the `downbeat` command with the same arguments.
 #![allow(clippy::unwrap_used, missing_docs)]
@@ -12,16 +12,21 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::{Running, WATCHDOG, downbeat, robot_file};
+use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 9] = [
+const PAGES: [&str; 13] = [
     "README.md",
     "docs/bags.md",
+    "docs/darwin_op.md",
     "docs/look.md",
     "docs/look_inside.md",
     "docs/messages.md",
+    "docs/physics.md",
     "docs/robot_files.md",
     "docs/ros2_users.md",
+    "docs/servos.md",
+    "docs/walking.md",
     "docs/your_robot.md",
     "modules/README.md",
 ];
@@ -32,9 +37,9 @@ const ELSEWHERE: [&str; 11] = [
     "cargo test",
     "cargo run -- new",
     "cargo run -- run robot.toml",
-    "cargo run --release --features physics", // tests/walking.rs, as the next two
-    "ros2 topic pub -r 10 /cmd_vel",
-    "ros2 topic pub --once /push",
+    "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
+    "downbeat servo scan",                    // tests/servos.rs
+    "echo 1 | sudo",
     "cargo install",
     "cd ",
     "sudo ",
@@ -57,6 +62,25 @@ const ENDLESS: [&[&str]; 9] = [
 /// Commands that need a running robot.
 const NEEDS_ROBOT: [&str; 10] =
     ["top", "trace", "expose", "topic", "node", "service", "param", "action", "lifecycle", "ros2"];
+
+/// What commands name that need the walking robot.
+const WALKS: [&str; 5] = ["/cmd_vel", "/push", "/motions/", "/odom", "gait"];
+
+/// A servo that was never configured.
+const NEW_SERVO: &str = r#"
+name = "new"
+[[bus]]
+name = "bus"
+port = "unused"
+baud = 1_000_000
+protocol = "feetech_sts"
+cycle_ms = 10
+[[joint]]
+name = "joint"
+id = 1
+model = "STS3215"
+limits = [-1.0, 1.0]
+"#;
 
 struct Block {
     page: &'static str,
@@ -114,6 +138,21 @@ fn every_robot_file_on_a_page_is_read() {
         if text.contains("[dependencies]") || text.contains("[package]") {
             continue;
         }
+        if text.contains("[[bus]]") || text.contains("[[joint]]") || text.contains("[[device]]") {
+            let bus = NEW_SERVO.split("[[joint]]").next().unwrap().replace("feetech_sts", "dynamixel2");
+            let whole = if text.contains("[[bus]]") { text } else { bus + &text };
+            Description::parse("description", &whole)
+                .map_err(|error| format!("{page}:{line}: {error}"))
+                .unwrap();
+            continue;
+        }
+        if text.contains("[floor]") {
+            #[cfg(feature = "physics")]
+            downbeat_physics::WorldFile::parse(&text, "world")
+                .map_err(|error| format!("{page}:{line}: {error}"))
+                .unwrap();
+            continue;
+        }
         let folder = tempfile::tempdir().unwrap();
         let mut file = String::new();
         if !text.contains("[robot]") {
@@ -133,9 +172,41 @@ fn every_robot_file_on_a_page_is_read() {
 }
 
 #[test]
+fn the_robot_on_the_page_about_robots_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = || blocks().into_iter().filter(|block| block.page == "docs/your_robot.md");
+    let written = |name: &str, part: &str| {
+        let block = page().find(|block| block.language == "toml" && block.text.contains(part)).unwrap();
+        std::fs::write(folder.path().join(name), block.text).unwrap();
+    };
+    written("robot_servos.toml", "[[bus]]");
+    written("robot.toml", "[robot]");
+    let robot = folder.path().join("robot.toml");
+    let output = common::text_of(&["run", robot.to_str().unwrap(), "--fast", "--duration", "2s"]);
+    assert!(!output.contains("WARN") && !output.contains("ERROR"), "{output}");
+}
+
+#[test]
+fn the_names_of_robotis_can_be_exposed() {
+    let folder = tempfile::tempdir().unwrap();
+    let is_page = |block: &Block| block.page == "docs/darwin_op.md" && block.text.contains("/robotis/");
+    let block = blocks().into_iter().find(is_page).unwrap();
+    let robot = robot_file(folder.path(), |text| {
+        let modules = text.split("[expose]").next().unwrap();
+        format!("{modules}\n[[module]]\nkind = \"imu_filter\"\n{}", block.text)
+    });
+    let checked = common::text_of(&["check", robot.to_str().unwrap()]);
+    for name in ["present_joint_states", "goal_joint_states", "open_cr/imu", "set_joint_states"] {
+        assert!(checked.contains(&format!("/robotis/{name}")), "{name}: {checked}");
+    }
+}
+
+#[test]
 fn every_command_on_a_page_runs() {
     let place = Place::new();
-    let mut robot: Option<Running> = None;
+    // With whether it walks.
+    let mut robot: Option<(bool, Running)> = None;
+    let mut servo: Option<Running> = None;
     let mut done = BTreeSet::new();
     let mut problems = Vec::new();
     for (page, command) in commands() {
@@ -145,7 +216,19 @@ fn every_command_on_a_page_runs() {
         let rewritten = command
             .replace("cargo run --release -- ", "downbeat ")
             .replace("ros2 ", "downbeat ")
-            .replace("/tmp/robot", place.folder.join("emulated").to_str().unwrap());
+            .replace("/tmp/robot", place.folder.join("emulated").to_str().unwrap())
+            .replace("/tmp/arm", place.folder.join("arm").to_str().unwrap());
+        let walks = WALKS.iter().any(|part| command.contains(part));
+        if walks && !cfg!(feature = "physics") {
+            continue;
+        }
+        let rewritten = if command.starts_with("downbeat servo ") {
+            servo.get_or_insert_with(|| place.start_servo());
+            // Answers on a busy machine are late.
+            rewritten.replace("/dev/ttyUSB0", "ttyUSB0 --timeout-ms 200")
+        } else {
+            rewritten
+        };
         let words: Vec<&str> =
             rewritten.split_whitespace().skip_while(|word| *word != "downbeat").skip(1).collect();
         let Some(first) = words.first() else {
@@ -159,16 +242,17 @@ fn every_command_on_a_page_runs() {
             continue; // needs the feature `sqlite`: bags/tests/bags/sqlite.rs
         }
         let needs_robot = NEEDS_ROBOT.contains(first) || command.starts_with("ros2 ") || words == ["graph"];
-        if needs_robot && robot.is_none() {
-            robot = Some(place.start_robot());
-        } else if !needs_robot && let Some(mut robot) = robot.take() {
+        if let Some((_, mut robot)) = robot.take_if(|(is_walking, _)| !needs_robot || *is_walking != walks) {
             robot.interrupt();
+        }
+        if needs_robot && robot.is_none() {
+            robot = Some((walks, place.start_robot(walks)));
         }
         place.prepare_for(&words);
         problems.extend(place.run(&page, &command, &rewritten, &words));
     }
-    if let Some(mut robot) = robot.take() {
-        robot.interrupt();
+    for mut running in robot.into_iter().map(|(_, robot)| robot).chain(servo) {
+        running.interrupt();
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));
     assert!(done.len() > 20, "only {} commands were found", done.len());
@@ -186,9 +270,15 @@ impl Place {
         let temporary = tempfile::tempdir().unwrap();
         let folder = temporary.path().to_owned();
         std::fs::create_dir(folder.join("robots")).unwrap();
-        // One of the pages changes what is exposed with the service.
-        let demo =
-            robot_file(&folder, |text| text.replace("[expose]\n", "[expose]\nexpose_service = true\n"));
+        // One of the pages changes what is exposed with the service, another one switches the torque.
+        let exposed = "[expose]\nexpose_service = true\nservices = [\"torque\"]\n";
+        let demo = robot_file(&folder, |text| text.replace("[expose]\n", exposed));
+        std::fs::create_dir(folder.join("robots/servos")).unwrap();
+        for name in ["so101.toml", "servos/so101.toml"] {
+            let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(name);
+            std::fs::copy(from, folder.join("robots").join(name)).unwrap();
+        }
+        std::fs::write(folder.join("new_servo.toml"), NEW_SERVO).unwrap();
         std::fs::rename(demo, folder.join("robots/darwin_op.toml")).unwrap();
         std::fs::write(folder.join("robot.toml"), common::QUIET_ROBOT).unwrap();
         Self { folder, _temporary: temporary, domain: "118".into() }
@@ -203,10 +293,21 @@ impl Place {
         command
     }
 
-    fn start_robot(&self) -> Running {
-        let robot = Running::start_by(self.command().args(["run", "robots/darwin_op.toml"]));
+    fn start_robot(&self, walks: bool) -> Running {
+        let walking = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/darwin_op_walks.toml");
+        let file = if walks { walking } else { "robots/darwin_op.toml" };
+        let robot = Running::start_by(self.command().args(["run", file]));
         robot.wait_for_output("exposed to ROS 2: /joint_states");
         robot
+    }
+
+    /// Starts an emulated servo at `ttyUSB0`.
+    fn start_servo(&self) -> Running {
+        let port = self.folder.join("ttyUSB0");
+        let emulate = ["emulate", "servos", "new_servo.toml", "--link", "ttyUSB0"];
+        let servo = Running::start_by(self.command().args(emulate));
+        common::wait_until("the emulated servo is there", || port.exists());
+        servo
     }
 
     /// Creates the bags that a command reads, and removes existing outputs.

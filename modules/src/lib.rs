@@ -1,5 +1,8 @@
 //! Ready-made robot modules.
 //!
+//! - [`servo_bus`]: the hardware of any robot of serial servos, which a file describes;
+//! - [`servo_emulator`]: emulated ones behind a pseudo terminal, or in memory;
+//! - [`controllers`]: as users of ros2_control know them;
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`device`]: for use in modules: devices whose answers are recorded and replayed;

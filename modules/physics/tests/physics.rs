@@ -5,6 +5,7 @@ use downbeat_executor::{Inbox, ModuleOptions, Received};
 use downbeat_kinematics::Robot;
 use downbeat_modules::stand_nod_wave::StandNodWave;
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
+use downbeat_msgs::std_msgs::msg::Float64MultiArray;
 use downbeat_physics::{
     Ball, Model, Posture, SimulatedRobot, SimulationError, SimulationOptions, Start, Variation, WorldFile,
 };
@@ -44,6 +45,21 @@ fn it_stands_for_a_minute() {
     let forces = robot.snapshot().foot_forces;
     let weight: f64 = forces.left.iter().chain(&forces.right).sum();
     assert!((weight / 9.806_65 - 2.925).abs() < 0.15, "{weight} N on {forces:?}");
+}
+
+#[test]
+fn the_feet_measure_the_weight() {
+    let mut robot = robot();
+    let settings = [("foot_sensors".to_owned(), true.into())].into();
+    robot.add_hardware(ModuleOptions { settings, ..ModuleOptions::default() }).unwrap();
+    let feet =
+        ["foot_pressure/right", "foot_pressure/left"].map(|foot| last::<Float64MultiArray>(&mut robot, foot));
+    robot.run_for(3 * SECOND).unwrap();
+    let feet = feet.map(|foot| take(&foot).data);
+    let weight: f64 = feet.iter().flat_map(|foot| &foot[..4]).sum();
+    // A corner with less than half a newton measures nothing.
+    assert!((weight / 9.806_65 - 2.925).abs() < 0.5, "{weight} N on {feet:?}");
+    assert!(feet.iter().all(|foot| foot[4..].iter().all(|centre| centre.abs() <= 1.01)), "{feet:?}");
 }
 
 #[test]

@@ -96,6 +96,8 @@ pub(crate) struct Driver {
     pub(crate) to_write: VecDeque<WriteEntry>,
     last_step_at: Option<Time>,
     board_misses: u32,
+    /// Whether a device that comes back is fresh before its first answer.
+    comes_back_fresh: bool,
     port_wait: Duration,
     retry_any_at: Time,
 }
@@ -116,9 +118,15 @@ impl Driver {
             to_write: VecDeque::new(),
             last_step_at: None,
             board_misses: 0,
+            comes_back_fresh: false,
             port_wait: RETRY_PORT[0],
             retry_any_at: Time::ZERO,
         }
+    }
+
+    /// Shows the last measurement of a servo that comes back as fresh for one cycle, as recorded bags of the Darwin OP do.
+    pub(crate) fn as_recorded(self) -> Self {
+        Self { comes_back_fresh: true, ..self }
     }
 
     /// Does one step. Returns the reading if the robot is running.
@@ -301,6 +309,9 @@ impl Driver {
                         self.arm_watchdog(&plan.joints[index], plan.line.protocol);
                     }
                     Unit::Device(_) => self.link(unit).join(),
+                }
+                if self.comes_back_fresh {
+                    self.link(unit).unheard = 0;
                 }
             }
             Err(PrepareError::Trouble(Trouble::PortFailed)) => return Err(PortFailed),

@@ -28,7 +28,7 @@ pub(crate) struct Hardware {
     pub(crate) plan: BusPlan,
     pub(crate) hardware_id: String,
     pub(crate) joint_frame: String,
-    /// Whether diagnostics report late cycles.
+    /// Whether diagnostics report late cycles, which those in recorded bags of the Darwin OP do not.
     reports_cycles: bool,
     exchanges: Vec<Exchange>,
     unknown_names: Counted,
@@ -58,7 +58,7 @@ impl Hardware {
     pub(crate) fn new(bus: Box<dyn Bus>, plan: BusPlan, reports_cycles: bool) -> Self {
         Self {
             bus,
-            driver: Driver::new(plan.joints.len(), plan.devices.len()),
+            driver: driver_of(&plan, reports_cycles),
             hardware_id: plan.title.clone(),
             plan,
             joint_frame: String::new(),
@@ -72,7 +72,7 @@ impl Hardware {
 
     /// Drives this robot from now on, which may have other devices. Only before the first step.
     pub(crate) fn describe(&mut self, plan: BusPlan) {
-        self.driver = Driver::new(plan.joints.len(), plan.devices.len());
+        self.driver = driver_of(&plan, self.reports_cycles);
         self.plan = plan;
     }
 
@@ -237,6 +237,11 @@ impl Hardware {
         }
         message
     }
+}
+
+fn driver_of(plan: &BusPlan, reports_cycles: bool) -> Driver {
+    let driver = Driver::new(plan.joints.len(), plan.devices.len());
+    if reports_cycles { driver } else { driver.as_recorded() }
 }
 
 /// A header with that stamp.
