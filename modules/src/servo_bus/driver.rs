@@ -125,7 +125,7 @@ impl Driver {
     }
 
     /// Shows the last measurement of a servo that comes back as fresh for one cycle, as recorded bags of the Darwin OP do.
-    pub(crate) fn as_recorded(self) -> Self {
+    pub(crate) fn with_recorded_freshness(self) -> Self {
         Self { comes_back_fresh: true, ..self }
     }
 

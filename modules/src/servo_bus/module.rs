@@ -241,7 +241,7 @@ impl Hardware {
 
 fn driver_of(plan: &BusPlan, reports_cycles: bool) -> Driver {
     let driver = Driver::new(plan.joints.len(), plan.devices.len());
-    if reports_cycles { driver } else { driver.as_recorded() }
+    if reports_cycles { driver } else { driver.with_recorded_freshness() }
 }
 
 /// A header with that stamp.

@@ -393,6 +393,10 @@ pub(crate) fn prepare(
         .chain(torque_limit)
         .partition(|(register, _)| is_persistent(register));
     prepare_device(line, joint.id, &joint.model, &persistent)?;
+    if let (Some(watchdog), true) = (joint.model.register("bus_watchdog"), joint.drive.is_some()) {
+        // One that has stopped the servo lets nothing else be written.
+        line.write(joint.id, watchdog.address, &watchdog.bytes(protocol, 0))?;
+    }
     let position = line.read(joint.id, registers.position.address, registers.position.size)?;
     let position = registers.position.raw_in(protocol, &position, registers.position.address).unwrap_or(0);
     let goal = position.clamp(registers.goal.min, registers.goal.max);

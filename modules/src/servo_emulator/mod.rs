@@ -36,10 +36,11 @@
 //!   status return level, return delay, registered writes; a silent device blocks those after it in a read of several.
 //! - **Tables**: all registers of the models, with ranges, read-only registers, and EEPROM that is locked.
 //! - **Ports**: a device is silent at another speed than that of its register `baud_rate`.
-//! - **Servos**: position control with P gain and torque limit, velocity and current control, without load; temperature. A servo without power loses its RAM.
+//! - **Servos**: position control with P gain and torque limit, velocity and current control, without load; temperature; the
+//!   watchdog of the bus. A servo without power loses its RAM.
 //!
 //! # What is not emulated
-//! Further operating modes; the bus watchdog; speed and acceleration limits, I and D gains, homing offsets; shutdown on
+//! Further operating modes; speed and acceleration limits, I and D gains, homing offsets; shutdown on
 //! overload, overheating or a wrong voltage; the values of sensors on devices beside servos, except an IMU that stands still.
 
 mod body;

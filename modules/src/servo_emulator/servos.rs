@@ -21,6 +21,8 @@ const NO_LOAD_RAD_S: f64 = 5.0;
 const MOTOR_LAG_S: f64 = 0.02;
 /// The share of the full drive below which a joint does not move.
 const FRICTION: f64 = 0.006;
+/// What the register `bus_watchdog` reads once it has stopped the servo. Goals cannot be written until it is 0.
+const HAS_STOPPED: i64 = 255;
 const STALL_CURRENT_A: f64 = 2.0;
 /// Of the velocity control: how much of an error is added to the goal.
 const VELOCITY_GAIN: f64 = 2.0;
@@ -133,7 +135,12 @@ impl Devices for Servos {
         }
         let (protocol, baud) = (self.plan.line.protocol, self.baud);
         let awake = self.units.iter_mut().filter(|unit| unit.has_power && unit.baud() == baud);
-        let mut awake: Vec<&mut dyn Device> = awake.map(|unit| unit as &mut dyn Device).collect();
+        let mut awake: Vec<&mut dyn Device> = awake
+            .map(|unit| {
+                unit.unheard_s = 0.0;
+                unit as &mut dyn Device
+            })
+            .collect();
         let answers = answer(protocol, &mut awake, packet, is_lost);
         self.switch_power();
         answers
@@ -153,6 +160,8 @@ pub(crate) struct Unit {
     is_dead: bool,
     has_power: bool,
     celsius: f64,
+    /// The time since the last instruction on the bus, in s.
+    unheard_s: f64,
     /// The speed of a bus with models that do not know it.
     bus_baud: u32,
 }
@@ -170,6 +179,7 @@ impl Unit {
             is_dead: false,
             has_power: false,
             celsius: AMBIENT_CELSIUS + 2.0,
+            unheard_s: 0.0,
             bus_baud: line.baud,
         };
         for register in &model.registers {
@@ -286,8 +296,23 @@ impl Unit {
         let drive = body.joint(*index).drive;
         let heating = drive * drive * HEATING_PER_S;
         self.celsius += (heating - (self.celsius - AMBIENT_CELSIUS) / COOLING_TIME_S) * dt;
+        self.unheard_s += dt;
         if self.has_power {
+            self.watch();
             self.show(body);
+        }
+    }
+
+    /// The watchdog of the bus: stops a servo that hears no instructions.
+    fn watch(&mut self) {
+        let model = Arc::clone(&self.model);
+        let Some(watchdog) = model.register("bus_watchdog") else { return };
+        let raw = self.get(watchdog);
+        if (1..=watchdog.max).contains(&raw) && self.unheard_s >= watchdog.to_si(raw) {
+            self.set(watchdog, HAS_STOPPED);
+            for name in ["goal_velocity", "goal_current"] {
+                self.set_named(name, 0);
+            }
         }
     }
 
@@ -321,6 +346,9 @@ impl Unit {
         let locked = if is_modern { self.is_torque_enabled() } else { self.get_named("lock") == Some(1) };
         for register in self.model.registers.iter().filter(is_touched) {
             let value = after(register);
+            if register.name.starts_with("goal_") && self.get_named("bus_watchdog") == Some(HAS_STOPPED) {
+                return Err(StatusError::RANGE);
+            }
             match register.access {
                 Access::Read if is_modern => return Err(StatusError::ACCESS),
                 Access::Read => return Err(StatusError::RANGE),

@@ -124,7 +124,26 @@ fn servos_with_a_watchdog_stop_by_themselves_if_nobody_speaks() {
         .filter(|e| e.instruction.get(7..10) == Some(&[3, 98, 0][..]))
         .map(|exchange| (exchange.instruction[4], exchange.instruction[10]))
         .collect();
-    assert_eq!(watchdogs, [(1, 0), (1, 25), (2, 0), (2, 25)], "25 steps of 20 ms");
+    assert_eq!(watchdogs, [(1, 0), (2, 0), (1, 0), (1, 25), (2, 0), (2, 25)], "25 steps of 20 ms");
+
+    // The cable is pulled for a second.
+    run.driven(50, |run| run.velocities(&[("left", 1.0)]));
+    let before = run.driven(20, |run| run.velocities(&[("left", 1.0)]));
+    run.emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_secs(1)));
+    run.cycles(300);
+    let after = run.cycles(1).pop().unwrap();
+    let turned = position(&after, "left") - position(&before, "left");
+    assert!((0.4..0.65).contains(&turned), "it turns for half a second: {turned} rad");
+    assert!(run.health.status.iter().all(|part| part.level == DiagnosticStatus::OK), "{:?}", run.health);
+    near(run.driven(50, |run| run.velocities(&[("left", 1.0)])).velocity[0], 1.0, 0.1);
+
+    // The program does nothing for a second.
+    run.clock.advance(Duration::from_secs(1));
+    let state = run.driven(60, |run| run.velocities(&[("left", 1.0)]));
+    near(state.velocity[0], 1.0, 0.1);
+    run.cycles(100);
+    let rest = run.cycles(1).pop().unwrap();
+    assert_eq!(rest.velocity[0], 0.0);
 }
 
 #[test]
