@@ -2,6 +2,7 @@
 
 mod matrix;
 mod node;
+mod physics;
 mod python;
 mod steps;
 mod test;
@@ -28,6 +29,13 @@ enum Command {
     Wire,
     /// The wheel of the Python package, for release, under target/wheels; prints its path.
     Wheel,
+    /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each, minutes; prints how
+    /// many succeed. See `--help` behind `--` for options: seeds, tasks, and the engine.
+    Physics {
+        /// Options of the run
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,
     /// Only the npm packages under target/node; prints their folder, or nothing if there is no Node.js.
@@ -39,6 +47,7 @@ fn main() -> ExitCode {
         Command::Test => test::test(),
         Command::Wire => wire::wire(),
         Command::Wheel => wheel::build("release").map(|path| println!("{}", path.display())),
+        Command::Physics { arguments } => physics::physics(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
         Command::Node => {
             node::modules().map(|path| path.iter().for_each(|path| println!("{}", path.display())))

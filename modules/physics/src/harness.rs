@@ -2,7 +2,7 @@
 
 use crate::model::Model;
 use crate::simulation::{Request, Simulation, SimulationError, SimulationOptions, Snapshot};
-use crate::world::{Posture, Start, Variation};
+use crate::world::{Engine, Posture, Start, Variation};
 use crate::world_file::WorldFile;
 use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, RunError, SetupError, Time};
 use downbeat_kinematics::Robot;
@@ -29,6 +29,7 @@ impl SimulationOptions {
             start: Start::walking_ready(),
             step: Duration::from_millis(4),
             variation: Variation::default(),
+            engine: Engine::default(),
         }
     }
 }

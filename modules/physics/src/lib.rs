@@ -4,6 +4,7 @@
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
 //! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_modules::darwin_op_emulator::Body)) in its world;
 //! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera, services;
+//! - [`tasks`] are what a walking robot has to be able to do;
 //! - [`WorldFile`] describes what is around the robot.
 //!
 //! ```
@@ -33,11 +34,12 @@ mod harness;
 mod model;
 mod simulation;
 pub mod simulator;
+pub mod tasks;
 mod world;
 mod world_file;
 
 pub use harness::{DARWIN_OP, SimulatedRobot, SimulatedRunError};
 pub use model::{Body, Joint, Model, ModelError, Shape};
 pub use simulation::{Request, RunState, Simulation, SimulationError, SimulationOptions, Snapshot};
-pub use world::{ENGINE, Motion, Posture, Start, Variation};
+pub use world::{Engine, EngineError, Motion, Posture, Start, Variation};
 pub use world_file::{Ball, Block, Field, Floor, WorldFile, WorldFileError};

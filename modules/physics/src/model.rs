@@ -15,6 +15,9 @@ pub struct Model {
     pub bodies: Vec<Body>,
     /// All links of the description: the body each belongs to, and its pose in that body.
     pub frames: BTreeMap<String, (usize, Isometry)>,
+    /// The description as MJCF.
+    #[cfg(feature = "mujoco")]
+    pub(crate) mjcf: String,
 }
 
 /// A rigid body.
@@ -118,7 +121,13 @@ impl Model {
     /// If a joint is not revolute, a body has no mass, or a collision shape is a mesh.
     pub fn new(robot: &Robot) -> Result<Self, ModelError> {
         let file = || robot.file().to_owned();
-        let mut model = Self { name: robot.name().to_owned(), bodies: Vec::new(), frames: BTreeMap::new() };
+        let mut model = Self {
+            name: robot.name().to_owned(),
+            bodies: Vec::new(),
+            frames: BTreeMap::new(),
+            #[cfg(feature = "mujoco")]
+            mjcf: downbeat_kinematics::to_mjcf(robot, downbeat_kinematics::Root::Free)?,
+        };
         for body in robot.bodies()? {
             let link = &robot.link(body.link).name;
             let mass = body.mass.ok_or_else(|| ModelError::Mass { file: file(), link: link.clone() })?;

@@ -6,11 +6,11 @@
 //! `torque = stall * (drive * supply / 12 V) - stall / speed * velocity` (1)
 //!
 //! whose second term is the back-EMF of the motor; `stall` and `speed` are `effort` and `velocity` of the joint's
-//! limit in the description, both at 12 V. rapier solves (1) implicitly, as a spring to the goal and a damper: the drive
+//! limit in the description, both at 12 V. Engines solve (1) as a spring to the goal and a damper: the drive
 //! is limited by moving the goal nearer. Within the free play of the gear there is no torque.
 
 use crate::model::Model;
-use crate::world::{JointDrive, Motion, Start, Variation, World};
+use crate::world::{Engine, EngineError, JointDrive, Motion, Plan, Start, Variation, World};
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
 use downbeat_modules::darwin_op_emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
@@ -34,6 +34,8 @@ pub struct SimulationOptions {
     pub step: Duration,
     /// How it differs from its description.
     pub variation: Variation,
+    /// What computes how the bodies move.
+    pub engine: Engine,
 }
 
 /// Why a robot cannot be simulated.
@@ -55,6 +57,9 @@ pub enum SimulationError {
         /// The given step.
         found: Duration,
     },
+    /// The engine cannot be used.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
     /// The robot starts inside something.
     #[error("the robot starts {depth:.3} m inside \"{other}\" of the world \"{world}\"; move one of them")]
     Overlap {
@@ -101,8 +106,8 @@ pub struct Snapshot {
     pub camera: Option<Isometry>,
     /// Everything that is not of the robot, except the floor: name, whether it can move, motion.
     pub things: Vec<(String, bool, Motion)>,
-    /// The forces on the soles.
-    pub foot_forces: FootForces,
+    /// The forces on the soles; `None` if the engine does not say.
+    pub foot_forces: Option<FootForces>,
 }
 
 /// What somebody asks of a simulation; takes effect when the next step of the owner of the bus begins.
@@ -148,7 +153,7 @@ struct State {
     servos: [ServoJoint; COUNT],
     imu_frame: (usize, Isometry),
     camera: Option<(usize, Isometry)>,
-    world: World,
+    world: Box<dyn World>,
     drives: Vec<JointDrive>,
     run: RunState,
     steps_left: u64,
@@ -180,7 +185,7 @@ impl Simulation {
     /// Builds the world, with the robot at its start.
     ///
     /// # Errors
-    /// If the robot lacks the joint of a servo or the mass of a link, starts inside something, or the step is not possible.
+    /// If the robot lacks the joint of a servo or the mass of a link, starts inside something, or step or engine is not possible.
     pub fn new(options: SimulationOptions) -> Result<Self, SimulationError> {
         let SimulationOptions { model, step, variation, .. } = &options;
         if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
@@ -200,7 +205,7 @@ impl Simulation {
         }
         let frame = |name: &str| model.frames.get(name).copied();
         let (imu_frame, camera) = (frame("imu_link").unwrap_or_default(), frame("camera_optical_frame"));
-        let world = options.new_world();
+        let world = options.new_world()?;
         if let Some((other, depth)) = world.overlap_of_robot() {
             let (world, other) = (options.world.name.clone(), other.to_owned());
             return Err(SimulationError::Overlap { world, other, depth });
@@ -213,7 +218,7 @@ impl Simulation {
             robot: Motion { world_from_body: Isometry::IDENTITY, linear: DVec3::ZERO, angular: DVec3::ZERO },
             camera: None,
             things: Vec::new(),
-            foot_forces: FootForces::default(),
+            foot_forces: None,
         };
         let mut state = State {
             servos,
@@ -275,8 +280,9 @@ impl Simulation {
 }
 
 impl SimulationOptions {
-    fn new_world(&self) -> World {
-        World::new(&self.world, &self.model, &self.start, self.step, &self.variation)
+    fn new_world(&self) -> Result<Box<dyn World>, EngineError> {
+        let Self { model, world: file, start, step, variation, engine } = self;
+        crate::world::build(*engine, Plan { file, model, start, step: *step, variation })
     }
 }
 
@@ -296,7 +302,7 @@ impl Body for Simulation {
     }
 
     fn foot_forces(&self) -> Option<FootForces> {
-        Some(self.state.lock().world.foot_forces())
+        self.state.lock().world.foot_forces()
     }
 
     fn begin_step(&mut self) {
@@ -398,7 +404,7 @@ impl State {
     fn look(&self) -> Snapshot {
         let rest = Motion { world_from_body: Isometry::IDENTITY, linear: DVec3::ZERO, angular: DVec3::ZERO };
         let camera = self.camera.and_then(|(body, at)| self.world.motion_of(body, &at));
-        let others = self.world.things().filter(|(name, _)| *name != "floor");
+        let others = self.world.things().into_iter().filter(|(name, _)| *name != "floor");
         let things = others.filter_map(|(name, can_move)| {
             Some((name.to_owned(), can_move, self.world.motion_of_thing(name)?))
         });
@@ -450,7 +456,10 @@ impl State {
     }
 
     fn reset(&mut self, time: bool) {
-        self.world = self.options.new_world();
+        match self.options.new_world() {
+            Ok(world) => self.world = world,
+            Err(error) => tracing::error!("the world is not reset: {error}"),
+        }
         self.held_for = None;
         self.since_step = Duration::ZERO;
         if time {

@@ -17,7 +17,7 @@ use crate::camera::{Camera, Scene};
 use crate::harness::DARWIN_OP;
 use crate::model::Model;
 use crate::simulation::{Request, Simulation, SimulationOptions, Snapshot};
-use crate::world::{ENGINE, Motion, Posture, Start, Variation};
+use crate::world::{Engine, Motion, Posture, Start, Variation};
 use crate::world_file::WorldFile;
 use downbeat_executor::{
     Context, Job, JobError, Module, Publication, Received, Setting, SettingType, Setup, SetupError, Time,
@@ -240,6 +240,7 @@ struct Settings {
     link: Setting<String>,
     seed: Setting<i64>,
     faults: Setting<Vec<String>>,
+    physics: Setting<String>,
     urdf: Setting<String>,
     world: Setting<String>,
     step_ms: Setting<i64>,
@@ -265,6 +266,11 @@ impl Settings {
             )?,
             seed: setup.read_only_setting("seed", 1_i64, "same seed, same noise and faults")?,
             faults: setup.read_only_setting("faults", Vec::<String>::new(), "as of darwin_op_emulator")?,
+            physics: setup.read_only_setting(
+                "physics",
+                "rapier".to_owned(),
+                "the engine: rapier, or mujoco if it is built in",
+            )?,
             urdf: setup.read_only_setting(
                 "urdf",
                 String::new(),
@@ -313,6 +319,8 @@ impl Settings {
             path => WorldFile::read(Path::new(path))
                 .map_err(|error| setup.refuse_value(self.world, error.to_string()))?,
         };
+        let engine = value(setup, self.physics).parse::<Engine>();
+        let engine = engine.map_err(|error| setup.refuse_value(self.physics, error.to_string()))?;
         let posture = match value(setup, self.posture).as_str() {
             "standing" => Posture::Standing,
             "prone" => Posture::Prone,
@@ -358,7 +366,8 @@ impl Settings {
         let start = Start { posture, position: [x, y], yaw: heading.to_radians(), ..ready };
         // Negative seeds are valid.
         let seed = value(setup, self.seed).cast_unsigned();
-        Ok((SimulationOptions { model, world, start, step: Duration::from_millis(step), variation }, seed))
+        let step = Duration::from_millis(step);
+        Ok((SimulationOptions { model, world, start, step, variation, engine }, seed))
     }
 
     fn faults(&self, setup: &Setup<'_, DarwinOpSimulator>) -> Result<Vec<Fault>, SetupError> {
@@ -386,15 +395,15 @@ fn value<T: SettingType + Clone + Default>(setup: &Setup<'_, DarwinOpSimulator>,
 }
 
 fn report(options: &SimulationOptions, seed: u64, snapshot: &Snapshot) -> DiagnosticStatus {
-    let SimulationOptions { model, world, step, variation, .. } = options;
+    let SimulationOptions { model, world, step, variation, engine, .. } = options;
     let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
     DiagnosticStatus {
         level: DiagnosticStatus::OK,
         name: "simulation".to_owned(),
         message: format!("{}, simulated", model.name),
-        hardware_id: ENGINE.to_owned(),
+        hardware_id: engine.to_string(),
         values: vec![
-            value("engine", ENGINE.to_owned()),
+            value("engine", engine.to_string()),
             value("step_ms", step.as_millis().to_string()),
             value("seed", seed.to_string()),
             value("world", world.name.clone()),

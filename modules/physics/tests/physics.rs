@@ -42,7 +42,7 @@ fn it_stands_for_a_minute() {
     // Resting contacts creep by about half a millimetre per second in steps of 4 ms.
     assert!((moved.translation - start.translation).length() < 0.05, "{start:?} {moved:?}");
     assert!(robot.is_upright());
-    let forces = robot.snapshot().foot_forces;
+    let forces = robot.snapshot().foot_forces.unwrap();
     let weight: f64 = forces.left.iter().chain(&forces.right).sum();
     assert!((weight / 9.806_65 - 2.925).abs() < 0.15, "{weight} N on {forces:?}");
 }

@@ -2,19 +2,21 @@
 
 /// SplitMix64, by Guy L. Steele Jr., Doug Lea and Christine H. Flood (2014).
 #[derive(Clone, Debug)]
-pub(crate) struct Random {
+pub struct Random {
     state: u64,
 }
 
 impl Random {
     /// The sequence for a seed; different `stream`s of the same seed are independent.
-    pub(crate) fn new(seed: u64, stream: u64) -> Self {
+    #[must_use]
+    pub fn new(seed: u64, stream: u64) -> Self {
         let mut random = Self { state: seed ^ stream.wrapping_mul(0xD1B5_4A32_D192_ED03) };
         random.next_u64();
         random
     }
 
-    pub(crate) fn next_u64(&mut self) -> u64 {
+    /// A number of which all bits are random.
+    pub fn next_u64(&mut self) -> u64 {
         self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut mixed = self.state;
         mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -23,17 +25,17 @@ impl Random {
     }
 
     /// Uniformly distributed from 0 to 1, exclusive.
-    pub(crate) fn unit(&mut self) -> f64 {
+    pub fn unit(&mut self) -> f64 {
         (self.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     /// Uniformly distributed between `-limit` and `limit`.
-    pub(crate) fn within(&mut self, limit: f64) -> f64 {
+    pub fn within(&mut self, limit: f64) -> f64 {
         (self.unit() * 2.0 - 1.0) * limit
     }
 
     /// Approximately normally distributed with this standard deviation, at most 3.5 times it (sum of four).
-    pub(crate) fn normal(&mut self, deviation: f64) -> f64 {
+    pub fn normal(&mut self, deviation: f64) -> f64 {
         let sum = self.unit() + self.unit() + self.unit() + self.unit();
         (sum - 2.0) * 3.0_f64.sqrt() * deviation
     }

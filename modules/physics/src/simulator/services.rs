@@ -8,7 +8,7 @@
 
 use super::{DarwinOpSimulator, Ports, WORLD, header, isometry, pose_message, twist_message};
 use crate::simulation::{Request, RunState, Snapshot};
-use crate::world::{ENGINE, Motion};
+use crate::world::{Engine, Motion};
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use downbeat_executor::{Context, Responder, Setup, SetupError, Time};
 use downbeat_msgs::simulation_interfaces::action::{
@@ -51,7 +51,10 @@ pub(super) fn declare(
     services: &mut Services,
 ) -> Result<(), SetupError> {
     setup
-        .serve("simulator/get_simulator_features", |_, _: &GetSimulatorFeaturesRequest, _| Ok(features()))?;
+        .serve("simulator/get_simulator_features", |module: &mut DarwinOpSimulator, _: &GetSimulatorFeaturesRequest, _| {
+            let engine = module.parts.as_ref().map(|parts| parts.simulation.options().engine);
+            Ok(features(engine.unwrap_or_default()))
+        })?;
     setup.serve("simulator/get_simulation_state", DarwinOpSimulator::get_state)?;
     setup.serve("simulator/set_simulation_state", DarwinOpSimulator::set_state)?;
     setup.serve("simulator/reset_simulation", DarwinOpSimulator::reset)?;
@@ -74,7 +77,7 @@ pub(super) fn declare(
     setup.every(CHECK, DarwinOpSimulator::finish_steps)
 }
 
-fn features() -> GetSimulatorFeaturesResponse {
+fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
     let features = vec![
         SimulatorFeatures::ENTITY_CATEGORIES,
         SimulatorFeatures::ENTITY_STATE_GETTING,
@@ -92,7 +95,7 @@ fn features() -> GetSimulatorFeaturesResponse {
     let features = SimulatorFeatures {
         features: features.into_iter().map(u16::from).collect(),
         spawn_formats: Vec::new(),
-        custom_info: format!("downbeat-physics, {ENGINE}"),
+        custom_info: format!("downbeat-physics, {engine}"),
     };
     GetSimulatorFeaturesResponse { features }
 }

@@ -1,4 +1,4 @@
-//! The rigid bodies of a world and its robot, in rapier.
+//! The engine rapier.
 //!
 //! rapier works in single precision. With its feature `enhanced-determinism`, the same world and the same steps give the
 //! same bits, in every process and on every machine; another version, step or seed gives another path.
@@ -6,6 +6,7 @@
 //! # References
 //! rapier3d 0.36.1: `Multibody` (reduced coordinates, armature and dry friction per degree of freedom).
 
+use super::{ARMATURE, GRAVITY, JointDrive, Motion, Plan, Posture, START_HEIGHT, Start, Variation, World};
 use crate::model::{Model, Shape};
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op_emulator::FootForces;
@@ -13,93 +14,9 @@ use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d::parry::query;
 use rapier3d::prelude::*;
-use std::time::Duration;
-
-/// The version of the engine, which belongs to every record of a run.
-pub const ENGINE: &str = "rapier3d 0.36.1";
-
-/// How a robot is at the start.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Start {
-    /// The angle of each joint, by its name, in rad; 0 if it is not named.
-    pub angles: Vec<(String, f64)>,
-    /// On what it stands or lies.
-    pub posture: Posture,
-    /// Where, in m.
-    pub position: [f64; 2],
-    /// Its heading, in rad.
-    pub yaw: f64,
-}
-
-/// On what a robot stands or lies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Posture {
-    /// On its soles: the links `l_sole` and `r_sole` are level; upright if it has none.
-    #[default]
-    Standing,
-    /// On its front.
-    Prone,
-    /// On its back.
-    Supine,
-}
-
-/// How the simulated robot differs from its description.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Variation {
-    /// By which all masses are multiplied.
-    pub mass: f64,
-    /// By which the friction of all contacts is multiplied.
-    pub friction: f64,
-    /// By which the torque of all servos is multiplied.
-    pub strength: f64,
-    /// How far the trunk's centre of mass is moved forwards, in m.
-    pub centre_of_mass: f64,
-    /// The free play of each gear, in rad.
-    pub backlash: f64,
-    /// Between a goal and the motor, in addition to that of the bus.
-    pub latency: Duration,
-}
-
-impl Default for Variation {
-    /// As described, with the free play of an MX-28.
-    fn default() -> Self {
-        Self {
-            mass: 1.0,
-            friction: 1.0,
-            strength: 1.0,
-            centre_of_mass: 0.0,
-            backlash: 0.33_f64.to_radians(),
-            latency: Duration::ZERO,
-        }
-    }
-}
-
-/// What the motor of a joint does in a step: a spring to a goal, and the damping of its back-EMF.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct JointDrive {
-    /// In rad.
-    pub(crate) goal: f64,
-    /// In N m/rad.
-    pub(crate) stiffness: f64,
-    /// In N m s/rad.
-    pub(crate) damping: f64,
-    /// In N m; 0 without torque.
-    pub(crate) max_torque: f64,
-}
-
-/// Pose and velocity of something, in the world.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
-    /// The pose.
-    pub world_from_body: Isometry,
-    /// Of its origin, along the axes of the world, in m/s.
-    pub linear: DVec3,
-    /// About the axes of the world, in rad/s.
-    pub angular: DVec3,
-}
 
 /// A world with a robot.
-pub(crate) struct World {
+pub(super) struct RapierWorld {
     physics: PhysicsWorld,
     steps: u64,
     links: Vec<Link>,
@@ -130,22 +47,12 @@ struct Thing {
     handle: RigidBodyHandle,
 }
 
-/// Reflected inertia of a servo's rotor, in kg m^2. Estimated; without it a multibody of light links is unstable.
-const ARMATURE: f64 = 0.005;
-/// The distance of the lowest point from the floor at the start, in m.
-const START_HEIGHT: f64 = 0.001;
 /// The distance from the floor up to which the ball rolls, in m.
 const ROLLING_GAP: f32 = 0.002;
-const GRAVITY: f64 = 9.806_65;
 
-impl World {
-    pub(crate) fn new(
-        file: &WorldFile,
-        model: &Model,
-        start: &Start,
-        step: Duration,
-        variation: &Variation,
-    ) -> Self {
+impl RapierWorld {
+    pub(super) fn new(plan: Plan<'_>) -> Self {
+        let Plan { file, model, start, step, variation } = plan;
         let mut physics = PhysicsWorld::new();
         physics.gravity = Vector::new(0.0, 0.0, -GRAVITY as f32);
         physics.integration_parameters.dt = step.as_secs_f32();
@@ -250,8 +157,44 @@ impl World {
         if lowest.is_finite() { f64::from(lowest) } else { 0.0 }
     }
 
-    /// Advances by one step. There is one drive for each body; that of the first is ignored.
-    pub(crate) fn step(&mut self, drives: &[JointDrive]) {
+    /// Slows the ball down while it rolls on the floor: a torque of `rolling_friction` times weight times radius against its
+    /// rotation. rapier has no rolling friction.
+    fn roll(&mut self) {
+        let Some((handle, radius, rolling_friction)) = self.ball else { return };
+        let Some(body) = self.physics.bodies.get_mut(handle) else { return };
+        let speed = Vector::new(body.angvel().x, body.angvel().y, 0.0).length();
+        if body.translation().z > radius + ROLLING_GAP || speed == 0.0 {
+            return;
+        }
+        // The torque slows down the mass (r^2) and the rotation (0.4 r^2) of a solid ball.
+        let dt = self.physics.integration_parameters.dt;
+        let lost = rolling_friction * GRAVITY as f32 * dt / (1.4 * radius);
+        let kept = (1.0 - lost / speed).max(0.0);
+        let (linear, angular) = (body.linvel(), body.angvel());
+        body.set_linvel(Vector::new(linear.x * kept, linear.y * kept, linear.z), false);
+        body.set_angvel(Vector::new(angular.x * kept, angular.y * kept, angular.z), false);
+    }
+
+    fn forces_on(&self, foot: &Foot) -> [f64; 4] {
+        let mut forces = [0.0; 4];
+        let per_step = f64::from(self.physics.integration_parameters.dt);
+        let sole_from_collider = foot.collider_from_sole.inverse();
+        for pair in self.physics.narrow_phase.contact_pairs_with(foot.collider) {
+            for manifold in pair.solver_manifolds() {
+                for point in &manifold.points {
+                    let local = if pair.collider1 == foot.collider { point.local_p1 } else { point.local_p2 };
+                    let at = sole_from_collider.transform_point(double(local));
+                    let corner = usize::from(at.x < 0.0) * 2 + usize::from(at.y < 0.0);
+                    forces[corner] += f64::from(point.data.impulse) / per_step;
+                }
+            }
+        }
+        forces
+    }
+}
+
+impl World for RapierWorld {
+    fn step(&mut self, drives: &[JointDrive]) {
         if let Some(multibody) = multibody_mut(&mut self.physics, &self.links) {
             for (link, drive) in self.links.iter().zip(drives).skip(1) {
                 if let Some(joint) = multibody.link_mut(link.index) {
@@ -275,30 +218,11 @@ impl World {
         self.steps += 1;
     }
 
-    /// Slows the ball down while it rolls on the floor: a torque of `rolling_friction` times weight times radius against its
-    /// rotation. rapier has no rolling friction.
-    fn roll(&mut self) {
-        let Some((handle, radius, rolling_friction)) = self.ball else { return };
-        let Some(body) = self.physics.bodies.get_mut(handle) else { return };
-        let speed = Vector::new(body.angvel().x, body.angvel().y, 0.0).length();
-        if body.translation().z > radius + ROLLING_GAP || speed == 0.0 {
-            return;
-        }
-        // The torque slows down the mass (r^2) and the rotation (0.4 r^2) of a solid ball.
-        let dt = self.physics.integration_parameters.dt;
-        let lost = rolling_friction * GRAVITY as f32 * dt / (1.4 * radius);
-        let kept = (1.0 - lost / speed).max(0.0);
-        let (linear, angular) = (body.linvel(), body.angvel());
-        body.set_linvel(Vector::new(linear.x * kept, linear.y * kept, linear.z), false);
-        body.set_angvel(Vector::new(angular.x * kept, angular.y * kept, angular.z), false);
-    }
-
-    pub(crate) fn steps(&self) -> u64 {
+    fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Angle and speed of the joint of a body of the robot, in rad and rad/s.
-    pub(crate) fn joint(&self, body: usize) -> (f64, f64) {
+    fn joint(&self, body: usize) -> (f64, f64) {
         let Some(link) = self.links.get(body) else { return (0.0, 0.0) };
         let found = self.physics.multibody_joints.rigid_body_link(link.handle);
         let multibody = found.and_then(|id| self.physics.multibody_joints.get_multibody(id.multibody));
@@ -309,26 +233,22 @@ impl World {
         })
     }
 
-    /// The motion of a frame that is fixed in a body of the robot.
-    pub(crate) fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion> {
+    fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion> {
         let handle = self.links.get(body)?.handle;
         Some(motion(self.physics.bodies.get(handle)?, body_from_frame))
     }
 
-    /// The names of what is in the world, and whether it can move.
-    pub(crate) fn things(&self) -> impl Iterator<Item = (&str, bool)> {
+    fn things(&self) -> Vec<(&str, bool)> {
         let is_dynamic = |handle| self.physics.bodies.get(handle).is_some_and(RigidBody::is_dynamic);
-        self.things.iter().map(move |thing| (thing.name.as_str(), is_dynamic(thing.handle)))
+        self.things.iter().map(|thing| (thing.name.as_str(), is_dynamic(thing.handle))).collect()
     }
 
-    /// The motion of something beside the robot.
-    pub(crate) fn motion_of_thing(&self, name: &str) -> Option<Motion> {
+    fn motion_of_thing(&self, name: &str) -> Option<Motion> {
         let thing = self.things.iter().find(|thing| thing.name == name)?;
         Some(motion(self.physics.bodies.get(thing.handle)?, &Isometry::IDENTITY))
     }
 
-    /// Moves something beside the robot; returns false if there is no such thing, or it is fixed.
-    pub(crate) fn set_motion_of_thing(&mut self, name: &str, motion: &Motion) -> bool {
+    fn set_motion_of_thing(&mut self, name: &str, motion: &Motion) -> bool {
         let Some(thing) = self.things.iter().find(|thing| thing.name == name) else { return false };
         match self.physics.bodies.get_mut(thing.handle) {
             Some(body) if body.is_dynamic() => {
@@ -341,14 +261,12 @@ impl World {
         }
     }
 
-    /// Moves the robot without changing the angles of its joints; afterwards it is at rest.
-    pub(crate) fn set_pose_of_robot(&mut self, world_from_root: &Isometry) {
+    fn set_pose_of_robot(&mut self, world_from_root: &Isometry) {
         let angles: Vec<f64> = (0..self.links.len()).map(|body| self.joint(body).0).collect();
         self.set_coordinates(*world_from_root, &angles);
     }
 
-    /// Gives a body of the robot an impulse at a point, in N s and m, in the world, in the next step.
-    pub(crate) fn push(&mut self, body: usize, impulse: DVec3, point: DVec3) {
+    fn push(&mut self, body: usize, impulse: DVec3, point: DVec3) {
         let Some(handle) = self.links.get(body).map(|link| link.handle) else { return };
         let force = vector(impulse) / self.physics.integration_parameters.dt;
         if let Some(body) = self.physics.bodies.get_mut(handle) {
@@ -357,32 +275,13 @@ impl World {
         }
     }
 
-    /// The forces on the corners of the soles, in N.
-    pub(crate) fn foot_forces(&self) -> FootForces {
+    fn foot_forces(&self) -> Option<FootForces> {
         let [right, left] =
             self.feet.each_ref().map(|foot| foot.as_ref().map_or([0.0; 4], |foot| self.forces_on(foot)));
-        FootForces { right, left }
+        Some(FootForces { right, left })
     }
 
-    fn forces_on(&self, foot: &Foot) -> [f64; 4] {
-        let mut forces = [0.0; 4];
-        let per_step = f64::from(self.physics.integration_parameters.dt);
-        let sole_from_collider = foot.collider_from_sole.inverse();
-        for pair in self.physics.narrow_phase.contact_pairs_with(foot.collider) {
-            for manifold in pair.solver_manifolds() {
-                for point in &manifold.points {
-                    let local = if pair.collider1 == foot.collider { point.local_p1 } else { point.local_p2 };
-                    let at = sole_from_collider.transform_point(double(local));
-                    let corner = usize::from(at.x < 0.0) * 2 + usize::from(at.y < 0.0);
-                    forces[corner] += f64::from(point.data.impulse) / per_step;
-                }
-            }
-        }
-        forces
-    }
-
-    /// What the robot is inside of, beside the floor, and how deep in m.
-    pub(crate) fn overlap_of_robot(&self) -> Option<(&str, f64)> {
+    fn overlap_of_robot(&self) -> Option<(&str, f64)> {
         let colliders_of = |handle| {
             let body = self.physics.bodies.get(handle);
             body.into_iter().flat_map(|body| {
@@ -404,18 +303,12 @@ impl World {
         })
     }
 
-    /// A hash of the poses of all bodies, bit for bit (FNV-1a).
-    pub(crate) fn hash(&self) -> u64 {
-        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-        for (_, body) in self.physics.bodies.iter() {
+    fn hash(&self) -> u64 {
+        let numbers = self.physics.bodies.iter().flat_map(|(_, body)| {
             let Pose { rotation, translation, .. } = *body.position();
-            for number in translation.to_array().into_iter().chain(rotation.to_array()) {
-                for byte in number.to_bits().to_le_bytes() {
-                    hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-                }
-            }
-        }
-        hash
+            translation.to_array().into_iter().chain(rotation.to_array())
+        });
+        super::hash(numbers.flat_map(|number| number.to_bits().to_le_bytes()))
     }
 }
 

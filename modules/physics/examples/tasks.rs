@@ -1,0 +1,112 @@
+//! How often a simulated Darwin OP does its tasks in worlds that differ from the description: `cargo xtask physics`.
+#![allow(missing_docs)]
+
+use clap::Parser;
+use downbeat_physics::tasks::{Failure, Success, Task, push_limit};
+use downbeat_physics::{Engine, SimulationOptions, Variation};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+/// Runs the tasks of a simulated Darwin OP in perturbed worlds and prints how many succeed.
+#[derive(Parser)]
+#[command(name = "physics")]
+struct Arguments {
+    /// The number of worlds
+    #[arg(long, default_value_t = 20)]
+    seeds: u64,
+    /// A task; may be repeated [default: all]
+    #[arg(long, value_parser = task)]
+    task: Vec<Task>,
+    /// The engine: rapier, or mujoco
+    #[arg(long, default_value = "rapier")]
+    physics: Engine,
+    /// The number of threads [default: one for each core]
+    #[arg(long)]
+    threads: Option<usize>,
+}
+
+/// The share of worlds in which a task has to succeed.
+const GOAL: f64 = 0.9;
+
+struct Run {
+    task: Task,
+    seed: u64,
+    result: Result<Success, Failure>,
+}
+
+fn task(name: &str) -> Result<Task, String> {
+    let names = || Task::ALL.map(Task::name).join(", ");
+    let found = Task::ALL.into_iter().find(|task| task.name() == name);
+    found.ok_or_else(|| format!("the tasks are {}", names()))
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let described = SimulationOptions { engine: arguments.physics, ..SimulationOptions::darwin_op() };
+    let tasks = if arguments.task.is_empty() { Task::ALL.to_vec() } else { arguments.task };
+    let jobs: Vec<_> =
+        tasks.iter().flat_map(|&task| (1..=arguments.seeds).map(move |seed| (task, seed))).collect();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let started = Instant::now();
+    let runs = in_parallel(&jobs, arguments.threads.unwrap_or(cores), |&(task, seed)| {
+        let options = SimulationOptions { variation: Variation::of_seed(seed), ..described.clone() };
+        Run { task, seed, result: task.run(options, seed) }
+    });
+    println!("{}, {} worlds, {:.0} s", arguments.physics, arguments.seeds, started.elapsed().as_secs_f64());
+    println!("task          done    at the first try  smallest  median  largest");
+    let is_good = tasks.iter().map(|task| report(*task, &runs)).fold(true, |all, is_good| all && is_good);
+    if tasks.contains(&Task::Push) {
+        let sides = [("front", [1.0, 0.0]), ("back", [-1.0, 0.0]), ("left", [0.0, 1.0]), ("right", [0.0, -1.0])];
+        let limits = in_parallel(&sides, cores, |(_, direction)| push_limit(&described, 1, *direction));
+        let limits = sides.iter().zip(limits).map(|((side, _), limit)| match limit {
+            Ok(limit) => format!("{limit:.2} to the {side}"),
+            Err(error) => format!("{error} to the {side}"),
+        });
+        println!("largest push in the world as described, N s: {}", limits.collect::<Vec<_>>().join(", "));
+    }
+    if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// Results in the order of the jobs.
+fn in_parallel<J: Sync, R: Send>(jobs: &[J], threads: usize, work: impl Fn(&J) -> R + Sync) -> Vec<R> {
+    let next = AtomicUsize::new(0);
+    let worker = || {
+        let take = || Some(next.fetch_add(1, Ordering::Relaxed)).filter(|index| *index < jobs.len());
+        std::iter::from_fn(take).map(|index| (index, work(&jobs[index]))).collect::<Vec<_>>()
+    };
+    let mut done: Vec<_> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads.max(1)).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().flat_map(|worker| worker.join().unwrap_or_default()).collect()
+    });
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Prints the line of a task and the seeds that failed; returns whether the goal is reached.
+fn report(task: Task, runs: &[Run]) -> bool {
+    let runs: Vec<&Run> = runs.iter().filter(|run| run.task == task).collect();
+    let done: Vec<&Success> = runs.iter().filter_map(|run| run.result.as_ref().ok()).collect();
+    // To get up from the back, the robot first rolls on its front.
+    let motions = if task == Task::GetUpBack { 2 } else { 1 };
+    let at_once = done.iter().filter(|success| success.attempts <= motions).count();
+    let mut figures: Vec<f64> = done.iter().map(|success| success.figure).collect();
+    figures.sort_by(f64::total_cmp);
+    let figure = |index: usize| figures.get(index).map_or("-".to_owned(), |figure| format!("{figure:.2}"));
+    println!(
+        "{task:<13} {:>2}/{:<2} {:>19} {:>9} {:>7} {:>8}  {}",
+        done.len(),
+        runs.len(),
+        if matches!(task, Task::GetUpFront | Task::GetUpBack) { at_once.to_string() } else { String::new() },
+        figure(0),
+        figure(figures.len() / 2),
+        figure(figures.len().saturating_sub(1)),
+        task.unit(),
+    );
+    for run in &runs {
+        if let Err(failure) = &run.result {
+            println!("    seed {}: {failure}", run.seed);
+        }
+    }
+    done.len() as f64 >= GOAL * runs.len() as f64
+}

@@ -1,0 +1,359 @@
+//! What a robot has to be able to do: stand, walk, turn, step sideways, stop, take a push, get up, kick. Each task is a run
+//! in simulated time that succeeds or fails.
+//!
+//! `cargo xtask physics` runs all tasks in worlds that [`Variation::of_seed`] perturbs and prints how many succeed.
+//!
+//! ```
+//! use downbeat_physics::SimulationOptions;
+//! use downbeat_physics::tasks::Task;
+//!
+//! let stopped = Task::Stop.run(SimulationOptions::darwin_op(), 1)?;
+//! assert!(stopped.figure < 0.3, "it needs {} m to stop", stopped.figure);
+//! # Ok::<(), downbeat_physics::tasks::Failure>(())
+//! ```
+
+mod robot;
+
+pub use robot::{Place, WalkingRobot};
+
+use crate::harness::SimulatedRunError;
+use crate::simulation::{SimulationError, SimulationOptions};
+use crate::world::{Posture, Variation};
+use crate::world_file::Ball;
+use downbeat_executor::{InletError, SetupError};
+use downbeat_modules::servo_emulator::Random;
+use std::f64::consts::PI;
+use std::fmt;
+use std::time::Duration;
+
+/// Something that a robot has to be able to do. Tasks with two sides take the left one for odd seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Task {
+    /// Stands for 60 s.
+    Stand,
+    /// Walks 3 m straight ahead, at 0.08 m/s or faster, and stops.
+    Walk,
+    /// Turns by 180 degrees on the spot.
+    Turn,
+    /// Steps 1 m to a side.
+    SideStep,
+    /// Stops while it walks at full speed.
+    Stop,
+    /// Stays on its feet when its trunk is pushed with 0.5 N s, from all four sides.
+    Push,
+    /// Gets up from its front.
+    GetUpFront,
+    /// Gets up from its back.
+    GetUpBack,
+    /// Kicks a ball 1 m far and stays on its feet.
+    Kick,
+}
+
+/// A task that was done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Success {
+    /// How well, in [`Task::unit`].
+    pub figure: f64,
+    /// How many motions the robot played to get up.
+    pub attempts: usize,
+}
+
+/// Why a task was not done.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The robot fell.
+    #[error("fell after {after:.1} s")]
+    Fell {
+        /// Since the start, in s.
+        after: f64,
+    },
+    /// The robot did not get as far as it should.
+    #[error("{found:.2} instead of {wanted:.2} {unit}")]
+    Short {
+        /// How far it got.
+        found: f64,
+        /// How far it should have got.
+        wanted: f64,
+        /// The unit of both.
+        unit: &'static str,
+    },
+    /// The robot left its way.
+    #[error("is {aside:.2} m and {turned:.2} rad off its way")]
+    Strayed {
+        /// In m.
+        aside: f64,
+        /// In rad.
+        turned: f64,
+    },
+    /// The robot moved when it should have stood.
+    #[error("moves by {moved:.3} m when it should stand")]
+    Moves {
+        /// In m.
+        moved: f64,
+    },
+    /// The robot did not get up.
+    #[error("lies after {attempts} attempts to get up")]
+    Lies {
+        /// How many motions it played.
+        attempts: usize,
+    },
+    /// The robot cannot be simulated.
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    /// A module cannot join.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// The core cannot run.
+    #[error(transparent)]
+    Run(#[from] SimulatedRunError),
+    /// The core does not take messages.
+    #[error(transparent)]
+    Inlet(#[from] InletError),
+}
+
+/// The largest distance and angle from a straight way of 3 m, in m and rad.
+const WIDEST: [f64; 2] = [0.5, 0.3];
+/// The way from the ball to the robot's feet, in m.
+const BALL_AHEAD: f64 = 0.11;
+/// How long a robot may take to get up, in s.
+const PATIENCE: f64 = 60.0;
+
+impl Task {
+    /// All tasks.
+    pub const ALL: [Self; 9] = [
+        Self::Stand,
+        Self::Walk,
+        Self::Turn,
+        Self::SideStep,
+        Self::Stop,
+        Self::Push,
+        Self::GetUpFront,
+        Self::GetUpBack,
+        Self::Kick,
+    ];
+
+    /// Its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Stand => "stand",
+            Self::Walk => "walk",
+            Self::Turn => "turn",
+            Self::SideStep => "side_step",
+            Self::Stop => "stop",
+            Self::Push => "push",
+            Self::GetUpFront => "get_up_front",
+            Self::GetUpBack => "get_up_back",
+            Self::Kick => "kick",
+        }
+    }
+
+    /// The unit of [`Success::figure`], and what the figure is.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Stand => "m moved",
+            Self::Walk | Self::SideStep => "m/s",
+            Self::Turn => "rad/s",
+            Self::Stop => "m to stop",
+            Self::Push => "rad tilted",
+            Self::GetUpFront | Self::GetUpBack => "s",
+            Self::Kick => "m",
+        }
+    }
+
+    /// Runs the task. The seed is that of the noise of the sensors, and chooses the side.
+    ///
+    /// # Errors
+    /// Why it was not done.
+    pub fn run(self, mut options: SimulationOptions, seed: u64) -> Result<Success, Failure> {
+        let side = if seed.is_multiple_of(2) { -1.0 } else { 1.0 };
+        match self {
+            Self::GetUpFront => options.start.posture = Posture::Prone,
+            Self::GetUpBack => options.start.posture = Posture::Supine,
+            Self::Kick => {
+                options.world.ball =
+                    Some(Ball { position: [BALL_AHEAD, 0.045 * side], ..Ball::default() });
+            }
+            _ => {}
+        }
+        let mut robot = WalkingRobot::new(options, seed)?;
+        let (figure, attempts) = match self {
+            Self::Stand => (stand(&mut robot)?, 0),
+            Self::Walk => (walk(&mut robot)?, 0),
+            Self::Turn => (turn(&mut robot, side)?, 0),
+            Self::SideStep => (side_step(&mut robot, side)?, 0),
+            Self::Stop => (stop(&mut robot)?, 0),
+            Self::Push => (push(&mut robot, 0.5)?, 0),
+            Self::GetUpFront | Self::GetUpBack => get_up(&mut robot)?,
+            Self::Kick => (kick(&mut robot, side)?, 0),
+        };
+        Ok(Success { figure, attempts })
+    }
+}
+
+impl fmt::Display for Task {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl Variation {
+    /// A robot and a floor that differ from the description as much as real ones do: masses by up to 5 %, friction by up to
+    /// 25 %, strength of the servos by up to 10 %, centre of mass of the trunk by up to 4 mm, free play of the gears by up to
+    /// 50 %, and a latency of up to 4 ms. Equal for equal seeds.
+    #[must_use]
+    pub fn of_seed(seed: u64) -> Self {
+        let described = Self::default();
+        let mut random = Random::new(seed, 1);
+        Self {
+            mass: 1.0 + random.within(0.05),
+            friction: 1.0 + random.within(0.25),
+            strength: 1.0 + random.within(0.1),
+            centre_of_mass: random.within(0.004),
+            backlash: described.backlash * (1.0 + random.within(0.5)),
+            latency: Duration::from_secs_f64(random.unit() * 0.004),
+        }
+    }
+}
+
+/// The largest impulse at rest that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a direction in the plane.
+///
+/// # Errors
+/// If the robot cannot be simulated.
+pub fn push_limit(options: &SimulationOptions, seed: u64, direction: [f64; 2]) -> Result<f64, Failure> {
+    let mut limit = 0.0;
+    for step in 1..=100 {
+        let impulse = f64::from(step) * 0.05;
+        let mut robot = WalkingRobot::new(options.clone(), seed)?;
+        match push_once(&mut robot, direction.map(|share| share * impulse)) {
+            Ok(_) => limit = impulse,
+            Err(Failure::Fell { .. } | Failure::Moves { .. }) => break,
+            Err(other) => return Err(other),
+        }
+    }
+    Ok(limit)
+}
+
+fn stand(robot: &mut WalkingRobot) -> Result<f64, Failure> {
+    let start = robot.place().position;
+    robot.run(60.0)?;
+    robot.has_not_fallen()?;
+    robot.stands_still()?;
+    Ok((robot.place().position - start).length())
+}
+
+fn walk(robot: &mut WalkingRobot) -> Result<f64, Failure> {
+    const WAY: f64 = 3.0;
+    const SLOWEST: f64 = 0.08;
+    let start = robot.place();
+    let way = |place: Place| place.position.x - start.position.x;
+    let time = robot.walk_until([0.12, 0.0, 0.0], WAY / SLOWEST, |place| way(place) >= WAY)?;
+    let there = robot.place();
+    if way(there) < WAY {
+        return Err(Failure::Short { found: way(there), wanted: WAY, unit: "m" });
+    }
+    let off = [there.position.y - start.position.y, there.yaw - start.yaw];
+    if off.iter().zip(WIDEST).any(|(off, widest)| off.abs() > widest) {
+        return Err(Failure::Strayed { aside: off[0], turned: off[1] });
+    }
+    comes_to_rest(robot)?;
+    Ok(way(there) / time)
+}
+
+fn turn(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
+    let start = robot.place();
+    let (mut yaw, mut turned) = (start.yaw, 0.0);
+    let time = robot.walk_until([0.0, 0.0, 0.6 * side], 10.0, |place| {
+        turned += downbeat_kinematics::wrapped(place.yaw - yaw) * side;
+        yaw = place.yaw;
+        turned >= PI
+    })?;
+    if turned < PI {
+        return Err(Failure::Short { found: turned, wanted: PI, unit: "rad" });
+    }
+    let aside = (robot.place().position - start.position).truncate().length();
+    if aside > 0.2 {
+        return Err(Failure::Strayed { aside, turned });
+    }
+    comes_to_rest(robot)?;
+    Ok(turned / time)
+}
+
+fn side_step(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
+    const WAY: f64 = 1.0;
+    let start = robot.place();
+    let way = |place: Place| (place.position.y - start.position.y) * side;
+    let time = robot.walk_until([0.0, 0.05 * side, 0.0], 60.0, |place| way(place) >= WAY)?;
+    let found = way(robot.place());
+    if found < WAY {
+        return Err(Failure::Short { found, wanted: WAY, unit: "m" });
+    }
+    comes_to_rest(robot)?;
+    Ok(found / time)
+}
+
+fn stop(robot: &mut WalkingRobot) -> Result<f64, Failure> {
+    robot.walk_until([0.15, 0.0, 0.0], 5.0, |_| false)?;
+    let start = robot.place().position;
+    comes_to_rest(robot)?;
+    Ok((robot.place().position - start).length())
+}
+
+/// Without commands the robot has four seconds to stop.
+fn comes_to_rest(robot: &mut WalkingRobot) -> Result<(), Failure> {
+    robot.run(4.0)?;
+    robot.has_not_fallen()?;
+    robot.stands_still()
+}
+
+fn push(robot: &mut WalkingRobot, impulse: f64) -> Result<f64, Failure> {
+    let mut worst: f64 = 0.0;
+    for direction in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]] {
+        worst = worst.max(push_once(robot, direction.map(|share| share * impulse))?);
+    }
+    Ok(worst)
+}
+
+/// The largest change of the tilt after a push.
+fn push_once(robot: &mut WalkingRobot, [x, y]: [f64; 2]) -> Result<f64, Failure> {
+    let before = robot.tilt();
+    let mut worst: f64 = 0.0;
+    robot.simulated().push("torso", [x, y, 0.0]);
+    for _ in 0..40 {
+        robot.run(0.05)?;
+        robot.has_not_fallen()?;
+        worst = worst.max((robot.tilt() - before).abs());
+    }
+    robot.stands_still()?;
+    Ok(worst)
+}
+
+fn get_up(robot: &mut WalkingRobot) -> Result<(f64, usize), Failure> {
+    let attempts =
+        |robot: &WalkingRobot| robot.states().iter().filter(|state| *state == "getting_up").count();
+    let mut time = 0.0;
+    while attempts(robot) == 0 || robot.states().last().is_none_or(|state| state != "upright") {
+        if time > PATIENCE || robot.states().last().is_some_and(|state| state == "helpless") {
+            return Err(Failure::Lies { attempts: attempts(robot) });
+        }
+        robot.run(0.1)?;
+        time += 0.1;
+    }
+    let tried = attempts(robot);
+    robot.run(3.0)?;
+    robot.stands_still()?;
+    Ok((time, tried))
+}
+
+fn kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
+    const WAY: f64 = 1.0;
+    let motion = if side > 0.0 { "kick_left" } else { "kick_right" };
+    robot.play(motion, 12.0)?;
+    robot.has_not_fallen()?;
+    robot.stands_still()?;
+    let things = robot.simulated().snapshot().things;
+    let ball = things.iter().find(|(name, ..)| name == "ball");
+    let found = ball.map_or(0.0, |(.., ball)| ball.world_from_body.translation.x - BALL_AHEAD);
+    if found < WAY { Err(Failure::Short { found, wanted: WAY, unit: "m" }) } else { Ok(found) }
+}
