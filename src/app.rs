@@ -209,10 +209,7 @@ impl App {
     /// comes first.
     #[cfg(feature = "cli")]
     #[must_use]
-    pub fn main_with(
-        &self,
-        line: impl IntoIterator<Item = std::ffi::OsString>,
-    ) -> std::process::ExitCode {
+    pub fn main_with(&self, line: impl IntoIterator<Item = std::ffi::OsString>) -> std::process::ExitCode {
         crate::program::main(self, line)
     }
 }

@@ -57,7 +57,8 @@ fn main() -> ExitCode {
     println!("task          done    at the first try  smallest  median  largest");
     let is_good = tasks.iter().map(|task| report(*task, &runs)).fold(true, |all, is_good| all && is_good);
     if tasks.contains(&Task::Push) {
-        let sides = [("front", [1.0, 0.0]), ("back", [-1.0, 0.0]), ("left", [0.0, 1.0]), ("right", [0.0, -1.0])];
+        let sides =
+            [("front", [1.0, 0.0]), ("back", [-1.0, 0.0]), ("left", [0.0, 1.0]), ("right", [0.0, -1.0])];
         let limits = in_parallel(&sides, cores, |(_, direction)| push_limit(&described, 1, *direction));
         let limits = sides.iter().zip(limits).map(|((side, _), limit)| match limit {
             Ok(limit) => format!("{limit:.2} to the {side}"),

@@ -62,9 +62,9 @@ pub use fault::{Fault, FaultKind, FaultParseError, Rate};
 pub use memory::{MemoryBus, MemoryPorts, NameInUse, PortBus};
 pub(crate) use module::Served;
 pub use module::ServoEmulator;
+pub use random::Random;
 pub(crate) use servos::Unit;
 pub(crate) use wire::Answer;
-pub use random::Random;
 pub use wire::Timing;
 
 use crate::servo_bus::BusPlan;

@@ -81,7 +81,8 @@ impl NumPy {
             let numpy = py.import("numpy")?;
             let function = |name: &str| numpy.getattr(name).map(Bound::unbind);
             let of = |primitive: Primitive| Ok(numpy.call_method1("dtype", (dtype(primitive),))?.unbind());
-            let dtypes = Primitive::ALL.iter().map(|primitive| of(*primitive)).collect::<PyResult<Vec<_>>>()?;
+            let dtypes =
+                Primitive::ALL.iter().map(|primitive| of(*primitive)).collect::<PyResult<Vec<_>>>()?;
             // In NumPy 1 the module has another name.
             let core = py.import("numpy._core._multiarray_umath");
             let core = core.or_else(|_| py.import("numpy.core._multiarray_umath"))?;
@@ -89,7 +90,8 @@ impl NumPy {
             // SAFETY: NumPy documents the capsule as a table of pointers to functions, whose numbers and signatures are part of its
             // binary interface since version 1.7 (numpy/_core/code_generators/numpy_api.py).
             let (new_from_descr, set_base_object) = unsafe {
-                let table = ffi::PyCapsule_GetPointer(table.as_ptr(), std::ptr::null()).cast::<*const c_void>();
+                let table =
+                    ffi::PyCapsule_GetPointer(table.as_ptr(), std::ptr::null()).cast::<*const c_void>();
                 if table.is_null() {
                     return Err(PyErr::fetch(py));
                 }

@@ -229,8 +229,9 @@ impl Known {
                 declared: field.field_type.to_string(),
             });
         }
-        let is_scalar =
-            |field: &Field| field.of.shape == Shape::Single && !matches!(field.of.element, Element::Message(_));
+        let is_scalar = |field: &Field| {
+            field.of.shape == Shape::Single && !matches!(field.of.element, Element::Message(_))
+        };
         let compiled = Arc::new(MessageType {
             is_scalars: (1..=MOST_TOGETHER).contains(&fields.len()) && fields.iter().all(is_scalar),
             uniform: uniform(&fields),

@@ -124,10 +124,16 @@ impl Link {
         look(&mut self.0.lock().callbacks)
     }
 
-    fn declare<T>(&self, what: &str, declare: impl FnOnce(&mut Declarations, &mut State) -> T) -> PyResult<T> {
+    fn declare<T>(
+        &self,
+        what: &str,
+        declare: impl FnOnce(&mut Declarations, &mut State) -> T,
+    ) -> PyResult<T> {
         let mut state = self.0.lock();
         let Some(mut declarations) = state.declarations.take() else {
-            return Err(PyRuntimeError::new_err(format!("{what} is for setup(): a module's ports do not change later")));
+            return Err(PyRuntimeError::new_err(format!(
+                "{what} is for setup(): a module's ports do not change later"
+            )));
         };
         let result = declare(&mut declarations, &mut state);
         state.declarations = Some(declarations);
@@ -218,7 +224,13 @@ impl Link {
         })
     }
 
-    fn client(slf: Py<Self>, py: Python<'_>, service: &str, type_name: &str, timeout: f64) -> PyResult<Client> {
+    fn client(
+        slf: Py<Self>,
+        py: Python<'_>,
+        service: &str,
+        type_name: &str,
+        timeout: f64,
+    ) -> PyResult<Client> {
         let request = messages::message_type(py, &format!("{type_name}_Request"))?;
         let response = messages::message_type(py, &format!("{type_name}_Response"))?;
         let timeout = seconds(timeout)?;
@@ -445,4 +457,3 @@ fn seconds(seconds: f64) -> PyResult<Duration> {
     Duration::try_from_secs_f64(seconds)
         .map_err(|_| PyValueError::new_err(format!("{seconds} s is no duration")))
 }
-

@@ -43,8 +43,15 @@ pub(crate) fn python_kind() -> Kind {
         };
         load(source, place(source)?, is_reloading)
     };
-    let files = move |source: &ModuleSource| place(source).ok().and_then(|place| place.file()).into_iter().collect();
-    Kind::foreign("python", "a module in Python: module = \"file.py:Class\"", [&["module"], &["reload"]], load, files)
+    let files =
+        move |source: &ModuleSource| place(source).ok().and_then(|place| place.file()).into_iter().collect();
+    Kind::foreign(
+        "python",
+        "a module in Python: module = \"file.py:Class\"",
+        [&["module"], &["reload"]],
+        load,
+        files,
+    )
 }
 
 /// The kind of a class that a script passes.
@@ -59,7 +66,8 @@ pub(crate) fn python_kind_of(py: Python<'_>, name: &str, class: Py<PyAny>) -> Ki
 }
 
 fn place_named(text: &str, source: &ModuleSource) -> Result<Place, String> {
-    let Some((place, class)) = text.rsplit_once(':').filter(|(place, class)| !place.is_empty() && !class.is_empty())
+    let Some((place, class)) =
+        text.rsplit_once(':').filter(|(place, class)| !place.is_empty() && !class.is_empty())
     else {
         return Err(format!(
             "module = {text:?} names no class: write \"file.py:Class\" or \"package.module:Class\""
@@ -125,7 +133,9 @@ impl Place {
             Self::File { path, .. } => Some(path.clone()),
             Self::Package { .. } | Self::Class(_) => Python::attach(|py| {
                 let class = self.class(py).ok()?;
-                let file = py.import("downbeat.loading").and_then(|module| module.call_method1("file_of_class", (class,)));
+                let file = py
+                    .import("downbeat.loading")
+                    .and_then(|module| module.call_method1("file_of_class", (class,)));
                 file.ok()?.extract::<Option<PathBuf>>().ok()?
             }),
         }

@@ -58,7 +58,13 @@ impl PythonModule {
             Event::Request { server, request, cdr } => {
                 let found = link.callbacks(|callbacks| {
                     let found = callbacks.servers.get(server as usize);
-                    found.map(|server| (Arc::clone(&server.request), Arc::clone(&server.response), server.callback.clone_ref(py)))
+                    found.map(|server| {
+                        (
+                            Arc::clone(&server.request),
+                            Arc::clone(&server.response),
+                            server.callback.clone_ref(py),
+                        )
+                    })
                 });
                 let Some((request_type, response, callback)) = found else { return Ok(()) };
                 let open = Request::new(self.link.clone_ref(py), request, response);
@@ -77,21 +83,26 @@ impl PythonModule {
             }
             Event::Setting { setting } => {
                 let changed = link.callbacks(|callbacks| {
-                    let of_setting = callbacks.on_change.iter().filter(|(number, _)| *number == setting as usize);
+                    let of_setting =
+                        callbacks.on_change.iter().filter(|(number, _)| *number == setting as usize);
                     of_setting.map(|(_, callback)| callback.clone_ref(py)).collect::<Vec<_>>()
                 });
                 changed.iter().try_for_each(|callback| callback.call0(py).map(drop))?;
             }
             Event::Timer { timer } => {
-                let callback = link.callbacks(|all| all.timers.get(timer as usize).map(|found| found.clone_ref(py)));
+                let callback =
+                    link.callbacks(|all| all.timers.get(timer as usize).map(|found| found.clone_ref(py)));
                 callback.map(|callback| callback.call0(py)).transpose()?;
             }
             Event::Task { task } => {
-                let callback = link.callbacks(|all| all.tasks.get(task as usize).map(|found| found.clone_ref(py)));
+                let callback =
+                    link.callbacks(|all| all.tasks.get(task as usize).map(|found| found.clone_ref(py)));
                 callback.map(|callback| callback.call0(py)).transpose()?;
             }
             Event::EachRun => {
-                let all = link.callbacks(|all| all.each_run.iter().map(|found| found.clone_ref(py)).collect::<Vec<_>>());
+                let all = link.callbacks(|all| {
+                    all.each_run.iter().map(|found| found.clone_ref(py)).collect::<Vec<_>>()
+                });
                 all.iter().try_for_each(|callback| callback.call0(py).map(drop))?;
             }
         }
@@ -105,7 +116,10 @@ impl Foreign for PythonModule {
             declarations.reload();
         }
         self.attached(|module, py| {
-            module.link.get().declaring(declarations, || module.instance.call_method0(py, "_set_up").map(drop))
+            module
+                .link
+                .get()
+                .declaring(declarations, || module.instance.call_method0(py, "_set_up").map(drop))
         })
     }
 
@@ -116,7 +130,11 @@ impl Foreign for PythonModule {
         self.running(context, |module, py| module.call(py, event))
     }
 
-    fn transition(&mut self, transition: Transition, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn transition(
+        &mut self,
+        transition: Transition,
+        context: &mut ForeignContext<'_, '_>,
+    ) -> Result<(), String> {
         let method = match transition {
             Transition::Configure => "configure",
             Transition::Activate => "activate",

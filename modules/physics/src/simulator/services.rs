@@ -50,11 +50,13 @@ pub(super) fn declare(
     setup: &mut Setup<'_, DarwinOpSimulator>,
     services: &mut Services,
 ) -> Result<(), SetupError> {
-    setup
-        .serve("simulator/get_simulator_features", |module: &mut DarwinOpSimulator, _: &GetSimulatorFeaturesRequest, _| {
+    setup.serve(
+        "simulator/get_simulator_features",
+        |module: &mut DarwinOpSimulator, _: &GetSimulatorFeaturesRequest, _| {
             let engine = module.parts.as_ref().map(|parts| parts.simulation.options().engine);
             Ok(features(engine.unwrap_or_default()))
-        })?;
+        },
+    )?;
     setup.serve("simulator/get_simulation_state", DarwinOpSimulator::get_state)?;
     setup.serve("simulator/set_simulation_state", DarwinOpSimulator::set_state)?;
     setup.serve("simulator/reset_simulation", DarwinOpSimulator::reset)?;

@@ -172,8 +172,7 @@ impl Task {
             Self::GetUpFront => options.start.posture = Posture::Prone,
             Self::GetUpBack => options.start.posture = Posture::Supine,
             Self::Kick => {
-                options.world.ball =
-                    Some(Ball { position: [BALL_AHEAD, 0.045 * side], ..Ball::default() });
+                options.world.ball = Some(Ball { position: [BALL_AHEAD, 0.045 * side], ..Ball::default() });
             }
             _ => {}
         }

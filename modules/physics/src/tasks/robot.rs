@@ -143,7 +143,8 @@ impl WalkingRobot {
     /// # Errors
     /// [`Failure::Fell`].
     pub fn has_not_fallen(&self) -> Result<(), Failure> {
-        let has_fallen = !self.robot.is_upright() || self.states.lock().iter().any(|state| state != "upright");
+        let has_fallen =
+            !self.robot.is_upright() || self.states.lock().iter().any(|state| state != "upright");
         if has_fallen { Err(Failure::Fell { after: self.elapsed }) } else { Ok(()) }
     }
 

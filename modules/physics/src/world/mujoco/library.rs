@@ -72,7 +72,11 @@ unsafe impl Send for Simulated {}
 impl Simulated {
     /// Compiles a model in MJCF. All masses and inertias are multiplied by the same number so that their sum is `total_mass`, in
     /// kg.
-    pub(super) fn new(mjcf: &str, total_mass: f64, refused: impl Fn(String) -> EngineError) -> Result<Self, EngineError> {
+    pub(super) fn new(
+        mjcf: &str,
+        total_mass: f64,
+        refused: impl Fn(String) -> EngineError,
+    ) -> Result<Self, EngineError> {
         let (library, functions) = load(&find()?)?;
         let mjcf = CString::new(mjcf).map_err(|error| refused(error.to_string()))?;
         let mut error = [0; 1000];
@@ -237,7 +241,9 @@ fn load(file: &Path) -> Result<(Library, Functions), EngineError> {
     WARNINGS.call_once(|| {
         // SAFETY: the variable is a handler of this type, which this program writes once, before it calls anything that warns.
         unsafe {
-            if let Ok(handler) = library.get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_warning\0") {
+            if let Ok(handler) =
+                library.get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_warning\0")
+            {
                 **handler = Some(warn);
             }
         }

@@ -133,10 +133,8 @@ impl MujocoWorld {
             let Some(joint) = &body.joint else { continue };
             let [angle, speed] =
                 [self.positions[FREE[0] + link.joint], self.velocities[FREE[1] + link.joint]];
-            let turned = Isometry {
-                rotation: DQuat::from_axis_angle(joint.axis, angle),
-                translation: DVec3::ZERO,
-            };
+            let turned =
+                Isometry { rotation: DQuat::from_axis_angle(joint.axis, angle), translation: DVec3::ZERO };
             let parent = motions[joint.parent];
             let mut motion = fixed_in(&parent, &(joint.parent_from_body * turned));
             motion.angular += motion.world_from_body.rotation * joint.axis * speed;
