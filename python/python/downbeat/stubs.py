@@ -147,13 +147,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m downbeat.stubs", description="Writes type stubs of message classes.")
     parser.add_argument("packages", nargs="*", help="the packages; by default all that are known")
     parser.add_argument("--search", action="append", default=[], help="a folder with more interfaces")
-    parser.add_argument("--output", type=Path, help="a folder for a partial stub package; by default they become part of downbeat itself")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--output", type=Path, help="a folder for a partial stub package; by default they become part of downbeat itself")
+    place.add_argument("--into", type=Path, help="a folder for the stubs alone, for building the wheel")
     arguments = parser.parse_args()
     for folder in arguments.search:
         msgs.search(folder)
     written = stubs(arguments.packages or _core.interface_packages())
     if arguments.output is None:
-        target = Path(msgs.__file__).parent
+        target = arguments.into or Path(msgs.__file__).parent
     else:
         target = arguments.output / "downbeat-stubs" / "msgs"
         target.mkdir(parents=True, exist_ok=True)
