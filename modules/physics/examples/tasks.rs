@@ -2,8 +2,8 @@
 #![allow(missing_docs)]
 
 use clap::Parser;
-use downbeat_physics::tasks::{Failure, Success, Task, push_limit};
-use downbeat_physics::{Engine, SimulationOptions, Variation};
+use downbeat_physics::Engine;
+use downbeat_physics::tasks::{Conditions, Failure, Success, Task, push_limit};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -21,6 +21,9 @@ struct Arguments {
     /// The engine: rapier, or mujoco
     #[arg(long, default_value = "rapier")]
     physics: Engine,
+    /// A file of motions in place of the built-in one
+    #[arg(long, default_value = "")]
+    motions: String,
     /// The number of threads [default: one for each core]
     #[arg(long)]
     threads: Option<usize>,
@@ -43,15 +46,20 @@ fn task(name: &str) -> Result<Task, String> {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let described = SimulationOptions { engine: arguments.physics, ..SimulationOptions::darwin_op() };
-    let tasks = if arguments.task.is_empty() { Task::ALL.to_vec() } else { arguments.task };
+    let arranged = |mut conditions: Conditions| {
+        conditions.simulation.engine = arguments.physics;
+        conditions.motions.clone_from(&arguments.motions);
+        conditions
+    };
+    let tasks = if arguments.task.is_empty() { &Task::ALL[..] } else { &arguments.task[..] };
     let jobs: Vec<_> =
         tasks.iter().flat_map(|&task| (1..=arguments.seeds).map(move |seed| (task, seed))).collect();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let started = Instant::now();
-    let runs = in_parallel(&jobs, arguments.threads.unwrap_or(cores), |&(task, seed)| {
-        let options = SimulationOptions { variation: Variation::of_seed(seed), ..described.clone() };
-        Run { task, seed, result: task.run(options, seed) }
+    let runs = in_parallel(&jobs, arguments.threads.unwrap_or(cores), |&(task, seed)| Run {
+        task,
+        seed,
+        result: task.run(arranged(Conditions::perturbed(seed))),
     });
     println!("{}, {} worlds, {:.0} s", arguments.physics, arguments.seeds, started.elapsed().as_secs_f64());
     println!("task          done    at the first try  smallest  median  largest");
@@ -59,7 +67,9 @@ fn main() -> ExitCode {
     if tasks.contains(&Task::Push) {
         let sides =
             [("front", [1.0, 0.0]), ("back", [-1.0, 0.0]), ("left", [0.0, 1.0]), ("right", [0.0, -1.0])];
-        let limits = in_parallel(&sides, cores, |(_, direction)| push_limit(&described, 1, *direction));
+        let limits = in_parallel(&sides, cores, |(_, direction)| {
+            push_limit(&arranged(Conditions::described(1)), *direction)
+        });
         let limits = sides.iter().zip(limits).map(|((side, _), limit)| match limit {
             Ok(limit) => format!("{limit:.2} to the {side}"),
             Err(error) => format!("{error} to the {side}"),

@@ -4,6 +4,7 @@
 //! [wave]
 //! about = "waves with the right arm"
 //! interpolation = "smooth"    # the default; "through" and "linear" do not stop at each frame
+//! stiffness = 1.0             # the default; 2 holds the joints as with twice the P gain
 //!
 //! [[wave.frame]]
 //! duration_s = 1.0            # from the frame before, or from the present pose
@@ -32,6 +33,9 @@ use toml::Spanned;
 /// The largest speed of a joint in a motion, in rad/s: that of an MX-28 without load at 12 V.
 pub const MAX_SPEED: f64 = 5.76;
 
+/// The largest stiffness: beyond it, joints oscillate.
+pub const MAX_STIFFNESS: f64 = 4.0;
+
 /// The largest file, in bytes.
 pub const MAX_BYTES: u64 = 1 << 20;
 
@@ -48,6 +52,8 @@ pub struct Motion {
     pub about: String,
     /// How joints move from one frame to the next.
     pub interpolation: Interpolation,
+    /// How stiff the joints are, in terms of the P gain of their servos: 1 to 4.
+    pub stiffness: f64,
     /// At least one.
     pub frames: Vec<Frame>,
 }
@@ -194,6 +200,7 @@ struct MotionEntry {
     about: Option<String>,
     #[serde(default)]
     interpolation: Interpolation,
+    stiffness: Option<Spanned<f64>>,
     mirror_of: Option<Spanned<String>>,
     #[serde(default)]
     frame: Vec<Spanned<FrameEntry>>,
@@ -233,10 +240,21 @@ impl MotionEntry {
         let motion = Motion {
             about: self.about.clone().unwrap_or_default(),
             interpolation: self.interpolation,
+            stiffness: self.stiffness(source)?,
             frames,
         };
         self.check_speeds(&motion, source)?;
         Ok(motion)
+    }
+
+    fn stiffness(&self, source: &Source<'_>) -> Result<f64, MotionFileError> {
+        let Some(stiffness) = &self.stiffness else { return Ok(1.0) };
+        let value = *stiffness.get_ref();
+        if (1.0..=MAX_STIFFNESS).contains(&value) {
+            return Ok(value);
+        }
+        let problem = format!("stiffness = {value} is out of range, 1 to {MAX_STIFFNESS} is allowed");
+        Err(source.error(stiffness.span().start, problem))
     }
 
     fn frame_error_at(&self, name: &str, source: &Source<'_>) -> usize {
@@ -436,6 +454,8 @@ mirror_of = \"wave\"
             refused("hip_pitch = -30.0", "l_hip_pitch = 0, hip_pitch = -30.0"),
             "a.toml:6: this frame names l_hip_pitch twice"
         );
+        let stiff = refused("interpolation = \"linear\"", "stiffness = 5");
+        assert!(stiff.ends_with(": stiffness = 5 is out of range, 1 to 4 is allowed"), "{stiff}");
         let unknown = refused("pause_s", "pause");
         assert!(unknown.starts_with("a.toml:10: unknown field `pause`"), "{unknown}");
         let nan = refused("duration_s = 0.5", "duration_s = nan");

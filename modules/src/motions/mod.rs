@@ -15,6 +15,9 @@
 //! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in |
 //! | `speed` | the speed of all motions, as a fraction of what the file says |
 //!
+//! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind or give way: they
+//! act as with s times the P gain.
+//!
 //! A motion starts at the present pose. A new motion interrupts the one that plays and starts where it was. After
 //! its last frame the joints keep their goals.
 
@@ -26,6 +29,7 @@ pub use path::{FIRST_SPEED, Path};
 
 use crate::actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use crate::darwin_op::CYCLE;
+use crate::darwin_op::tables::joints::JOINTS;
 use crate::present_pose::{PresentPose, command, stand};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
@@ -74,6 +78,8 @@ struct Playing {
 
 /// How long a motion waits for the robot to stop walking.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// For how long the stiffness rises at the start of a motion and falls at its end, in s.
+const RAMP_S: f64 = 0.4;
 /// The period of feedback, in s.
 const FEEDBACK_S: f64 = 0.1;
 /// The period of the topic of the motion that plays.
@@ -157,7 +163,16 @@ impl MotionPlayer {
         playing.time += now.saturating_since(playing.last).as_secs_f64() * speed;
         playing.last = now;
         let pose = path.pose(playing.time);
-        ctx.publish(ctx.ports.commands, command(now, &pose, |index| path.moves()[index]));
+        // Goals beyond the pose, by a multiple of what is missing, act like a higher P gain.
+        let ramp = (playing.time.min(path.duration() - playing.time) / RAMP_S).clamp(0.0, 1.0);
+        let excess = (playing.motion.stiffness - 1.0) * ramp;
+        let measured = self.pose.measured(&pose);
+        let goals = std::array::from_fn(|index| {
+            let joint = &JOINTS[index];
+            let goal = pose[index] + (pose[index] - measured[index]) * excess;
+            if excess > 0.0 { goal.clamp(joint.min_rad(), joint.max_rad()) } else { goal }
+        });
+        ctx.publish(ctx.ports.commands, command(now, &goals, |index| path.moves()[index]));
         let is_over = playing.time >= path.duration();
         if let Some(id) = playing.goal.filter(|_| is_over || playing.time >= playing.feedback_at) {
             playing.feedback_at = playing.time + FEEDBACK_S;
@@ -251,8 +266,14 @@ mod tests {
 
     impl Robot {
         fn new() -> Self {
+            Self::with_file("")
+        }
+
+        fn with_file(path: &str) -> Self {
             let (mut core, clock) = core_at_zero();
-            core.add("motions", MotionPlayer::default()).unwrap();
+            let settings = [("file".to_owned(), path.to_owned().into())].into();
+            let options = ModuleOptions { settings, ..ModuleOptions::default() };
+            core.add_with("motions", MotionPlayer::default(), options).unwrap();
             let states = core.inlet("joint_states").unwrap();
             states.publish(command(Time::ZERO, &stand(), |_| true)).unwrap();
             let (play, walking) = (core.inlet("motions/play").unwrap(), core.inlet("walking").unwrap());
@@ -337,6 +358,23 @@ mod tests {
         robot.run(0.5);
         assert_eq!(robot.commands.take(), []);
         assert_eq!(robot.names_played(), ["wave", "", "sit", ""]);
+    }
+
+    #[test]
+    fn the_goals_of_a_stiff_motion_exceed_its_poses_by_what_the_joints_give_way() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let nod = "[[nod.frame]]\nduration_s = 1.0\npause_s = 2.0\nradians = { head_tilt = 0.2 }\n";
+        std::fs::write(&file, format!("[nod]\nstiffness = 3.0\n{nod}")).unwrap();
+        let path = file.path().to_str().unwrap().to_owned();
+        let mut robot = Robot::with_file(&path);
+        robot.play("nod");
+        robot.run(1.5);
+        let given_way = stand()[19];
+        let goal = robot.commands.take().last().unwrap().position[0];
+        assert!((goal - (0.2 + 2.0 * (0.2 - given_way))).abs() < 1e-9, "{goal}");
+        robot.run(2.0);
+        let goal = robot.commands.take().last().unwrap().position[0];
+        assert!((goal - 0.2).abs() < 0.02, "at the end it is the pose: {goal}");
     }
 
     #[test]

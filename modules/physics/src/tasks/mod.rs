@@ -4,10 +4,9 @@
 //! `cargo xtask physics` runs all tasks in worlds that [`Variation::of_seed`] perturbs and prints how many succeed.
 //!
 //! ```
-//! use downbeat_physics::SimulationOptions;
-//! use downbeat_physics::tasks::Task;
+//! use downbeat_physics::tasks::{Conditions, Task};
 //!
-//! let stopped = Task::Stop.run(SimulationOptions::darwin_op(), 1)?;
+//! let stopped = Task::Stop.run(Conditions::described(1))?;
 //! assert!(stopped.figure < 0.3, "it needs {} m to stop", stopped.figure);
 //! # Ok::<(), downbeat_physics::tasks::Failure>(())
 //! ```
@@ -41,12 +40,23 @@ pub enum Task {
     Stop,
     /// Stays on its feet when its trunk is pushed with 0.5 N s, from all four sides.
     Push,
-    /// Gets up from its front.
+    /// Gets up from its front and walks.
     GetUpFront,
-    /// Gets up from its back.
+    /// Gets up from its back and walks.
     GetUpBack,
     /// Kicks a ball 1 m far and stays on its feet.
     Kick,
+}
+
+/// In which world a task is done, and by which robot.
+#[derive(Clone, Debug)]
+pub struct Conditions {
+    /// The robot and its world.
+    pub simulation: SimulationOptions,
+    /// Of the noise of the sensors; chooses the side of tasks with two sides.
+    pub seed: u64,
+    /// The file of motions; empty for the built-in motions.
+    pub motions: String,
 }
 
 /// A task that was done.
@@ -162,21 +172,23 @@ impl Task {
         }
     }
 
-    /// Runs the task. The seed is that of the noise of the sensors, and chooses the side.
+    /// Runs the task.
     ///
     /// # Errors
     /// Why it was not done.
-    pub fn run(self, mut options: SimulationOptions, seed: u64) -> Result<Success, Failure> {
-        let side = if seed.is_multiple_of(2) { -1.0 } else { 1.0 };
+    pub fn run(self, mut conditions: Conditions) -> Result<Success, Failure> {
+        let side = if conditions.seed.is_multiple_of(2) { -1.0 } else { 1.0 };
+        let simulation = &mut conditions.simulation;
         match self {
-            Self::GetUpFront => options.start.posture = Posture::Prone,
-            Self::GetUpBack => options.start.posture = Posture::Supine,
+            Self::GetUpFront => simulation.start.posture = Posture::Prone,
+            Self::GetUpBack => simulation.start.posture = Posture::Supine,
             Self::Kick => {
-                options.world.ball = Some(Ball { position: [BALL_AHEAD, 0.045 * side], ..Ball::default() });
+                let ball = Ball { position: [BALL_AHEAD, 0.045 * side], ..Ball::default() };
+                simulation.world.ball = Some(ball);
             }
             _ => {}
         }
-        let mut robot = WalkingRobot::new(options, seed)?;
+        let mut robot = WalkingRobot::new(conditions)?;
         let (figure, attempts) = match self {
             Self::Stand => (stand(&mut robot)?, 0),
             Self::Walk => (walk(&mut robot)?, 0),
@@ -188,6 +200,22 @@ impl Task {
             Self::Kick => (kick(&mut robot, side)?, 0),
         };
         Ok(Success { figure, attempts })
+    }
+}
+
+impl Conditions {
+    /// The Darwin OP and its floor as described.
+    #[must_use]
+    pub fn described(seed: u64) -> Self {
+        Self { simulation: SimulationOptions::darwin_op(), seed, motions: String::new() }
+    }
+
+    /// As described, except for [`Variation::of_seed`].
+    #[must_use]
+    pub fn perturbed(seed: u64) -> Self {
+        let mut conditions = Self::described(seed);
+        conditions.simulation.variation = Variation::of_seed(seed);
+        conditions
     }
 }
 
@@ -220,11 +248,11 @@ impl Variation {
 ///
 /// # Errors
 /// If the robot cannot be simulated.
-pub fn push_limit(options: &SimulationOptions, seed: u64, direction: [f64; 2]) -> Result<f64, Failure> {
+pub fn push_limit(conditions: &Conditions, direction: [f64; 2]) -> Result<f64, Failure> {
     let mut limit = 0.0;
     for step in 1..=100 {
         let impulse = f64::from(step) * 0.05;
-        let mut robot = WalkingRobot::new(options.clone(), seed)?;
+        let mut robot = WalkingRobot::new(conditions.clone())?;
         match push_once(&mut robot, direction.map(|share| share * impulse)) {
             Ok(_) => limit = impulse,
             Err(Failure::Fell { .. } | Failure::Moves { .. }) => break,
@@ -342,7 +370,11 @@ fn get_up(robot: &mut WalkingRobot) -> Result<(f64, usize), Failure> {
     let tried = attempts(robot);
     robot.run(3.0)?;
     robot.stands_still()?;
-    Ok((time, tried))
+    robot.forget_falls();
+    let start = robot.place().position;
+    robot.walk_until([0.1, 0.0, 0.0], 5.0, |_| false)?;
+    let found = (robot.place().position - start).truncate().length();
+    if found < 0.2 { Err(Failure::Short { found, wanted: 0.2, unit: "m" }) } else { Ok((time, tried)) }
 }
 
 fn kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {

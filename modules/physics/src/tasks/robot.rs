@@ -1,9 +1,8 @@
 //! A simulated robot with the modules of a walking one.
 
-use super::Failure;
+use super::{Conditions, Failure};
 use crate::harness::SimulatedRobot;
-use crate::simulation::SimulationOptions;
-use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received};
+use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue};
 use downbeat_modules::falls::Falls;
 use downbeat_modules::gait::Gait;
 use downbeat_modules::imu_filter::ImuFilter;
@@ -41,18 +40,21 @@ const READY: f64 = 2.0;
 const STILL: f64 = 0.01;
 
 impl WalkingRobot {
-    /// A robot that was given two seconds to get ready. The seed is that of the noise of its sensors.
+    /// A robot that was given two seconds to get ready.
     ///
     /// # Errors
     /// If it cannot be simulated.
-    pub fn new(options: SimulationOptions, seed: u64) -> Result<Self, Failure> {
-        let mut robot = SimulatedRobot::new(options, seed)?;
+    pub fn new(conditions: Conditions) -> Result<Self, Failure> {
+        let Conditions { simulation, seed, motions } = conditions;
+        let mut robot = SimulatedRobot::new(simulation, seed)?;
         robot.hardware_listens_to("joint_goals")?;
         robot.add("imu_filter", ImuFilter::default())?;
-        let settings = [("start".to_owned(), true.into())].into();
-        let started = ModuleOptions { settings, ..ModuleOptions::default() };
-        robot.core().add_with("gait", Gait::default(), started)?;
-        robot.add("motions", MotionPlayer::default())?;
+        let with = |setting: &str, value: SettingValue| ModuleOptions {
+            settings: [(setting.to_owned(), value)].into(),
+            ..ModuleOptions::default()
+        };
+        robot.core().add_with("gait", Gait::default(), with("start", true.into()))?;
+        robot.core().add_with("motions", MotionPlayer::default(), with("file", motions.into()))?;
         robot.add("falls", Falls::default())?;
         robot.add("mux", JointCommandMux::default())?;
         let cmd_vel = robot.core().inlet("cmd_vel")?;
@@ -136,6 +138,11 @@ impl WalkingRobot {
     #[must_use]
     pub fn states(&self) -> Vec<String> {
         self.states.lock().clone()
+    }
+
+    /// Lets a robot that has got up count as one that has not fallen.
+    pub fn forget_falls(&mut self) {
+        self.states.lock().clear();
     }
 
     /// Returns an error if the robot has fallen.
