@@ -42,16 +42,20 @@ def topic_of(name: str) -> str:
 
 
 def same(ours: Any, theirs: Any) -> bool:
-    """Compares a message with one of another library, field by field. A `byte` of theirs may be `bytes`."""
+    """Compares a message with one of another library, field by field.
+
+    rclpy's `byte` and `char` are numbers from 0 to 255; rosbags and mcap-ros2-support read some as signed, and some as `bytes`.
+    """
     if isinstance(theirs, bytes):
-        theirs = np.frombuffer(theirs, np.uint8) if isinstance(ours, np.ndarray) else theirs[0]
+        theirs = np.frombuffer(theirs, np.uint8)
     if isinstance(ours, db.Message):
         return all(same(getattr(ours, field), getattr(theirs, field)) for field in ours.get_fields_and_field_types())
     if isinstance(ours, list):
         return len(ours) == len(theirs) and all(map(same, ours, theirs))
     if isinstance(ours, np.ndarray):
-        return np.array_equal(ours, np.asarray(theirs, ours.dtype).reshape(-1))
-    return bool(ours == theirs)
+        unsigned = [int(value) % 256 for value in theirs] if ours.dtype == np.uint8 else theirs
+        return np.array_equal(ours, np.asarray(unsigned, ours.dtype).reshape(-1))
+    return bool(ours == theirs) or (isinstance(theirs, int) and -128 <= theirs < 0 and bool(ours == theirs + 256))
 
 
 def test_a_bag_reads_what_was_written(bag: Path, random_message: Callable[..., Any]) -> None:
