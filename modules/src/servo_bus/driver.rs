@@ -177,6 +177,24 @@ impl Driver {
         ))
     }
 
+    /// Stops the joints that are driven by velocities or efforts. The others hold their position.
+    pub(crate) fn rest(
+        &mut self,
+        now: Time,
+        plan: &BusPlan,
+        bus: &mut dyn Bus,
+        exchanges: &mut Vec<Exchange>,
+    ) {
+        bus.begin_step(now);
+        let mut line = Line { bus, protocol: plan.line.protocol, exchanges };
+        let driven = self.servos.iter().zip(&plan.joints);
+        let driven = driven.filter(|(servo, joint)| servo.link.is_active() && joint.drive.is_some());
+        let rest =
+            driven.map(|(_, joint)| write(joint.id, joint.goal_register(), line.protocol, 0)).collect();
+        // Ignores whether the port works: nothing else can be done here.
+        let _ = self.write_all(&mut line, rest);
+    }
+
     /// Closes the port, after this write to a device. The servos hold their position: without torque the robot would
     /// collapse.
     pub(crate) fn stop(
@@ -190,14 +208,8 @@ impl Driver {
         if matches!(self.phase, Phase::Closed { .. }) {
             return;
         }
-        bus.begin_step(now);
+        self.rest(now, plan, bus, exchanges);
         let mut line = Line { bus, protocol: plan.line.protocol, exchanges };
-        let driven = self.servos.iter().zip(&plan.joints);
-        let driven = driven.filter(|(servo, joint)| servo.link.is_active() && joint.drive.is_some());
-        let rest =
-            driven.map(|(_, joint)| write(joint.id, joint.goal_register(), line.protocol, 0)).collect();
-        // Ignores whether the port works: the watchdogs of the servos stop them as well.
-        let _ = self.write_all(&mut line, rest);
         if let Some((id, data, address)) = last_write {
             // Ignores whether the device obeys.
             let _ = line.write(id, address, data);

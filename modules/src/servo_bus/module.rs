@@ -201,6 +201,12 @@ impl Hardware {
         }
     }
 
+    /// Stops the joints that are driven by velocities or efforts.
+    pub(crate) fn rest<P>(&mut self, topics: Topics, ctx: &mut Context<'_, P>) {
+        self.driver.rest(ctx.now(), &self.plan, &mut *self.bus, &mut self.exchanges);
+        self.publish_exchanges(topics, ctx);
+    }
+
     /// Closes the port after this write to a device: its address, the bytes, and where they go.
     pub(crate) fn stop<P>(
         &mut self,
@@ -488,6 +494,14 @@ impl Module for ServoBus {
 
     fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
         if self.hardware.is_some() { Ok(()) } else { Err(NoDescription.into()) }
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        let topics = ctx.ports.topics;
+        if let Some(hardware) = &mut self.hardware {
+            hardware.rest(topics, ctx);
+        }
+        Ok(())
     }
 
     fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {

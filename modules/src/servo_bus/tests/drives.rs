@@ -114,6 +114,17 @@ fn wheels_stop_when_the_robot_does() {
 }
 
 #[test]
+fn wheels_stop_when_their_module_is_deactivated() {
+    let mut run = Run::of(&base("feetech_sts", "STS3215", WHEELS));
+    run.cycles(50);
+    run.driven(20, |run| run.velocities(&[("left", 1.0), ("right", 1.0)]));
+    drop(run.core.handle().transition("servos", downbeat_executor::Transition::Deactivate));
+    run.cycles(3);
+    let exchanges = run.exchanges.take();
+    assert_eq!(exchanges.last().unwrap().instruction[4..13], [0x83, 46, 2, 1, 0, 0, 2, 0, 0]);
+}
+
+#[test]
 fn servos_with_a_watchdog_stop_by_themselves_if_nobody_speaks() {
     let mut run = Run::of(&base("dynamixel2", "XM430-W350", WHEELS));
     run.cycles(50);
