@@ -56,3 +56,16 @@ def test_a_run_is_recorded_and_replayed_as_the_page_says(tmp_path, program):
 @pytest.mark.parametrize("code", blocks("python") if PAGE.exists() else [])
 def test_every_example_is_python(code):
     compile(code, "docs/python.md", "exec")
+
+
+def test_the_page_about_messages_and_bags_runs(tmp_path):
+    page = PAGE.with_name("python_messages.md")
+    script = tmp_path / "page.py"
+    script.write_text("\n".join(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)))
+    ran = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stderr
+    # What the comments say.
+    assert "did you mean 'orientation'?" in ran.stdout
+    assert "field position[1]: expected float64, got str 'a'" in ran.stdout
+    assert "field header.stamp.sec: 1099511627776 is out of the range of int32" in ran.stdout
+    assert "(480, 640, 3) uint8" in ran.stdout

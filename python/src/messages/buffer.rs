@@ -1,6 +1,8 @@
-//! Arrays of NumPy on bytes that Rust owns.
+//! Arrays of NumPy on bytes that Rust owns, and the numbers in buffers of Python.
+//!
+//! This wraps two interfaces in C: the buffer protocol of Python, and the table of functions of NumPy.
 
-#![allow(unsafe_code)] // The buffer protocol is a C interface.
+#![allow(unsafe_code)]
 
 use std::ffi::{CStr, c_int, c_void};
 
