@@ -3,7 +3,8 @@
 //!
 //! Modules that run inside the cycle are replayed together, in the recorded cycles (`cycle_times`) at exactly
 //! their times; messages of other modules and of ROS 2 join in the cycle in which they were recorded. Each
-//! detached module is replayed separately from its recorded runs (`module_steps`). Modules see nothing of
+//! detached module is replayed separately from its recorded runs (`module_steps`); in a bag that was recorded in
+//! simulated time, detached modules ran inside the cycle, and are replayed there. Modules see nothing of
 //! each other but messages, so if every part of a robot repeats bit for bit, the whole robot does. Modules
 //! that drive a device run with the recorded answers of the device if their kind records them. Otherwise they
 //! are left out, and the messages that they published become input.

@@ -13,6 +13,7 @@ use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
 use crate::playback::account::{Cycles, Extract};
 use crate::robot::{ModuleEntry, RobotFile};
+use crate::running::SIMULATED_TIME;
 
 pub(super) struct Plan {
     /// Modules inside the cycle, which are replayed together.
@@ -65,13 +66,14 @@ impl Plan {
             service_types: graph.service_types.clone(),
             cycles: Cycles::Unknown,
         };
+        let runs_detached = |module: &ModuleEntry| {
+            !was_in_simulated_time(reader) && matches!(module.options().synchrony, Synchrony::Detached(_))
+        };
         for module in &file.modules {
             let is_asked_for = options.modules.contains(&module.name);
-            match replayability(module, reader) {
+            match replayability(module, runs_detached(module), reader) {
                 _ if !options.modules.is_empty() && !is_asked_for => {}
-                Ok(()) if matches!(module.options().synchrony, Synchrony::Detached(_)) => {
-                    plan.detached.push(module.name.clone());
-                }
+                Ok(()) if runs_detached(module) => plan.detached.push(module.name.clone()),
                 Ok(()) => plan.attached.push(module.name.clone()),
                 Err(reason) if is_asked_for => {
                     return Err(ReplayError::NotReplayable(module.name.clone(), reason));
@@ -176,8 +178,13 @@ fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayEr
     }
 }
 
+/// Returns whether the bag was recorded in simulated time, in which all modules run inside the cycle.
+fn was_in_simulated_time(reader: &Reader) -> bool {
+    reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key(SIMULATED_TIME))
+}
+
 /// Checks whether the module can be replayed; the error is a message with the reason.
-fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
+fn replayability(module: &ModuleEntry, runs_detached: bool, reader: &Reader) -> Result<(), String> {
     if module.kind.uses_device() {
         let Some(replayed) = module.kind.replayed() else {
             return Err("it drives a device, whose answers are not recorded".to_owned());
@@ -188,7 +195,7 @@ fn replayability(module: &ModuleEntry, reader: &Reader) -> Result<(), String> {
         }
     }
     let steps = format!("/{}", journal::STEPS);
-    if matches!(module.options().synchrony, Synchrony::Detached(_)) && reader.topic(&steps).is_none() {
+    if runs_detached && reader.topic(&steps).is_none() {
         return Err(format!("it is detached, and the bag has no {steps} with its runs"));
     }
     Ok(())

@@ -35,6 +35,7 @@ use downbeat_executor::{Core, CoreHandle, ManualClock, RunError, SetupError, Tim
 
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
+pub(crate) use recording::SIMULATED_TIME;
 
 use crate::inspect::{ClaimError, InspectionServer, SocketDirectory};
 use crate::recorder::RecorderError;
@@ -180,7 +181,9 @@ impl PreparedRobot {
     /// If the bag cannot be created, or a topic that is to be recorded cannot.
     pub fn record(&mut self, plan: RecordPlan) -> Result<(), StartError> {
         let (node, diagnostics) = (self.node.as_ref().map(RobotNode::node), self.diagnostics.as_ref());
-        self.recording = Some(RobotRecording::start(&mut self.robot, node, diagnostics, plan)?);
+        let is_simulated = self.simulated.is_some();
+        let recording = RobotRecording::start(&mut self.robot, node, diagnostics, is_simulated, plan)?;
+        self.recording = Some(recording);
         Ok(())
     }
 

@@ -35,6 +35,9 @@ impl RecordPlan {
     }
 }
 
+/// The key in the metadata of bags that were recorded in simulated time: detached modules ran inside the cycle.
+pub(crate) const SIMULATED_TIME: &str = "simulated_time";
+
 /// A recording, and the services of ROS 2 that steer it.
 pub(super) struct RobotRecording {
     pub(super) recording: Recording,
@@ -48,6 +51,7 @@ impl RobotRecording {
         robot: &mut Robot,
         node: Option<&Node>,
         diagnostics: Option<&ProcessDiagnostics>,
+        is_in_simulated_time: bool,
         plan: RecordPlan,
     ) -> Result<Self, StartError> {
         let RecordPlan { directory, options: RecordOptions { encoding, mut writer, recording }, filter } =
@@ -65,6 +69,9 @@ impl RobotRecording {
         }
         if let Some((key, sources)) = Sources::of(&robot.file).entry() {
             writer = writer.custom_data(key, sources);
+        }
+        if is_in_simulated_time {
+            writer = writer.custom_data(SIMULATED_TIME, "true");
         }
         let unrecorded = Unrecorded::of(&topics, &robot.file.catalog.interfaces);
         unrecorded.warn();

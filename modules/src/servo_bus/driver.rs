@@ -137,7 +137,8 @@ impl Driver {
         bus: &mut dyn Bus,
         exchanges: &mut Vec<Exchange>,
     ) -> Option<Reading> {
-        self.notice_late_cycle(now, plan);
+        let is_live = !bus.is_recorded();
+        self.notice_late_cycle(now, plan, is_live);
         bus.begin_step(now);
         let before = exchanges.len();
         let mut line = Line { bus, protocol: plan.line.protocol, exchanges };
@@ -156,7 +157,7 @@ impl Driver {
             self.lose_port(now, &mut line);
             None
         });
-        self.count(now, &exchanges[before..]);
+        self.count(now, is_live, &exchanges[before..]);
         reading
     }
 
@@ -634,8 +635,8 @@ impl Driver {
         link.service = Service::Silent { retry_at: now + RETRY_UNIT };
     }
 
-    /// A cycle that begins late is not made up for.
-    fn notice_late_cycle(&mut self, now: Time, plan: &BusPlan) {
+    /// A cycle that begins late is not made up for. It is always counted, but logged only if the bus `is_live`.
+    fn notice_late_cycle(&mut self, now: Time, plan: &BusPlan, is_live: bool) {
         let last = self.last_step_at.replace(now);
         let is_late = last.is_some_and(|last| last + plan.cycle + plan.cycle / 2 <= now);
         if is_late && self.phase == Phase::Running {
@@ -648,7 +649,7 @@ impl Driver {
                 self.arm_watchdog(joint, plan.line.protocol);
             }
             self.last_late_cycle_at = Some(now);
-            if self.troubles.late_cycles.is_worth_a_line() {
+            if self.troubles.late_cycles.is_worth_a_line() && is_live {
                 let (count, cycle) = (self.troubles.late_cycles.count(), plan.cycle);
                 tracing::warn!(
                     "a cycle of {cycle:?} began late ({count} times so far): the bus or this machine is too slow"
@@ -657,11 +658,11 @@ impl Driver {
         }
     }
 
-    fn count(&mut self, now: Time, exchanges: &[Exchange]) {
+    fn count(&mut self, now: Time, is_live: bool, exchanges: &[Exchange]) {
         self.exchanges += exchanges.len() as u64;
         for _ in exchanges.iter().filter(|exchange| exchange.error.contains(LATE)) {
             self.last_late_at = Some(now);
-            if self.troubles.late.is_worth_a_line() {
+            if self.troubles.late.is_worth_a_line() && is_live {
                 let count = self.troubles.late.count();
                 tracing::warn!(
                     "this machine is too busy: an answer on the bus arrived after its time-out ({count} times so far)"

@@ -35,6 +35,12 @@ pub trait Bus: Send {
 
     /// Closes the port. Does not affect the devices.
     fn close(&mut self) -> Exchange;
+
+    /// Returns true if the exchanges were recorded earlier. Their lateness then says nothing about this machine, and is
+    /// not logged.
+    fn is_recorded(&self) -> bool {
+        false
+    }
 }
 
 /// How the devices of a bus speak.

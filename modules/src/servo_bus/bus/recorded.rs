@@ -92,6 +92,10 @@ impl Bus for RecordedBus {
     fn close(&mut self) -> Exchange {
         self.replay(ExchangeKind::Close, &[])
     }
+
+    fn is_recorded(&self) -> bool {
+        true
+    }
 }
 
 fn failed(sequence: u64, sent: Time, kind: ExchangeKind, instruction: &[u8], error: String) -> Exchange {
