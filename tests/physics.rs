@@ -4,6 +4,8 @@
 
 use downbeat::App;
 use downbeat::bags::{Reader, Selection};
+use downbeat::bridge::expose::TopicPattern;
+use downbeat::replay::{ReplayOptions, replay};
 use downbeat::running::{PreparedRobot, RecordPlan};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -69,6 +71,23 @@ fn simulated_time_gives_the_same_bag_under_every_launcher() {
         let difference = runs[0].iter().zip(other).find(|(one, other)| one != other);
         assert!(difference.is_none(), "{difference:?}");
     }
+}
+
+#[test]
+fn a_run_in_simulated_time_replays_bit_for_bit_with_the_hardware_inside_the_cycle() {
+    let folder = tempfile::tempdir().unwrap();
+    run(folder.path(), "");
+    let app = App::with_built_in_kinds();
+    let file = app.robot_file(folder.path().join("robot.toml")).unwrap();
+    let reader = Reader::open(folder.path().join("bag")).unwrap();
+    let of_simulator = ["ground_truth/*", "camera/*", "simulation"];
+    let except = of_simulator.map(|topic| TopicPattern::new(topic).unwrap()).into();
+    let report = replay(file, &reader, &ReplayOptions { except, ..ReplayOptions::default() }).unwrap();
+    assert_eq!(report.modules, ["hardware", "motion"]);
+    assert_eq!(report.left_out[0].module, "simulator");
+    let compared = |topic: &str| report.topics.iter().find(|known| known.topic == topic).unwrap().compared;
+    assert!(compared("/bus/exchanges") > 250 && compared("/joint_states") > 250, "{report}");
+    report.assert_same().unwrap();
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! Pictures are simulated: no noise, no distortion, no blur, no shadows, and the robot itself is not in them. Only additions,
 //! multiplications, divisions and square roots, so that the same world gives the same bytes on every machine.
 
+use crate::spawned::{Spawned, SpawnedShape};
 use crate::world_file::{Field, WorldFile};
 use downbeat_transforms::Isometry;
 use glam::{Vec2, Vec3};
@@ -50,7 +51,7 @@ enum VisibleShape {
     Ball,
     /// Half edges.
     Box(Vec3),
-    /// Along z of the world: radius and half height.
+    /// Along its z axis: radius and half height.
     Post(f32, f32),
 }
 
@@ -88,6 +89,26 @@ impl Scene {
             bodies.push(Visible::new(&at, VisibleShape::Ball, colour(ball.colour), ball.radius as f32));
         }
         Self { floor: colour(file.floor.colour), field: file.field, bodies }
+    }
+
+    /// Adds what was spawned, at these poses; what has no pose is left out.
+    #[must_use]
+    pub fn with_spawned(mut self, spawned: &[Spawned], pose_of: impl Fn(&str) -> Option<Isometry>) -> Self {
+        self.bodies.extend(spawned.iter().filter_map(|spawned| {
+            let (shape, radius) = match spawned.shape {
+                SpawnedShape::Ball { radius, .. } => (VisibleShape::Ball, radius as f32),
+                SpawnedShape::Box { size } => {
+                    let half = glam::DVec3::from(size).as_vec3() / 2.0;
+                    (VisibleShape::Box(half), half.length())
+                }
+                SpawnedShape::Post { diameter, height } => {
+                    let (radius, half) = (diameter as f32 / 2.0, height as f32 / 2.0);
+                    (VisibleShape::Post(radius, half), (radius * radius + half * half).sqrt())
+                }
+            };
+            Some(Visible::new(&pose_of(&spawned.name)?, shape, colour(spawned.colour), radius))
+        }));
+        self
     }
 
     /// A picture, rgb8, row by row from the top. `world_from_camera` is the pose of the optical frame: z forward, x to the right,
@@ -256,10 +277,13 @@ impl Visible {
                 Some((depth, (from + ray * depth) / self.radius))
             }
             VisibleShape::Post(radius, half) => {
-                let (a, b) = (Vec2::new(ray.x, ray.y), Vec2::new(from.x, from.y));
+                let [x, y, z] = self.axes;
+                let across = |of: Vec3| Vec2::new(of.dot(x), of.dot(y));
+                let (a, b) = (across(ray), across(from));
                 let depth = nearest_root(a.dot(a), a.dot(b), b.dot(b) - radius * radius)?;
                 let at = from + ray * depth;
-                (at.z.abs() <= half).then_some((depth, Vec3::new(at.x, at.y, 0.0) / radius))
+                let normal = (x * at.dot(x) + y * at.dot(y)) / radius;
+                (at.dot(z).abs() <= half).then_some((depth, normal))
             }
             VisibleShape::Box(half) => {
                 let (mut enter, mut leave, mut normal) = (0.0_f32, f32::INFINITY, Vec3::ZERO);
@@ -389,6 +413,21 @@ mod tests {
             let [red, _, blue] = pixel(&render(&file, &looking(0.5, 0.0)), 160, 120);
             assert!(red > 100 && blue == 0);
         }
+    }
+
+    #[test]
+    fn what_was_spawned_is_seen_while_it_has_a_pose() {
+        let post = Spawned { name: "post".into(), ..Spawned::parse("kind = \"post\"").unwrap() };
+        // It lies across the picture.
+        let lying =
+            Isometry { translation: DVec3::new(2.0, 0.0, 0.5), rotation: DQuat::from_rotation_x(FRAC_PI_2) };
+        let seen = |pose: Option<Isometry>| {
+            let scene = Scene::new(&WorldFile::default(), |_| None);
+            let picture = scene.with_spawned(&[post.clone()], |_| pose).render(&CAMERA, &looking(0.5, 0.0));
+            [(160, 120), (160, 80), (100, 120)].map(|(column, row)| pixel(&picture, column, row)[2] < 60)
+        };
+        assert_eq!(seen(Some(lying)), [true, false, true]);
+        assert_eq!(seen(None), [false; 3]);
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! is limited by moving the goal nearer. Within the free play of the gear there is no torque.
 
 use crate::model::Model;
+use crate::spawned::Spawned;
 use crate::world::{Engine, EngineError, JointDrive, Motion, Plan, Start, Variation, World};
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
@@ -129,7 +130,14 @@ pub enum Request {
         /// The motion.
         motion: Motion,
     },
-    /// Puts everything back to where it started.
+    /// Adds something.
+    Spawn(Box<Spawned>),
+    /// Removes something beside the robot.
+    Delete {
+        /// Its name.
+        thing: String,
+    },
+    /// Puts everything back to where it started. What was deleted from the world of the options is there again.
     Reset {
         /// Whether simulated time starts again too.
         time: bool,
@@ -168,6 +176,8 @@ struct State {
     imu: ImuMotion,
     velocity: DVec3,
     requests: Vec<Request>,
+    /// What was spawned and not deleted, as it started.
+    spawned: Vec<Spawned>,
     snapshot: Snapshot,
 }
 
@@ -236,6 +246,7 @@ impl Simulation {
             imu: ImuMotion::default(),
             velocity: DVec3::ZERO,
             requests: Vec::new(),
+            spawned: Vec::new(),
             snapshot,
             options,
         };
@@ -270,6 +281,13 @@ impl Simulation {
             state.requests.push(request);
         }
         has_room
+    }
+
+    /// What this would be inside of now, if one of the two can move, and how deep in m: it would be thrown out.
+    #[must_use]
+    pub fn overlap_of(&self, spawned: &Spawned) -> Option<(String, f64)> {
+        let state = self.state.lock();
+        state.world.overlap_of(spawned).map(|(other, depth)| (other.to_owned(), depth))
     }
 
     /// A hash of the poses of all bodies now, bit for bit: equal for equal runs.
@@ -439,6 +457,16 @@ impl State {
                     tracing::warn!("\"{name}\" cannot be moved");
                 }
             }
+            Request::Spawn(spawned) => {
+                self.world.spawn(&spawned);
+                self.spawned.push(*spawned);
+            }
+            Request::Delete { thing } => {
+                self.spawned.retain(|spawned| spawned.name != thing);
+                if !self.world.delete(&thing) {
+                    tracing::warn!("\"{thing}\" cannot be deleted: there is no such thing");
+                }
+            }
             Request::Reset { time } => self.reset(time),
             Request::Run(run) => {
                 self.steps_left = 0;
@@ -460,6 +488,7 @@ impl State {
             Ok(world) => self.world = world,
             Err(error) => tracing::error!("the world is not reset: {error}"),
         }
+        self.spawned.iter().for_each(|spawned| self.world.spawn(spawned));
         self.held_for = None;
         self.since_step = Duration::ZERO;
         if time {

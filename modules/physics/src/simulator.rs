@@ -17,6 +17,7 @@ use crate::camera::{Camera, Scene};
 use crate::harness::DARWIN_OP;
 use crate::model::Model;
 use crate::simulation::{Request, Simulation, SimulationOptions, Snapshot};
+use crate::spawned::Spawned;
 use crate::world::{Engine, Motion, Posture, Start, Variation};
 use crate::world_file::WorldFile;
 use downbeat_executor::{
@@ -60,7 +61,9 @@ struct Parts {
     simulation: Simulation,
     emulator: Option<Emulator>,
     options: EmulatorOptions,
+    /// Without what was deleted.
     world: WorldFile,
+    spawned: Vec<Spawned>,
     root: String,
 }
 
@@ -114,7 +117,7 @@ impl DarwinOpSimulator {
         let Snapshot { camera: Some(camera), things, .. } = parts.simulation.snapshot() else { return };
         let pose_of =
             |name: &str| things.iter().find(|thing| thing.0 == name).map(|thing| thing.2.world_from_body);
-        let scene = Scene::new(&parts.world, pose_of);
+        let scene = Scene::new(&parts.world, pose_of).with_spawned(&parts.spawned, pose_of);
         ctx.spawn(job, move || (now, scene.render(&Camera::darwin_op(), &camera)));
         self.is_rendering = true;
     }
@@ -180,7 +183,7 @@ impl Module for DarwinOpSimulator {
                 .offer(&link, emulator)
                 .map_err(|error| setup.refuse_value(settings.link, error.to_string()))?;
         }
-        self.parts = Some(Parts { simulation, emulator, options, world, root });
+        self.parts = Some(Parts { simulation, emulator, options, world, spawned: Vec::new(), root });
         services::declare(setup, &mut self.services)?;
         setup.subscribe("push", Self::on_push)?;
         let period = |hz: f64| Duration::from_secs_f64(1.0 / hz);

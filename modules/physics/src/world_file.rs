@@ -167,7 +167,7 @@ pub enum WorldFileError {
 }
 
 /// The most boxes and walls of a world.
-const MOST_BOXES: usize = 1000;
+pub(crate) const MOST_BOXES: usize = 1000;
 /// The longest world file, in bytes.
 const LONGEST: u64 = 1 << 20;
 /// The largest distance and size, in m: beyond it single precision is coarser than a millimetre.
@@ -326,10 +326,20 @@ struct Reader<'a> {
     lines: Vec<usize>,
 }
 
-const POSITIVE: &str = "more than 0 and at most 1000";
+pub(crate) const POSITIVE: &str = "more than 0 and at most 1000";
 const FINITE: &str = "a number between -1000 and 1000";
-const SHARE: &str = "from 0 to 1";
-const NOT_NEGATIVE: &str = "from 0 to 1000";
+pub(crate) const SHARE: &str = "from 0 to 1";
+pub(crate) const NOT_NEGATIVE: &str = "from 0 to 1000";
+
+/// Whether a number is what one of the constants above says.
+pub(crate) fn is_allowed(found: f64, allowed: &str) -> bool {
+    match allowed {
+        POSITIVE => found > 0.0 && found <= LARGEST,
+        NOT_NEGATIVE => (0.0..=LARGEST).contains(&found),
+        SHARE => (0.0..=1.0).contains(&found),
+        _ => found.abs() <= LARGEST,
+    }
+}
 
 impl Reader<'_> {
     fn world(mut self, raw: Raw) -> Result<WorldFile, WorldFileError> {
@@ -362,13 +372,7 @@ impl Reader<'_> {
         found: f64,
         allowed: &'static str,
     ) -> Result<(), WorldFileError> {
-        let is_allowed = match allowed {
-            POSITIVE => found > 0.0 && found <= LARGEST,
-            NOT_NEGATIVE => (0.0..=LARGEST).contains(&found),
-            SHARE => (0.0..=1.0).contains(&found),
-            _ => found.abs() <= LARGEST,
-        };
-        if is_allowed {
+        if is_allowed(found, allowed) {
             return Ok(());
         }
         let (file, what) = (self.file.to_owned(), what.to_owned());

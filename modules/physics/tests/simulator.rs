@@ -4,20 +4,21 @@
 use downbeat_executor::{Clock, Core, Inbox, ManualClock, ModuleOptions, Received, SettingValue, Time};
 use downbeat_modules::darwin_op::DarwinOp;
 use downbeat_modules::darwin_op_emulator::MemoryPorts;
-use downbeat_msgs::geometry_msgs::msg::{PoseStamped, Vector3Stamped};
+use downbeat_msgs::geometry_msgs::msg::{Point, PoseStamped, Vector3Stamped};
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use downbeat_msgs::simulation_interfaces::action::{
     SimulateStepsSendGoalRequest, SimulateStepsSendGoalResponse,
 };
 use downbeat_msgs::simulation_interfaces::msg::{
-    EntityCategory, Result as Outcome, SimulationState, SimulatorFeatures,
+    EntityCategory, Resource, Result as Outcome, SimulationState, SimulatorFeatures,
 };
 use downbeat_msgs::simulation_interfaces::srv::{
-    GetEntitiesRequest, GetEntitiesResponse, GetEntityStateRequest, GetEntityStateResponse,
-    GetSimulatorFeaturesRequest, GetSimulatorFeaturesResponse, ResetSimulationRequest,
-    ResetSimulationResponse, SetEntityStateRequest, SetEntityStateResponse, SetSimulationStateRequest,
-    SetSimulationStateResponse, StepSimulationRequest, StepSimulationResponse,
+    DeleteEntityRequest, DeleteEntityResponse, GetEntitiesRequest, GetEntitiesResponse,
+    GetEntityStateRequest, GetEntityStateResponse, GetSimulatorFeaturesRequest, GetSimulatorFeaturesResponse,
+    GetSpawnablesRequest, GetSpawnablesResponse, ResetSimulationRequest, ResetSimulationResponse,
+    SetEntityStateRequest, SetEntityStateResponse, SetSimulationStateRequest, SetSimulationStateResponse,
+    SpawnEntityRequest, SpawnEntityResponse, StepSimulationRequest, StepSimulationResponse,
 };
 use downbeat_physics::simulator::DarwinOpSimulator;
 use std::sync::mpsc::{Receiver, channel};
@@ -88,6 +89,26 @@ impl Robot {
         self.call::<_, SetSimulationStateResponse>("simulator/set_simulation_state", request).result.result
     }
 
+    fn spawn(&mut self, name: &str, resource: &str, position: [f64; 3]) -> SpawnEntityResponse {
+        let mut request = SpawnEntityRequest { name: name.into(), ..Default::default() };
+        let is_description = resource.contains('=');
+        let Resource { uri, resource_string } = &mut request.entity_resource;
+        *(if is_description { resource_string } else { uri }) = resource.into();
+        let [x, y, z] = position;
+        request.initial_pose.pose.position = Point { x, y, z };
+        self.call("simulator/spawn_entity", request)
+    }
+
+    fn delete(&mut self, name: &str) -> u8 {
+        let request = DeleteEntityRequest { entity: name.into() };
+        self.call::<_, DeleteEntityResponse>("simulator/delete_entity", request).result.result
+    }
+
+    fn entities(&mut self) -> Vec<String> {
+        self.run_for(20 * MS);
+        self.call::<_, GetEntitiesResponse>("simulator/get_entities", GetEntitiesRequest::default()).entities
+    }
+
     fn ball(&mut self) -> GetEntityStateResponse {
         self.call("simulator/get_entity_state", GetEntityStateRequest { entity: "ball".into() })
     }
@@ -147,7 +168,7 @@ fn features_are_those_that_are_offered() {
     let answer: GetSimulatorFeaturesResponse =
         robot.call("simulator/get_simulator_features", GetSimulatorFeaturesRequest::default());
     let has = |feature: u8| answer.features.features.contains(&u16::from(feature));
-    assert!(has(SimulatorFeatures::STEP_SIMULATION_ACTION) && !has(SimulatorFeatures::SPAWNING));
+    assert!(has(SimulatorFeatures::SPAWNING) && has(SimulatorFeatures::DELETING));
 }
 
 #[test]
@@ -229,4 +250,75 @@ fn entities_are_found_by_name_and_category() {
     let fixed = SetEntityStateRequest { entity: "wall_1".into(), set_pose: true, ..Default::default() };
     let refused: SetEntityStateResponse = robot.call("simulator/set_entity_state", fixed);
     assert!(refused.result.error_message.contains("fixed"), "{}", refused.result.error_message);
+}
+
+#[test]
+fn spawned_things_fall_roll_and_stand_until_they_are_deleted() {
+    let mut robot = Robot::new("");
+    robot.run_for(1000 * MS);
+    let known: GetSpawnablesResponse =
+        robot.call("simulator/get_spawnables", GetSpawnablesRequest::default());
+    for (index, spawnable) in known.spawnables.iter().enumerate() {
+        let uri = &spawnable.entity_resource.uri;
+        let answer = robot.spawn(&format!("my_{uri}"), uri, [1.0, index as f64, 0.6]);
+        assert_eq!(answer.result.result, Outcome::RESULT_OK, "{}", answer.result.error_message);
+    }
+    let table = "kind = \"box\"\nsize = [0.2, 0.2, 0.1]\nmass = 0.0";
+    assert_eq!(robot.spawn("table", table, [0.5, 0.0, 0.2]).entity_name, "table");
+    assert_eq!(robot.entities(), ["darwin_op", "my_ball", "my_box", "my_post", "table"]);
+    robot.run_for(1500 * MS);
+    let mut height = |entity: &str| {
+        let request = GetEntityStateRequest { entity: entity.into() };
+        robot.call::<_, GetEntityStateResponse>("simulator/get_entity_state", request).state.pose.position.z
+    };
+    let heights = ["my_ball", "my_box", "my_post", "table"].map(&mut height);
+    for (height, expected) in heights.into_iter().zip([0.05, 0.05, 0.6, 0.2]) {
+        assert!((height - expected).abs() < 0.005, "{heights:?}");
+    }
+    assert_eq!(robot.delete("my_box"), Outcome::RESULT_OK);
+    assert_eq!(robot.entities(), ["darwin_op", "my_ball", "my_post", "table"]);
+    assert_eq!(robot.delete("my_box"), Outcome::RESULT_NOT_FOUND);
+    assert_eq!(robot.delete("darwin_op"), Outcome::RESULT_OPERATION_FAILED);
+    let reset = ResetSimulationRequest { scope: ResetSimulationRequest::SCOPE_SPAWNED };
+    let reset: ResetSimulationResponse = robot.call("simulator/reset_simulation", reset);
+    assert_eq!(reset.result.result, Outcome::RESULT_OK);
+    assert_eq!(robot.entities(), ["darwin_op"]);
+}
+
+#[test]
+fn what_cannot_be_spawned_is_refused_with_the_reason() {
+    let mut robot = Robot::new("[field]\n[ball]");
+    robot.run_for(1000 * MS);
+    let free = [2.0, 1.0, 0.5];
+    for (name, resource, position, result, message) in [
+        ("one", "", free, SpawnEntityResponse::NO_RESOURCE, "neither uri nor resource_string"),
+        ("one", "cone", free, SpawnEntityResponse::NO_RESOURCE, "one of ball, box, post"),
+        ("one", "kind = \"cone\"", free, SpawnEntityResponse::RESOURCE_PARSE_ERROR, "unknown variant `cone`"),
+        ("one", "kind = \"ball\"\nmass = -1", free, SpawnEntityResponse::RESOURCE_PARSE_ERROR, "mass is -1"),
+        ("ball", "ball", free, SpawnEntityResponse::NAME_NOT_UNIQUE, "choose another name"),
+        ("", "ball", free, SpawnEntityResponse::NAME_INVALID, "allow renaming"),
+        ("one", "ball", [0.0; 3], SpawnEntityResponse::INVALID_POSE, "be thrown out"),
+        ("one", "ball", [f64::NAN; 3], SpawnEntityResponse::INVALID_POSE, "beyond 1000 m"),
+    ] {
+        let answer = robot.spawn(name, resource, position).result;
+        assert_eq!(answer.result, result, "{resource}: {}", answer.error_message);
+        assert!(answer.error_message.contains(message), "{}", answer.error_message);
+    }
+    let mut request = SpawnEntityRequest { name: "ball".into(), allow_renaming: true, ..Default::default() };
+    request.entity_resource.uri = "ball".into();
+    request.initial_pose.pose.position.z = 2.0;
+    let renamed: SpawnEntityResponse = robot.call("simulator/spawn_entity", request);
+    assert_eq!(renamed.entity_name, "ball_1");
+    assert_eq!(robot.delete("goal_post_1"), Outcome::RESULT_OPERATION_FAILED);
+}
+
+#[test]
+fn a_deleted_thing_of_the_world_returns_with_a_reset() {
+    let mut robot = Robot::new("[ball]");
+    robot.run_for(1000 * MS);
+    assert_eq!(robot.delete("ball"), Outcome::RESULT_OK);
+    assert_eq!(robot.entities(), ["darwin_op"]);
+    let _: ResetSimulationResponse =
+        robot.call("simulator/reset_simulation", ResetSimulationRequest::default());
+    assert_eq!(robot.entities(), ["darwin_op", "ball"]);
 }

@@ -8,6 +8,7 @@
 
 use super::{DarwinOpSimulator, Ports, WORLD, header, isometry, pose_message, twist_message};
 use crate::simulation::{Request, RunState, Snapshot};
+use crate::spawned::{MOST_SPAWNED, SPAWNABLES, Spawned};
 use crate::world::{Engine, Motion};
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use downbeat_executor::{Context, Responder, Setup, SetupError, Time};
@@ -15,16 +16,17 @@ use downbeat_msgs::simulation_interfaces::action::{
     SimulateSteps, SimulateStepsFeedback, SimulateStepsResult,
 };
 use downbeat_msgs::simulation_interfaces::msg::{
-    EntityCategory, EntityFilters, EntityInfo, EntityState, Result as Outcome, SimulationState,
-    SimulatorFeatures,
+    EntityCategory, EntityFilters, EntityInfo, EntityState, Resource, Result as Outcome, SimulationState,
+    SimulatorFeatures, Spawnable,
 };
 use downbeat_msgs::simulation_interfaces::srv::{
-    GetEntitiesRequest, GetEntitiesResponse, GetEntitiesStatesRequest, GetEntitiesStatesResponse,
-    GetEntityInfoRequest, GetEntityInfoResponse, GetEntityStateRequest, GetEntityStateResponse,
-    GetSimulationStateRequest, GetSimulationStateResponse, GetSimulatorFeaturesRequest,
-    GetSimulatorFeaturesResponse, ResetSimulationRequest, ResetSimulationResponse, SetEntityStateRequest,
-    SetEntityStateResponse, SetSimulationStateRequest, SetSimulationStateResponse, StepSimulationRequest,
-    StepSimulationResponse,
+    DeleteEntityRequest, DeleteEntityResponse, GetEntitiesRequest, GetEntitiesResponse,
+    GetEntitiesStatesRequest, GetEntitiesStatesResponse, GetEntityInfoRequest, GetEntityInfoResponse,
+    GetEntityStateRequest, GetEntityStateResponse, GetSimulationStateRequest, GetSimulationStateResponse,
+    GetSimulatorFeaturesRequest, GetSimulatorFeaturesResponse, GetSpawnablesRequest, GetSpawnablesResponse,
+    ResetSimulationRequest, ResetSimulationResponse, SetEntityStateRequest, SetEntityStateResponse,
+    SetSimulationStateRequest, SetSimulationStateResponse, SpawnEntityRequest, SpawnEntityResponse,
+    StepSimulationRequest, StepSimulationResponse,
 };
 use regex_lite::Regex;
 use std::time::Duration;
@@ -41,6 +43,8 @@ pub(super) struct Services {
 
 /// The most steps of one request: more than an hour of simulated time.
 const MOST_STEPS: u64 = 1_000_000;
+/// The longest name of an entity, in bytes.
+const LONGEST_NAME: usize = 255;
 /// The longest regular expression.
 const LONGEST_FILTER: usize = 1000;
 /// How often it is checked whether steps are done.
@@ -66,6 +70,9 @@ pub(super) fn declare(
     setup.serve("simulator/get_entity_info", DarwinOpSimulator::get_entity_info)?;
     setup.serve("simulator/get_entity_state", DarwinOpSimulator::get_entity_state)?;
     setup.serve("simulator/set_entity_state", DarwinOpSimulator::set_entity_state)?;
+    setup.serve("simulator/get_spawnables", |_, _: &GetSpawnablesRequest, _| Ok(spawnables()))?;
+    setup.serve("simulator/spawn_entity", DarwinOpSimulator::spawn_entity)?;
+    setup.serve("simulator/delete_entity", DarwinOpSimulator::delete_entity)?;
     ActionServer::builder(|module: &mut DarwinOpSimulator| &mut module.services.action)
         .on_goal(|module, _, goal, _| match module.run_state() {
             RunState::Paused if goal.steps <= MOST_STEPS && module.services.goal.is_none() => {
@@ -80,7 +87,7 @@ pub(super) fn declare(
 }
 
 fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
-    let features = vec![
+    let mut features = vec![
         SimulatorFeatures::ENTITY_CATEGORIES,
         SimulatorFeatures::ENTITY_STATE_GETTING,
         SimulatorFeatures::ENTITY_STATE_SETTING,
@@ -94,13 +101,35 @@ fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
         SimulatorFeatures::STEP_SIMULATION_MULTIPLE,
         SimulatorFeatures::STEP_SIMULATION_ACTION,
     ];
+    let mut spawn_formats = Vec::new();
+    if engine.can_spawn() {
+        features.extend([
+            SimulatorFeatures::SPAWNING,
+            SimulatorFeatures::DELETING,
+            SimulatorFeatures::SPAWNING_RESOURCE_STRING,
+            SimulatorFeatures::SPAWNABLES,
+            SimulatorFeatures::SIMULATION_RESET_SPAWNED,
+        ]);
+        spawn_formats.push("toml".to_owned());
+    }
     let features = SimulatorFeatures {
         features: features.into_iter().map(u16::from).collect(),
-        spawn_formats: Vec::new(),
+        spawn_formats,
         custom_info: format!("downbeat-physics, {engine}"),
     };
     GetSimulatorFeaturesResponse { features }
 }
+
+fn spawnables() -> GetSpawnablesResponse {
+    let spawnables = SPAWNABLES.map(|(name, about)| Spawnable {
+        entity_resource: Resource { uri: name.to_owned(), ..Resource::default() },
+        description: about.to_owned(),
+        ..Spawnable::default()
+    });
+    GetSpawnablesResponse { result: ok(), spawnables: spawnables.into() }
+}
+
+const BUSY: &str = "too many requests wait; try again";
 
 fn ok() -> Outcome {
     Outcome { result: Outcome::RESULT_OK, error_message: String::new() }
@@ -118,11 +147,7 @@ impl DarwinOpSimulator {
 
     fn ask(&self, request: Request) -> Outcome {
         let is_taken = self.parts.as_ref().is_some_and(|parts| parts.simulation.request(request));
-        if is_taken {
-            ok()
-        } else {
-            failed(Outcome::RESULT_OPERATION_FAILED, "too many requests wait; try again")
-        }
+        if is_taken { ok() } else { failed(Outcome::RESULT_OPERATION_FAILED, BUSY) }
     }
 
     fn snapshot(&self, now: Time) -> Option<Snapshot> {
@@ -181,7 +206,19 @@ impl DarwinOpSimulator {
         } else {
             request.scope
         };
+        if scope & ResetSimulationRequest::SCOPE_SPAWNED != 0 {
+            let spawned = self.parts.as_mut().map(|parts| std::mem::take(&mut parts.spawned));
+            for Spawned { name, .. } in spawned.into_iter().flatten() {
+                let result = self.ask(Request::Delete { thing: name });
+                if result.result != Outcome::RESULT_OK {
+                    return Ok(ResetSimulationResponse { result });
+                }
+            }
+        }
         let result = if scope & ResetSimulationRequest::SCOPE_STATE != 0 {
+            if let Some(parts) = &mut self.parts {
+                parts.world = parts.simulation.options().world;
+            }
             self.ask(Request::Reset { time: scope & ResetSimulationRequest::SCOPE_TIME != 0 })
         } else if scope & ResetSimulationRequest::SCOPE_TIME != 0 {
             failed(
@@ -189,7 +226,6 @@ impl DarwinOpSimulator {
                 "time is reset only together with the state; set the scope to 255",
             )
         } else {
-            // Nothing was spawned.
             ok()
         };
         Ok(ResetSimulationResponse { result })
@@ -401,6 +437,136 @@ impl DarwinOpSimulator {
         }
         let thing = (!is_robot).then(|| request.entity.clone());
         Ok(self.ask(Request::SetMotion { thing, motion }))
+    }
+}
+
+impl DarwinOpSimulator {
+    fn spawn_entity(
+        &mut self,
+        request: &SpawnEntityRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<SpawnEntityResponse, String> {
+        Ok(match self.try_spawn(request, ctx.now()) {
+            Ok(entity_name) => SpawnEntityResponse { result: ok(), entity_name },
+            Err(result) => SpawnEntityResponse { result, entity_name: String::new() },
+        })
+    }
+
+    /// Returns the name.
+    fn try_spawn(&mut self, request: &SpawnEntityRequest, now: Time) -> Result<String, Outcome> {
+        self.check_that_it_spawns()?;
+        let SpawnEntityRequest { name, allow_renaming, entity_resource, initial_pose, .. } = request;
+        let mut spawned = match (entity_resource.uri.as_str(), entity_resource.resource_string.as_str()) {
+            ("", "") => {
+                let why = "neither uri nor resource_string is given";
+                return Err(failed(SpawnEntityResponse::NO_RESOURCE, why));
+            }
+            ("", text) => Spawned::parse(text)
+                .map_err(|problem| failed(SpawnEntityResponse::RESOURCE_PARSE_ERROR, problem))?,
+            (uri, _) if SPAWNABLES.iter().any(|(known, _)| *known == uri) => {
+                Spawned::parse(&format!("kind = \"{uri}\""))
+                    .map_err(|problem| failed(SpawnEntityResponse::RESOURCE_PARSE_ERROR, problem))?
+            }
+            (uri, _) => {
+                let known = SPAWNABLES.map(|(known, _)| known).join(", ");
+                let why = format!("there is no \"{uri}\"; the uri is one of {known}");
+                return Err(failed(SpawnEntityResponse::NO_RESOURCE, why));
+            }
+        };
+        if !["", WORLD].contains(&initial_pose.header.frame_id.as_str()) {
+            let why = "only poses in the frame \"world\" are possible";
+            return Err(failed(SpawnEntityResponse::INVALID_POSE, why));
+        }
+        let invalid = "the quaternion has not norm 1, or the position is beyond 1000 m";
+        spawned.world_from_body =
+            isometry(&initial_pose.pose).ok_or_else(|| failed(SpawnEntityResponse::INVALID_POSE, invalid))?;
+        spawned.name = self.free_name(name, *allow_renaming, &entity_resource.uri, now)?;
+        let Some(parts) = &mut self.parts else {
+            return Err(failed(Outcome::RESULT_OPERATION_FAILED, "the simulator is not set up"));
+        };
+        if parts.spawned.len() >= MOST_SPAWNED {
+            let why = format!("{MOST_SPAWNED} things are spawned, no more are possible; delete some");
+            return Err(failed(Outcome::RESULT_OPERATION_FAILED, why));
+        }
+        if let Some((other, depth)) = parts.simulation.overlap_of(&spawned) {
+            let why =
+                format!("it would be {depth:.3} m inside \"{other}\", and be thrown out of it; move it");
+            return Err(failed(SpawnEntityResponse::INVALID_POSE, why));
+        }
+        if !parts.simulation.request(Request::Spawn(Box::new(spawned.clone()))) {
+            return Err(failed(Outcome::RESULT_OPERATION_FAILED, BUSY));
+        }
+        let name = spawned.name.clone();
+        parts.spawned.push(spawned);
+        Ok(name)
+    }
+
+    /// The name, or another one if it is taken and that is allowed.
+    fn free_name(&self, name: &str, may_rename: bool, kind: &str, now: Time) -> Result<String, Outcome> {
+        let mut taken: Vec<String> = self.entities(now).into_iter().map(|(name, ..)| name).collect();
+        taken.push("floor".to_owned());
+        if let Some(parts) = &self.parts {
+            // Some are not there yet.
+            taken.extend(parts.spawned.iter().map(|spawned| spawned.name.clone()));
+        }
+        if name.len() > LONGEST_NAME || name.contains(char::is_control) {
+            let why = format!("a name has at most {LONGEST_NAME} bytes, and no control characters");
+            return Err(failed(SpawnEntityResponse::NAME_INVALID, why));
+        }
+        let is_free = |name: &String| !name.is_empty() && !taken.contains(name);
+        if is_free(&name.to_owned()) {
+            return Ok(name.to_owned());
+        }
+        if !may_rename {
+            return Err(match name {
+                "" => failed(SpawnEntityResponse::NAME_INVALID, "the name is empty; allow renaming"),
+                _ => failed(
+                    SpawnEntityResponse::NAME_NOT_UNIQUE,
+                    format!("there is a \"{name}\" already; choose another name, or allow renaming"),
+                ),
+            });
+        }
+        let stem = [name, kind, "thing"].into_iter().find(|stem| !stem.is_empty()).unwrap_or_default();
+        let mut names = (1..).map(|number| format!("{stem}_{number}"));
+        names.find(is_free).ok_or_else(|| failed(Outcome::RESULT_OPERATION_FAILED, "no name is free"))
+    }
+
+    fn check_that_it_spawns(&self) -> Result<(), Outcome> {
+        match self.parts.as_ref().map(|parts| parts.simulation.options().engine) {
+            Some(engine) if !engine.can_spawn() => {
+                let why = format!("the world of {engine} does not change; use rapier");
+                Err(failed(Outcome::RESULT_FEATURE_UNSUPPORTED, why))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn is_of_field(&self, name: &str) -> bool {
+        self.parts.as_ref().is_some_and(|parts| parts.world.posts().any(|(post, _)| post == name))
+    }
+
+    fn delete_entity(
+        &mut self,
+        request: &DeleteEntityRequest,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<DeleteEntityResponse, String> {
+        let entity = self.check_that_it_spawns().and_then(|()| self.entity(&request.entity, ctx.now()));
+        let result = match entity {
+            Err(result) => result,
+            Ok((EntityCategory::CATEGORY_ROBOT, _)) => {
+                failed(Outcome::RESULT_OPERATION_FAILED, "the robot cannot be deleted")
+            }
+            Ok(_) if self.is_of_field(&request.entity) => {
+                failed(Outcome::RESULT_OPERATION_FAILED, "it is a part of the field and cannot be deleted")
+            }
+            Ok(_) => self.ask(Request::Delete { thing: request.entity.clone() }),
+        };
+        if let Some(parts) = self.parts.as_mut().filter(|_| result.result == Outcome::RESULT_OK) {
+            parts.spawned.retain(|spawned| spawned.name != request.entity);
+            parts.world.boxes.retain(|block| block.name != request.entity);
+            parts.world.ball = parts.world.ball.filter(|_| request.entity != "ball");
+        }
+        Ok(DeleteEntityResponse { result })
     }
 }
 

@@ -7,6 +7,7 @@ mod rapier;
 pub(crate) use rapier::overlap;
 
 use crate::model::Model;
+use crate::spawned::Spawned;
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op_emulator::FootForces;
 use downbeat_transforms::Isometry;
@@ -85,6 +86,12 @@ impl Engine {
             Self::Rapier => "rapier3d 0.36.1",
             Self::Mujoco => "MuJoCo 3.17.0",
         }
+    }
+
+    /// Whether things can be added to a world while it runs, and removed.
+    #[must_use]
+    pub fn can_spawn(self) -> bool {
+        self == Self::Rapier
     }
 }
 
@@ -217,6 +224,15 @@ pub(crate) trait World: Send {
 
     /// Moves something beside the robot; returns false if there is no such thing, or it is fixed.
     fn set_motion_of_thing(&mut self, name: &str, motion: &Motion) -> bool;
+
+    /// Adds something, at rest, if the [engine](Engine::can_spawn) can.
+    fn spawn(&mut self, spawned: &Spawned);
+
+    /// Removes something beside the robot; returns false if there is no such thing, or the engine cannot.
+    fn delete(&mut self, name: &str) -> bool;
+
+    /// What this would be inside of, if one of the two can move, and how deep in m.
+    fn overlap_of(&self, spawned: &Spawned) -> Option<(&str, f64)>;
 
     /// Moves the robot without changing the angles of its joints; afterwards it is at rest.
     fn set_pose_of_robot(&mut self, world_from_root: &Isometry);

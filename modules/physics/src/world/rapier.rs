@@ -8,6 +8,7 @@
 
 use super::{ARMATURE, GRAVITY, JointDrive, Motion, Plan, Posture, START_HEIGHT, Start, Variation, World};
 use crate::model::{Model, Shape};
+use crate::spawned::{Spawned, SpawnedShape};
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op_emulator::FootForces;
 use downbeat_transforms::Isometry;
@@ -22,8 +23,8 @@ pub(super) struct RapierWorld {
     links: Vec<Link>,
     feet: [Option<Foot>; 2],
     things: Vec<Thing>,
-    /// The body, radius and coefficient of rolling friction of the ball.
-    ball: Option<(RigidBodyHandle, f32, f32)>,
+    /// Of everything beside the robot.
+    friction: f32,
     /// Of pushes in this step.
     pushed: Vec<RigidBodyHandle>,
 }
@@ -45,6 +46,8 @@ struct Foot {
 struct Thing {
     name: String,
     handle: RigidBodyHandle,
+    /// The radius and the coefficient of rolling friction of a ball.
+    rolls: Option<(f32, f32)>,
 }
 
 /// The distance from the floor up to which the ball rolls, in m.
@@ -58,24 +61,8 @@ impl RapierWorld {
         physics.integration_parameters.dt = step.as_secs_f32();
         physics.integration_parameters.num_solver_iterations = 1;
         let friction = (file.floor.friction * variation.friction) as f32;
-        let (mut things, mut ball) = (Vec::new(), None);
-        for fixed in surroundings(file) {
-            let body = match fixed.mass {
-                None => RigidBodyBuilder::fixed(),
-                Some(_) => RigidBodyBuilder::dynamic().can_sleep(false),
-            };
-            let body = body.pose(fixed.pose);
-            let handle = physics.insert_body(body);
-            let collider = ColliderBuilder::new(fixed.shape)
-                .friction(friction)
-                .restitution(fixed.restitution)
-                .mass(fixed.mass.unwrap_or(0.0));
-            physics.insert_collider(collider, Some(handle));
-            if let (Some(described), "ball") = (&file.ball, fixed.name.as_str()) {
-                ball = Some((handle, described.radius as f32, described.rolling_friction as f32));
-            }
-            things.push(Thing { name: fixed.name, handle });
-        }
+        let things = surroundings(file).into_iter().map(|thing| thing.insert(&mut physics, friction));
+        let things = things.collect();
         let links = insert_robot(&mut physics, model, variation, friction);
         let feet = ["r_sole", "l_sole"].map(|name| {
             let &(body, body_from_sole) = model.frames.get(name)?;
@@ -84,7 +71,7 @@ impl RapierWorld {
             let body_from_collider = isometry(physics.colliders.get(collider)?.position_wrt_parent()?);
             Some(Foot { collider, collider_from_sole: body_from_collider.inverse() * body_from_sole })
         });
-        let mut world = Self { physics, steps: 0, links, feet, things, ball, pushed: Vec::new() };
+        let mut world = Self { physics, steps: 0, links, feet, things, friction, pushed: Vec::new() };
         world.place(model, start);
         world
     }
@@ -157,22 +144,24 @@ impl RapierWorld {
         if lowest.is_finite() { f64::from(lowest) } else { 0.0 }
     }
 
-    /// Slows the ball down while it rolls on the floor: a torque of `rolling_friction` times weight times radius against its
+    /// Slows balls down while they roll on the floor: a torque of `rolling_friction` times weight times radius against the
     /// rotation. rapier has no rolling friction.
     fn roll(&mut self) {
-        let Some((handle, radius, rolling_friction)) = self.ball else { return };
-        let Some(body) = self.physics.bodies.get_mut(handle) else { return };
-        let speed = Vector::new(body.angvel().x, body.angvel().y, 0.0).length();
-        if body.translation().z > radius + ROLLING_GAP || speed == 0.0 {
-            return;
-        }
-        // The torque slows down the mass (r^2) and the rotation (0.4 r^2) of a solid ball.
         let dt = self.physics.integration_parameters.dt;
-        let lost = rolling_friction * GRAVITY as f32 * dt / (1.4 * radius);
-        let kept = (1.0 - lost / speed).max(0.0);
-        let (linear, angular) = (body.linvel(), body.angvel());
-        body.set_linvel(Vector::new(linear.x * kept, linear.y * kept, linear.z), false);
-        body.set_angvel(Vector::new(angular.x * kept, angular.y * kept, angular.z), false);
+        for thing in &self.things {
+            let Some((radius, rolling_friction)) = thing.rolls else { continue };
+            let Some(body) = self.physics.bodies.get_mut(thing.handle) else { continue };
+            let speed = Vector::new(body.angvel().x, body.angvel().y, 0.0).length();
+            if body.translation().z > radius + ROLLING_GAP || speed == 0.0 {
+                continue;
+            }
+            // The torque slows down the mass (r^2) and the rotation (0.4 r^2) of a solid ball.
+            let lost = rolling_friction * GRAVITY as f32 * dt / (1.4 * radius);
+            let kept = (1.0 - lost / speed).max(0.0);
+            let (linear, angular) = (body.linvel(), body.angvel());
+            body.set_linvel(Vector::new(linear.x * kept, linear.y * kept, linear.z), false);
+            body.set_angvel(Vector::new(angular.x * kept, angular.y * kept, angular.z), false);
+        }
     }
 
     fn forces_on(&self, foot: &Foot) -> [f64; 4] {
@@ -259,6 +248,38 @@ impl World for RapierWorld {
             }
             _ => false,
         }
+    }
+
+    fn spawn(&mut self, spawned: &Spawned) {
+        let thing = Surrounding::of(spawned).insert(&mut self.physics, self.friction);
+        self.things.push(thing);
+    }
+
+    fn delete(&mut self, name: &str) -> bool {
+        let Some(index) = self.things.iter().position(|thing| thing.name == name) else { return false };
+        let Thing { handle, .. } = self.things.remove(index);
+        self.physics.remove_body(handle);
+        true
+    }
+
+    fn overlap_of(&self, spawned: &Spawned) -> Option<(&str, f64)> {
+        let new = Surrounding::of(spawned);
+        let links = self.links.iter().map(|link| ("the robot", link.handle));
+        let things = self.things.iter().map(|thing| (thing.name.as_str(), thing.handle));
+        links.chain(things).find_map(|(name, handle)| {
+            let body = self.physics.bodies.get(handle)?;
+            if new.mass.is_none() && !body.is_dynamic() {
+                return None;
+            }
+            let depths = body.colliders().iter().filter_map(|collider| {
+                let collider = self.physics.colliders.get(*collider)?;
+                let there = *body.position() * *collider.position_wrt_parent()?;
+                let contact = query::contact(&new.pose, &*new.shape, &there, collider.shape(), 0.0);
+                let contact = contact.ok().flatten()?;
+                (contact.dist < -TOUCHING).then(|| f64::from(-contact.dist))
+            });
+            depths.reduce(f64::max).map(|depth| (name, depth))
+        })
     }
 
     fn set_pose_of_robot(&mut self, world_from_root: &Isometry) {
@@ -396,6 +417,58 @@ struct Surrounding {
     shape: SharedShape,
     mass: Option<f32>,
     restitution: f32,
+    /// The radius and the coefficient of rolling friction of a ball.
+    rolls: Option<(f32, f32)>,
+}
+
+impl Surrounding {
+    fn of(spawned: &Spawned) -> Self {
+        let at = pose(&spawned.world_from_body);
+        let (at, shape) = match spawned.shape {
+            SpawnedShape::Ball { radius, .. } => (at, SharedShape::ball(radius as f32)),
+            SpawnedShape::Box { size } => {
+                let half = DVec3::from(size).as_vec3() / 2.0;
+                (at, SharedShape::cuboid(half.x, half.y, half.z))
+            }
+            SpawnedShape::Post { diameter, height } => (
+                at * Pose::from_rotation(upright_f32()),
+                SharedShape::cylinder(height as f32 / 2.0, diameter as f32 / 2.0),
+            ),
+        };
+        let rolls = match spawned.shape {
+            SpawnedShape::Ball { radius, rolling_friction } => Some((radius as f32, rolling_friction as f32)),
+            SpawnedShape::Box { .. } | SpawnedShape::Post { .. } => None,
+        };
+        Self {
+            name: spawned.name.clone(),
+            block: None,
+            pose: at,
+            shape,
+            mass: spawned.mass.map(|mass| mass as f32),
+            restitution: spawned.restitution as f32,
+            rolls,
+        }
+    }
+
+    fn insert(self, physics: &mut PhysicsWorld, friction: f32) -> Thing {
+        let body = match self.mass {
+            None => RigidBodyBuilder::fixed(),
+            Some(_) => RigidBodyBuilder::dynamic().can_sleep(false),
+        };
+        // The axis of a post is the z axis of its body; rapier's cylinders are along y.
+        let body_from_shape = match self.shape.as_cylinder() {
+            Some(_) => Pose::from_rotation(upright_f32()),
+            None => Pose::identity(),
+        };
+        let handle = physics.insert_body(body.pose(self.pose * body_from_shape.inverse()));
+        let collider = ColliderBuilder::new(self.shape)
+            .position(body_from_shape)
+            .friction(friction)
+            .restitution(self.restitution)
+            .mass(self.mass.unwrap_or(0.0));
+        physics.insert_collider(collider, Some(handle));
+        Thing { name: self.name, handle, rolls: self.rolls }
+    }
 }
 
 /// Half of the thickness of the floor, in m.
@@ -409,6 +482,7 @@ fn surroundings(file: &WorldFile) -> Vec<Surrounding> {
         shape,
         mass: None,
         restitution: file.floor.restitution as f32,
+        rolls: None,
     };
     let mut all = vec![fixed(
         "floor",
@@ -442,6 +516,7 @@ fn surroundings(file: &WorldFile) -> Vec<Surrounding> {
         all.push(Surrounding {
             mass: Some(ball.mass as f32),
             restitution: ball.restitution as f32,
+            rolls: Some((radius, ball.rolling_friction as f32)),
             ..fixed("ball", at, SharedShape::ball(radius))
         });
     }

@@ -4,6 +4,9 @@ use super::*;
 use crate::darwin_op::bus::{Exchange, Outcome, RecordedBus};
 use crate::darwin_op_emulator::{Button, Fault, Rate};
 use downbeat_msgs::{Message, cdr};
+use std::sync::{Arc, Mutex};
+use tracing::field::{Field, Visit};
+use tracing::subscriber::with_default;
 
 /// The messages of a run as bytes, so that they compare bit for bit, and NaN equals NaN.
 #[derive(Debug, PartialEq)]
@@ -98,4 +101,62 @@ fn a_replay_with_another_command_is_noticed() {
         (32, 31),
         "D, I, P from address 26 of the first servo: {first:?}"
     );
+}
+
+/// Collects the warnings.
+#[derive(Clone, Default)]
+struct Warnings(Arc<Mutex<Vec<String>>>);
+
+impl tracing::Subscriber for Warnings {
+    fn enabled(&self, metadata: &tracing::Metadata<'_>) -> bool {
+        *metadata.level() <= tracing::Level::WARN
+    }
+
+    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
+        tracing::span::Id::from_u64(1)
+    }
+
+    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
+
+    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
+
+    fn event(&self, event: &tracing::Event<'_>) {
+        event.record(&mut Line(&self.0));
+    }
+
+    fn enter(&self, _: &tracing::span::Id) {}
+
+    fn exit(&self, _: &tracing::span::Id) {}
+}
+
+struct Line<'a>(&'a Mutex<Vec<String>>);
+
+impl Visit for Line<'_> {
+    fn record_debug(&mut self, _: &Field, value: &dyn std::fmt::Debug) {
+        self.0.lock().unwrap().push(format!("{value:?}"));
+    }
+}
+
+#[test]
+fn a_late_cycle_is_logged_once_and_not_in_the_replay() {
+    let perform_late = |run: &mut Run| {
+        let (warnings, clock) = (Warnings::default(), run.clock.clone());
+        let late = |cycle| {
+            if cycle == 300 {
+                clock.advance(CYCLE)
+            }
+        };
+        let performed = with_default(warnings.clone(), || perform(run, late));
+        let lines = warnings.0.lock().unwrap().clone();
+        (performed, lines.iter().filter(|line| line.contains("began late")).count())
+    };
+    let emulator = emulator();
+    let (performed, lines) = perform_late(&mut Run::on(&emulator));
+    assert_eq!(lines, 1);
+    let decode =
+        |bytes: &Vec<u8>| Exchange::try_from(cdr::from_slice::<BusExchange>(bytes).unwrap()).unwrap();
+    let (bus, report) = RecordedBus::new(performed.exchanges.iter().map(decode).collect::<Vec<_>>());
+    let (replayed, lines) = perform_late(&mut Run::new(DarwinOp::new(Box::new(bus)), &[]));
+    assert_eq!((report.lock().differences.len(), lines), (0, 0));
+    assert_eq!(replayed, performed, "it is counted as in the recorded run");
 }
