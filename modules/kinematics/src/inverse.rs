@@ -410,7 +410,7 @@ impl Search {
 }
 
 /// The translation and the rotation vector from one pose to another, in the frame in which both are.
-fn difference(target: &Isometry, reached: &Isometry) -> (DVec3, DVec3) {
+pub(crate) fn difference(target: &Isometry, reached: &Isometry) -> (DVec3, DVec3) {
     let rotation = target.rotation * reached.rotation.conjugate();
     (target.translation - reached.translation, rotation_vector(rotation))
 }
@@ -422,7 +422,7 @@ fn rotation_vector(rotation: DQuat) -> DVec3 {
     if sin < 1e-150 { DVec3::ZERO } else { rotation.xyz() * (2.0 * sin.atan2(rotation.w) / sin) }
 }
 
-fn weighted((linear, angular): (DVec3, DVec3), angle_weight: f64) -> Vector6<f64> {
+pub(crate) fn weighted((linear, angular): (DVec3, DVec3), angle_weight: f64) -> Vector6<f64> {
     let angular = angular * angle_weight;
     Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }

@@ -127,7 +127,8 @@ impl Leg {
         Isometry { translation: ankle + rotation * (DVec3::NEG_Z * FOOT), rotation }
     }
 
-    /// The angles with which the sole reaches a pose, or comes near it; see [`Reach`]. Takes less than 300 ns.
+    /// The angles with which the sole reaches a pose, or comes near it; see [`Reach`]. Takes less than 300 ns;
+    /// [`Leg::nearest`] takes longer and comes nearest.
     ///
     /// The solution with the knee bent forward is preferred. For a pose that is not finite, all angles are NaN.
     #[must_use]
@@ -135,19 +136,56 @@ impl Leg {
         if !(hip_from_sole.translation.is_finite() && hip_from_sole.rotation.is_finite()) {
             return LegSolution { angles: [f64::NAN; 6], reach: Reach::BeyondLimits };
         }
+        let mut solutions = self.solutions(hip_from_sole);
+        let preferred = solutions.next();
+        if let Some(preferred) = preferred.filter(|solution| solution.reach < Reach::BeyondLimits) {
+            return preferred;
+        }
+        // Near the ends of the joints, only another solution may be within the limits.
+        let other = solutions.find(|other| other.reach < Reach::BeyondLimits).or(preferred);
+        other.unwrap_or(LegSolution { angles: [f64::NAN; 6], reach: Reach::BeyondLimits })
+    }
+
+    /// All four solutions, the preferred one first.
+    pub(super) fn solutions(self, hip_from_sole: &Isometry) -> impl Iterator<Item = LegSolution> {
         let hip_from_sole_axes = DMat3::from_quat(hip_from_sole.rotation);
         let ankle = hip_from_sole.translation + hip_from_sole_axes.z_axis * FOOT;
         // The hip as seen from the ankle.
         let sole_from_hip = hip_from_sole_axes.transpose() * -ankle;
-        let solve = |knee, shin| self.solve(&hip_from_sole_axes, sole_from_hip, knee, shin);
-        let preferred = solve(Knee::Forward, Shin::Up);
-        if preferred.reach < Reach::BeyondLimits {
-            return preferred;
-        }
-        // Near the ends of the joints, only another solution may be within the limits.
-        let others = [(Knee::Forward, Shin::Down), (Knee::Backward, Shin::Up), (Knee::Backward, Shin::Down)];
-        let mut others = others.into_iter().map(|(knee, shin)| solve(knee, shin));
-        others.find(|other| other.reach < Reach::BeyondLimits).unwrap_or(preferred)
+        let all = [
+            (Knee::Forward, Shin::Up),
+            (Knee::Forward, Shin::Down),
+            (Knee::Backward, Shin::Up),
+            (Knee::Backward, Shin::Down),
+        ];
+        all.into_iter().map(move |(knee, shin)| self.solve(&hip_from_sole_axes, sole_from_hip, knee, shin))
+    }
+
+    /// `hip_from_sole` for these angles, and for each joint its axis and a point on it, both in the hip. The sole turns
+    /// about the axis as the angle of the servo grows.
+    pub(super) fn axes(self, angles: &[f64; 6]) -> (Isometry, [(DVec3, DVec3); 6]) {
+        let [yaw, roll, pitch, knee, ankle_pitch, ankle_roll] = product(angles, &self.signs());
+        let about_y = DQuat::from_rotation_y;
+        let after_yaw = DQuat::from_rotation_z(yaw);
+        let after_roll = after_yaw * DQuat::from_rotation_x(roll);
+        let hip_from_thigh = after_roll * about_y(pitch);
+        let hip_from_shin = hip_from_thigh * about_y(knee);
+        let hip_from_foot = hip_from_shin * about_y(ankle_pitch);
+        let rotation = hip_from_foot * DQuat::from_rotation_x(ankle_roll);
+        let knee = hip_from_thigh * (DVec3::NEG_Z * SHANK);
+        let ankle = knee + hip_from_shin * (DVec3::NEG_Z * SHANK);
+        let hip_from_sole = Isometry { translation: ankle + rotation * (DVec3::NEG_Z * FOOT), rotation };
+        let across = after_roll * DVec3::Y;
+        let axes = [
+            (DVec3::Z, DVec3::ZERO),
+            (after_yaw * DVec3::X, DVec3::ZERO),
+            (across, DVec3::ZERO),
+            (across, knee),
+            (across, ankle),
+            (hip_from_foot * DVec3::X, ankle),
+        ];
+        let signs = self.signs();
+        (hip_from_sole, std::array::from_fn(|joint| (axes[joint].0 * signs[joint], axes[joint].1)))
     }
 
     /// One of the four solutions.

@@ -5,6 +5,8 @@
 
 mod head;
 mod leg;
+mod nearest;
 
 pub use head::{Head, HeadSolution};
 pub use leg::{Leg, LegSolution, Reach, Side};
+pub use nearest::NearestLeg;
