@@ -80,7 +80,7 @@ fn a_run_in_simulated_time_replays_bit_for_bit_with_the_hardware_inside_the_cycl
     let app = App::with_built_in_kinds();
     let file = app.robot_file(folder.path().join("robot.toml")).unwrap();
     let reader = Reader::open(folder.path().join("bag")).unwrap();
-    let of_simulator = ["ground_truth/*", "camera/*", "simulation"];
+    let of_simulator = ["ground_truth/*", "camera/*", "simulation", "simulator/simulate_steps/*"];
     let except = of_simulator.map(|topic| TopicPattern::new(topic).unwrap()).into();
     let report = replay(file, &reader, &ReplayOptions { except, ..ReplayOptions::default() }).unwrap();
     assert_eq!(report.modules, ["hardware", "motion"]);

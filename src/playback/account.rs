@@ -13,6 +13,7 @@ use downbeat_msgs::{Message, cdr};
 use super::PlaybackError;
 use crate::encoding::RecordedType;
 use crate::journal;
+use crate::running::SIMULATED_TIME;
 
 /// The messages of several topics as CDR, per topic in the order of the bag. Every chunk contains messages of
 /// most topics, so reading several topics together takes as long as reading one.
@@ -72,11 +73,19 @@ impl Extract {
     }
 }
 
+/// Returns whether the bag was recorded in simulated time, in which all modules run inside the cycle.
+pub(crate) fn was_in_simulated_time(reader: &Reader) -> bool {
+    reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key(SIMULATED_TIME))
+}
+
 /// What a bag contains about the cycles.
 pub(crate) enum Cycles {
-    /// The time of each cycle. If `is_whole`, up to the cycle in which the robot began to stop; otherwise the
-    /// recording was interrupted.
-    Recorded { times: Vec<i64>, is_whole: bool },
+    /// The time of each cycle, up to those in which the robot began to stop if the recording was not interrupted.
+    Recorded {
+        times: Vec<i64>,
+        /// See [`Cycles::end`].
+        end: i64,
+    },
     /// The bag was recorded in a robot but without the cycle times: there was a cycle at the time of each
     /// message.
     OfMessages,
@@ -101,7 +110,10 @@ impl Cycles {
             times.extend_from_slice(&message.times);
             is_whole = message.is_end;
         }
-        Ok(Self::Recorded { times, is_whole })
+        let last = times.last().copied().unwrap_or(i64::MIN);
+        // In simulated time the robot stopped at the time of the last cycle, else later.
+        let has_all_of_last = is_whole && !was_in_simulated_time(reader);
+        Ok(Self::Recorded { times, end: if has_all_of_last { last.saturating_add(1) } else { last } })
     }
 
     pub(crate) fn is_recorded(&self) -> bool {
@@ -116,14 +128,11 @@ impl Cycles {
         }
     }
 
-    /// The time from which messages of modules are missing in the bag. The cycles in which the robot stopped
-    /// are not recorded; an interrupted recording may also lack the messages of its last cycle.
+    /// The time from which messages of modules are not compared. The cycles in which the robot stopped are not
+    /// recorded; an interrupted recording may also lack the messages of its last cycle.
     pub(crate) fn end(&self) -> i64 {
         match self {
-            Self::Recorded { times, is_whole } => {
-                let last = times.last().copied().unwrap_or(i64::MIN);
-                if *is_whole { last.saturating_add(1) } else { last }
-            }
+            Self::Recorded { end, .. } => *end,
             Self::OfMessages | Self::Unknown => i64::MAX,
         }
     }

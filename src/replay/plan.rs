@@ -11,9 +11,8 @@ use super::coverage::{self, NotCompared};
 use super::{LeftOut, ReplayError, ReplayOptions};
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
-use crate::playback::account::{Cycles, Extract};
+use crate::playback::account::{Cycles, Extract, was_in_simulated_time};
 use crate::robot::{ModuleEntry, RobotFile};
-use crate::running::SIMULATED_TIME;
 
 pub(super) struct Plan {
     /// Modules inside the cycle, which are replayed together.
@@ -176,11 +175,6 @@ fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayEr
         Some(unknown) => Err(ReplayError::NoSuchModule { module: unknown.clone(), known: known() }),
         None => Ok(()),
     }
-}
-
-/// Returns whether the bag was recorded in simulated time, in which all modules run inside the cycle.
-fn was_in_simulated_time(reader: &Reader) -> bool {
-    reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key(SIMULATED_TIME))
 }
 
 /// Checks whether the module can be replayed; the error is a message with the reason.
