@@ -2,11 +2,16 @@
 #![cfg(feature = "physics")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod common;
+
+use common::Running;
+use common::rclpy::Peer;
 use downbeat::App;
 use downbeat::bags::{Reader, Selection};
 use downbeat::bridge::expose::TopicPattern;
 use downbeat::replay::{ReplayOptions, replay};
 use downbeat::running::{PreparedRobot, RecordPlan};
+use serde_json::{Value, json};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -80,7 +85,7 @@ fn a_run_in_simulated_time_replays_bit_for_bit_with_the_hardware_inside_the_cycl
     let app = App::with_built_in_kinds();
     let file = app.robot_file(folder.path().join("robot.toml")).unwrap();
     let reader = Reader::open(folder.path().join("bag")).unwrap();
-    let of_simulator = ["ground_truth/*", "camera/*", "simulation", "simulator/simulate_steps/*"];
+    let of_simulator = ["ground_truth/*", "camera/*", "simulation", "simulator/**"];
     let except = of_simulator.map(|topic| TopicPattern::new(topic).unwrap()).into();
     let report = replay(file, &reader, &ReplayOptions { except, ..ReplayOptions::default() }).unwrap();
     assert_eq!(report.modules, ["hardware", "motion"]);
@@ -111,4 +116,46 @@ fn the_robot_file_of_the_simulated_darwin_op_is_one() {
     let file = App::with_built_in_kinds().robot_file("robots/darwin_op_physics.toml").unwrap();
     assert!(file.is_emulated());
     PreparedRobot::new(file).unwrap();
+}
+
+#[test]
+fn cyclone_dds_spawns_and_deletes_a_parcel() {
+    let Some(mut peer) = Peer::cyclonedds(226) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let robot = folder.path().join("robot.toml");
+    let world = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/worlds/field.toml");
+    let services = "services = [\"simulator/spawn_entity\", \"simulator/delete_entity\"]\n";
+    let text = ROBOT.replace("LAUNCHER", "").replace("WORLD", world) + services;
+    std::fs::write(&robot, text).unwrap();
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", "226"]);
+    let mut ask = |name: &str, fields: Value| {
+        let service =
+            format!("/simulator/{}", if name == "SpawnEntity" { "spawn_entity" } else { "delete_entity" });
+        let kind = format!("simulation_interfaces/srv/{name}");
+        let answer = peer.ask(json!({"do": "request", "service": service, "type": kind, "fields": fields}));
+        assert!(answer.is_object(), "no answer of {service}:\n{}", program.output());
+        answer
+    };
+    let pose = json!({
+        "position": {"x": 1.0, "y": 0.5, "z": 0.3},
+        "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+    });
+    let parcel = json!({
+        "name": "parcel",
+        "allow_renaming": false,
+        "entity_resource": {"resource_string": "kind = \"box\"\nsize = [0.2, 0.1, 0.1]"},
+        "initial_pose": {"header": {"frame_id": "world"}, "pose": pose},
+    });
+    let spawned = ask("SpawnEntity", parcel.clone());
+    assert_eq!(
+        (&spawned["result"]["result"], &spawned["entity_name"]),
+        (&json!(1), &json!("parcel")),
+        "{spawned}"
+    );
+    let again = ask("SpawnEntity", parcel);
+    assert_eq!(again["result"]["result"], 101, "the name is taken: {again}");
+    let deleted = ask("DeleteEntity", json!({"entity": "parcel"}));
+    assert_eq!(deleted["result"]["result"], 1, "{deleted}");
+    program.interrupt();
+    peer.leave();
 }

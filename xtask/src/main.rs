@@ -6,6 +6,7 @@ mod physics;
 mod python;
 mod steps;
 mod test;
+mod walk;
 mod wheel;
 mod wire;
 
@@ -36,6 +37,9 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the falls or
+    /// the physics; then runs the tests that replay it.
+    RecordWalk,
     /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,
     /// Only the npm packages under target/node; prints their folder, or nothing if there is no Node.js.
@@ -46,6 +50,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Wire => wire::wire(),
+        Command::RecordWalk => walk::record(),
         Command::Wheel => wheel::build("release").map(|path| println!("{}", path.display())),
         Command::Physics { arguments } => physics::physics(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),

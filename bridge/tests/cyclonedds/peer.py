@@ -170,6 +170,68 @@ class SetBoolResponse(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Response
     message: str = ""
 
 
+@dataclass
+class Resource(IdlStruct, typename="simulation_interfaces::msg::dds_::Resource_"):
+    uri: str = ""
+    resource_string: str = ""
+
+
+@dataclass
+class Outcome(IdlStruct, typename="simulation_interfaces::msg::dds_::Result_"):
+    result: types.uint8 = 0
+    error_message: str = ""
+
+
+@dataclass
+class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
+    position: Vector3
+    orientation: Quaternion
+
+
+@dataclass
+class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
+    header: Header
+    pose: Pose
+
+
+@dataclass
+class SpawnEntityRequest(IdlStruct, typename="simulation_interfaces::srv::dds_::SpawnEntity_Request_"):
+    guid: types.uint64
+    seq: types.int64
+    name: str
+    allow_renaming: bool
+    entity_resource: Resource
+    entity_namespace: str
+    initial_pose: PoseStamped
+
+
+@dataclass
+class SpawnEntityResponse(IdlStruct, typename="simulation_interfaces::srv::dds_::SpawnEntity_Response_"):
+    guid: types.uint64
+    seq: types.int64
+    result: Outcome
+    entity_name: str
+
+
+@dataclass
+class DeleteEntityRequest(IdlStruct, typename="simulation_interfaces::srv::dds_::DeleteEntity_Request_"):
+    guid: types.uint64
+    seq: types.int64
+    entity: str
+
+
+@dataclass
+class DeleteEntityResponse(IdlStruct, typename="simulation_interfaces::srv::dds_::DeleteEntity_Response_"):
+    guid: types.uint64
+    seq: types.int64
+    result: Outcome
+
+
+SERVICES = {
+    "simulation_interfaces/srv/SpawnEntity": (SpawnEntityRequest, SpawnEntityResponse),
+    "simulation_interfaces/srv/DeleteEntity": (DeleteEntityRequest, DeleteEntityResponse),
+}
+
 TYPES = {
     "legs/msg/Leg": Leg,
     "tf2_msgs/msg/TFMessage": TFMessage,
@@ -292,6 +354,25 @@ class Peer:
                     answers.setdefault(response.seq, []).append([response.success, response.message])
             time.sleep(0.002)
         return [answers.get(seq) for seq in range(1, len(requests) + 1)]
+
+    def request(self, service, type, fields):
+        """One request of a client of its own; the response, nothing if there is none in 20 s."""
+        request, response = SERVICES[type]
+        qos = policies({"depth": 100})
+        reader = DataReader(self.participant, Topic(self.participant, f"rr{service}Reply", response, qos=qos), qos=qos)
+        writer = DataWriter(self.participant, Topic(self.participant, f"rq{service}Request", request, qos=qos), qos=qos)
+        guid = int.from_bytes(os.urandom(8), "little")
+        deadline = time.monotonic() + 20.0
+        is_sent = False
+        while time.monotonic() < deadline:
+            if not is_sent and writer.get_matched_subscriptions() and reader.get_matched_publications():
+                writer.write(message_of(request, {"guid": guid, "seq": 1, **fields}))
+                is_sent = True
+            for found in reader.take(N=100):
+                if isinstance(found, response) and found.guid == guid:
+                    return fields_of(found)
+            time.sleep(0.002)
+        return None
 
     def topic(self, name, type, qos):
         return Topic(self.participant, "rt" + name, TYPES[type], qos=policies(qos))
