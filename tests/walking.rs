@@ -6,9 +6,11 @@
 mod common;
 
 use common::matrix::{Way, With, check};
-use common::rclpy::Peer;
+use common::rclpy::{Peer, python};
 use common::{Running, downbeat, wait_until};
 use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, Command, Stdio};
 
 const ROBOT: &str = "robots/darwin_op_walks.toml";
 
@@ -66,4 +68,52 @@ fn rclpy_steers_and_pushes_the_robot_and_the_run_replays() {
         String::from_utf8_lossy(&replay.stdout),
         String::from_utf8_lossy(&replay.stderr)
     );
+}
+
+/// A running script, which is killed when dropped.
+struct Script(Child);
+
+impl Drop for Script {
+    fn drop(&mut self) {
+        // Fails only if it has ended already. Without its terminal, what runs in it ends too.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn the_teleoperation_on_the_page_steers_the_robot() {
+    let (Some(python), Some(mut rclpy)) = (python(), Peer::start(227, "LOCALHOST")) else { return };
+    let (_, script) = include_str!("../docs/walking.md").split_once("```python\n").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("teleop.py");
+    std::fs::write(&path, script.split_once("```").unwrap().0).unwrap();
+    let mut program = Running::start(&["run", ROBOT, "--domain", "227"]);
+    rclpy.ask(json!({"do": "subscribe", "topic": "/odom", "type": "nav_msgs/msg/Odometry"}));
+    rclpy.ask(json!({"do": "subscribe", "topic": "/robot_state", "type": "std_msgs/msg/String"}));
+    wait_until("the robot is upright", || {
+        latest(&mut rclpy, "/robot_state").is_some_and(|state| state["data"] == "upright")
+    });
+    // It reads keys from a terminal.
+    let in_terminal = "import pty, sys; pty.spawn([sys.executable, sys.argv[1]])";
+    let mut command = Command::new(python);
+    command.args(["-c", in_terminal]).arg(&path).env("ROS_DOMAIN_ID", "227");
+    command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut teleop = Script(command.spawn().unwrap());
+    let mut keys = teleop.0.stdin.take().unwrap();
+    let mut lines = BufReader::new(teleop.0.stdout.take().unwrap()).lines();
+    assert!(lines.any(|line| line.unwrap().contains("any other key: stop")), "it has not started");
+    let pose = |rclpy: &mut Peer| {
+        let odometry = latest(rclpy, "/odom")?;
+        let pose = &odometry["pose"]["pose"];
+        Some((pose["position"]["x"].as_f64()?, pose["orientation"]["z"].as_f64()?))
+    };
+    keys.write_all(b"w").unwrap();
+    wait_until("the robot has walked 0.15 m", || pose(&mut rclpy).is_some_and(|(x, _)| x > 0.15));
+    keys.write_all(b"d").unwrap();
+    wait_until("the robot has turned to the right", || pose(&mut rclpy).is_some_and(|(_, z)| z < -0.2));
+    keys.write_all(b"\x03").unwrap();
+    assert!(teleop.0.wait().is_ok());
+    program.interrupt();
+    rclpy.leave();
 }
