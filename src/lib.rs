@@ -25,6 +25,7 @@ pub use downbeat_bags as bags;
 pub use downbeat_bridge as bridge;
 pub use downbeat_edge as edge;
 pub use downbeat_executor as executor;
+pub use downbeat_library_host as library_host;
 pub use downbeat_modules as modules;
 pub use downbeat_modules::device;
 pub use downbeat_msgs as msgs;

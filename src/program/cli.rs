@@ -99,7 +99,7 @@ pub(crate) enum Command {
     /// Inspect, record, play and process bags.
     #[command(subcommand)]
     Bag(BagCommand),
-    /// Inspect ROS 2 interfaces: list them, show one, its hash, its description; decode a message.
+    /// Inspect ROS 2 interfaces: list them, show one, its hash, its description; decode a message; write C and C++ structs.
     ///
     /// Definitions come from --from, then from AMENT_PREFIX_PATH, then from this program: a package is taken
     /// completely from the first source that has it.
@@ -142,6 +142,9 @@ pub(crate) enum Command {
         #[arg(value_enum)]
         shell: Shell,
     },
+    /// Run the library of a module with `isolate`. Robots start it.
+    #[command(hide = true)]
+    LibraryChild,
 }
 
 #[derive(Args)]

@@ -95,6 +95,7 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
             print_completions(shell);
             Ok(())
         }
+        Command::LibraryChild => return downbeat_library_host::child(),
     };
     screen.show(Vec::new());
     log.close();

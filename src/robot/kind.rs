@@ -11,6 +11,7 @@ use bytes::Bytes;
 use downbeat_edge::Interfaces;
 use downbeat_edge::foreign::{Foreign, ForeignModule};
 use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SettingValue, SetupError, Synchrony};
+use downbeat_library_host::LibraryOptions;
 use downbeat_modules::controllers::diff_drive::DiffDriveController;
 use downbeat_modules::controllers::forward_command::ForwardCommandController;
 use downbeat_modules::controllers::joint_trajectory::JointTrajectoryController;
@@ -384,6 +385,14 @@ pub(super) fn built_in() -> Vec<Kind> {
             RobotStatePublisher::default,
         )
         .with_files(&["robot_description"]),
+        Kind::foreign(
+            "library",
+            "a module in C, C++ or Rust: a shared library (docs/libraries.md)",
+            [&["path"], &["reload", "isolate"]],
+            |source| downbeat_library_host::load(&library(source)?),
+            |source| library(source).map(|options| vec![options.path]).unwrap_or_default(),
+        )
+        .with_synchrony(Synchrony::WhenDue),
         Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
         Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default),
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
@@ -416,6 +425,24 @@ pub(super) fn built_in() -> Vec<Kind> {
     ];
     kinds.extend(simulator(ports));
     kinds
+}
+
+/// Reads the keys of a module in a shared library.
+fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
+    let is_set = |key: &str| match source.keys.get(key) {
+        None => Ok(false),
+        Some(SettingValue::Bool(value)) => Ok(*value),
+        Some(other) => Err(format!("`{key}` is true or false, not {other}")),
+    };
+    let Some(SettingValue::Text(path)) = source.keys.get("path") else {
+        return Err("`path` is the file of the library, such as \"libfoo.so\"".to_owned());
+    };
+    Ok(LibraryOptions {
+        module: source.module.clone(),
+        path: source.folder.join(path),
+        is_reloaded: is_set("reload")?,
+        is_isolated: is_set("isolate")?,
+    })
 }
 
 /// The Darwin OP in a simulated world, if it is built in.

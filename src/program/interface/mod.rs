@@ -2,13 +2,14 @@
 
 mod decode;
 mod description;
+mod generate;
 mod interfaces;
 mod list;
 mod show;
 
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 
 use crate::bridge::edge::Interfaces as Registered;
 use crate::robot::Catalog;
@@ -22,6 +23,7 @@ pub(crate) fn interface(command: &InterfaceCommand, catalog: &Catalog) -> anyhow
         InterfaceCommand::Hash(arguments) => description::hash(arguments, registered),
         InterfaceCommand::Description(arguments) => description::description(arguments, registered),
         InterfaceCommand::Decode(arguments) => decode::decode(arguments, registered),
+        InterfaceCommand::Generate(arguments) => generate::generate(arguments, registered),
     }
 }
 
@@ -40,6 +42,8 @@ pub(crate) enum InterfaceCommand {
     /// The input is a message as in a bag or on the wire: CDR with its four-byte header. Errors name the byte
     /// and the field.
     Decode(DecodeArguments),
+    /// Write C or C++ headers of interfaces for modules in libraries, and of all that these refer to.
+    Generate(GenerateArguments),
 }
 
 /// The source of definitions.
@@ -135,4 +139,27 @@ pub(crate) struct DecodeArguments {
     pub(crate) json: bool,
     #[command(flatten)]
     pub(crate) source: SourceArguments,
+}
+
+#[derive(Args)]
+pub(crate) struct GenerateArguments {
+    /// The interfaces, for example sensor_msgs/msg/JointState; for a whole package its name.
+    #[arg(value_name = "TYPE", required = true)]
+    pub(crate) names: Vec<String>,
+    /// The language of the headers.
+    #[arg(long, value_enum)]
+    pub(crate) lang: HeaderLanguage,
+    /// Write to this folder, which compilers then search for headers.
+    #[arg(long, value_name = "DIR", default_value = "include")]
+    pub(crate) out: PathBuf,
+    #[command(flatten)]
+    pub(crate) source: SourceArguments,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum HeaderLanguage {
+    /// C11.
+    C,
+    /// C++17.
+    Cpp,
 }

@@ -1,0 +1,302 @@
+//! Libraries in child processes.
+//!
+//! The program starts itself with the hidden command `library-child`, whose standard input is one end of a socket pair. Both
+//! sides take turns: a frame of the robot makes one call of the library; the frames of the child hold what the library requests,
+//! up to a question or to the end of the call. What a library has requested in a call takes effect when the call has ended or
+//! asks something.
+
+mod child;
+mod process;
+mod wire;
+
+pub use child::child;
+pub use process::set_child_command;
+
+use crate::LibraryOptions;
+use crate::call::{Requests, log_line, number_of, transition_of};
+use crate::instance::event_in_c;
+use crate::module::state_of;
+use crate::watch::Watch;
+use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState, SettingDeclaration};
+use downbeat_executor::{SettingValue, Transition};
+use process::Process;
+use std::time::Duration;
+use wire::{Frame, Fields, Garbled, answer, ask, end, say};
+
+/// A module of a library that a child process has loaded.
+pub(crate) struct IsolatedModule {
+    process: Process,
+    options: LibraryOptions,
+    /// Of a library that is reloaded.
+    watch: Option<Watch>,
+}
+
+/// Takes one thing that a child says in a call. The answer to a question is written to the frame.
+type Take<'a> = dyn FnMut(u8, &mut Fields<'_>, &mut Frame) -> Result<(), Problem> + 'a;
+
+enum Problem {
+    /// The request is refused. The call goes on, and fails at its end.
+    Refused(String),
+    /// The frame cannot be read.
+    Garbled(Garbled),
+}
+
+impl From<Garbled> for Problem {
+    fn from(garbled: Garbled) -> Self {
+        Self::Garbled(garbled)
+    }
+}
+
+impl From<String> for Problem {
+    fn from(reason: String) -> Self {
+        Self::Refused(reason)
+    }
+}
+
+impl IsolatedModule {
+    pub(crate) fn start(options: &LibraryOptions) -> Result<Self, String> {
+        let watch = options.is_reloaded.then(|| Watch::new(&options.path));
+        let process = Process::start(&options.path)?;
+        let mut started = Self { process, options: options.clone(), watch };
+        let path = std::path::absolute(&options.path).unwrap_or_else(|_| options.path.clone());
+        started.call(
+            "create",
+            |frame| {
+                frame.tag(ask::START);
+                frame.text(&path.to_string_lossy());
+                frame.flag(options.is_reloaded);
+                frame.text(&options.module);
+            },
+            &mut |_, _, _| Err(Garbled.into()),
+        )?;
+        let (module, id) = (&options.module, started.process.id());
+        tracing::debug!(module, "child process {id} loaded {}", path.display());
+        Ok(started)
+    }
+
+    /// Makes one call of the library, and returns what it saved.
+    fn call(
+        &mut self,
+        function: &str,
+        write: impl FnOnce(&mut Frame),
+        take: &mut Take<'_>,
+    ) -> Result<Vec<u8>, String> {
+        let module = &self.options.module;
+        let channel = &mut self.process.channel;
+        write(channel.frame());
+        let mut refusal = None;
+        loop {
+            let sent = channel.send();
+            let fields = sent.and_then(|()| channel.receive());
+            let mut fields = match fields {
+                Ok(fields) => fields,
+                Err(error) => return Err(self.process.end(function, &error)),
+            };
+            let mut answer = Frame::default();
+            let result = loop {
+                let tag = match fields.tag() {
+                    Ok(tag) => tag,
+                    // All is said up to a question, which is answered.
+                    Err(_) if !answer.is_empty() => break None,
+                    Err(garbled) => return Err(garbled.to_string()),
+                };
+                match tag {
+                    end::OK => break Some(Ok(fields.bytes().map_err(|garbled| garbled.to_string())?.to_vec())),
+                    end::FAILED => {
+                        break Some(Err(fields.text().map_err(|garbled| garbled.to_string())?.to_owned()));
+                    }
+                    say::LOG => {
+                        let line = fields.number().and_then(|severity| Ok((severity, fields.text()?)));
+                        let (severity, text) = line.map_err(|garbled| garbled.to_string())?;
+                        log_line(module, severity as i32, text);
+                    }
+                    tag => match take(tag, &mut fields, &mut answer) {
+                        Ok(()) => {}
+                        Err(Problem::Refused(reason)) => {
+                            if tag >= ask::FIRST {
+                                answer.clear();
+                                answer.tag(answer::REFUSED);
+                                answer.text(&reason);
+                            } else {
+                                refusal.get_or_insert(reason);
+                            }
+                        }
+                        Err(Problem::Garbled(garbled)) => return Err(garbled.to_string()),
+                    },
+                }
+            };
+            match (result, refusal.take()) {
+                (Some(Ok(_)), Some(reason)) => return Err(reason),
+                (Some(result), _) => return result,
+                (None, kept) => refusal = kept,
+            }
+            *channel.frame() = answer;
+        }
+    }
+}
+
+impl Foreign for IsolatedModule {
+    fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
+        if self.watch.is_some() {
+            declarations.reload();
+        }
+        let write = |frame: &mut Frame| frame.tag(ask::SETUP);
+        self.call("setup", write, &mut |tag, fields, answer| declare(tag, fields, answer, declarations))?;
+        Ok(())
+    }
+
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        let in_c = event_in_c(&event);
+        let data: &[u8] = match &event {
+            Event::Message { cdr, .. } | Event::Request { cdr, .. } => cdr,
+            Event::Reply { result, .. } => result.as_ref().map_or_else(|reason| reason.as_bytes(), |cdr| cdr),
+            _ => &[],
+        };
+        let now = Requests::now(context).as_nanos();
+        let write = |frame: &mut Frame| {
+            frame.tag(ask::HANDLE);
+            frame.number(now as u64);
+            frame.event(&in_c, data);
+        };
+        self.call("handle", write, &mut |tag, fields, answer| request(tag, fields, answer, context))?;
+        Ok(())
+    }
+
+    fn transition(
+        &mut self,
+        transition: Transition,
+        context: &mut ForeignContext<'_, '_>,
+    ) -> Result<(), String> {
+        let now = Requests::now(context).as_nanos();
+        let write = |frame: &mut Frame| {
+            frame.tag(ask::TRANSITION);
+            frame.number(now as u64);
+            frame.number(number_of(transition).into());
+        };
+        self.call("transition", write, &mut |tag, fields, answer| request(tag, fields, answer, context))?;
+        Ok(())
+    }
+
+    fn accept(&mut self, setting: u32, value: &SettingValue) -> Result<(), String> {
+        let write = |frame: &mut Frame| {
+            frame.tag(ask::ACCEPT);
+            frame.number(setting.into());
+            frame.value(value);
+        };
+        self.call("accept", write, &mut |_, _, _| Err(Garbled.into()))?;
+        Ok(())
+    }
+
+    fn successor(&mut self) -> Result<Option<Box<dyn Foreign>>, String> {
+        if !self.watch.as_mut().is_some_and(Watch::has_changed) {
+            return Ok(None);
+        }
+        Ok(Some(Box::new(Self::start(&self.options)?)))
+    }
+
+    fn save(&mut self) -> Result<SavedState, String> {
+        let saved = self.call("save", |frame| frame.tag(ask::SAVE), &mut |_, _, _| Err(Garbled.into()))?;
+        Ok(Box::new(saved))
+    }
+
+    fn restore(&mut self, state: SavedState) -> Result<(), String> {
+        let state = state_of(state)?;
+        let write = |frame: &mut Frame| {
+            frame.tag(ask::RESTORE);
+            frame.bytes(&state);
+        };
+        self.call("restore", write, &mut |_, _, _| Err(Garbled.into()))?;
+        Ok(())
+    }
+}
+
+/// Passes a declaration on.
+fn declare(
+    tag: u8,
+    fields: &mut Fields<'_>,
+    answer: &mut Frame,
+    declarations: &mut Declarations,
+) -> Result<(), Problem> {
+    let number = match tag {
+        ask::PUBLISHER => declarations.publish(fields.text()?, fields.text()?, fields.optional_text()?),
+        ask::SUBSCRIPTION => declarations.subscribe(fields.text()?, fields.text()?, fields.optional_text()?),
+        ask::SERVER => declarations.serve(fields.text()?, fields.text()?, fields.optional_text()?),
+        ask::CLIENT => declarations.client(
+            fields.text()?,
+            fields.text()?,
+            fields.optional_text()?,
+            Duration::from_nanos(fields.number()?),
+        ),
+        ask::TIMER => declarations.every(Duration::from_nanos(fields.number()?)),
+        ask::TASK => declarations.task(),
+        ask::EACH_RUN => {
+            declarations.each_run();
+            0
+        }
+        ask::SETTING => {
+            let setting = SettingDeclaration {
+                name: fields.text()?.to_owned(),
+                description: fields.text()?.to_owned(),
+                default: fields.value()?,
+                range: match fields.flag()? {
+                    true => Some(f64::from_bits(fields.number()?)..=f64::from_bits(fields.number()?)),
+                    false => None,
+                },
+                is_read_only: fields.flag()?,
+            };
+            let (number, value) = declarations.setting(setting)?;
+            answer.tag(answer::OK);
+            answer.number(number.into());
+            answer.value(&value);
+            return Ok(());
+        }
+        _ => return Err(Garbled.into()),
+    };
+    answer.tag(answer::OK);
+    answer.number(number.into());
+    Ok(())
+}
+
+/// Passes a request on.
+fn request(
+    tag: u8,
+    fields: &mut Fields<'_>,
+    answer: &mut Frame,
+    requests: &mut dyn Requests,
+) -> Result<(), Problem> {
+    match tag {
+        say::PUBLISH => requests.publish(fields.number()? as u32, fields.bytes()?)?,
+        say::REPLY => {
+            let (request, is_error) = (fields.number()?, fields.flag()?);
+            match is_error {
+                false => requests.reply(request, Ok(fields.bytes()?))?,
+                true => requests.reply(request, Err(fields.text()?.to_owned()))?,
+            }
+        }
+        say::SET => {
+            let (module, setting) = (fields.text()?, fields.text()?);
+            requests.set(module, setting, fields.value()?);
+        }
+        say::SCHEDULE => {
+            requests.schedule_after(fields.number()? as u32, Duration::from_nanos(fields.number()?))?;
+        }
+        say::CANCEL => requests.cancel(fields.number()? as u32)?,
+        say::TRANSITION => {
+            let module = fields.text()?;
+            requests.transition(module, transition_of(fields.number()? as u32)?);
+        }
+        say::REMOVE => requests.remove(fields.text()?),
+        ask::CALL => {
+            let id = requests.call(fields.number()? as u32, fields.bytes()?)?;
+            answer.tag(answer::OK);
+            answer.number(id);
+        }
+        ask::GET => {
+            let value = requests.setting(fields.number()? as u32)?;
+            answer.tag(answer::OK);
+            answer.value(&value);
+        }
+        _ => return Err(Garbled.into()),
+    }
+    Ok(())
+}
