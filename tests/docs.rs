@@ -15,10 +15,11 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 13] = [
+const PAGES: [&str; 14] = [
     "README.md",
     "docs/bags.md",
     "docs/darwin_op.md",
+    "docs/libraries.md",
     "docs/look.md",
     "docs/look_inside.md",
     "docs/messages.md",
@@ -32,7 +33,7 @@ const PAGES: [&str; 13] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 11] = [
+const ELSEWHERE: [&str; 14] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
@@ -40,6 +41,9 @@ const ELSEWHERE: [&str; 11] = [
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
     "downbeat servo scan",                    // tests/servos.rs
     "echo 1 | sudo",
+    "c++ ", // tests/library.rs, as the next two
+    "ros2 topic echo --once /out",
+    "ros2 topic pub --once /in",
     "cargo install",
     "cd ",
     "sudo ",

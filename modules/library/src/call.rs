@@ -2,10 +2,12 @@
 
 #![expect(unsafe_code, reason = "functions that a library calls with pointers")]
 
-use crate::value::{LentValue, c_string, check_struct, text_of, value_of};
 use downbeat_edge::foreign::{Declarations, ForeignContext, SettingDeclaration};
 use downbeat_executor::{SettingValue, Time, Transition};
-use downbeat_library_abi::{ABI_VERSION, Host, HostV1, SettingV1, ValueV1, severity, transition};
+use downbeat_library_abi::{
+    ABI_VERSION, Host, HostV1, LentValue, SettingV1, ValueV1, check_struct, severity, text_of, transition,
+    value_of,
+};
 use std::ffi::{CStr, c_char, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -461,9 +463,7 @@ unsafe extern "C" fn set(
 }
 
 unsafe extern "C" fn schedule_after(host: Host, task: u32, delay_ns: i64) -> i32 {
-    unsafe {
-        with(host, |call| call.requests()?.schedule_after(task, duration(delay_ns, "the delay")?))
-    }
+    unsafe { with(host, |call| call.requests()?.schedule_after(task, duration(delay_ns, "the delay")?)) }
 }
 
 unsafe extern "C" fn cancel(host: Host, task: u32) -> i32 {
@@ -523,9 +523,4 @@ pub(crate) fn transition_of(number: u32) -> Result<Transition, String> {
         transition::SHUTDOWN => Transition::Shutdown,
         other => return Err(format!("{other} is no transition")),
     })
-}
-
-/// The name of a module for C.
-pub(crate) fn module_name(name: &str) -> std::ffi::CString {
-    c_string(name)
 }

@@ -2,12 +2,11 @@
 
 #![expect(unsafe_code, reason = "calls of a library")]
 
-use crate::call::{Declare, Phase, Requests, log_line, module_name, number_of, with_host};
+use crate::call::{Declare, Phase, Requests, log_line, number_of, with_host};
 use crate::library::Library;
-use crate::value::LentValue;
 use downbeat_edge::foreign::Event;
 use downbeat_executor::{SettingValue, Transition};
-use downbeat_library_abi::{ABI_VERSION, EventV1, Host, ModuleV1, event};
+use downbeat_library_abi::{ABI_VERSION, EventV1, Host, LentValue, ModuleV1, c_string, event};
 use std::ffi::{CStr, CString, c_void};
 
 /// A module of a library, which is destroyed when dropped.
@@ -32,7 +31,7 @@ impl Instance {
     }
 
     pub(crate) fn with_log(library: Library, name: &str, mut log: Log) -> Result<Self, String> {
-        let (table, name) = (library.table, module_name(name));
+        let (table, name) = (library.table, c_string(name));
         let create = |host: Host| match table.create {
             // SAFETY: the host lives during the call.
             Some(create) => unsafe { create(host) },
@@ -151,9 +150,7 @@ pub(crate) fn with_data(event: EventV1, data: &[u8]) -> EventV1 {
 /// An event in the form of C. It points into `event`.
 pub(crate) fn event_in_c(event: &Event) -> EventV1 {
     let empty = no_event();
-    let with = |kind, port, id, data: &[u8]| {
-        with_data(EventV1 { kind, port, id, ..empty }, data)
-    };
+    let with = |kind, port, id, data: &[u8]| with_data(EventV1 { kind, port, id, ..empty }, data);
     match event {
         Event::Message { subscription, cdr, time, missed, is_last } => EventV1 {
             time_ns: time.as_nanos(),

@@ -15,7 +15,6 @@ mod isolated;
 mod library;
 pub mod messages;
 mod module;
-mod value;
 mod watch;
 
 pub use isolated::{child, set_child_command};

@@ -11,7 +11,9 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum LibraryError {
     /// The file cannot be read.
-    #[error("cannot read the library {path}: {source}; `path` of the module is relative to the robot file, build the library first")]
+    #[error(
+        "cannot read the library {path}: {source}; `path` of the module is relative to the robot file, build the library first"
+    )]
     Read {
         /// The file.
         path: PathBuf,
@@ -19,7 +21,9 @@ pub enum LibraryError {
         source: std::io::Error,
     },
     /// The file is something else.
-    #[error("{path} is {found}, not {expected}; build the library for this machine (for C: `cc -shared -fPIC`)")]
+    #[error(
+        "{path} is {found}, not {expected}; build the library for this machine (for C: `cc -shared -fPIC`)"
+    )]
     NotALibrary {
         /// The file.
         path: PathBuf,
@@ -223,7 +227,9 @@ fn check(path: &Path, content: &[u8]) -> Result<(), LibraryError> {
         return refuse(match content {
             [] => "an empty file",
             [b'M', b'Z', ..] => "a program or library of Windows",
-            [0xcf | 0xce, 0xfa, 0xed, 0xfe, ..] | [0xca, 0xfe, 0xba, 0xbe, ..] => "a program or library of macOS",
+            [0xcf | 0xce, 0xfa, 0xed, 0xfe, ..] | [0xca, 0xfe, 0xba, 0xbe, ..] => {
+                "a program or library of macOS"
+            }
             [b'!', b'<', b'a', b'r', b'c', b'h', b'>', ..] => "a static library",
             [0x7f, b'E', b'L', b'F', ..] => "a damaged ELF file",
             _ => "no library",

@@ -77,10 +77,7 @@ fn file_of(name: &TypeName) -> TypeName {
     TypeName::new(&name.package, name.kind, stem)
 }
 
-fn units<'a>(
-    catalog: &'a Catalog,
-    names: &[TypeName],
-) -> Result<BTreeMap<TypeName, Unit<'a>>, Error> {
+fn units<'a>(catalog: &'a Catalog, names: &[TypeName]) -> Result<BTreeMap<TypeName, Unit<'a>>, Error> {
     let mut wanted: Vec<TypeName> = names.iter().map(file_of).collect();
     let mut units = BTreeMap::new();
     while let Some(file) = wanted.pop() {
@@ -144,8 +141,8 @@ fn snake_case(name: &str) -> String {
     let letters: Vec<char> = name.chars().collect();
     let mut snake = String::new();
     for (at, letter) in letters.iter().enumerate() {
-        let follows_word =
-            at > 0 && letters.get(at - 1).is_some_and(|before| before.is_lowercase() || before.is_ascii_digit());
+        let follows_word = at > 0
+            && letters.get(at - 1).is_some_and(|before| before.is_lowercase() || before.is_ascii_digit());
         let starts_word = at > 0 && letters.get(at + 1).is_some_and(|after| after.is_lowercase());
         if letter.is_uppercase() && (follows_word || starts_word) {
             snake.push('_');
@@ -163,14 +160,96 @@ fn guard(file: &TypeName, language: Language) -> String {
 
 /// Keywords and macros of C and C++ that fields may be named like.
 const KEYWORDS: &[&str] = &[
-    "alignas", "alignof", "and", "and_eq", "asm", "auto", "bitand", "bitor", "bool", "break", "case", "catch", "char",
-    "char16_t", "char32_t", "class", "compl", "const", "const_cast", "constexpr", "continue", "decltype", "default",
-    "delete", "do", "double", "dynamic_cast", "else", "enum", "explicit", "export", "extern", "false", "float", "for",
-    "friend", "goto", "if", "inline", "int", "long", "mutable", "namespace", "new", "noexcept", "not", "not_eq",
-    "nullptr", "operator", "or", "or_eq", "private", "protected", "public", "register", "reinterpret_cast", "restrict",
-    "return", "short", "signed", "sizeof", "static", "static_assert", "static_cast", "struct", "switch", "template",
-    "this", "thread_local", "throw", "true", "try", "typedef", "typeid", "typename", "union", "unsigned", "using",
-    "virtual", "void", "volatile", "wchar_t", "while", "xor", "xor_eq", "errno", "linux", "unix", "stdin", "stdout",
+    "alignas",
+    "alignof",
+    "and",
+    "and_eq",
+    "asm",
+    "auto",
+    "bitand",
+    "bitor",
+    "bool",
+    "break",
+    "case",
+    "catch",
+    "char",
+    "char16_t",
+    "char32_t",
+    "class",
+    "compl",
+    "const",
+    "const_cast",
+    "constexpr",
+    "continue",
+    "decltype",
+    "default",
+    "delete",
+    "do",
+    "double",
+    "dynamic_cast",
+    "else",
+    "enum",
+    "explicit",
+    "export",
+    "extern",
+    "false",
+    "float",
+    "for",
+    "friend",
+    "goto",
+    "if",
+    "inline",
+    "int",
+    "long",
+    "mutable",
+    "namespace",
+    "new",
+    "noexcept",
+    "not",
+    "not_eq",
+    "nullptr",
+    "operator",
+    "or",
+    "or_eq",
+    "private",
+    "protected",
+    "public",
+    "register",
+    "reinterpret_cast",
+    "restrict",
+    "return",
+    "short",
+    "signed",
+    "sizeof",
+    "static",
+    "static_assert",
+    "static_cast",
+    "struct",
+    "switch",
+    "template",
+    "this",
+    "thread_local",
+    "throw",
+    "true",
+    "try",
+    "typedef",
+    "typeid",
+    "typename",
+    "union",
+    "unsigned",
+    "using",
+    "virtual",
+    "void",
+    "volatile",
+    "wchar_t",
+    "while",
+    "xor",
+    "xor_eq",
+    "errno",
+    "linux",
+    "unix",
+    "stdin",
+    "stdout",
     "stderr",
 ];
 
@@ -236,7 +315,8 @@ fn literal(value: &Value, element: &Element) -> String {
 /// are themselves.
 fn text_literal(text: &str, is_wide: bool) -> String {
     let mut literal = String::from("\"");
-    let plain = |letter: char| letter.is_ascii_graphic() && !matches!(letter, '"' | '\\' | '?') || letter == ' ';
+    let plain =
+        |letter: char| letter.is_ascii_graphic() && !matches!(letter, '"' | '\\' | '?') || letter == ' ';
     for letter in text.chars() {
         if plain(letter) || (is_wide && !letter.is_ascii()) {
             literal.push(letter);

@@ -59,7 +59,8 @@ fn a_module_in_cpp_serves_calls_schedules_and_refuses_settings() {
         robot.add(&options, ModuleOptions { remaps, settings, ..ModuleOptions::default() }).unwrap();
         // The same library twice: its objects are apart.
         let other = LibraryOptions { module: "other".into(), ..options.clone() };
-        let remaps = ["count", "version", "answers", "ask"].map(|name| (name.to_owned(), format!("other/{name}")));
+        let remaps =
+            ["count", "version", "answers", "ask"].map(|name| (name.to_owned(), format!("other/{name}")));
         let mut remaps = BTreeMap::from(remaps);
         remaps.insert("enable".into(), "theirs".into());
         robot.add(&other, ModuleOptions { remaps, ..ModuleOptions::default() }).unwrap();
@@ -69,10 +70,7 @@ fn a_module_in_cpp_serves_calls_schedules_and_refuses_settings() {
         assert_eq!(counts.try_iter().take(3).collect::<Vec<_>>(), [2.0, 4.0, 6.0]);
         assert_eq!(answers.try_iter().collect::<Vec<_>>(), [1.0, -1.0]);
         let handle = robot.core.handle();
-        let refused = [
-            handle.set("module", "label", String::new()),
-            handle.set("module", "step", 101.0),
-        ];
+        let refused = [handle.set("module", "label", String::new()), handle.set("module", "step", 101.0)];
         let taken = handle.set("module", "label", "front".to_owned());
         drop(handle.set("module", "flags", SettingValue::Bools(vec![false, true])));
         robot.cycles(2);
@@ -191,6 +189,69 @@ fn a_changed_library_takes_over_with_state_and_settings_a_hundred_times() {
     }
 }
 
+fn rust_library() -> LibraryOptions {
+    // Cargo builds it for the crate that these tests depend on.
+    let folder = std::env::current_exe().unwrap().parent().unwrap().to_owned();
+    let path = folder.join("libdownbeat_library_example.so");
+    LibraryOptions { module: "module".into(), path, ..LibraryOptions::default() }
+}
+
+/// What a robot with this module publishes in a scenario of messages, calls, tasks and settings.
+fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> Vec<Vec<f64>> {
+    let mut robot = Robot::new();
+    let remaps = BTreeMap::from([("other".to_owned(), "theirs".to_owned())]);
+    let settings = BTreeMap::from([("gain".to_owned(), SettingValue::Double(3.0))]);
+    add(&mut robot, "module", ModuleOptions { remaps, settings, ..ModuleOptions::default() });
+    let remaps =
+        ["in", "out", "ticks", "answers", "ask"].map(|name| (name.to_owned(), format!("other/{name}")));
+    let mut remaps = BTreeMap::from(remaps);
+    remaps.insert("enable".into(), "theirs".into());
+    add(&mut robot, "server", ModuleOptions { remaps, ..ModuleOptions::default() });
+    let taken = ["out", "ticks", "answers"].map(|topic| robot.receive(topic));
+    let input = robot.core.inlet::<Float64>("in").unwrap();
+    for data in [1.0, 2.0, 3.0] {
+        input.publish(Float64 { data }).unwrap();
+    }
+    robot.core.inlet::<Float64>("ask").unwrap().publish(Float64 { data: 0.0 }).unwrap();
+    robot.cycles(8);
+    let handle = robot.core.handle();
+    let refused = [handle.set("module", "gain", 7.0), handle.set("module", "gain", 11.0)];
+    drop(handle.set("module", "gain", 5.0));
+    robot.cycles(2);
+    let refused = refused.map(|receipt| receipt.try_take().unwrap().unwrap_err().to_string());
+    assert!(refused[0].contains("not seven") && refused[1].contains("out of range"), "{refused:?}");
+    input.publish(Float64 { data: 1.0 }).unwrap();
+    robot.cycles(5);
+    taken.map(|taken| taken.try_iter().collect()).into()
+}
+
+#[test]
+fn a_module_in_rust_does_in_a_library_what_it_does_compiled_in() {
+    use_own_children();
+    let library = |is_isolated| {
+        move |robot: &mut Robot, name: &str, options| {
+            let library = LibraryOptions { module: name.into(), is_isolated, ..rust_library() };
+            robot.add(&library, options).unwrap();
+        }
+    };
+    let compiled_in = scenario(|robot, name, options| {
+        robot.core.add_with(name, downbeat_library_example::Amplifier::default(), options).unwrap();
+    });
+    assert_eq!(compiled_in[0], [3.0, 6.0, 9.0, 5.0]);
+    assert_eq!(compiled_in[2], [1.0, -1.0]);
+    assert_eq!(scenario(library(false)), compiled_in);
+    assert_eq!(scenario(library(true)), compiled_in);
+}
+
+#[test]
+fn a_panic_in_a_library_in_rust_ends_its_module_alone() {
+    use_own_children();
+    for is_isolated in [false, true] {
+        let failure = failure_of(&LibraryOptions { is_isolated, ..rust_library() }, "in", -1.0);
+        assert!(failure.contains("a negative number") && failure.contains("src/lib.rs"), "{failure}");
+    }
+}
+
 #[test]
 fn what_is_no_library_of_this_interface_is_refused_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
@@ -214,12 +275,18 @@ fn what_is_no_library_of_this_interface_is_refused_with_the_remedy() {
         let whole = own(&["-DWHOLE"]);
         let content = std::fs::read(whole).unwrap();
         cases.extend([
-            (file("half.so", &content[..content.len() / 2]), vec!["ends in the middle", "build the library again"]),
+            (
+                file("half.so", &content[..content.len() / 2]),
+                vec!["ends in the middle", "build the library again"],
+            ),
             (own(&["-DSYMBOL=other"]), vec!["does not export `downbeat_module`", "DOWNBEAT_MODULE(Class)"]),
             (own(&["-DVERSION=7"]), vec!["version 7", "this program has version 1", "interface generate"]),
             (own(&["-DSIZE=12"]), vec!["declares 12 bytes", "are needed"]),
             (own(&["-DNO_TABLE"]), vec!["returned NULL"]),
-            (own(&["-DWRONG_HASH"]), vec!["another definition of std_msgs/msg/Float64: RIHS01_00", "compile it again"]),
+            (
+                own(&["-DWRONG_HASH"]),
+                vec!["another definition of std_msgs/msg/Float64: RIHS01_00", "compile it again"],
+            ),
             (own(&["-DERROR_IN_SETUP"]), vec!["no camera"]),
         ]);
     }

@@ -3,6 +3,10 @@
 //! The header describes what the functions do and when they may be called. A test of `downbeat-library-host` compares the
 //! layouts with those of a C compiler.
 
+mod lent;
+
+pub use lent::{LentValue, c_string, check_struct, text_of, value_of};
+
 use std::ffi::{c_char, c_void};
 
 /// The version of the interface.

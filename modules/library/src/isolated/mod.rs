@@ -21,7 +21,7 @@ use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, Saved
 use downbeat_executor::{SettingValue, Transition};
 use process::Process;
 use std::time::Duration;
-use wire::{Frame, Fields, Garbled, answer, ask, end, say};
+use wire::{Fields, Frame, Garbled, answer, ask, end, say};
 
 /// A module of a library that a child process has loaded.
 pub(crate) struct IsolatedModule {
@@ -101,7 +101,9 @@ impl IsolatedModule {
                     Err(garbled) => return Err(garbled.to_string()),
                 };
                 match tag {
-                    end::OK => break Some(Ok(fields.bytes().map_err(|garbled| garbled.to_string())?.to_vec())),
+                    end::OK => {
+                        break Some(Ok(fields.bytes().map_err(|garbled| garbled.to_string())?.to_vec()));
+                    }
                     end::FAILED => {
                         break Some(Err(fields.text().map_err(|garbled| garbled.to_string())?.to_owned()));
                     }

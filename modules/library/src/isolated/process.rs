@@ -32,7 +32,8 @@ pub(super) struct Process {
 
 impl Process {
     pub fn start(path: &Path) -> Result<Self, String> {
-        let failed = |error: io::Error| format!("cannot start a child process for {}: {error}", path.display());
+        let failed =
+            |error: io::Error| format!("cannot start a child process for {}: {error}", path.display());
         let mut command = match COMMAND.get().map(Vec::as_slice) {
             Some([program, arguments @ ..]) => {
                 let mut command = Command::new(program);
@@ -47,7 +48,8 @@ impl Process {
         };
         let (own, its) = UnixStream::pair().map_err(failed)?;
         // In a group of its own: Ctrl-C is for the robot, which ends its children.
-        let child = command.stdin(Stdio::from(OwnedFd::from(its))).process_group(0).spawn().map_err(failed)?;
+        let child =
+            command.stdin(Stdio::from(OwnedFd::from(its))).process_group(0).spawn().map_err(failed)?;
         Ok(Self { child, path: path.to_owned(), channel: Channel::new(own) })
     }
 

@@ -56,7 +56,9 @@ pub(super) mod answer {
 
 /// A frame is not as this program writes it.
 #[derive(Debug, Error)]
-#[error("the child process of the library sent what this program does not understand; did the library write to its socket?")]
+#[error(
+    "the child process of the library sent what this program does not understand; did the library write to its socket?"
+)]
 pub(super) struct Garbled;
 
 /// A frame to be sent.

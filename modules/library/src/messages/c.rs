@@ -23,7 +23,8 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
     }
     for service in &unit.services {
         let (name, hash) = (c_name(&service.name), catalog.type_hash(&service.name)?);
-        let _ = write!(text, "\n#define {name}__TYPE \"{}\"\n#define {name}__HASH \"{hash}\"\n", service.name);
+        let _ =
+            write!(text, "\n#define {name}__TYPE \"{}\"\n#define {name}__HASH \"{hash}\"\n", service.name);
     }
     text.push_str("\n#endif\n");
     Ok(text)

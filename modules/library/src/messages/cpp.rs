@@ -1,8 +1,6 @@
 //! C++17.
 
-use super::{
-    Language, PREFACE, Unit, bounds, comment, field_name, guard, literal, path_of, primitive_type,
-};
+use super::{Language, PREFACE, Unit, bounds, comment, field_name, guard, literal, path_of, primitive_type};
 use downbeat_msgs::definitions::{
     Catalog, Element, Error, Field, FieldType, MessageDefinition, Shape, TypeName, Value,
 };
@@ -30,7 +28,8 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
             service.name, request.name, response.name
         );
     }
-    let _ = writeln!(text, "\n}} // namespace {}::{}\n\nnamespace downbeat {{", file.package, file.kind.as_str());
+    let _ =
+        writeln!(text, "\n}} // namespace {}::{}\n\nnamespace downbeat {{", file.package, file.kind.as_str());
     for message in &unit.messages {
         text.push('\n');
         interface(&mut text, message, &catalog.type_hash(&message.name)?);
@@ -140,11 +139,19 @@ fn checks(field: &Field) -> String {
     let (name, (of_text, of_sequence)) = (field_name(field), bounds(&field.field_type));
     let mut lines = String::new();
     if let Some(bound) = of_sequence {
-        let _ = writeln!(lines, "        cdr::Writer::check(\"{}\", message.{name}.size(), {bound});", field.name);
+        let _ = writeln!(
+            lines,
+            "        cdr::Writer::check(\"{}\", message.{name}.size(), {bound});",
+            field.name
+        );
     }
     match (of_text, field.field_type.shape) {
         (Some(bound), Shape::Single) => {
-            let _ = writeln!(lines, "        cdr::Writer::check(\"{}\", message.{name}.size(), {bound});", field.name);
+            let _ = writeln!(
+                lines,
+                "        cdr::Writer::check(\"{}\", message.{name}.size(), {bound});",
+                field.name
+            );
         }
         (Some(bound), _) => {
             let _ = write!(

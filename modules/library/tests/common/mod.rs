@@ -61,7 +61,10 @@ pub fn cpp() -> Command {
 }
 
 pub fn build(compiler: &mut Command, source: &str, include: &Path, defines: &[&str], library: &Path) {
-    compiler.args(["-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC", "-I"]).arg(include).args(defines);
+    compiler
+        .args(["-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC", "-I"])
+        .arg(include)
+        .args(defines);
     let output = compiler.arg(Path::new(SOURCES).join(source)).arg("-o").arg(library).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -1,12 +1,12 @@
 //! Values of settings in the C interface.
 
+use crate::{ABI_VERSION, ValueV1, value};
 use downbeat_executor::SettingValue;
-use downbeat_library_abi::{ABI_VERSION, ValueV1, value};
 use std::ffi::{CStr, CString, c_char, c_void};
 
 /// A value that a library may read.
 #[derive(Debug)]
-pub(crate) struct LentValue {
+pub struct LentValue {
     value: SettingValue,
     /// Of bools and texts, in the form of C.
     bytes: Vec<u8>,
@@ -15,7 +15,9 @@ pub(crate) struct LentValue {
 }
 
 impl LentValue {
-    pub(crate) fn new(value: SettingValue) -> Self {
+    /// Keeps a value in the form of C.
+    #[must_use]
+    pub fn new(value: SettingValue) -> Self {
         let bytes = match &value {
             SettingValue::Bool(value) => vec![u8::from(*value)],
             SettingValue::Bools(values) => values.iter().map(|&value| u8::from(value)).collect(),
@@ -31,7 +33,8 @@ impl LentValue {
     }
 
     /// The value in the form of C, which points into this one.
-    pub(crate) fn in_c(&self) -> ValueV1 {
+    #[must_use]
+    pub fn in_c(&self) -> ValueV1 {
         fn one<T>(value: &T) -> (*const c_void, usize) {
             (std::ptr::from_ref(value).cast(), 1)
         }
@@ -67,17 +70,21 @@ impl LentValue {
 #[expect(unsafe_code, reason = "pointers into the same struct")]
 unsafe impl Send for LentValue {}
 
-/// Without what C ends a text at.
-pub(crate) fn c_string(text: &str) -> CString {
+/// A text for C, without what C ends a text at.
+#[must_use]
+pub fn c_string(text: &str) -> CString {
     CString::new(text.replace('\0', "")).unwrap_or_default()
 }
 
 /// Reads a value of a library.
 ///
+/// # Errors
+/// If it is no value of this interface.
+///
 /// # Safety
 /// `value` is null or points to a value as downbeat.h describes it.
 #[expect(unsafe_code, reason = "reads what a library points to")]
-pub(crate) unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, String> {
+pub unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, String> {
     // SAFETY: by the contract of this function.
     let given = unsafe { value.as_ref() }.ok_or("the value is NULL")?;
     check_struct("downbeat_value_v1", given.abi_version, given.struct_size, size_of::<ValueV1>())?;
@@ -126,10 +133,13 @@ pub(crate) unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, Str
 
 /// Reads a text of a library.
 ///
+/// # Errors
+/// If it is null or not in UTF-8.
+///
 /// # Safety
 /// `text` is null or points to a text with a terminating zero.
 #[expect(unsafe_code, reason = "reads what a library points to")]
-pub(crate) unsafe fn text_of(text: *const c_char, what: &str) -> Result<String, String> {
+pub unsafe fn text_of(text: *const c_char, what: &str) -> Result<String, String> {
     if text.is_null() {
         return Err(format!("{what} is NULL"));
     }
@@ -141,8 +151,11 @@ fn utf8(bytes: Vec<u8>) -> Result<String, String> {
     String::from_utf8(bytes).map_err(|error| format!("the text is not in UTF-8: {error}"))
 }
 
-/// Checks the head of a struct that a library passes.
-pub(crate) fn check_struct(what: &str, version: u32, size: u32, expected: usize) -> Result<(), String> {
+/// Checks the head of a struct that the other side passes.
+///
+/// # Errors
+/// If its version or size is not that of this interface.
+pub fn check_struct(what: &str, version: u32, size: u32, expected: usize) -> Result<(), String> {
     if version != ABI_VERSION || (size as usize) < expected {
         return Err(format!(
             "{what} declares version {version} and {size} bytes, expected version {ABI_VERSION} and {expected} bytes: set \

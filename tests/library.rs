@@ -1,0 +1,159 @@
+//! Modules in libraries, by robot files: on the network, recorded and replayed. Skipped on machines without a compiler.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{Running, downbeat, text_of};
+
+fn has_compiler() -> bool {
+    let found = ["cc", "c++"].iter().all(|name| Command::new(name).arg("--version").output().is_ok());
+    if !found {
+        eprintln!("skipped: this machine has no cc and c++");
+    }
+    found
+}
+
+const PAGE: &str = include_str!("../docs/libraries.md");
+
+/// The block of the page in this language that contains a text.
+fn block(language: &str, text: &str) -> &'static str {
+    let blocks = PAGE.split(&format!("```{language}\n")).skip(1);
+    let mut blocks = blocks.map(|rest| rest.split("```").next().unwrap());
+    blocks.find(|block| block.contains(text)).unwrap()
+}
+
+/// Runs a command of the page in a folder.
+fn shell(folder: &Path, command: &str) {
+    let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output =
+        Command::new("sh").args(["-c", command]).current_dir(folder).env("PATH", path).output().unwrap();
+    assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn the_page_leads_to_a_module_on_the_network() {
+    if !has_compiler() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("doubler.cpp"), block("cpp", "DOWNBEAT_MODULE(Doubler)")).unwrap();
+    std::fs::write(folder.join("robot.toml"), block("toml", "libdoubler.so")).unwrap();
+    shell(folder, block("sh", "interface generate"));
+    shell(folder, block("sh", "c++"));
+    let command = |arguments: &[&str]| {
+        let mut command = downbeat(arguments);
+        command.current_dir(folder).env("ROS_DOMAIN_ID", "127").env("XDG_RUNTIME_DIR", folder);
+        command
+    };
+    let mut robot = Running::start_by(&mut command(&["run", "robot.toml"]));
+    robot.wait_for_output("exposed to ROS 2: /out");
+    let mut words = block("sh", "topic echo").lines().map(|line| line.split('"').collect::<Vec<_>>());
+    let [echo, publish] = [words.next().unwrap(), words.next().unwrap()];
+    let echo: Vec<&str> = echo[0].split_whitespace().skip(1).collect();
+    let mut echo = Running::start_by(&mut command(&echo));
+    let data = publish[1];
+    let mut publish: Vec<&str> = publish[0].split_whitespace().skip(1).collect();
+    publish.push(data);
+    // The page's reader starts `echo` first; until it is matched, a number passes it by.
+    while echo.is_running() {
+        assert!(command(&publish).output().unwrap().status.success(), "{}", robot.output());
+    }
+    assert!(echo.output().contains("data: 21.0"), "{}\n{}", echo.output(), robot.output());
+    robot.interrupt();
+}
+
+#[test]
+fn the_module_in_c_of_the_page_is_a_module() {
+    if !has_compiler() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("doubler.c"), block("c", "downbeat_module")).unwrap();
+    shell(folder, "downbeat interface generate --lang c std_msgs");
+    shell(folder, "cc -std=c11 -Wall -Wextra -Werror -shared -fPIC -Iinclude doubler.c -o libdoubler.so");
+    let robot = "[robot]\nname = \"demo\"\n[[module]]\nkind = \"library\"\npath = \"libdoubler.so\"\n";
+    for keys in ["", "isolate = true\n", "reload = true\n"] {
+        std::fs::write(folder.join("robot.toml"), format!("{robot}{keys}")).unwrap();
+        let checked = text_of(&["check", folder.join("robot.toml").to_str().unwrap()]);
+        assert!(checked.contains("std_msgs/msg/Float64"), "{checked}");
+    }
+    std::fs::write(folder.join("robot.toml"), format!("{robot}isolate = 3\n")).unwrap();
+    let refused = common::output_of(&["check", folder.join("robot.toml").to_str().unwrap()]);
+    let refused = String::from_utf8(refused.stderr).unwrap();
+    assert!(refused.contains("`isolate` is true or false, not 3"), "{refused}");
+}
+
+/// Publishes a sum over time, with rounding errors that repeat only if everything does.
+const SUMS: &str = r#"
+#include "downbeat.hpp"
+#include "std_msgs/msg/float64.hpp"
+using std_msgs::msg::Float64;
+class Sums : public downbeat::Module {
+    void setup() override {
+        auto out = publish<Float64>("sum");
+        every(std::chrono::milliseconds(4), [this, out] {
+            sum_ += STEP * static_cast<double>(now().count() % 1000003);
+            out({sum_});
+        });
+        auto product = publish<Float64>("product");
+        subscribe<Float64>("sum", [product](const Float64 &sum, const downbeat::Received &received) {
+            product({sum.data * static_cast<double>(received.time.count() % 1009)});
+        });
+    }
+    double sum_ = 0;
+};
+DOWNBEAT_MODULE(Sums)
+"#;
+
+#[test]
+fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
+    if !has_compiler() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("sums.cpp"), SUMS).unwrap();
+    shell(folder, "downbeat interface generate --lang cpp std_msgs/msg/Float64");
+    let build = |step: &str| {
+        shell(
+            folder,
+            &format!("c++ -std=c++17 -DSTEP={step} -shared -fPIC -Iinclude sums.cpp -o libsums.so"),
+        );
+    };
+    let modules = [
+        ("", "in"),
+        ("isolate = true\n", "isolated"),
+        ("isolate = true\nsynchrony = \"detached\"\n", "apart"),
+    ];
+    for (keys, name) in modules {
+        build("0.1");
+        let robot = format!(
+            "[robot]\nname = \"demo\"\n[[module]]\nname = \"sums\"\nkind = \"library\"\npath = \"libsums.so\"\n{keys}\
+             [record]\ntopics = \"all\"\n"
+        );
+        std::fs::write(folder.join("robot.toml"), robot).unwrap();
+        let run = ["run", "robot.toml", "--duration", "1s", "--record", name];
+        let output = downbeat(&run).current_dir(folder).env("ROS_DOMAIN_ID", "128").output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let replay = || {
+            let output =
+                downbeat(&["bag", "replay", "robot.toml", name]).current_dir(folder).output().unwrap();
+            let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+            (output.status.success(), text)
+        };
+        let (is_same, text) = replay();
+        assert!(is_same && !text.contains("has changed"), "{keys}{text}");
+        build("0.1000000001");
+        let (is_same, text) = replay();
+        assert!(
+            !is_same && text.contains("the source of sums has changed since the recording"),
+            "{keys}{text}"
+        );
+    }
+}
