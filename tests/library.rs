@@ -20,8 +20,8 @@ const PAGE: &str = include_str!("../docs/libraries.md");
 
 /// The block of the page in this language that contains a text.
 fn block(language: &str, text: &str) -> &'static str {
-    let blocks = PAGE.split(&format!("```{language}\n")).skip(1);
-    let mut blocks = blocks.map(|rest| rest.split("```").next().unwrap());
+    let start = format!("```{language}\n");
+    let mut blocks = PAGE.split(&start).skip(1).map(|rest| rest.split("```").next().unwrap());
     blocks.find(|block| block.contains(text)).unwrap()
 }
 
@@ -102,7 +102,7 @@ class Sums : public downbeat::Module {
             out({sum_});
         });
         auto product = publish<Float64>("product");
-        subscribe<Float64>("sum", [product](const Float64 &sum, const downbeat::Received &received) {
+        subscribe<Float64>("input", [product](const Float64 &sum, const downbeat::Received &received) {
             product({sum.data * static_cast<double>(received.time.count() % 1009)});
         });
     }
@@ -126,9 +126,10 @@ fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
             &format!("c++ -std=c++17 -DSTEP={step} -shared -fPIC -Iinclude sums.cpp -o libsums.so"),
         );
     };
+    // A detached module is replayed apart from what it publishes itself.
     let modules = [
-        ("", "in"),
-        ("isolate = true\n", "isolated"),
+        ("remap = { input = \"sum\" }\n", "in"),
+        ("remap = { input = \"sum\" }\nisolate = true\n", "isolated"),
         ("isolate = true\nsynchrony = \"detached\"\n", "apart"),
     ];
     for (keys, name) in modules {
