@@ -120,8 +120,7 @@ impl ForeignModule {
         self.ports.publishers.push(Publisher {
             key: setup.publish_of(message.in_core(), topic)?,
             topic: topic.to_owned(),
-            type_name: message.name(),
-            decode: Box::new(move |cdr| message.decode(cdr)),
+            message,
         });
         Ok(())
     }

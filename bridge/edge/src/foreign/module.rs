@@ -1,9 +1,10 @@
 //! A module in another language: what it implements, what comes to it, and what it can ask for.
 
 use super::Declarations;
+use crate::KnownType;
 use bytes::Bytes;
 use downbeat_executor::{
-    AnyMessage, AnyPublication, Context, ModuleOptions, Setting, SettingValue, Task, Time, Transition,
+    AnyPublication, Context, ModuleOptions, Setting, SettingValue, Task, Time, Transition,
 };
 use downbeat_msgs::cdr;
 use parking_lot::Mutex;
@@ -197,8 +198,7 @@ pub(super) struct Ports {
 pub(super) struct Publisher {
     pub(super) key: AnyPublication,
     pub(super) topic: String,
-    pub(super) type_name: &'static str,
-    pub(super) decode: Box<dyn Fn(&[u8]) -> cdr::Result<AnyMessage> + Send>,
+    pub(super) message: KnownType,
 }
 
 /// Calls a service with a serialized request. Returns the number of the call.
@@ -226,9 +226,9 @@ impl ForeignContext<'_, '_> {
     /// If there is no such publisher, or the bytes are no message of its type.
     pub fn publish(&mut self, publisher: u32, cdr: &[u8]) -> Result<(), ForeignError> {
         let found = find(&self.ports.publishers, publisher, "publisher")?;
-        let message = (found.decode)(cdr).map_err(|error| ForeignError::Decode {
+        let message = found.message.decode(cdr).map_err(|error| ForeignError::Decode {
             name: found.topic.clone(),
-            type_name: found.type_name.to_owned(),
+            type_name: found.message.name().to_owned(),
             error,
         })?;
         self.context.publish_any(found.key, message);
