@@ -68,7 +68,7 @@ const NEEDS_ROBOT: [&str; 10] =
     ["top", "trace", "expose", "topic", "node", "service", "param", "action", "lifecycle", "ros2"];
 
 /// What commands name that need the walking robot.
-const WALKS: [&str; 5] = ["/cmd_vel", "/push", "/motions/", "/odom", "gait"];
+const WALKS: [&str; 6] = ["/cmd_vel", "/push", "/motions/", "/odom", "/simulator/", "gait"];
 
 /// A servo that was never configured.
 const NEW_SERVO: &str = r#"
