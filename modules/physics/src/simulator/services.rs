@@ -101,7 +101,6 @@ fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
         SimulatorFeatures::STEP_SIMULATION_MULTIPLE,
         SimulatorFeatures::STEP_SIMULATION_ACTION,
     ];
-    let mut spawn_formats = Vec::new();
     if engine.can_spawn() {
         features.extend([
             SimulatorFeatures::SPAWNING,
@@ -110,11 +109,10 @@ fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
             SimulatorFeatures::SPAWNABLES,
             SimulatorFeatures::SIMULATION_RESET_SPAWNED,
         ]);
-        spawn_formats.push("toml".to_owned());
     }
     let features = SimulatorFeatures {
         features: features.into_iter().map(u16::from).collect(),
-        spawn_formats,
+        spawn_formats: if engine.can_spawn() { vec!["toml".to_owned()] } else { Vec::new() },
         custom_info: format!("downbeat-physics, {engine}"),
     };
     GetSimulatorFeaturesResponse { features }
@@ -452,9 +450,20 @@ impl DarwinOpSimulator {
         })
     }
 
+    fn check_that_bodies_can_change(&self) -> Result<(), Outcome> {
+        let engine = self.parts.as_ref().map(|parts| parts.simulation.options().engine);
+        match engine.filter(|engine| !engine.can_spawn()) {
+            None => Ok(()),
+            Some(engine) => Err(failed(
+                Outcome::RESULT_FEATURE_UNSUPPORTED,
+                format!("nothing can be spawned or deleted with {engine}; set physics to \"rapier\""),
+            )),
+        }
+    }
+
     /// Returns the name.
     fn try_spawn(&mut self, request: &SpawnEntityRequest, now: Time) -> Result<String, Outcome> {
-        self.check_that_it_spawns()?;
+        self.check_that_bodies_can_change()?;
         let SpawnEntityRequest { name, allow_renaming, entity_resource, initial_pose, .. } = request;
         let mut spawned = match (entity_resource.uri.as_str(), entity_resource.resource_string.as_str()) {
             ("", "") => {
@@ -531,16 +540,6 @@ impl DarwinOpSimulator {
         names.find(is_free).ok_or_else(|| failed(Outcome::RESULT_OPERATION_FAILED, "no name is free"))
     }
 
-    fn check_that_it_spawns(&self) -> Result<(), Outcome> {
-        match self.parts.as_ref().map(|parts| parts.simulation.options().engine) {
-            Some(engine) if !engine.can_spawn() => {
-                let why = format!("the world of {engine} does not change; use rapier");
-                Err(failed(Outcome::RESULT_FEATURE_UNSUPPORTED, why))
-            }
-            _ => Ok(()),
-        }
-    }
-
     fn is_of_field(&self, name: &str) -> bool {
         self.parts.as_ref().is_some_and(|parts| parts.world.posts().any(|(post, _)| post == name))
     }
@@ -550,8 +549,8 @@ impl DarwinOpSimulator {
         request: &DeleteEntityRequest,
         ctx: &mut Context<'_, Ports>,
     ) -> Result<DeleteEntityResponse, String> {
-        let entity = self.check_that_it_spawns().and_then(|()| self.entity(&request.entity, ctx.now()));
-        let result = match entity {
+        let found = self.check_that_bodies_can_change().and_then(|()| self.entity(&request.entity, ctx.now()));
+        let result = match found {
             Err(result) => result,
             Ok((EntityCategory::CATEGORY_ROBOT, _)) => {
                 failed(Outcome::RESULT_OPERATION_FAILED, "the robot cannot be deleted")

@@ -87,10 +87,11 @@ impl Engine {
             Self::Mujoco => "MuJoCo 3.17.0",
         }
     }
+}
 
-    /// Whether things can be added to a world while it runs, and removed.
-    #[must_use]
-    pub fn can_spawn(self) -> bool {
+impl Engine {
+    /// Returns whether things can be added to its world, and removed from it, while it is simulated.
+    pub(crate) fn can_spawn(self) -> bool {
         self == Self::Rapier
     }
 }
@@ -225,14 +226,18 @@ pub(crate) trait World: Send {
     /// Moves something beside the robot; returns false if there is no such thing, or it is fixed.
     fn set_motion_of_thing(&mut self, name: &str, motion: &Motion) -> bool;
 
-    /// Adds something, at rest, if the [engine](Engine::can_spawn) can.
-    fn spawn(&mut self, spawned: &Spawned);
+    /// Adds something, at rest; without effect if the engine [cannot](Engine::can_spawn).
+    fn spawn(&mut self, _spawned: &Spawned) {}
 
     /// Removes something beside the robot; returns false if there is no such thing, or the engine cannot.
-    fn delete(&mut self, name: &str) -> bool;
+    fn delete(&mut self, _name: &str) -> bool {
+        false
+    }
 
     /// What this would be inside of, if one of the two can move, and how deep in m.
-    fn overlap_of(&self, spawned: &Spawned) -> Option<(&str, f64)>;
+    fn overlap_of(&self, _spawned: &Spawned) -> Option<(&str, f64)> {
+        None
+    }
 
     /// Moves the robot without changing the angles of its joints; afterwards it is at rest.
     fn set_pose_of_robot(&mut self, world_from_root: &Isometry);

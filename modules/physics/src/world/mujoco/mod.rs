@@ -8,7 +8,6 @@ mod library;
 use super::rapier::RapierWorld;
 use super::{ARMATURE, EngineError, GRAVITY, JointDrive, Motion, Plan, World};
 use crate::model::Model;
-use crate::spawned::Spawned;
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op_emulator::FootForces;
 use downbeat_transforms::Isometry;
@@ -202,17 +201,6 @@ impl World for MujocoWorld {
         set_free_motion(motion, &mut self.positions[position..], &mut self.velocities[velocity..]);
         self.set();
         true
-    }
-
-    // A model of MuJoCo is compiled once.
-    fn spawn(&mut self, _: &Spawned) {}
-
-    fn delete(&mut self, _: &str) -> bool {
-        false
-    }
-
-    fn overlap_of(&self, _: &Spawned) -> Option<(&str, f64)> {
-        None
     }
 
     fn set_pose_of_robot(&mut self, world_from_root: &Isometry) {
