@@ -33,7 +33,7 @@ const PAGES: [&str; 14] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 14] = [
+const ELSEWHERE: [&str; 16] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
@@ -45,6 +45,8 @@ const ELSEWHERE: [&str; 14] = [
     "ros2 topic echo --once /out",
     "ros2 topic pub --once /in",
     "cargo install",
+    "pip install",
+    "cargo run --release --features mujoco", // needs MuJoCo: the tests of downbeat-physics
     "cd ",
     "sudo ",
     "duckdb ",

@@ -153,6 +153,26 @@ impl Core {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
+    /// A core that is [stopped](CoreHandle::stop) earlier leaves the clock where it is:
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// # use std::time::Duration;
+    /// # struct Impatient(downbeat_executor::CoreHandle);
+    /// # impl Module for Impatient {
+    /// #     type Ports = ();
+    /// #     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    /// #         setup.every(Duration::from_secs(2), |module, _| module.0.stop())
+    /// #     }
+    /// # }
+    /// # let clock = ManualClock::new(Time::ZERO);
+    /// # let mut core = Core::new().with_clock(clock.clone());
+    /// # core.add("impatient", Impatient(core.handle()))?; // stops it after 2 s
+    /// core.run_simulated(&clock, Some(Time::ZERO + Duration::from_secs(60)))?;
+    /// assert_eq!(clock.now(), Time::ZERO + Duration::from_secs(2));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// If a thread cannot be started, or the core was stopped before.
     pub fn run_simulated(&mut self, clock: &crate::ManualClock, end: Option<Time>) -> Result<(), RunError> {
@@ -177,7 +197,9 @@ impl Core {
                 },
             }
         }
-        if let Some(end) = end {
+        if let Some(end) = end
+            && !self.state.link.stop_is_requested()
+        {
             clock.set(end);
         }
         self.stop();
