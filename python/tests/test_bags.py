@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -139,13 +140,32 @@ def test_types_of_a_bag_need_no_other_definition(tmp_path: Path) -> None:
     # Another process, so that this one does not know the definition.
     script = f"import downbeat as db\ndb.msgs.search({str(tmp_path)!r})\nfrom downbeat.msgs.own_msgs.msg import Tilt\n"
     script += f"with db.Writer({str(tmp_path / 'bag')!r}) as bag: bag.write('/tilt', Tilt(angle=0.5), 7)\n"
-    import subprocess
-
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
     ((topic, message, time),) = db.Bag(tmp_path / "bag")
     assert (topic, message.angle, message.TYPE_NAME, time) == ("/tilt", 0.5, "own_msgs/msg/Tilt", 7)
     # Parts with the usual definition are of the usual class.
     assert type(message.header) is db.msgs.message_class("std_msgs/msg/Header")
+
+
+def test_a_known_class_has_its_constants_although_a_bag_lacks_them(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2.writer")
+    # In a process that has not used the class before.
+    script = """
+import sys
+import downbeat as db
+from mcap_ros2.writer import Writer
+
+with open(sys.argv[1], "wb") as file:
+    writer = Writer(file)
+    schema = writer.register_msgdef("sensor_msgs/msg/NavSatStatus", "int8 status\\nuint16 service\\n")
+    writer.write_message("/status", schema, {"status": 1, "service": 2})
+    writer.finish()
+((_, message, _),) = db.Bag(sys.argv[1])
+assert message.status == 1
+assert type(message).STATUS_FIX == 0
+assert type(message)().status == -2, "the default"
+"""
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "status.mcap")], check=True, timeout=60)
 
 
 def test_messages_of_rclpy_are_written(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from downbeat._bags import BagMessage
@@ -52,7 +53,7 @@ class Topic:
 class Bag:
     def __init__(self, path: str | os.PathLike[str]) -> None: ...
     @property
-    def path(self) -> str: ...
+    def path(self) -> Path: ...
     @property
     def topics(self) -> dict[str, Topic]:
         """The topics, by name, including those without messages."""
@@ -98,7 +99,7 @@ class Writer:
     ) -> None:
         """``compression`` is ``none``, ``lz4`` or ``zstd``; ``custom_data`` is kept in the metadata of the bag."""
     @property
-    def path(self) -> str: ...
+    def path(self) -> Path: ...
     def add_topic(self, topic: str, message_class: type[Any]) -> None:
         """Adds a topic, which may remain without messages."""
     def write(self, topic: str, message: Any, time: int | None = None, *, publish_time: int | None = None) -> None:

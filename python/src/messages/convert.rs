@@ -131,7 +131,7 @@ fn to_element(
             Ok(number.into_any().unbind())
         }
         Element::String { bound } => {
-            check_text(*bound, text_of(value)?.as_bytes().len())?;
+            check_text(*bound, text_of(value)?.len())?;
             Ok(value.clone().unbind())
         }
         Element::WString { bound } => {

@@ -114,10 +114,13 @@ fn interfaces(package: &str) -> Vec<(&'static str, String)> {
     types::interfaces(package).into_iter().map(|name| (name.kind.as_str(), name.name)).collect()
 }
 
-/// The fields of a type for stubs: name, type of an element (a primitive, `string`, or the name of a message), whether there are
-/// several, type in the definition, comment.
+/// Name, type of an element (a primitive, `string`, or the name of a message), whether there are several, type in the definition,
+/// comment.
+type DescribedField = (String, String, bool, String, String);
+
+/// The fields of a type, for stubs.
 #[pyfunction]
-fn describe_fields(py: Python<'_>, name: &str) -> PyResult<Vec<(String, String, bool, String, String)>> {
+fn describe_fields(py: Python<'_>, name: &str) -> PyResult<Vec<DescribedField>> {
     let of = message_type(py, name)?;
     let described = of.fields.iter().zip(&of.parsed.fields).map(|(field, parsed)| {
         let element = match &field.of.element {

@@ -211,6 +211,12 @@ impl Known {
         if let Some(found) = self.all.get(&key) {
             return Ok(Arc::clone(found));
         }
+        // The definition in a bag may lack defaults and constants, which are not part of the hash: a known one has them.
+        let known = Arc::clone(&self.catalog);
+        if !std::ptr::eq(catalog, &raw const *known) && known.type_hash(name).is_ok_and(|hash| hash == key.1)
+        {
+            return self.compile(py, &known, name);
+        }
         // Also checks that no type contains itself.
         let dynamic = DynamicType::new(catalog, name).map_err(|error| invalid(error.to_string()))?;
         let parsed = catalog.message(name).map_err(|error| invalid(error.to_string()))?.clone();
