@@ -1,10 +1,10 @@
 //! Robots with modules in Python: the command line, robots beside a script, and replays.
 
 use crate::modules::{python_kind, python_kind_of};
+use downbeat::App;
 use downbeat::executor::SettingValue;
 use downbeat::replay as replays;
 use downbeat::running::RunningRobot;
-use downbeat::{App, AppError};
 use parking_lot::Mutex;
 use pyo3::exceptions::{PyAssertionError, PyRuntimeError};
 use pyo3::prelude::*;
@@ -38,18 +38,15 @@ fn main(py: Python<'_>, kinds: Kinds, line: Vec<String>) -> u8 {
 #[pyfunction]
 fn start(py: Python<'_>, kinds: Kinds, robot: String) -> PyResult<Robot> {
     let app = app(py, kinds);
-    let robot = py.detach(|| app.start(robot)).map_err(error)?;
-    Ok(Robot(Mutex::new(Some(robot))))
+    let robot = py.detach(|| app.start(robot).map_err(|error| error.to_string()));
+    Ok(Robot(Mutex::new(Some(robot.map_err(PyRuntimeError::new_err)?))))
 }
 
 #[pyfunction]
 fn replay(py: Python<'_>, kinds: Kinds, robot: String, bag: String) -> PyResult<ReplayReport> {
     let app = app(py, kinds);
-    py.detach(|| app.replay(robot, bag)).map(ReplayReport).map_err(error)
-}
-
-fn error(error: AppError) -> PyErr {
-    PyRuntimeError::new_err(error.to_string())
+    let report = py.detach(|| app.replay(robot, bag).map_err(|error| error.to_string()));
+    report.map(ReplayReport).map_err(PyRuntimeError::new_err)
 }
 
 /// A robot that runs beside a script, until it is stopped.

@@ -549,7 +549,8 @@ impl DarwinOpSimulator {
         request: &DeleteEntityRequest,
         ctx: &mut Context<'_, Ports>,
     ) -> Result<DeleteEntityResponse, String> {
-        let found = self.check_that_bodies_can_change().and_then(|()| self.entity(&request.entity, ctx.now()));
+        let found =
+            self.check_that_bodies_can_change().and_then(|()| self.entity(&request.entity, ctx.now()));
         let result = match found {
             Err(result) => result,
             Ok((EntityCategory::CATEGORY_ROBOT, _)) => {
