@@ -39,6 +39,8 @@ fn serve() -> io::Result<std::convert::Infallible> {
     // A library that reads standard input must not disturb the connection.
     rustix::stdio::dup2_stdin(File::open("/dev/null")?)?;
     let shared: Shared = Arc::new(Mutex::new(Channel::new(stream)));
+    // The robot waits for it.
+    shared.lock().send()?;
     let mut module = None;
     let mut values = BTreeMap::new();
     loop {

@@ -90,7 +90,7 @@ impl IsolatedModule {
             let fields = sent.and_then(|()| channel.receive());
             let mut fields = match fields {
                 Ok(fields) => fields,
-                Err(error) => return Err(self.process.end(function, &error)),
+                Err(_) => return Err(self.process.end(function)),
             };
             let mut answer = Frame::default();
             let result = loop {
@@ -151,7 +151,8 @@ impl Foreign for IsolatedModule {
         let in_c = event_in_c(&event);
         let data: &[u8] = match &event {
             Event::Message { cdr, .. } | Event::Request { cdr, .. } => cdr,
-            Event::Reply { result, .. } => result.as_ref().map_or_else(|reason| reason.as_bytes(), |cdr| cdr),
+            Event::Reply { result: Ok(cdr), .. } => cdr,
+            Event::Reply { result: Err(reason), .. } => reason.as_bytes(),
             _ => &[],
         };
         let now = Requests::now(context).as_nanos();
