@@ -15,6 +15,23 @@ fn text(path: &Path) -> &str {
 }
 
 #[test]
+fn a_robot_without_a_simulated_world_has_no_engine_to_choose() {
+    let output = output_of(&["run", "robots/darwin_op.toml", "--physics", "mujoco"]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("no module of darwin_op simulates a world"), "{message}");
+}
+
+#[test]
+fn modules_in_python_are_for_the_program_of_the_wheel() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot_file(folder.path(), |text| text.replacen("\"stand_nod_wave\"", "\"python\"", 1));
+    let output = output_of(&["check", text(&robot)]);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(message.contains("pip install downbeat"), "{message}");
+}
+
+#[test]
 fn errors_in_a_robot_file_contain_file_line_and_the_nearest_name() {
     let folder = tempfile::tempdir().unwrap();
     let wrong =

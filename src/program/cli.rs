@@ -167,6 +167,9 @@ pub(crate) struct RunArguments {
     /// instead of the encoding in the robot file's [record].
     #[arg(long, value_name = "ENCODING", requires = "record")]
     pub(crate) encoding: Option<Encoding>,
+    /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with that feature.
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) physics: Option<String>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,

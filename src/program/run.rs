@@ -29,6 +29,9 @@ pub(crate) fn run(
     }
     let stop = Stop::new()?;
     let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
+    if let Some(physics) = &arguments.physics {
+        simulate_with(&mut file, physics)?;
+    }
     file.expose.features.engine = arguments.engine.unwrap_or(file.expose.features.engine);
     // In simulated time the core ends by itself.
     let (mut robot, stop) = if arguments.fast {
@@ -44,6 +47,20 @@ pub(crate) fn run(
         robot.prepared.record(plan)?;
     }
     robot.run(&stop, screen)
+}
+
+/// Sets the engine of the simulated world.
+fn simulate_with(file: &mut RobotFile, physics: &str) -> anyhow::Result<()> {
+    let simulators = file.modules.iter().filter(|module| module.kind.name() == "darwin_op_simulator");
+    let simulators: Vec<_> = simulators.map(|module| module.name.clone()).collect();
+    anyhow::ensure!(
+        !simulators.is_empty(),
+        "--physics {physics}: no module of {} simulates a world",
+        file.name
+    );
+    Ok(simulators
+        .iter()
+        .try_for_each(|name| file.set_from_argument(&format!("{name}.physics:={physics}")))?)
 }
 
 /// A robot whose state is shown on the screen while it runs.
