@@ -5,7 +5,7 @@ mod common;
 
 use common::{Robot, SOURCES, build, cpp, generated, has_compiler, library};
 use downbeat_executor::{LifecycleState, ModuleOptions, Restart, SettingValue};
-use downbeat_library_host::{LibraryOptions, child, load, set_child_command};
+use downbeat_library_host::{LibraryOptions, load, set_child_command};
 use downbeat_msgs::std_msgs::msg::Float64;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -13,17 +13,8 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-/// Not a test: the child processes of the tests below are this program.
-#[test]
-#[ignore = "the main function of child processes"]
-fn the_child_process() {
-    let _ = child();
-}
-
 fn use_own_children() {
-    let arguments = ["--ignored", "--exact", "the_child_process", "--nocapture", "--quiet"];
-    let program = std::env::current_exe().unwrap().into_os_string();
-    set_child_command(std::iter::once(program).chain(arguments.map(OsString::from)));
+    set_child_command([OsString::from(env!("CARGO_BIN_EXE_library-child"))]);
 }
 
 fn both(path: &Path) -> [LibraryOptions; 2] {

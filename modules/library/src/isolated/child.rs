@@ -9,9 +9,8 @@ use downbeat_executor::{SettingValue, Time, Transition};
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io;
+use std::io::{self, PipeReader, PipeWriter};
 use std::os::fd::AsFd;
-use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -35,10 +34,12 @@ pub fn child() -> ExitCode {
 type Shared = Arc<Mutex<Channel>>;
 
 fn serve() -> io::Result<std::convert::Infallible> {
-    let stream = UnixStream::from(io::stdin().as_fd().try_clone_to_owned()?);
-    // A library that reads standard input must not disturb the connection.
+    let reader = PipeReader::from(io::stdin().as_fd().try_clone_to_owned()?);
+    let writer = PipeWriter::from(io::stdout().as_fd().try_clone_to_owned()?);
+    // What a library reads from standard input or prints must not disturb the connection.
     rustix::stdio::dup2_stdin(File::open("/dev/null")?)?;
-    let shared: Shared = Arc::new(Mutex::new(Channel::new(stream)));
+    rustix::stdio::dup2_stdout(io::stderr())?;
+    let shared: Shared = Arc::new(Mutex::new(Channel::new(reader, writer)));
     // The robot waits for it.
     shared.lock().send()?;
     let mut module = None;

@@ -2,14 +2,12 @@
 
 use super::wire::Channel;
 use std::ffi::OsString;
-use std::io::{self, Read};
-use std::net::Shutdown;
-use std::os::fd::OwnedFd;
-use std::os::unix::net::UnixStream;
+use std::io::{self, PipeReader, Read, pipe};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command};
 use std::sync::OnceLock;
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 /// How long a child may take to destroy its module before it is killed.
@@ -59,23 +57,23 @@ impl Process {
                 command
             }
         };
-        let (own, its) = UnixStream::pair().map_err(failed)?;
+        let (its_input, writer) = pipe().map_err(failed)?;
+        let (reader, its_output) = pipe().map_err(failed)?;
         // In a group of its own: Ctrl-C is for the robot, which ends its children.
-        let child =
-            command.stdin(Stdio::from(OwnedFd::from(its))).process_group(0).spawn().map_err(failed)?;
-        let mut process = Self { child, path: path.to_owned(), channel: Channel::new(own) };
-        process.greet().map_err(|error| match error.kind() {
-            io::ErrorKind::UnexpectedEof => process.end("main"),
-            _ => failed(io::Error::other(NOT_A_CHILD)),
-        })?;
-        Ok(process)
-    }
-
-    /// Waits until the child is ready for its first call.
-    fn greet(&mut self) -> io::Result<()> {
-        self.channel.stream.set_read_timeout(Some(PATIENCE))?;
-        self.channel.receive()?;
-        self.channel.stream.set_read_timeout(None)
+        let child = command.stdin(its_input).stdout(its_output).process_group(0).spawn().map_err(failed)?;
+        // With it the child's ends of the pipes, so that its death is noticed.
+        drop(command);
+        let greeted = read_within(reader, PATIENCE);
+        let is_ready = greeted.as_ref().is_some_and(|(_, read)| *read > 0);
+        let channel = match greeted {
+            Some((reader, _)) => Channel::new(reader, writer),
+            None => Channel::closed(),
+        };
+        let mut process = Self { child, path: path.to_owned(), channel };
+        match is_ready {
+            true => Ok(process),
+            false => Err(format!("{} ({NOT_A_CHILD})", process.end("main"))),
+        }
     }
 
     pub fn id(&self) -> u32 {
@@ -97,13 +95,22 @@ impl Process {
 impl Drop for Process {
     /// Lets the child destroy its module.
     fn drop(&mut self) {
-        let stream = &mut self.channel.stream;
-        let _ = stream.shutdown(Shutdown::Write);
-        let _ = stream.set_read_timeout(Some(FAREWELL));
+        let reader = self.channel.close();
         // Its end closes the other end.
-        if !matches!(stream.read(&mut [0]), Ok(0)) {
+        let has_ended = reader.is_none_or(|reader| matches!(read_within(reader, FAREWELL), Some((_, 0))));
+        if !has_ended {
             let _ = self.child.kill();
         }
         let _ = self.child.wait();
     }
+}
+
+/// Waits for the next bytes, at most four, or for the end of the pipe, which counts as none.
+fn read_within(mut reader: PipeReader, patience: Duration) -> Option<(PipeReader, usize)> {
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        let read = reader.read(&mut [0; 4]).unwrap_or(0);
+        let _ = sender.send((reader, read));
+    });
+    receiver.recv_timeout(patience).ok()
 }
