@@ -42,6 +42,10 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
     let cli = Cli::parse_with_ros_args(line);
     let screen = Screen::new();
     let Cli { command, ros } = cli;
+    if matches!(command, Command::LibraryChild) {
+        // Before anything can print: its standard output is a pipe to the robot.
+        return downbeat_library_host::child();
+    }
     let log = match Log::start(&screen, &ros.log) {
         Ok(log) => log,
         Err(error) => return fail(&error),
@@ -95,7 +99,7 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
             print_completions(shell);
             Ok(())
         }
-        Command::LibraryChild => return downbeat_library_host::child(),
+        Command::LibraryChild => Ok(()),
     };
     screen.show(Vec::new());
     log.close();
