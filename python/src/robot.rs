@@ -9,12 +9,14 @@ use parking_lot::Mutex;
 use pyo3::exceptions::{PyAssertionError, PyRuntimeError};
 use pyo3::prelude::*;
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::process::ExitCode;
 use std::time::Duration;
 
 type Kinds = BTreeMap<String, Py<PyAny>>;
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    run_children_by(module.py())?;
     module.add_class::<Robot>()?;
     module.add_class::<ReplayReport>()?;
     module.add_function(wrap_pyfunction!(main, module)?)?;
@@ -26,6 +28,14 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn app(py: Python<'_>, kinds: Kinds) -> App {
     let app = App::with_built_in_kinds().add_kind(python_kind());
     kinds.into_iter().fold(app, |app, (name, class)| app.add_kind(python_kind_of(py, &name, class)))
+}
+
+/// Runs the child processes of libraries by the interpreter that runs this package.
+fn run_children_by(py: Python<'_>) -> PyResult<()> {
+    let interpreter: String = py.import("sys")?.getattr("executable")?.extract()?;
+    let command = [interpreter.as_str(), "-m", "downbeat", "library-child"].map(OsString::from);
+    downbeat::library_host::set_child_command(command);
+    Ok(())
 }
 
 #[pyfunction]

@@ -64,9 +64,9 @@ def robot() -> str:
     def python(name, kind, settings=""):
         return f'[[module]]\nkind = "python"\nname = "{name}"\nmodule = "modules.py:{kind}"\n{settings}\n'
 
-    def library(name, number):
+    def library(name, number, keys=""):
         remap = f'remap = {{ in = "numbers_{number}", out = "numbers_{number + 1}" }}'
-        return f'[[module]]\nkind = "library"\nname = "{name}"\npath = "libhalver.so"\n{remap}\n'
+        return f'[[module]]\nkind = "library"\nname = "{name}"\npath = "libhalver.so"\n{remap}\n{keys}\n'
 
     def rust(kind):
         return f'[[module]]\nkind = "{kind}"\n'
@@ -79,7 +79,7 @@ def robot() -> str:
         library("halver_b", 2),
         python("next_b", "Next", "settings = { number = 3 }"),
         rust("imu_filter"),
-        library("halver_c", 4),
+        library("halver_c", 4, "isolate = true"),
         python("commands", "Commands"),
         rust("transform_server"),
     ]

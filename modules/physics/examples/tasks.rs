@@ -63,7 +63,8 @@ fn main() -> ExitCode {
     });
     println!("{}, {} worlds, {:.0} s", arguments.physics, arguments.seeds, started.elapsed().as_secs_f64());
     println!("task          done    at the first try  smallest  median  largest");
-    let is_good = tasks.iter().map(|task| report(*task, &runs)).fold(true, |all, is_good| all && is_good);
+    let good: Vec<bool> = tasks.iter().map(|task| report(*task, &runs)).collect();
+    let is_good = good.iter().all(|is_good| *is_good);
     if tasks.contains(&Task::Push) {
         let sides =
             [("front", [1.0, 0.0]), ("back", [-1.0, 0.0]), ("left", [0.0, 1.0]), ("right", [0.0, -1.0])];
