@@ -158,7 +158,10 @@ pub(super) fn compress(content: &[u8], options: &McapOptions) -> io::Result<(&'s
 }
 
 fn lz4(content: &[u8]) -> io::Result<Vec<u8>> {
-    let frame = FrameInfo::new().block_size(BlockSize::Auto).content_size(Some(content.len() as u64));
+    // Readers allocate two blocks for each chunk. With those of 4 MB, which the library chooses for larger chunks, fresh memory
+    // costs more than the decompression.
+    let block = if content.len() <= 64 * 1024 { BlockSize::Max64KB } else { BlockSize::Max256KB };
+    let frame = FrameInfo::new().block_size(block).content_size(Some(content.len() as u64));
     let mut encoder = FrameEncoder::with_frame_info(frame, Vec::with_capacity(content.len() / 2));
     encoder.write_all(content)?;
     encoder.finish().map_err(io::Error::other)
