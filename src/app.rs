@@ -182,6 +182,8 @@ impl App {
         let mut robot = PreparedRobot::new(self.robot_file(path)?)?;
         let options = ParticipantOptions::from_env().map_err(StartError::from)?;
         robot.expose(&options, None)?;
+        #[cfg(feature = "view")]
+        robot.view()?;
         Ok(robot.start()?)
     }
 

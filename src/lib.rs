@@ -29,6 +29,8 @@ pub use downbeat_library_host as library_host;
 pub use downbeat_modules as modules;
 pub use downbeat_modules::device;
 pub use downbeat_msgs as msgs;
+#[cfg(feature = "view")]
+pub use downbeat_view as view;
 pub use failure::{Failure, TestResult};
 
 /// The README of the repository, whose examples are compiled with the documentation tests.

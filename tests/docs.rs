@@ -15,7 +15,7 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 14] = [
+const PAGES: [&str; 15] = [
     "README.md",
     "docs/bags.md",
     "docs/darwin_op.md",
@@ -27,6 +27,7 @@ const PAGES: [&str; 14] = [
     "docs/robot_files.md",
     "docs/ros2_users.md",
     "docs/servos.md",
+    "docs/view.md",
     "docs/walking.md",
     "docs/your_robot.md",
     "modules/README.md",

@@ -170,6 +170,10 @@ pub(crate) struct RunArguments {
     /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with that feature.
     #[arg(long, value_name = "ENGINE")]
     pub(crate) physics: Option<String>,
+    /// Show the robot to Foxglove, Lichtblick and PlotJuggler on this port: 8765, or that of the robot file's [view].
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true)]
+    pub(crate) foxglove: Option<Option<u16>>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,

@@ -33,6 +33,11 @@ pub(crate) fn run(
         simulate_with(&mut file, physics)?;
     }
     file.expose.features.engine = arguments.engine.unwrap_or(file.expose.features.engine);
+    #[cfg(feature = "view")]
+    if let Some(port) = arguments.foxglove {
+        let view = file.view.get_or_insert_default();
+        view.port = port.unwrap_or(view.port);
+    }
     // In simulated time the core ends by itself.
     let (mut robot, stop) = if arguments.fast {
         (WatchedRobot::simulated(file, arguments.duration)?, stop)
@@ -46,6 +51,8 @@ pub(crate) fn run(
         arguments.force.make_way(Output::Bag, directory, [])?;
         robot.prepared.record(plan)?;
     }
+    #[cfg(feature = "view")]
+    robot.prepared.view()?;
     robot.run(&stop, screen)
 }
 
@@ -94,6 +101,11 @@ impl WatchedRobot {
         let topics = self.prepared.core().topics().cloned().collect();
         let Self { prepared, statistics, faults } = self;
         let robot = prepared.start()?;
+        #[cfg(feature = "view")]
+        if let Some(view) = robot.view() {
+            // Not into the log: that is published on /rosout, and the URL holds the token.
+            eprintln!("open in Foxglove, Lichtblick or PlotJuggler, as Foxglove WebSocket: {}", view.url());
+        }
         let name = |node: &RobotNode| format!("{}   domain {}", node.node().name(), node.domain());
         let title = robot.node().map_or_else(|| robot.file().name.clone(), name);
         let status = robot.node().map(|node| node.bridge().status());

@@ -29,7 +29,7 @@ pub(crate) use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, LifecycleEntry,
     ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
-    TopicChoice,
+    TopicChoice, ViewAccess, ViewEntry,
 };
 pub use kind::{Kind, ModuleSource};
 #[cfg(feature = "cli")]

@@ -17,6 +17,8 @@ mod expose_service;
 mod inspected;
 mod node;
 mod recording;
+#[cfg(feature = "view")]
+mod view;
 
 use std::io;
 use std::sync::Arc;
@@ -87,6 +89,14 @@ pub enum StartError {
     /// The robot cannot be recorded.
     #[error(transparent)]
     Recorder(#[from] RecorderError),
+    /// The server for viewers cannot start.
+    #[cfg(feature = "view")]
+    #[error(transparent)]
+    View(#[from] downbeat_view::ViewError),
+    /// The server for viewers has no token.
+    #[cfg(feature = "view")]
+    #[error("viewers: {0}")]
+    ViewToken(#[from] downbeat_view::TokenError),
     /// A thread cannot be started.
     #[error("cannot start the thread of {what}: {source}")]
     Thread {
@@ -129,6 +139,8 @@ pub struct PreparedRobot {
     diagnostics: Option<ProcessDiagnostics>,
     node: Option<RobotNode>,
     recording: Option<RobotRecording>,
+    #[cfg(feature = "view")]
+    view: Option<downbeat_view::ViewServer>,
 }
 
 impl PreparedRobot {
@@ -160,9 +172,22 @@ impl PreparedRobot {
     }
 
     fn on(mut core: Core, file: RobotFile, clock: NodeClock) -> Result<Self, StartError> {
+        #[cfg(not(feature = "view"))]
+        if file.view.is_some() {
+            tracing::warn!("[view] has no effect: this program was built without the feature `view`");
+        }
         let diagnostics = add_diagnostics(&mut core, &file)?;
         let robot = file.build(core)?;
-        Ok(Self { robot, clock, simulated: None, diagnostics, node: None, recording: None })
+        Ok(Self {
+            robot,
+            clock,
+            simulated: None,
+            diagnostics,
+            node: None,
+            recording: None,
+            #[cfg(feature = "view")]
+            view: None,
+        })
     }
 
     /// Creates the node with all that the robot file exposes. If `log` is given, the log of the program is published on `/rosout`.
@@ -187,6 +212,17 @@ impl PreparedRobot {
         Ok(())
     }
 
+    /// Starts the server for Foxglove, Lichtblick and PlotJuggler, if the robot file's `[view]` asks for it. Call it last, so that
+    /// viewers see all topics and services from the start.
+    ///
+    /// # Errors
+    /// If the address is in use, or a service cannot be shown.
+    #[cfg(feature = "view")]
+    pub fn view(&mut self) -> Result<(), StartError> {
+        self.view = view::start(&mut self.robot, self.simulated.is_some())?;
+        Ok(())
+    }
+
     /// The robot file.
     #[must_use]
     pub fn file(&self) -> &RobotFile {
@@ -203,6 +239,8 @@ impl PreparedRobot {
     /// # Errors
     /// If a thread cannot be started.
     pub fn start(self) -> Result<RunningRobot, StartError> {
+        #[cfg(feature = "view")]
+        let view = self.view;
         let Self { robot: Robot { file, mut core }, simulated, node, recording, .. } = self;
         let handle = core.handle();
         let thread = std::thread::Builder::new().name("core".into());
@@ -229,6 +267,8 @@ impl PreparedRobot {
             inspection,
             expose_service,
             recording,
+            #[cfg(feature = "view")]
+            view,
             node,
             file,
         })
@@ -242,6 +282,8 @@ pub struct RunningRobot {
     inspection: Option<InspectionServer>,
     expose_service: Option<ExposeService>,
     recording: Option<RobotRecording>,
+    #[cfg(feature = "view")]
+    view: Option<downbeat_view::ViewServer>,
     node: Option<RobotNode>,
     file: Arc<RobotFile>,
 }
@@ -263,6 +305,13 @@ impl RunningRobot {
     #[must_use]
     pub fn recording(&self) -> Option<&Recording> {
         self.recording.as_ref().map(|robot| &robot.recording)
+    }
+
+    /// Its server for viewers, if it has one. [`url`](downbeat_view::ViewServer::url) holds the token and is not logged.
+    #[cfg(feature = "view")]
+    #[must_use]
+    pub fn view(&self) -> Option<&downbeat_view::ViewServer> {
+        self.view.as_ref()
     }
 
     /// The robot file.
@@ -296,6 +345,10 @@ impl RunningRobot {
             drop(services);
             summary
         });
+        #[cfg(feature = "view")]
+        {
+            self.view = None;
+        }
         self.node = None;
         ran.map_err(|_| StopError::Panicked)??;
         Ok(summary.transpose()?)

@@ -7,6 +7,7 @@ mod module;
 mod record;
 mod source;
 mod table;
+mod view;
 
 use std::path::Path;
 
@@ -27,6 +28,7 @@ pub use source::RobotFileError;
 pub(crate) use source::{Given, ParameterPlace, Place, Source, toml_string};
 pub(crate) use table::list_of;
 use table::{Table, Value};
+pub use view::{ViewAccess, ViewEntry};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -57,6 +59,8 @@ pub struct RobotFile {
     pub record: RecordEntry,
     /// How a bag of the robot is replayed.
     pub replay: ReplaySection,
+    /// The server for Foxglove, Lichtblick and PlotJuggler; `None` for no server.
+    pub view: Option<ViewEntry>,
 }
 
 /// A value and its line.
@@ -124,6 +128,7 @@ impl RobotFile {
         let expose = expose.transpose()?.unwrap_or_default();
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
+        let view = root.take("view").map_or(Ok(None), view::view)?;
         root.finish()?;
         let file = Self {
             source,
@@ -139,6 +144,7 @@ impl RobotFile {
             expose,
             record,
             replay,
+            view,
         };
         Ok((file, parameter_files))
     }

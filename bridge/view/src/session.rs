@@ -1,0 +1,371 @@
+//! What one viewer asks for.
+
+use crate::channels::Channel;
+use crate::connection::{Ended, Proof, Reader};
+use crate::graph::Connections;
+use crate::options::Access;
+use crate::outbox::{Closed, Frame, Outbox};
+use crate::parameters::{Settings, parameter, settings, wanted};
+use crate::protocol::{
+    BinaryRequest, ClientChannel, Level, Parameter, Request, Subscription, asset_error, asset_head,
+    call_failure, status,
+};
+use crate::server::Shared;
+use downbeat_edge::{CoreAccess, EncodedInlet, KnownType, Waiting};
+use downbeat_msgs::encoding::{Codec, Encoding};
+use parking_lot::Mutex;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+use tungstenite::Message;
+
+/// How long the core may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// A connected viewer, as the thread that announces changes sees it.
+pub(crate) struct Client {
+    pub(crate) id: u64,
+    pub(crate) outbox: Arc<Outbox>,
+    pub(crate) watched: Mutex<Watched>,
+}
+
+/// What is announced to a viewer when it changes.
+#[derive(Default)]
+pub(crate) struct Watched {
+    /// The parameters, with the values that it knows.
+    pub(crate) parameters: BTreeMap<String, Option<Value>>,
+    /// The connections that it knows, if it asked for them.
+    pub(crate) connections: Option<Connections>,
+    /// The topics of its subscriptions.
+    pub(crate) topics: HashMap<u32, Arc<str>>,
+    /// When it was last told that messages of a topic were dropped.
+    pub(crate) told: HashMap<Arc<str>, Instant>,
+}
+
+/// The requests of one viewer.
+pub(crate) struct Session<'a> {
+    shared: &'a Shared,
+    client: &'a Client,
+    proof: Proof,
+    subscriptions: HashMap<u32, Arc<Channel>>,
+    publications: HashMap<u32, Publication>,
+    open_calls: Arc<AtomicUsize>,
+}
+
+/// A topic on which the viewer publishes.
+struct Publication {
+    inlet: EncodedInlet,
+    /// From JSON to CDR.
+    codec: Option<Codec>,
+    /// Errors after the first are not reported.
+    has_failed: bool,
+}
+
+impl<'a> Session<'a> {
+    pub(crate) fn new(shared: &'a Shared, client: &'a Client, proof: Proof) -> Self {
+        let (subscriptions, publications) = (HashMap::new(), HashMap::new());
+        Self { shared, client, proof, subscriptions, publications, open_calls: Arc::default() }
+    }
+
+    /// Serves the viewer until it leaves or is disconnected.
+    pub(crate) fn run(&mut self, reader: &mut Reader) -> Ended {
+        if self.proof == Proof::WrongToken {
+            let text = "the token in the URL is not that of this server: this viewer may only look";
+            if self.report(Level::Error, text).is_err() {
+                return STALLED;
+            }
+        }
+        loop {
+            let message = match reader.next() {
+                Ok(message) => message,
+                Err(ended) => return ended,
+            };
+            let served = match &message {
+                Message::Text(text) => self.text(text),
+                Message::Binary(bytes) => self.binary(bytes),
+                _ => Ok(()),
+            };
+            if served.is_err() {
+                return STALLED;
+            }
+        }
+    }
+
+    fn text(&mut self, text: &str) -> Result<(), Closed> {
+        let request = match serde_json::from_str(text) {
+            Ok(request) => request,
+            Err(error) => return self.report(Level::Error, &format!("a request cannot be read: {error}")),
+        };
+        match request {
+            Request::Subscribe { subscriptions } => {
+                subscriptions.into_iter().try_for_each(|subscription| self.subscribe(&subscription))
+            }
+            Request::Unsubscribe { subscription_ids } => {
+                subscription_ids.into_iter().for_each(|id| self.unsubscribe(id));
+                Ok(())
+            }
+            Request::Advertise { channels } => {
+                channels.iter().try_for_each(|channel| match self.advertise(channel) {
+                    Ok(publication) => {
+                        self.publications.insert(channel.id, publication);
+                        Ok(())
+                    }
+                    Err(reason) => {
+                        self.report(Level::Error, &format!("cannot publish on {}: {reason}", channel.topic))
+                    }
+                })
+            }
+            Request::Unadvertise { channel_ids } => {
+                self.publications.retain(|id, _| !channel_ids.contains(id));
+                Ok(())
+            }
+            Request::GetParameters { parameter_names, id } => {
+                self.get_parameters(&parameter_names, id.as_deref())
+            }
+            Request::SetParameters { parameters, id } => self.set_parameters(&parameters, id.as_deref()),
+            Request::SubscribeParameterUpdates { parameter_names } => {
+                let mut watched = self.client.watched.lock();
+                for name in parameter_names {
+                    if watched.parameters.len() < MOST_PARAMETERS {
+                        watched.parameters.entry(name).or_default();
+                    }
+                }
+                drop(watched);
+                self.shared.look_now();
+                Ok(())
+            }
+            Request::UnsubscribeParameterUpdates { parameter_names } => {
+                let mut watched = self.client.watched.lock();
+                watched.parameters.retain(|name, _| !parameter_names.contains(name));
+                Ok(())
+            }
+            Request::SubscribeConnectionGraph => {
+                self.client.watched.lock().connections = Some(Connections::default());
+                self.shared.look_now();
+                Ok(())
+            }
+            Request::UnsubscribeConnectionGraph => {
+                self.client.watched.lock().connections = None;
+                Ok(())
+            }
+            Request::FetchAsset { uri, request_id } => {
+                let frame = match self.shared.assets.read(&uri) {
+                    Ok(contents) => Frame::Parts(asset_head(request_id), contents.into()),
+                    Err(reason) => Frame::Binary(asset_error(request_id, &reason)),
+                };
+                self.answer(frame)
+            }
+        }
+    }
+
+    fn binary(&mut self, bytes: &[u8]) -> Result<(), Closed> {
+        match BinaryRequest::read(bytes) {
+            Ok(BinaryRequest::Publish { channel_id, data }) => self.publish(channel_id, data),
+            Ok(BinaryRequest::Call { service_id, call_id, encoding, data }) => {
+                let called = self.call(service_id, call_id, encoding, data);
+                called.or_else(|reason| self.answer(Frame::Text(call_failure(service_id, call_id, &reason))))
+            }
+            Err(reason) => self.report(Level::Error, &reason),
+        }
+    }
+
+    fn subscribe(&mut self, &Subscription { id, channel_id }: &Subscription) -> Result<(), Closed> {
+        let limit = self.shared.options.limits.subscriptions;
+        let refused = if self.subscriptions.contains_key(&id) {
+            format!("subscription {id} exists already")
+        } else if self.subscriptions.len() >= limit {
+            format!("a viewer may have {limit} subscriptions")
+        } else if let Some(channel) = self.shared.channels.find(channel_id) {
+            let Client { id: client, outbox, watched } = self.client;
+            watched.lock().topics.insert(id, Arc::clone(&channel.topic));
+            let mut core = CoreAccess::Running(&self.shared.core);
+            match self.shared.channels.subscribe(&channel, &mut core, *client, id, outbox) {
+                Ok(()) => {
+                    self.subscriptions.insert(id, channel);
+                    return Ok(());
+                }
+                Err(error) => error.to_string(),
+            }
+        } else {
+            format!("there is no channel {channel_id}")
+        };
+        self.report(Level::Error, &format!("cannot subscribe: {refused}"))
+    }
+
+    fn unsubscribe(&mut self, id: u32) {
+        if let Some(channel) = self.subscriptions.remove(&id) {
+            channel.unsubscribe(self.client.id, id);
+            self.client.outbox.forget(id);
+            self.client.watched.lock().topics.remove(&id);
+        }
+    }
+
+    fn advertise(&self, channel: &ClientChannel) -> Result<Publication, String> {
+        self.check_access()?;
+        let limit = self.shared.options.limits.publications;
+        if self.publications.len() >= limit {
+            return Err(format!("a viewer may publish on {limit} topics"));
+        }
+        let topic = channel.topic.trim_start_matches('/');
+        if !(self.shared.options.topics)(topic) {
+            return Err("the server does not show this topic".to_owned());
+        }
+        let message_type = self.type_of(topic, &channel.schema_name)?;
+        let codec = match channel.encoding.as_str() {
+            "cdr" => None,
+            "json" => {
+                let codec = Encoding::Json.codec_of_text(message_type.name(), message_type.definition());
+                Some(codec.map_err(|error| error.to_string())?)
+            }
+            other => return Err(format!("the encoding \"{other}\" is neither \"cdr\" nor \"json\"")),
+        };
+        let mut core = CoreAccess::Running(&self.shared.core);
+        let inlet =
+            message_type.inlet_with(&mut core, topic, Waiting::All).map_err(|error| error.to_string())?;
+        tracing::info!("a viewer publishes on /{topic} [{message_type}]");
+        Ok(Publication { inlet, codec, has_failed: false })
+    }
+
+    /// The type that the topic carries, or if it is a new topic that of the name.
+    fn type_of(&self, topic: &str, name: &str) -> Result<KnownType, String> {
+        let Shared { channels, core, options, .. } = self.shared;
+        // Viewers write both `std_msgs/Bool` and `std_msgs/msg/Bool`.
+        let name = match name.split_once('/') {
+            Some((package, rest)) if !rest.contains('/') => format!("{package}/msg/{rest}"),
+            _ => name.to_owned(),
+        };
+        let topics = core.topics().wait(PATIENCE).ok_or(NO_ANSWER)?;
+        match topics.iter().find(|info| *info.name == *topic) {
+            Some(info) => match channels.message_type(info, options) {
+                Some(carried) if carried.name() == name => Ok(carried),
+                Some(carried) => Err(format!("it carries {carried}, not {name}")),
+                None => Err(format!("it carries {}, which is no ROS 2 type", info.message_type)),
+            },
+            None => channels.interfaces().message(&name).map_err(|error| error.to_string()),
+        }
+    }
+
+    fn publish(&mut self, channel_id: u32, data: &[u8]) -> Result<(), Closed> {
+        let Some(publication) = self.publications.get_mut(&channel_id) else {
+            return self.report(Level::Error, &format!("channel {channel_id} was not advertised"));
+        };
+        let published = match &publication.codec {
+            None => publication.inlet.publish(data).map_err(|error| error.to_string()),
+            Some(codec) => codec
+                .decode(data)
+                .map_err(|error| error.to_string())
+                .and_then(|cdr| publication.inlet.publish(&cdr).map_err(|error| error.to_string())),
+        };
+        match published {
+            Err(reason) if !std::mem::replace(&mut publication.has_failed, true) => {
+                self.report(Level::Error, &format!("a message was not published: {reason}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn call(&self, service_id: u32, call_id: u32, encoding: &str, data: &[u8]) -> Result<(), String> {
+        self.check_access()?;
+        let services = &self.shared.services;
+        let service = services.iter().find(|service| service.id() == service_id);
+        let service = service.ok_or_else(|| format!("there is no service {service_id}"))?;
+        if encoding != "cdr" {
+            return Err(format!("requests are read in \"cdr\", not in \"{encoding}\""));
+        }
+        let limit = self.shared.options.limits.calls;
+        if self.open_calls.load(Ordering::Relaxed) >= limit {
+            return Err(format!("{limit} calls of this viewer wait for a response already"));
+        }
+        service.call(call_id, data, &self.client.outbox, &self.open_calls);
+        Ok(())
+    }
+
+    fn get_parameters(&self, names: &[String], id: Option<&str>) -> Result<(), Closed> {
+        match settings(&self.shared.core, PATIENCE) {
+            Some(settings) => self.send_parameters(
+                &settings,
+                |name| names.is_empty() || names.iter().any(|n| n == name),
+                id,
+            ),
+            None => self.report(Level::Error, NO_ANSWER),
+        }
+    }
+
+    fn set_parameters(&self, parameters: &[Parameter], id: Option<&str>) -> Result<(), Closed> {
+        let Some(before) = settings(&self.shared.core, PATIENCE) else {
+            return self.report(Level::Error, NO_ANSWER);
+        };
+        for parameter in parameters {
+            if let Err(reason) = self.set(parameter, &before) {
+                self.report(
+                    Level::Error,
+                    &format!("the parameter {} was not set: {reason}", parameter.name),
+                )?;
+            }
+        }
+        self.shared.look_now();
+        let after = settings(&self.shared.core, PATIENCE).unwrap_or(before);
+        // Also after a refusal: the viewer shows the value in force.
+        self.send_parameters(&after, |name| parameters.iter().any(|parameter| parameter.name == name), id)
+    }
+
+    fn set(&self, parameter: &Parameter, present: &Settings) -> Result<(), String> {
+        self.check_access()?;
+        let (module, info) = present.get(&parameter.name).ok_or("no module has this setting")?;
+        let value = wanted(parameter, &info.value)?;
+        let set = self.shared.core.set(module, &info.name, value).wait(PATIENCE);
+        set.ok_or(NO_ANSWER)?.map_err(|refused| refused.to_string())
+    }
+
+    fn send_parameters(
+        &self,
+        settings: &Settings,
+        is_meant: impl Fn(&str) -> bool,
+        id: Option<&str>,
+    ) -> Result<(), Closed> {
+        let meant = settings.iter().filter(|(name, _)| is_meant(name));
+        let values: Vec<_> = meant.map(|(name, (_, info))| parameter(name, &info.value)).collect();
+        let mut message = json!({ "op": "parameterValues", "parameters": values });
+        if let Some(id) = id {
+            message["id"] = json!(id);
+        }
+        self.answer(Frame::Text(message.to_string()))
+    }
+
+    fn check_access(&self) -> Result<(), String> {
+        match (self.proof, &self.shared.options.access) {
+            (Proof::Full, _) => Ok(()),
+            (_, Access::ReadOnly) => Err("the server is read-only".to_owned()),
+            _ => Err(
+                "this viewer may only look: connect with the token that the server printed at its start, \
+                      ws://ADDRESS:PORT/?token=TOKEN"
+                    .to_owned(),
+            ),
+        }
+    }
+
+    fn report(&self, level: Level, text: &str) -> Result<(), Closed> {
+        self.answer(Frame::Text(status(level, text)))
+    }
+
+    fn answer(&self, frame: Frame) -> Result<(), Closed> {
+        self.client.outbox.answer(frame, self.shared.options.limits.stall)
+    }
+}
+
+impl Drop for Session<'_> {
+    fn drop(&mut self) {
+        for (id, channel) in self.subscriptions.drain() {
+            channel.unsubscribe(self.client.id, id);
+        }
+    }
+}
+
+/// Parameters that one viewer may watch.
+const MOST_PARAMETERS: usize = 10_000;
+
+const NO_ANSWER: &str = "the core does not answer: it has stopped or is held, or a module does not return";
+
+const STALLED: Ended = Ended::Refused(1008, "the viewer does not read what it is sent");
