@@ -63,17 +63,25 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let folder = workspace().join("python");
     let mut pytest = Command::new(&python);
     pytest.args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"]).arg(&folder);
+    // What the wheels of ROS set when their own environment starts.
+    let libraries = output_of(&peers, "import ros_wheels_bootstrapper as ros; print(ros.get_ros_paths())")?;
+    pytest.env("LD_LIBRARY_PATH", libraries).env("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1");
     run(pytest.env("DOWNBEAT_PYTHON", &peers).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
 }
 
 /// Lets the environment find the packages of the peers, such as rclpy, behind its own.
 fn share(peers: &Path, environment: &Path) -> anyhow::Result<()> {
-    let packages = |python: &Path| -> anyhow::Result<String> {
-        let program = "import sysconfig; print(sysconfig.get_path('purelib'))";
-        let output = Command::new(python).args(["-c", program]).output();
-        Ok(String::from_utf8(output.with_context(|| python.display().to_string())?.stdout)?)
-    };
-    let own = packages(&environment.join("bin/python"))?;
-    let path = Path::new(own.trim()).join("peers.pth");
-    std::fs::write(&path, packages(peers)?).with_context(|| path.display().to_string())
+    let packages = "import sysconfig; print(sysconfig.get_path('purelib'))";
+    let own = output_of(&environment.join("bin/python"), packages)?;
+    let path = Path::new(&own).join("peers.pth");
+    let line = format!("import site; site.addsitedir({:?})\n", output_of(peers, packages)?);
+    std::fs::write(&path, line).with_context(|| path.display().to_string())
+}
+
+/// Runs a line of Python and returns what it prints.
+fn output_of(python: &Path, program: &str) -> anyhow::Result<String> {
+    let output = Command::new(python).args(["-c", program]).output();
+    let output = output.with_context(|| python.display().to_string())?;
+    anyhow::ensure!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
+    Ok(String::from_utf8(output.stdout)?.trim().to_owned())
 }

@@ -156,7 +156,7 @@ impl Core {
     /// A core that is [stopped](CoreHandle::stop) earlier leaves the clock where it is:
     ///
     /// ```
-    /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    /// # use downbeat_executor::{Clock, Core, ManualClock, Module, Setup, SetupError, Time};
     /// # use std::time::Duration;
     /// # struct Impatient(downbeat_executor::CoreHandle);
     /// # impl Module for Impatient {

@@ -423,7 +423,8 @@ mod tests {
             Isometry { translation: DVec3::new(2.0, 0.0, 0.5), rotation: DQuat::from_rotation_x(FRAC_PI_2) };
         let seen = |pose: Option<Isometry>| {
             let scene = Scene::new(&WorldFile::default(), |_| None);
-            let picture = scene.with_spawned(std::slice::from_ref(&post), |_| pose).render(&CAMERA, &looking(0.5, 0.0));
+            let picture =
+                scene.with_spawned(std::slice::from_ref(&post), |_| pose).render(&CAMERA, &looking(0.5, 0.0));
             [(160, 120), (160, 80), (100, 120)].map(|(column, row)| pixel(&picture, column, row)[2] < 60)
         };
         assert_eq!(seen(Some(lying)), [true, false, true]);
