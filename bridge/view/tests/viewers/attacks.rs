@@ -142,7 +142,7 @@ fn a_slow_viewer_loses_messages_and_the_robot_loses_none() {
     slow.subscribe(1, "/image");
     slow.subscribe(2, "/joint_states");
     for width in 0..400 {
-        let image = Image { width, data: vec![7; 250_000].into(), ..Image::default() };
+        let image = Image { width, data: vec![7; 250_000], ..Image::default() };
         images.publish(image).unwrap();
         // One at a time: the inlet is bounded too.
         assert_eq!(arrived.recv_timeout(WATCHDOG), Ok(width), "the robot loses nothing");

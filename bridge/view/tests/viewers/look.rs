@@ -107,7 +107,7 @@ impl Module for Gyroscope {
 fn topics_that_come_and_go_are_announced() {
     let robot = robot(|_| ());
     let mut viewer = robot.spectator();
-    let _ = robot.core.add("gyroscope", Gyroscope, ModuleOptions::default());
+    drop(robot.core.add("gyroscope", Gyroscope, ModuleOptions::default()));
     let added = viewer.json("advertise");
     assert_eq!(added["channels"][0]["topic"], "/imu");
     // A second viewer sees it from the start.
@@ -131,7 +131,7 @@ fn a_viewer_sees_the_graph_of_modules_and_its_changes() {
     let entry = json!({ "name": "/cmd_vel", "subscriberIds": ["legs"] });
     assert!(graph["subscribedTopics"].as_array().unwrap().contains(&entry), "{graph}");
     assert_eq!(graph["advertisedServices"], json!([{ "name": "/stand", "providerIds": ["legs"] }]));
-    let _ = robot.core.add("gyroscope", Gyroscope, ModuleOptions::default());
+    drop(robot.core.add("gyroscope", Gyroscope, ModuleOptions::default()));
     let graph = viewer.json("connectionGraphUpdate");
     assert_eq!(graph["publishedTopics"], json!([{ "name": "/imu", "publisherIds": ["gyroscope"] }]));
 }
