@@ -29,7 +29,11 @@ enum Command {
     /// simulated networks, 10 million hostile datagrams.
     Wire,
     /// The wheel of the Python package, for release, under target/wheels; prints its path.
-    Wheel,
+    Wheel {
+        /// Build it for development instead, and run its tests in a fresh environment.
+        #[arg(long)]
+        test: bool,
+    },
     /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each, minutes; prints how
     /// many succeed. See `--help` behind `--` for options: seeds, tasks, and the engine.
     Physics {
@@ -51,7 +55,8 @@ fn main() -> ExitCode {
         Command::Test => test::test(),
         Command::Wire => wire::wire(),
         Command::RecordWalk => walk::record(),
-        Command::Wheel => wheel::build("release").map(|path| println!("{}", path.display())),
+        Command::Wheel { test: true } => wheel::test(),
+        Command::Wheel { test: false } => wheel::build("release").map(|path| println!("{}", path.display())),
         Command::Physics { arguments } => physics::physics(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
         Command::Node => {
