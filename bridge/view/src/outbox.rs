@@ -36,7 +36,7 @@ pub(crate) struct Outbox {
     most_bytes: usize,
 }
 
-/// Bytes of answers and announcements that may wait. One that is larger is taken if none waits.
+/// The largest number of bytes of answers and announcements that may wait. A larger single one is accepted if the queue is empty.
 const MOST_CONTROL_BYTES: usize = 8 << 20;
 
 #[derive(Default)]

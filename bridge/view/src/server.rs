@@ -87,7 +87,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// How often viewers are sent the time of the core.
 const TIME: Duration = Duration::from_millis(50);
 
-/// How often a viewer is told that messages of a topic are dropped.
+/// The interval of reports to a viewer that messages of a topic are dropped.
 const TELL: Duration = Duration::from_secs(10);
 
 /// A viewer must answer one of these pings.

@@ -127,7 +127,7 @@ fn subscriptions_and_publications_are_bounded() {
     assert!(viewer.json("status")["message"].as_str().unwrap().contains("2 topics"));
 }
 
-/// A viewer that reads nothing while images of 100 MB are published.
+/// A viewer reads nothing while 100 MB of images are published.
 #[test]
 fn a_slow_viewer_loses_messages_and_the_robot_loses_none() {
     let robot = robot(|options| options.limits.stall = Duration::from_secs(10));
@@ -153,7 +153,7 @@ fn a_slow_viewer_loses_messages_and_the_robot_loses_none() {
     other.subscribe(1, "/joint_states");
     robot.move_to(0.75);
     other.message();
-    // The slow one is told, and its small topic was not displaced.
+    // The slow viewer receives a report, and its small topic was not displaced.
     let (mut received, mut is_told, mut position) = (0, false, None);
     while !is_told || position.is_none() {
         match slow.wait_for(|_| true) {

@@ -80,7 +80,7 @@ impl Simulated {
         let (library, functions) = load(&find()?)?;
         let mjcf = CString::new(mjcf).map_err(|error| refused(error.to_string()))?;
         let mut error = [0; 1000];
-        // SAFETY: the text ends with 0, the error may have as many bytes as are told; no files are needed.
+        // SAFETY: the text ends with 0, the buffer of the error has the given size; no files are needed.
         let spec = unsafe {
             (functions.parse_xml_string)(mjcf.as_ptr(), null(), error.as_mut_ptr(), error.len() as c_int)
         };
