@@ -183,7 +183,7 @@ impl App {
         let options = ParticipantOptions::from_env().map_err(StartError::from)?;
         robot.expose(&options, None)?;
         #[cfg(feature = "view")]
-        robot.view()?;
+        robot.view(None)?;
         Ok(robot.start()?)
     }
 

@@ -5,6 +5,8 @@
 //! files.
 
 mod app;
+#[cfg(feature = "view")]
+pub mod compose;
 pub mod duration;
 pub mod encoding;
 mod failure;

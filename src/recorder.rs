@@ -6,7 +6,7 @@ use bytes::Bytes;
 use downbeat_bags::metadata::Metadata;
 use downbeat_bags::{self as bags, RecordError, Recording, RecordingSender, TopicId, WriterOptions};
 use downbeat_edge::{CoreAccess, Interfaces, KnownType, RawMessage, Sink};
-use downbeat_executor::{Core, Inbox, OutletInbox, Received, SetupError, Time, TopicInfo};
+use downbeat_executor::{Core, Inbox, Outlet, OutletInbox, Received, SetupError, Time, TopicInfo};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::qos::QosProfile;
 use serde::{Deserialize, Serialize};
@@ -55,8 +55,28 @@ pub fn record(
     interfaces: &Interfaces,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
+    let core = &mut CoreAccess::Idle(core);
+    let outlets = record_while(core, recording, topics, when_full, encoding, interfaces, qos_of)?;
+    outlets.into_iter().for_each(Outlet::keep);
+    Ok(())
+}
+
+/// As [`record`], of a core that may run, and while the returned outlets are there.
+///
+/// # Errors
+/// Those of [`record`], and if the core does not answer.
+pub fn record_while(
+    core: &mut CoreAccess<'_>,
+    recording: &Recording,
+    topics: &[TopicInfo],
+    when_full: WhenFull,
+    encoding: Encoding,
+    interfaces: &Interfaces,
+    qos_of: impl Fn(&str) -> QosProfile,
+) -> Result<Vec<Outlet>, RecorderError> {
     let bag = Bag { sender: recording.sender(), when_full };
     let inbox = OutletInbox::new("recorder", Inbox::KeepAll);
+    let mut outlets = Vec::new();
     for topic in topics {
         let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
         let outlet = if topic.message_type_id == TypeId::of::<RawMessage>() {
@@ -67,13 +87,13 @@ pub fn record(
         } else if let Some(message_type) = interfaces.message_of(topic.message_type_id) {
             let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
             let to_bag = ToBag { bag: bag.clone(), codec, topic: bag.sender.add_topic(info)? };
-            message_type.outlet(&mut CoreAccess::Idle(core), &topic.name, &inbox, to_bag)?
+            message_type.outlet(core, &topic.name, &inbox, to_bag)?
         } else {
             continue;
         };
-        outlet.keep();
+        outlets.push(outlet);
     }
-    Ok(())
+    Ok(outlets)
 }
 
 /// Whether the messages of a topic can be recorded.

@@ -15,9 +15,10 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 15] = [
+const PAGES: [&str; 16] = [
     "README.md",
     "docs/bags.md",
+    "docs/compose.md",
     "docs/darwin_op.md",
     "docs/libraries.md",
     "docs/look.md",
@@ -54,11 +55,13 @@ const ELSEWHERE: [&str; 16] = [
 ];
 
 /// Commands that run until they are interrupted.
-const ENDLESS: [&[&str]; 9] = [
+const ENDLESS: [&[&str]; 11] = [
     &["run"],
     &["emulate"],
     &["bag", "record", "-a"],
     &["bag", "play"],
+    &["bag", "view"],
+    &["compose"],
     &["topic", "echo"],
     &["topic", "hz"],
     &["topic", "bw"],

@@ -1,6 +1,6 @@
 //! Creates bags from bags.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 use crate::metadata::{
@@ -228,6 +228,41 @@ impl<'a> MergedBags<'a> {
         };
         let streams = self.bags.iter().zip(&self.maps).map(stream).collect::<Result<_, _>>()?;
         Ok(Merged { streams, errors: VecDeque::new() })
+    }
+
+    /// The last messages of topics at a time, in nanoseconds since the epoch: of each topic as many as `wanted`
+    /// says, by its position in [`MergedBags::topics`]. See [`Reader::last_messages`].
+    ///
+    /// # Errors
+    /// Returns an error if a bag can no longer be opened.
+    pub fn last_messages(
+        &self,
+        until: i64,
+        wanted: &BTreeMap<TopicId, usize>,
+    ) -> Result<(Vec<BagMessage>, Vec<ReaderError>), ReaderError> {
+        let (mut last, mut unreadable) = (Vec::new(), Vec::new());
+        for (bag, map) in self.bags.iter().zip(&self.maps) {
+            let here = map
+                .iter()
+                .enumerate()
+                .filter_map(|(index, merged)| Some((TopicId::from_index(index)?, *wanted.get(&(*merged)?)?)));
+            let (messages, missing) = bag.last_messages(until, &here.collect())?;
+            unreadable.extend(missing);
+            last.extend(messages.into_iter().filter_map(|message| {
+                Some(BagMessage { topic: map.get(message.topic.index()).copied()??, ..message })
+            }));
+        }
+        last.sort_by_key(|message| message.log_time);
+        // The last of all bags.
+        let mut counts = BTreeMap::new();
+        let mut is_last = |message: &BagMessage| {
+            let count = counts.entry(message.topic).or_insert(0);
+            *count += 1;
+            wanted.get(&message.topic).is_some_and(|most| *count <= *most)
+        };
+        let mut last: Vec<_> = last.into_iter().rev().filter(|message| is_last(message)).collect();
+        last.reverse();
+        Ok((last, unreadable))
     }
 
     /// Returns the messages of latched (transient local) topics that a subscriber would receive after

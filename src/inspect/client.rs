@@ -119,6 +119,14 @@ impl Client {
         self.value_of(Request::Step)
     }
 
+    /// Opens the page of the robot and returns its URL, which holds the token.
+    ///
+    /// # Errors
+    /// Returns an error if the robot has ended or has no page.
+    pub fn view(&mut self) -> Result<String, ClientError> {
+        self.value_of(Request::View)
+    }
+
     /// Returns the endpoints that are exposed to ROS 2.
     ///
     /// # Errors

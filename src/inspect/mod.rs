@@ -71,6 +71,8 @@ pub enum Request {
     Resume,
     /// Lets a paused robot run one cycle.
     Step,
+    /// Opens the page of the robot. Answered with its URL, which holds the token.
+    View,
     /// Requests the exposed endpoints. Answered with a list of
     /// [`EndpointReport`]s, like the next two requests.
     Exposed,
@@ -137,6 +139,14 @@ pub trait Inspected: Send + Sync + 'static {
 
     /// Lets a paused robot run one cycle.
     fn step(&self);
+
+    /// Opens the page of the robot, or finds it open, and returns its URL with the token.
+    ///
+    /// # Errors
+    /// Returns a message if the robot has no page.
+    fn view(&self) -> Result<String, String> {
+        Err("it has no page: it was built without the feature `view`".to_owned())
+    }
 
     /// Returns the endpoints that are exposed to ROS 2.
     ///

@@ -234,6 +234,7 @@ fn carry_out(request: Request, robot: &dyn Inspected) -> Result<Box<RawValue>, S
             robot.step();
             json(&())
         }
+        Request::View => json(&robot.view()?),
         Request::Exposed => json(&robot.exposed()?),
         Request::Expose { entries } => json(&robot.expose(&entries)?),
         Request::TakeBack { topics } => json(&robot.take_back(&topics)?),

@@ -25,6 +25,8 @@ use super::bag::record::arguments::RecordArguments;
 use super::bag::reindex::ReindexArguments;
 use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
+#[cfg(feature = "view")]
+use super::bag::view::ViewBagArguments;
 use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
 use super::new::NewArguments;
@@ -88,10 +90,18 @@ pub(crate) enum Command {
     Run(RunArguments),
     /// Check a robot file and print its contents, without running it.
     Check(CheckArguments),
+    /// Describe kinds of modules: what they are for, their settings, topics, services and actions.
+    Describe(DescribeArguments),
+    /// Compose a robot in a browser: its modules as a graph, checked while you edit. Prints the address of the page.
+    #[cfg(feature = "view")]
+    Compose(ComposeArguments),
     /// Watch a running robot: its cycles, modules and topics, live.
     Top(TopArguments),
     /// Record a trace of the next cycles of a running robot, for Perfetto or chrome://tracing.
     Trace(TraceArguments),
+    /// Opens the page of a running robot and prints its URL for a browser.
+    #[cfg(feature = "view")]
+    View(super::view::ViewRobot),
     /// Show what a running robot exposes to ROS 2, expose more, or remove topics.
     Expose(ExposeArguments),
     /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without running it.
@@ -170,10 +180,9 @@ pub(crate) struct RunArguments {
     /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with that feature.
     #[arg(long, value_name = "ENGINE")]
     pub(crate) physics: Option<String>,
-    /// Show the robot to Foxglove, Lichtblick and PlotJuggler on this port: 8765, or that of the robot file's [view].
     #[cfg(feature = "view")]
-    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true)]
-    pub(crate) foxglove: Option<Option<u16>>,
+    #[command(flatten)]
+    pub(crate) view: super::view::ViewArguments,
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,
@@ -227,6 +236,36 @@ pub(crate) struct CheckArguments {
     /// List the kinds of modules with their topics and settings.
     #[arg(long)]
     pub(crate) kinds: bool,
+}
+
+#[derive(Args)]
+pub(crate) struct DescribeArguments {
+    /// The kinds; all without one. With --robot, modules by name or kind.
+    #[arg(value_name = "KIND")]
+    pub(crate) kinds: Vec<String>,
+    /// Describe the modules of this robot file, with its settings: also those in Python and in shared libraries.
+    #[arg(long, short = 'a', value_name = "ROBOT.toml", conflicts_with = "set")]
+    pub(crate) robot: Option<PathBuf>,
+    /// Describe the kind with this setting, or key of its [[module]], in YAML: ports may depend on it. May be given more than once.
+    #[arg(short = 'p', long = "param", value_name = "NAME:=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// Print JSON; docs/compose.md describes its form.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[cfg(feature = "view")]
+#[derive(Args)]
+pub(crate) struct ComposeArguments {
+    /// The robot file; it may not exist yet.
+    #[arg(value_name = "ROBOT.toml")]
+    pub(crate) robot: PathBuf,
+    /// The port of the page; 7373, or a free one where that is in use.
+    #[arg(long, value_name = "PORT")]
+    pub(crate) port: Option<u16>,
+    /// Answer questions on standard input, one JSON object per line, instead of a page: for other editors.
+    #[arg(long, conflicts_with = "port")]
+    pub(crate) stdio: bool,
 }
 
 #[derive(Args)]
@@ -392,6 +431,9 @@ pub(crate) enum BagCommand {
     /// Draw fields of messages over time, as SVG or PNG.
     #[cfg(feature = "plots")]
     Plot(PlotArguments),
+    /// Show bags to Foxglove, Lichtblick and PlotJuggler: play, pause and seek there.
+    #[cfg(feature = "view")]
+    View(ViewBagArguments),
 }
 
 #[derive(Subcommand)]

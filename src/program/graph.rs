@@ -39,7 +39,7 @@ pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs
     Ok(())
 }
 
-fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Graph> {
+pub(super) fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Graph> {
     let core = RobotFile::read_with(path, catalog, ros)?.on_any_machine().build(Core::new())?.core;
     let mut graph = core.graph();
     // With their ROS names, if they have one.

@@ -7,6 +7,9 @@ mod bag;
 mod check;
 mod choose;
 pub(crate) mod cli;
+#[cfg(feature = "view")]
+mod compose;
+mod describe;
 mod description;
 mod emulate;
 mod expose;
@@ -24,6 +27,8 @@ mod status;
 mod stop;
 mod top;
 mod trace;
+#[cfg(feature = "view")]
+mod view;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -58,9 +63,14 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
     let result = match command {
         Command::Run(arguments) => run::run(&arguments, catalog, &ros, &screen, &log),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros),
+        Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
+        #[cfg(feature = "view")]
+        Command::Compose(arguments) => compose::compose(&arguments, catalog),
         Command::Top(arguments) => top::top(&arguments),
         Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
+        #[cfg(feature = "view")]
+        Command::View(arguments) => view::view(&arguments, catalog, &ros),
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {
@@ -79,6 +89,8 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments, catalog),
         #[cfg(feature = "plots")]
         Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments, catalog),
+        #[cfg(feature = "view")]
+        Command::Bag(BagCommand::View(arguments)) => bag::view::view(&arguments, catalog),
         Command::Interface(command) => interface::interface(&command, catalog),
         Command::Topic(command) => look::topic(&command, &environment),
         Command::Node(command) => look::node(&command, &environment),

@@ -34,10 +34,7 @@ pub(crate) fn run(
     }
     file.expose.features.engine = arguments.engine.unwrap_or(file.expose.features.engine);
     #[cfg(feature = "view")]
-    if let Some(port) = arguments.foxglove {
-        let view = file.view.get_or_insert_default();
-        view.port = port.unwrap_or(view.port);
-    }
+    arguments.view.apply(&mut file.view);
     // In simulated time the core ends by itself.
     let (mut robot, stop) = if arguments.fast {
         (WatchedRobot::simulated(file, arguments.duration)?, stop)
@@ -52,7 +49,7 @@ pub(crate) fn run(
         robot.prepared.record(plan)?;
     }
     #[cfg(feature = "view")]
-    robot.prepared.view()?;
+    robot.prepared.view(Some(&log.of_node))?;
     robot.run(&stop, screen)
 }
 
@@ -103,8 +100,13 @@ impl WatchedRobot {
         let robot = prepared.start()?;
         #[cfg(feature = "view")]
         if let Some(view) = robot.view() {
-            // Not into the log: that is published on /rosout, and the URL holds the token.
-            eprintln!("open in Foxglove, Lichtblick or PlotJuggler, as Foxglove WebSocket: {}", view.url());
+            // Not into the log: that is published on /rosout, and the URLs hold the token.
+            if let Some(url) = view.page_url() {
+                eprintln!("open in a browser: {url}");
+            }
+            if let Some(url) = view.foxglove_url() {
+                eprintln!("open in Foxglove, Lichtblick or PlotJuggler, as Foxglove WebSocket: {url}");
+            }
         }
         let name = |node: &RobotNode| format!("{}   domain {}", node.node().name(), node.domain());
         let title = robot.node().map_or_else(|| robot.file().name.clone(), name);

@@ -12,7 +12,7 @@ use super::file::{ActionEntry, RobotFileError, suggestion};
 type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// Suffix of the service that identifies an action.
-const SEND_GOAL: &str = "/_action/send_goal";
+pub(super) const SEND_GOAL: &str = "/_action/send_goal";
 
 /// Everything that the bridge exposes of a robot: topics, services and actions.
 pub struct Exposures {

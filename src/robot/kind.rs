@@ -64,7 +64,17 @@ pub struct Kind {
     files: Arc<[String]>,
     source: Option<ForeignKind>,
     replayed: Option<ReplayedDevice>,
+    panel: Option<KindPanel>,
     add: Arc<Add>,
+}
+
+/// The panel that modules of a kind bring to the page.
+#[derive(Clone)]
+pub(crate) struct KindPanel {
+    pub(crate) title: &'static str,
+    pub(crate) script: &'static str,
+    /// Before remapping.
+    pub(crate) topics: &'static [&'static str],
 }
 
 /// What a robot file says about a module in another language.
@@ -161,6 +171,7 @@ impl Kind {
             files: Arc::default(),
             source: None,
             replayed: None,
+            panel: None,
             add,
         }
     }
@@ -235,6 +246,18 @@ impl Kind {
         Self { replayed: Some(replayed), ..self }
     }
 
+    /// Brings a panel to the page of the robot: a JavaScript module whose default export has `create(root, robot, view)`
+    /// (docs/panels.md). `topics` are those that it shows, as the module names them; the panel learns their names in the robot.
+    #[must_use]
+    pub fn with_panel(
+        self,
+        title: &'static str,
+        script: &'static str,
+        topics: &'static [&'static str],
+    ) -> Self {
+        Self { panel: Some(KindPanel { title, script, topics }), ..self }
+    }
+
     /// The name in robot files.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -285,6 +308,11 @@ impl Kind {
         interfaces: &Interfaces,
     ) -> Result<(), SetupError> {
         (self.add)(core, name, options, source, interfaces)
+    }
+
+    #[cfg(feature = "view")]
+    pub(crate) fn panel(&self) -> Option<&KindPanel> {
+        self.panel.as_ref()
     }
 
     /// The keys that a robot file gives a module of this kind: those that it must have, and those that it may have.

@@ -12,6 +12,7 @@ mod file;
 mod kind;
 mod lifecycle;
 mod parameters;
+mod profile;
 mod recorded;
 mod ros_args;
 mod services;
@@ -23,7 +24,9 @@ pub(crate) use catalog::unregistered;
 pub use catalog::{Catalog, CatalogError};
 pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoint};
 pub use downbeat_bridge::middleware::Direction;
-#[cfg(feature = "cli")]
+#[cfg(all(feature = "cli", feature = "view"))]
+pub(crate) use file::FOXGLOVE_PORT;
+#[cfg(any(feature = "cli", feature = "view"))]
 pub(crate) use file::Source;
 pub(crate) use file::toml_string;
 pub use file::{
@@ -32,6 +35,9 @@ pub use file::{
     TopicChoice, ViewAccess, ViewEntry,
 };
 pub use kind::{Kind, ModuleSource};
+pub use profile::{
+    KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs, SettingProfile,
+};
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -11,6 +11,8 @@ pub(crate) struct InspectedRobot {
     pub(crate) core: CoreHandle,
     pub(crate) bridge: Option<Bridge>,
     pub(crate) file: Arc<RobotFile>,
+    #[cfg(feature = "view")]
+    pub(crate) view: Option<Arc<super::view::RobotView>>,
 }
 
 impl Inspected for InspectedRobot {
@@ -36,6 +38,12 @@ impl Inspected for InspectedRobot {
 
     fn step(&self) {
         self.core.step();
+    }
+
+    #[cfg(feature = "view")]
+    fn view(&self) -> Result<String, String> {
+        let view = self.view.as_ref().ok_or("this program has no page for its robot")?;
+        view.open_page().map_err(|error| error.to_string())
     }
 
     fn exposed(&self) -> Result<Vec<EndpointReport>, String> {

@@ -15,7 +15,10 @@
 
 mod expose_service;
 mod inspected;
+mod log_tail;
 mod node;
+#[cfg(feature = "view")]
+mod page_host;
 mod recording;
 #[cfg(feature = "view")]
 mod view;
@@ -35,6 +38,7 @@ use downbeat_bridge::ros::NodeError;
 use downbeat_bridge::rosout::RosoutError;
 use downbeat_executor::{Core, CoreHandle, ManualClock, RunError, SetupError, Time};
 
+pub use log_tail::LogTail;
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
 pub(crate) use recording::SIMULATED_TIME;
@@ -140,7 +144,7 @@ pub struct PreparedRobot {
     node: Option<RobotNode>,
     recording: Option<RobotRecording>,
     #[cfg(feature = "view")]
-    view: Option<downbeat_view::ViewServer>,
+    view: Option<view::RobotView>,
 }
 
 impl PreparedRobot {
@@ -212,14 +216,17 @@ impl PreparedRobot {
         Ok(())
     }
 
-    /// Starts the server for Foxglove, Lichtblick and PlotJuggler, if the robot file's `[view]` asks for it. Call it last, so that
-    /// viewers see all topics and services from the start.
+    /// Starts the servers for Foxglove, Lichtblick, PlotJuggler and the page that the robot file's `[view]` asks for. Call it last, so
+    /// that viewers see all topics and services from the start, and the page the recording. If `log` is given, the page shows the
+    /// log of the program. Once this was called, `downbeat view` can open the page of the running robot.
     ///
     /// # Errors
     /// If the address is in use, or a service cannot be shown.
     #[cfg(feature = "view")]
-    pub fn view(&mut self) -> Result<(), StartError> {
-        self.view = view::start(&mut self.robot, self.simulated.is_some())?;
+    pub fn view(&mut self, log: Option<&NodeLog>) -> Result<(), StartError> {
+        let recording = self.recording.as_ref().map(|robot| &robot.recording);
+        let is_simulated = self.simulated.is_some();
+        self.view = Some(view::RobotView::start(&mut self.robot, is_simulated, log, recording)?);
         Ok(())
     }
 
@@ -240,7 +247,7 @@ impl PreparedRobot {
     /// If a thread cannot be started.
     pub fn start(self) -> Result<RunningRobot, StartError> {
         #[cfg(feature = "view")]
-        let view = self.view;
+        let view = self.view.map(Arc::new);
         let Self { robot: Robot { file, mut core }, simulated, node, recording, .. } = self;
         let handle = core.handle();
         let thread = std::thread::Builder::new().name("core".into());
@@ -254,6 +261,8 @@ impl PreparedRobot {
             core: handle.clone(),
             bridge: node.as_ref().map(|node| node.bridge().clone()),
             file: Arc::clone(&file),
+            #[cfg(feature = "view")]
+            view: view.clone(),
         });
         let inspection = inspection(&file.name, Arc::clone(&inspected));
         let offered = node.as_ref().filter(|_| file.expose.features.expose_service);
@@ -283,7 +292,7 @@ pub struct RunningRobot {
     expose_service: Option<ExposeService>,
     recording: Option<RobotRecording>,
     #[cfg(feature = "view")]
-    view: Option<downbeat_view::ViewServer>,
+    view: Option<Arc<view::RobotView>>,
     node: Option<RobotNode>,
     file: Arc<RobotFile>,
 }
@@ -307,11 +316,11 @@ impl RunningRobot {
         self.recording.as_ref().map(|robot| &robot.recording)
     }
 
-    /// Its server for viewers, if it has one. [`url`](downbeat_view::ViewServer::url) holds the token and is not logged.
+    /// Its server for viewers, if it has one. Its URLs hold the token and are not logged.
     #[cfg(feature = "view")]
     #[must_use]
     pub fn view(&self) -> Option<&downbeat_view::ViewServer> {
-        self.view.as_ref()
+        self.view.as_ref()?.server()
     }
 
     /// The robot file.
@@ -340,14 +349,18 @@ impl RunningRobot {
         let ran = thread.join();
         self.inspection = None;
         self.expose_service = None;
-        let summary = self.recording.take().map(|RobotRecording { recording, services }| {
+        #[cfg(feature = "view")]
+        if let Some(view) = &self.view {
+            view.finish_recording();
+        }
+        let summary = self.recording.take().map(|RobotRecording { recording, services, .. }| {
             let summary = recording.finish();
             drop(services);
             summary
         });
         #[cfg(feature = "view")]
-        {
-            self.view = None;
+        if let Some(view) = self.view.take() {
+            view.close();
         }
         self.node = None;
         ran.map_err(|_| StopError::Panicked)??;

@@ -13,7 +13,7 @@ use downbeat_bridge::network::NetworkWatch;
 use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
 use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
 
-use super::StartError;
+use super::{LogTail, StartError};
 use crate::inspect::{ClaimError, NodeClaim, SocketDirectory};
 use crate::robot::{ClockChoice, Robot, RobotFile};
 
@@ -26,6 +26,8 @@ pub struct NodeLog {
     pub levels: LoggerLevels,
     /// The names of loggers.
     pub names: LoggerNames,
+    /// The last lines, for the page.
+    pub tail: LogTail,
 }
 
 /// The node of a running robot with all that belongs to it. ROS 2 sees it until it is dropped.

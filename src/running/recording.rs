@@ -1,17 +1,19 @@
 //! The recording of a running robot.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use downbeat_bags::{Recording, RecordingStatistics};
+use downbeat_bags::{Recording, RecordingStatistics, Writer, WriterError, WriterOptions};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::ros::{Node, NodeName};
-use downbeat_edge::KnownType;
+use downbeat_edge::{CoreAccess, Interfaces, KnownType};
+use downbeat_executor::{Outlet, TopicInfo};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
 
 use super::StartError;
-use crate::recorder::{self, Unrecorded, WhenFull};
+use crate::recorder::{self, RecorderError, Unrecorded, WhenFull};
 use crate::robot::{RecordOptions, Robot, RobotFile, Sources};
 use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
@@ -38,9 +40,82 @@ impl RecordPlan {
 /// The key in the metadata of bags that were recorded in simulated time: detached modules ran inside the cycle.
 pub(crate) const SIMULATED_TIME: &str = "simulated_time";
 
+/// What of a robot can be recorded, from the start or while it runs.
+pub(super) struct Recordable {
+    robot: String,
+    /// Of `[record]` in the robot file.
+    pub(super) options: RecordOptions,
+    /// What the bag says of the robot.
+    custom_data: Vec<(&'static str, String)>,
+    topics: Vec<TopicInfo>,
+    /// The offered QoS of exposed topics.
+    qos: BTreeMap<String, QosProfile>,
+    interfaces: Interfaces,
+}
+
+impl Recordable {
+    /// What the robot file's `[record]` names.
+    pub(super) fn of(robot: &Robot, is_in_simulated_time: bool) -> Result<Self, StartError> {
+        let file = &robot.file;
+        let mut custom_data = vec![("robot", file.name.clone())];
+        if file.is_emulated() {
+            custom_data.push(("emulated", "true".to_owned()));
+        }
+        custom_data.extend(Sources::of(file).entry());
+        if is_in_simulated_time {
+            custom_data.push((SIMULATED_TIME, "true".to_owned()));
+        }
+        let exposed = robot.exposed()?.topics.into_iter();
+        let qos =
+            exposed.filter_map(|exposure| Some((exposure.topic.clone(), exposure.qos.profile()?))).collect();
+        Ok(Self {
+            robot: file.name.clone(),
+            options: file.record.options.clone(),
+            custom_data,
+            topics: robot.recorded_topics()?,
+            qos,
+            interfaces: file.catalog.interfaces.clone(),
+        })
+    }
+
+    /// Leaves out what the filter does not take.
+    fn retain(&mut self, filter: &TopicFilter) {
+        let interfaces = &self.interfaces;
+        self.topics.retain(|topic| {
+            let known = interfaces.message_of(topic.message_type_id);
+            let type_name = known.map_or(topic.message_type, KnownType::name);
+            filter.takes_name_and_type(&format!("/{}", topic.name), type_name)
+        });
+    }
+
+    /// Creates the bag.
+    pub(super) fn create(&self, directory: &Path, writer: WriterOptions) -> Result<Writer, WriterError> {
+        let data = self.custom_data.iter();
+        let writer = data.fold(writer, |writer, (key, value)| writer.custom_data(*key, value.clone()));
+        let unrecorded = Unrecorded::of(&self.topics, &self.interfaces);
+        unrecorded.warn();
+        let writer = unrecorded.note(writer).create(directory)?;
+        tracing::info!("recording into {}", directory.display());
+        Ok(writer)
+    }
+
+    /// Records while the returned outlets are there.
+    pub(super) fn record(
+        &self,
+        core: &mut CoreAccess<'_>,
+        recording: &Recording,
+        encoding: Encoding,
+    ) -> Result<Vec<Outlet>, RecorderError> {
+        let qos_of = |name: &str| self.qos.get(name).cloned().unwrap_or(QosProfile::DEFAULT);
+        recorder::record_while(core, recording, &self.topics, WhenFull::Lose, encoding, &self.interfaces, qos_of)
+    }
+}
+
 /// A recording, and the services of ROS 2 that steer it.
 pub(super) struct RobotRecording {
     pub(super) recording: Recording,
+    /// Dropped after the core has stopped.
+    _outlets: Vec<Outlet>,
     /// Dropped after the recording has ended.
     pub(super) services: Option<RecorderServices>,
 }
@@ -54,29 +129,12 @@ impl RobotRecording {
         is_in_simulated_time: bool,
         plan: RecordPlan,
     ) -> Result<Self, StartError> {
-        let RecordPlan { directory, options: RecordOptions { encoding, mut writer, recording }, filter } =
-            plan;
-        let mut topics = robot.recorded_topics()?;
+        let RecordPlan { directory, options: RecordOptions { encoding, writer, recording }, filter } = plan;
+        let mut recordable = Recordable::of(robot, is_in_simulated_time)?;
         if let Some(filter) = filter {
-            topics.retain(|topic| {
-                let known = robot.file.catalog.interfaces.message_of(topic.message_type_id);
-                let type_name = known.map_or(topic.message_type, KnownType::name);
-                filter.takes_name_and_type(&format!("/{}", topic.name), type_name)
-            });
+            recordable.retain(&filter);
         }
-        if robot.file.is_emulated() {
-            writer = writer.custom_data("emulated", "true");
-        }
-        if let Some((key, sources)) = Sources::of(&robot.file).entry() {
-            writer = writer.custom_data(key, sources);
-        }
-        if is_in_simulated_time {
-            writer = writer.custom_data(SIMULATED_TIME, "true");
-        }
-        let unrecorded = Unrecorded::of(&topics, &robot.file.catalog.interfaces);
-        unrecorded.warn();
-        let writer = unrecorded.note(writer.custom_data("robot", robot.file.name.clone()));
-        let mut writer = writer.create(&directory)?;
+        let mut writer = recordable.create(&directory, writer)?;
         let node = node.map(recorder_node).transpose()?;
         let takes_snapshots = recording.takes_snapshots();
         match &node {
@@ -87,20 +145,12 @@ impl RobotRecording {
         let recording = Recording::start_with(writer, &recording)
             .map_err(|source| StartError::Thread { what: "the bag's writer", source })?;
         let services = node.map(|node| serve(&node, &recording.control(), takes_snapshots)).transpose()?;
-        let exposed = robot.exposed()?.topics;
-        let qos_of = |name: &str| {
-            let exposure = exposed.iter().find(|exposure| exposure.topic == name);
-            exposure.and_then(|exposure| exposure.qos.profile()).unwrap_or(QosProfile::DEFAULT)
-        };
         if let Some(diagnostics) = diagnostics {
-            let (sender, name) = (recording.sender(), format!("{}: recording", robot.file.name));
+            let (sender, name) = (recording.sender(), format!("{}: recording", recordable.robot));
             diagnostics.watch(move || vec![status(&name, &sender.statistics())]);
         }
-        let Robot { file, core } = robot;
-        let interfaces = &file.catalog.interfaces;
-        recorder::record(core, &recording, &topics, WhenFull::Lose, encoding, interfaces, qos_of)?;
-        tracing::info!("recording into {}", directory.display());
-        Ok(Self { recording, services })
+        let outlets = recordable.record(&mut CoreAccess::Idle(&mut robot.core), &recording, encoding)?;
+        Ok(Self { recording, _outlets: outlets, services })
     }
 }
 

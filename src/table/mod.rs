@@ -27,6 +27,7 @@
 mod columns;
 #[cfg(feature = "tables")]
 mod parquet;
+mod series;
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -43,6 +44,7 @@ use crate::ros_recorder::definition_at_hand;
 pub use columns::{Cell, Column, ColumnKind, Columns, Survey};
 #[cfg(feature = "tables")]
 pub use parquet::ParquetTable;
+pub use series::{MOST_POINTS, Series, SeriesError, series};
 
 /// Decodes the messages of a topic, in any encoding, with the definition in the bag.
 #[derive(Debug)]

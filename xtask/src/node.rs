@@ -1,4 +1,4 @@
-//! The npm packages of the tests: Foxglove's bag reader, and its client for viewers.
+//! The npm packages of the tests: Foxglove's bag reader and its client for viewers, and what looks at our own page.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -14,7 +14,7 @@ const MANIFESTS: [&str; 2] = ["package.json", "package-lock.json"];
 /// reports this and returns `None`: tests that need it are then skipped.
 pub(crate) fn modules() -> anyhow::Result<Option<PathBuf>> {
     if let Err(found) = find() {
-        eprintln!("xtask: {found}; the tests with @mcap/core and @foxglove/ws-protocol are skipped");
+        eprintln!("xtask: {found}; the tests with @mcap/core, with @foxglove/ws-protocol and of the page are skipped");
         return Ok(None);
     }
     let source = workspace().join("bags/tests/node");

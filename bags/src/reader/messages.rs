@@ -4,7 +4,7 @@
 //! overlap in time are in memory (usually one per file).
 
 use std::cmp::Reverse;
-use std::collections::{BTreeSet, BinaryHeap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, VecDeque};
 use std::path::PathBuf;
 
 use bytes::Bytes;
@@ -160,6 +160,49 @@ impl Messages {
             loaded: BinaryHeap::new(),
             room: Room::for_files_of(reader.files_length()),
         })
+    }
+
+    /// The last messages of each topic, as many as `wanted` says, sorted by time; and what could not be read.
+    ///
+    /// Reads backwards, only segments that may contain a missing message: a few if the file says which topics a
+    /// segment has.
+    pub(super) fn last(mut self, wanted: &BTreeMap<TopicId, usize>) -> (Vec<BagMessage>, Vec<ReaderError>) {
+        let until = self.selection.until;
+        let latest = |segment: &Segment| signed(segment.last).min(until);
+        let mut segments: Vec<_> = std::mem::take(&mut self.segments).into();
+        segments.sort_by_key(|(file, segment)| Reverse((latest(segment), *file, segment.offset)));
+        let mut found: BTreeMap<TopicId, Vec<BagMessage>> = BTreeMap::new();
+        let mut unreadable = Vec::new();
+        for (file, segment) in segments {
+            let is_missing = |topic: &TopicId, count: usize| {
+                let found = found.get(topic).map_or(&[][..], Vec::as_slice);
+                found.len() < count || found.first().is_none_or(|oldest| oldest.log_time < latest(&segment))
+            };
+            let missing = wanted.iter().filter(|&(topic, &count)| count > 0 && is_missing(topic, count));
+            let missing: BTreeSet<_> = missing.map(|(topic, _)| *topic).collect();
+            if missing.is_empty() {
+                break;
+            }
+            self.selection.topics = Some(missing);
+            if !self.selection.concerns(&segment, &self.files[file].topics) {
+                continue;
+            }
+            if let Err(error) = self.load(file, &segment) {
+                unreadable.push(error);
+            }
+            while let Some(Reverse(pending)) = self.loaded.pop() {
+                self.room.give_back(&pending);
+                found.entry(pending.message.topic).or_default().push(pending.message);
+            }
+            for (topic, messages) in &mut found {
+                messages.sort_by_key(|message| message.log_time);
+                let surplus = messages.len().saturating_sub(wanted.get(topic).copied().unwrap_or(0));
+                messages.drain(..surplus);
+            }
+        }
+        let mut last: Vec<_> = found.into_values().flatten().collect();
+        last.sort_by_key(|message| message.log_time);
+        (last, unreadable)
     }
 
     fn load(&mut self, file_index: usize, segment: &Segment) -> Result<(), ReaderError> {

@@ -9,7 +9,7 @@ mod source;
 mod sqlite;
 mod topics;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 use std::time::Duration;
@@ -199,6 +199,22 @@ impl Reader {
     /// Returns an error if a file can no longer be opened.
     pub fn messages(&self, selection: Selection) -> Result<Messages, ReaderError> {
         Messages::open(self, selection)
+    }
+
+    /// The last messages of topics at a time, in nanoseconds since the epoch: of each topic as many as `wanted`
+    /// says. Reads only the parts of the files that may contain them, backwards.
+    ///
+    /// Returns the messages sorted by time, and the parts that could not be read.
+    ///
+    /// # Errors
+    /// Returns an error if a file can no longer be opened.
+    pub fn last_messages(
+        &self,
+        until: i64,
+        wanted: &BTreeMap<TopicId, usize>,
+    ) -> Result<(Vec<BagMessage>, Vec<ReaderError>), ReaderError> {
+        let selection = Selection::all().topics(wanted.keys().copied()).until(until);
+        Ok(Messages::open(self, selection)?.last(wanted))
     }
 
     /// The storage of its files.

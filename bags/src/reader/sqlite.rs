@@ -4,7 +4,7 @@
 //! jazzy; older ones have fewer columns. Rows are read in the order in which they were written, several at a
 //! time.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use mcap::records::Channel;
@@ -169,7 +169,11 @@ impl SqliteFile {
         let query = "SELECT id, topic_id, timestamp, length(data) FROM messages NOT INDEXED WHERE id >= ?1 ORDER BY id";
         let mut statement = self.connection.prepare(query)?;
         let mut rows = statement.query([*next])?;
-        let (mut run, mut bytes) = (None::<Segment>, 0);
+        let (mut run, mut bytes) = (None::<(Segment, BTreeSet<u16>)>, 0);
+        let finished = |(segment, channels): (Segment, BTreeSet<u16>)| Segment {
+            channels: Some(channels.into_iter().collect()),
+            ..segment
+        };
         let result = loop {
             let row = match rows.next() {
                 Ok(Some(row)) => row,
@@ -184,23 +188,21 @@ impl SqliteFile {
             let Ok(place) = u64::try_from(id) else { continue };
             *file.counts.entry(*channel).or_default() += 1;
             let time = time(timestamp);
-            let segment = run.get_or_insert(Segment {
-                offset: place,
-                length: 0,
-                first: time,
-                last: time,
-                channels: None,
+            let (segment, channels) = run.get_or_insert_with(|| {
+                let segment = Segment { offset: place, length: 0, first: time, last: time, channels: None };
+                (segment, BTreeSet::new())
             });
+            channels.insert(*channel);
             segment.length = place - segment.offset + 1;
             segment.first = segment.first.min(time);
             segment.last = segment.last.max(time);
             bytes += length;
             if segment.length >= MOST_ROWS || bytes >= MOST_BYTES {
-                file.segments.extend(run.take());
+                file.segments.extend(run.take().map(finished));
                 bytes = 0;
             }
         };
-        file.segments.extend(run);
+        file.segments.extend(run.map(finished));
         result
     }
 }

@@ -1,5 +1,6 @@
 //! The topics that viewers see, and the messages on their way to those who subscribed.
 
+use crate::feed::Feed;
 use crate::options::ViewOptions;
 use crate::outbox::Outbox;
 use bytes::Bytes;
@@ -7,7 +8,7 @@ use downbeat_edge::{CoreAccess, Interfaces, KnownType, Offered, Sink};
 use downbeat_executor::{Inbox, Outlet, OutletInbox, SetupError, Time, TopicInfo};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
@@ -38,24 +39,6 @@ pub(crate) struct Channel {
     /// Open while somebody subscribes. Its lock is taken before that of the feed, and the sink never takes it: the thread that
     /// opens an outlet waits for the core, which may run the sink.
     outlet: Mutex<Option<Outlet>>,
-}
-
-struct Feed {
-    /// How many messages late subscribers receive.
-    depth: usize,
-    state: Mutex<FeedState>,
-}
-
-#[derive(Default)]
-struct FeedState {
-    subscribers: Vec<Subscriber>,
-    last: VecDeque<(u64, Bytes)>,
-}
-
-struct Subscriber {
-    client: u64,
-    subscription: u32,
-    outbox: Arc<Outbox>,
 }
 
 /// What a look at the topics of the core has changed.
@@ -118,7 +101,7 @@ impl Channels {
                 id: state.last_id,
                 topic: Arc::clone(topic),
                 message_type,
-                feed: Arc::new(Feed { depth, state: Mutex::default() }),
+                feed: Arc::new(Feed::new(depth)),
                 outlet: Mutex::default(),
             });
             if depth > 0
@@ -162,11 +145,7 @@ impl Channels {
         if outlet.is_none() {
             channel.open(core, &self.inbox, &mut outlet)?;
         }
-        let mut state = channel.feed.state.lock();
-        for (time_ns, cdr) in &state.last {
-            outbox.push_message(subscription, *time_ns, cdr.clone());
-        }
-        state.subscribers.push(Subscriber { client, subscription, outbox: Arc::clone(outbox) });
+        channel.feed.add(client, subscription, outbox);
         Ok(())
     }
 }
@@ -187,11 +166,7 @@ impl Channel {
     /// Ends a subscription, and closes the outlet after the last.
     pub(crate) fn unsubscribe(&self, client: u64, subscription: u32) {
         let mut outlet = self.outlet.lock();
-        let mut state = self.feed.state.lock();
-        state.subscribers.retain(|other| (other.client, other.subscription) != (client, subscription));
-        let is_unused = state.subscribers.is_empty() && self.feed.depth == 0;
-        drop(state);
-        if is_unused {
+        if self.feed.remove(client, subscription) && self.feed.depth() == 0 {
             drop(outlet.take());
         }
     }
@@ -212,26 +187,11 @@ struct ToViewers(Arc<Feed>);
 
 impl Sink for ToViewers {
     fn is_wanted(&mut self, message: Offered) -> bool {
-        let state = self.0.state.lock();
-        if message.missed > 0 {
-            for Subscriber { subscription, outbox, .. } in &state.subscribers {
-                outbox.count_dropped(*subscription, message.missed.into());
-            }
-        }
-        self.0.depth > 0 || !state.subscribers.is_empty()
+        self.0.count_dropped(message.missed);
+        self.0.is_wanted()
     }
 
     fn take(&mut self, time: Time, cdr: Bytes) {
-        let time_ns = u64::try_from(time.as_nanos()).unwrap_or(0);
-        let mut state = self.0.state.lock();
-        for Subscriber { subscription, outbox, .. } in &state.subscribers {
-            outbox.push_message(*subscription, time_ns, cdr.clone());
-        }
-        if self.0.depth > 0 {
-            if state.last.len() >= self.0.depth {
-                state.last.pop_front();
-            }
-            state.last.push_back((time_ns, cdr));
-        }
+        self.0.send(u64::try_from(time.as_nanos()).unwrap_or(0), &cdr);
     }
 }

@@ -5,8 +5,7 @@
 
 use crate::options::{Access, Limits};
 use crate::outbox::{Frame, Outbox};
-use crate::protocol::SUBPROTOCOLS;
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, Cursor, ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -41,31 +40,34 @@ pub(crate) enum Ended {
     Refused(u16, &'static str),
 }
 
-/// Does the handshake within `limits.stall`.
+/// Does the handshake within `limits.stall`. What was received of it already is `received`. Returns what the peer has proven, and
+/// the version of the protocol.
 ///
 /// # Errors
 /// If the peer is slow, or is no viewer.
 pub(crate) fn accept(
     stream: TcpStream,
+    received: Vec<u8>,
+    subprotocols: &'static [&'static str],
     access: &Access,
     limits: &Limits,
-) -> Result<(Reader, Proof), Box<dyn std::error::Error>> {
+) -> Result<(Reader, Proof, &'static str), Box<dyn std::error::Error>> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    let mut proof = Proof::Read;
+    let (mut proof, mut protocol) = (Proof::Read, "");
     #[allow(clippy::result_large_err, reason = "tungstenite's signature")]
     let check = |request: &Request, mut response: Response| -> Result<Response, ErrorResponse> {
         let offered = request.headers().get_all("sec-websocket-protocol");
         let mut offered =
             offered.iter().filter_map(|names| names.to_str().ok()).flat_map(|names| names.split(','));
-        let Some(chosen) =
-            offered.find_map(|name| SUBPROTOCOLS.into_iter().find(|known| *known == name.trim()))
+        let Some(chosen) = offered.find_map(|name| subprotocols.iter().find(|known| **known == name.trim()))
         else {
             let text = "This is a server for Foxglove, Lichtblick and PlotJuggler: open it there as a Foxglove WebSocket.\n";
             let mut refusal = ErrorResponse::new(Some(text.to_owned()));
             *refusal.status_mut() = StatusCode::BAD_REQUEST;
             return Err(refusal);
         };
+        protocol = chosen;
         response.headers_mut().insert("sec-websocket-protocol", HeaderValue::from_static(chosen));
         let token = token_in(request.uri().query().unwrap_or_default());
         proof = match (access.admits(token), token, access) {
@@ -80,10 +82,11 @@ pub(crate) fn accept(
         .write_buffer_size(0)
         .max_message_size(Some(limits.incoming_bytes))
         .max_frame_size(Some(limits.incoming_bytes));
-    let wire = Wire { stream, deadline: Some(Instant::now() + limits.stall), outbox: None };
+    let deadline = Some(Instant::now() + limits.stall);
+    let wire = Wire { stream, received: Cursor::new(received), deadline, outbox: None };
     let socket =
         tungstenite::accept_hdr_with_config(wire, check, Some(config)).map_err(|error| error.to_string())?;
-    Ok((Reader { socket, rate: Rate::new(limits.incoming_per_second) }, proof))
+    Ok((Reader { socket, rate: Rate::new(limits.incoming_per_second) }, proof, protocol))
 }
 
 fn token_in(query: &str) -> Option<&str> {
@@ -173,6 +176,8 @@ fn write_all(stream: &mut TcpStream, mut bytes: &[u8], outbox: &Outbox, stall: D
 /// The stream as `tungstenite` sees it.
 struct Wire {
     stream: TcpStream,
+    /// What is read before the stream.
+    received: Cursor<Vec<u8>>,
     /// When the handshake must be complete.
     deadline: Option<Instant>,
     /// After the handshake.
@@ -181,6 +186,10 @@ struct Wire {
 
 impl Read for Wire {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let length = self.received.read(buffer)?;
+        if length > 0 {
+            return Ok(length);
+        }
         if let Some(deadline) = self.deadline {
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {

@@ -1,4 +1,4 @@
-//! A server that shows a core to Foxglove, Lichtblick and PlotJuggler: topics, services, settings, files and the graph of
+//! A server that shows a core, or recorded bags ([`ViewServer::show_bags`]), to Foxglove, Lichtblick and PlotJuggler: topics, services, settings, files and the graph of
 //! modules over Foxglove's WebSocket protocol.
 //!
 //! ```
@@ -7,9 +7,9 @@
 //! use downbeat_view::{ViewOptions, ViewServer};
 //!
 //! let mut core = Core::new();
-//! let options = ViewOptions { port: 0, ..ViewOptions::new("robot")? };
+//! let options = ViewOptions { foxglove: Some(0), ..ViewOptions::new("robot")? };
 //! let server = ViewServer::start(&mut core, &Interfaces::carried(), options)?;
-//! println!("open {} in a viewer", server.url());
+//! println!("open {} in a viewer", server.foxglove_url().unwrap_or_default());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -20,6 +20,8 @@
 //! - Every viewer may read. What changes the robot (publishing, calling, setting) needs a token, see [`Access`]. The server listens
 //!   only on this machine unless [`ViewOptions::address`] says otherwise.
 //!
+//! Bags are played to all viewers at once; each of them may play, pause, seek and change the rate, without a token.
+//!
 //! Topics appear under their names in the core with a leading slash, and settings of modules as `<module>.<setting>`.
 //!
 //! # References
@@ -27,16 +29,22 @@
 //! (`rust/foxglove/src/protocol`, version 1): subprotocols `foxglove.websocket.v1` and `foxglove.sdk.v1`.
 
 mod assets;
+mod bag;
 mod channels;
 mod connection;
+mod feed;
 mod graph;
 mod options;
 mod outbox;
+mod page;
 mod parameters;
 mod protocol;
 mod server;
 mod services;
 mod session;
+mod source;
 
+pub use bag::BagPlayback;
 pub use options::{Access, Limits, Token, TokenError, ViewOptions, ViewTime};
-pub use server::{ViewError, ViewServer};
+pub use page::{Ask, Host, ModuleProfile, PAGE_PORT, PageOptions, Panel, PanelScript};
+pub use server::{Seed, ViewError, ViewServer};

@@ -1,5 +1,6 @@
 //! Options of the server.
 
+use crate::page::PageOptions;
 use downbeat_edge::KnownType;
 use std::fmt;
 use std::hint::black_box;
@@ -16,8 +17,11 @@ pub struct ViewOptions {
     pub name: String,
     /// The address on which the server listens; 127.0.0.1 by default, which only programs of this machine reach.
     pub address: IpAddr,
-    /// The port; 8765 by default, as viewers suggest. 0 takes a free one.
-    pub port: u16,
+    /// The port for Foxglove, Lichtblick and PlotJuggler; 8765 by default, as they suggest. 0 takes a free one, and `None` serves
+    /// none of them.
+    pub foxglove: Option<u16>,
+    /// The page of our own, if it is served; it is not by default.
+    pub page: Option<PageOptions>,
     /// Who may change the robot.
     pub access: Access,
     /// Whether a topic is shown, by its name in the core, without a leading slash. All are by default.
@@ -73,7 +77,7 @@ pub enum ViewTime {
 /// Bounds of memory and work. What exceeds them costs the viewer, not the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Viewers at a time; more are refused.
+    /// Viewers at a time; more are refused. Four times as many connections may fetch files of the page.
     pub clients: usize,
     /// Topics shown.
     pub channels: usize,
@@ -106,7 +110,8 @@ impl ViewOptions {
         Ok(Self {
             name: name.to_owned(),
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),
-            port: 8765,
+            foxglove: Some(8765),
+            page: None,
             access: Access::Token(Token::random()?),
             topics: Arc::new(|_| true),
             latched: Vec::new(),
@@ -196,7 +201,8 @@ impl fmt::Debug for ViewOptions {
         f.debug_struct("ViewOptions")
             .field("name", &self.name)
             .field("address", &self.address)
-            .field("port", &self.port)
+            .field("foxglove", &self.foxglove)
+            .field("page", &self.page)
             .field("access", &self.access)
             .finish_non_exhaustive()
     }

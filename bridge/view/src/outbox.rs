@@ -105,6 +105,14 @@ impl Outbox {
         state.dropped.remove(&subscription);
     }
 
+    /// Discards all messages that wait: the viewer goes to another time.
+    pub(crate) fn clear_messages(&self) {
+        let mut state = self.state.lock();
+        state.messages.clear();
+        state.waiting.clear();
+        state.message_bytes = 0;
+    }
+
     /// The dropped messages since the last call, by subscription.
     pub(crate) fn take_dropped(&self) -> BTreeMap<u32, u64> {
         std::mem::take(&mut self.state.lock().dropped)

@@ -28,11 +28,39 @@ pub(crate) fn settings(core: &CoreHandle, patience: Duration) -> Option<Settings
     Some(found)
 }
 
+/// The type of a setting as ROS 2 names it, and its value in JSON. A number that is not finite has none there.
+pub(crate) fn typed(value: &SettingValue) -> (&'static str, Option<Value>) {
+    let kind = match value {
+        SettingValue::Bool(_) => "bool",
+        SettingValue::Integer(_) => "integer",
+        SettingValue::Double(_) => "double",
+        SettingValue::Text(_) => "string",
+        SettingValue::Bools(_) => "bool_array",
+        SettingValue::Bytes(_) => "byte_array",
+        SettingValue::Integers(_) => "integer_array",
+        SettingValue::Doubles(_) => "double_array",
+        SettingValue::Texts(_) => "string_array",
+    };
+    (kind, in_json(value).0)
+}
+
 /// A parameter as viewers read it. A number that is not finite has no value, since JSON has none.
 pub(crate) fn parameter(name: &str, value: &SettingValue) -> Value {
     let mut parameter = json!({ "name": name });
+    let (value, kind) = in_json(value);
+    if let Some(value) = value {
+        parameter["value"] = value;
+    }
+    if let Some(kind) = kind {
+        parameter["type"] = json!(kind);
+    }
+    parameter
+}
+
+/// The value in JSON, and the type that the protocol names because JSON does not tell it.
+fn in_json(value: &SettingValue) -> (Option<Value>, Option<&'static str>) {
     let finite = |number: &f64| number.is_finite();
-    let (value, kind) = match value {
+    match value {
         SettingValue::Bool(value) => (Some(json!(value)), None),
         SettingValue::Integer(value) => (Some(json!(value)), None),
         SettingValue::Double(value) => (Some(value).filter(|v| finite(v)).map(|v| json!(v)), Some("float64")),
@@ -44,14 +72,7 @@ pub(crate) fn parameter(name: &str, value: &SettingValue) -> Value {
             (Some(values).filter(|v| v.iter().all(finite)).map(|v| json!(v)), Some("float64_array"))
         }
         SettingValue::Texts(values) => (Some(json!(values)), None),
-    };
-    if let Some(value) = value {
-        parameter["value"] = value;
     }
-    if let Some(kind) = kind {
-        parameter["type"] = json!(kind);
-    }
-    parameter
 }
 
 /// The value that a viewer asks for, of the type that the setting has.

@@ -10,17 +10,44 @@ pub(crate) const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websock
 #[derive(Debug, PartialEq, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
 pub(crate) enum Request {
-    Subscribe { subscriptions: Vec<Subscription> },
-    Unsubscribe { subscription_ids: Vec<u32> },
-    Advertise { channels: Vec<ClientChannel> },
-    Unadvertise { channel_ids: Vec<u32> },
-    GetParameters { parameter_names: Vec<String>, id: Option<String> },
-    SetParameters { parameters: Vec<Parameter>, id: Option<String> },
-    SubscribeParameterUpdates { parameter_names: Vec<String> },
-    UnsubscribeParameterUpdates { parameter_names: Vec<String> },
+    Subscribe {
+        subscriptions: Vec<Subscription>,
+    },
+    Unsubscribe {
+        subscription_ids: Vec<u32>,
+    },
+    Advertise {
+        channels: Vec<ClientChannel>,
+    },
+    Unadvertise {
+        channel_ids: Vec<u32>,
+    },
+    GetParameters {
+        parameter_names: Vec<String>,
+        id: Option<String>,
+    },
+    SetParameters {
+        parameters: Vec<Parameter>,
+        id: Option<String>,
+    },
+    SubscribeParameterUpdates {
+        parameter_names: Vec<String>,
+    },
+    UnsubscribeParameterUpdates {
+        parameter_names: Vec<String>,
+    },
     SubscribeConnectionGraph,
     UnsubscribeConnectionGraph,
-    FetchAsset { uri: String, request_id: u32 },
+    FetchAsset {
+        uri: String,
+        request_id: u32,
+    },
+    Ask {
+        id: u32,
+        ask: String,
+        #[serde(flatten)]
+        arguments: Value,
+    },
 }
 
 #[derive(Debug, PartialEq, Deserialize)]
@@ -52,7 +79,37 @@ pub(crate) struct Parameter {
 pub(crate) enum BinaryRequest<'a> {
     Publish { channel_id: u32, data: &'a [u8] },
     Call { service_id: u32, call_id: u32, encoding: &'a str, data: &'a [u8] },
+    Playback(PlaybackControl),
 }
+
+/// What a viewer wants of playback.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct PlaybackControl {
+    pub(crate) command: PlaybackCommand,
+    /// Time of the data per real time.
+    pub(crate) rate: f32,
+    /// The time to go to, in nanoseconds since the epoch.
+    pub(crate) seek_ns: Option<u64>,
+    /// Returned in the answer.
+    pub(crate) request_id: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PlaybackCommand {
+    Play,
+    Pause,
+}
+
+/// What playback does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PlaybackStatus {
+    Playing = 0,
+    Paused = 1,
+    Ended = 3,
+}
+
+/// The identifier of a request is sent to every viewer.
+const LONGEST_REQUEST_ID: usize = 256;
 
 impl<'a> BinaryRequest<'a> {
     /// Reads a frame.
@@ -61,7 +118,7 @@ impl<'a> BinaryRequest<'a> {
     /// In words, if it is too short or has another opcode.
     pub(crate) fn read(frame: &'a [u8]) -> Result<Self, String> {
         match frame.split_first() {
-            Some((opcode @ (1 | 2), body)) => {
+            Some((opcode @ 1..=3, body)) => {
                 Self::read_body(*opcode, body).ok_or_else(|| "a binary message is damaged".to_owned())
             }
             Some((other, _)) => Err(format!("binary messages with the opcode {other} are not supported")),
@@ -74,6 +131,9 @@ impl<'a> BinaryRequest<'a> {
             let (number, rest) = bytes.split_first_chunk::<4>()?;
             Some((u32::from_le_bytes(*number), rest))
         };
+        if opcode == 3 {
+            return PlaybackControl::read(body).map(Self::Playback);
+        }
         let (id, rest) = number(body)?;
         if opcode == 1 {
             return Some(Self::Publish { channel_id: id, data: rest });
@@ -86,6 +146,49 @@ impl<'a> BinaryRequest<'a> {
     }
 }
 
+impl PlaybackControl {
+    /// Command (u8), rate (f32), whether there is a time (u8), time (u64), length of the identifier (u32), identifier.
+    fn read(body: &[u8]) -> Option<Self> {
+        let (&[command, ref rate @ .., has_time], rest) = body.split_first_chunk::<6>()?;
+        let (time, rest) = rest.split_first_chunk()?;
+        let (length, rest) = rest.split_first_chunk()?;
+        let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
+        let request_id = rest.get(..length).filter(|id| id.len() <= LONGEST_REQUEST_ID)?;
+        Some(Self {
+            command: match command {
+                0 => PlaybackCommand::Play,
+                1 => PlaybackCommand::Pause,
+                _ => return None,
+            },
+            rate: f32::from_le_bytes(*rate),
+            seek_ns: (has_time != 0).then(|| u64::from_le_bytes(*time)),
+            request_id: std::str::from_utf8(request_id).ok()?.to_owned(),
+        })
+    }
+}
+
+/// The state of playback; `request_id` is that of the request that it answers, or empty.
+pub(crate) fn playback_state(
+    status: PlaybackStatus,
+    time_ns: u64,
+    rate: f32,
+    did_seek: bool,
+    request_id: &str,
+) -> Vec<u8> {
+    let mut frame = vec![5, status as u8];
+    frame.extend(time_ns.to_le_bytes());
+    frame.extend(rate.to_le_bytes());
+    frame.push(u8::from(did_seek));
+    frame.extend(u32::try_from(request_id.len()).unwrap_or(0).to_le_bytes());
+    frame.extend(request_id.as_bytes());
+    frame
+}
+
+/// A time as `serverInfo` has it.
+pub(crate) fn timestamp(time_ns: u64) -> Value {
+    json!({ "sec": time_ns / 1_000_000_000, "nsec": time_ns % 1_000_000_000 })
+}
+
 /// The weight of a status message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Level {
@@ -95,6 +198,15 @@ pub(crate) enum Level {
 
 pub(crate) fn status(level: Level, message: &str) -> String {
     json!({ "op": "status", "level": level as u8, "message": message }).to_string()
+}
+
+/// The answer to a question.
+pub(crate) fn answer(id: u32, answered: Result<Value, String>) -> String {
+    match answered {
+        Ok(value) => json!({ "op": "answer", "id": id, "ok": value }),
+        Err(reason) => json!({ "op": "answer", "id": id, "error": reason }),
+    }
+    .to_string()
 }
 
 pub(crate) fn call_failure(service_id: u32, call_id: u32, message: &str) -> String {
@@ -205,6 +317,37 @@ mod tests {
             BinaryRequest::read(&call),
             Ok(BinaryRequest::Call { service_id: 1, call_id: 258, encoding: "cdr", data: &[0, 1] })
         );
+    }
+
+    /// Bytes as in the snapshots of `rust/foxglove/src/protocol/v1` in Foxglove's SDK.
+    #[test]
+    fn requests_of_playback_are_read_as_the_sdk_writes_them() {
+        let mut frame = vec![3, 0, 0, 0, 0x80, 0x3F, 1, 0x15, 0xCD, 0x5B, 0x07, 0, 0, 0, 0, 7, 0, 0, 0];
+        frame.extend(b"some-id");
+        let control = PlaybackControl {
+            command: PlaybackCommand::Play,
+            rate: 1.0,
+            seek_ns: Some(123_456_789),
+            request_id: "some-id".into(),
+        };
+        assert_eq!(BinaryRequest::read(&frame), Ok(BinaryRequest::Playback(control.clone())));
+        for length in 1..frame.len() {
+            assert!(BinaryRequest::read(&frame[..length]).is_err(), "{length} bytes");
+        }
+        (frame[1], frame[6]) = (1, 0);
+        let paused = PlaybackControl { command: PlaybackCommand::Pause, seek_ns: None, ..control };
+        assert_eq!(BinaryRequest::read(&frame), Ok(BinaryRequest::Playback(paused)));
+        frame[1] = 2;
+        assert!(BinaryRequest::read(&frame).is_err(), "no such command");
+    }
+
+    #[test]
+    fn the_state_of_playback_is_written_as_in_the_sdk() {
+        let frame = playback_state(PlaybackStatus::Playing, 12345, 1.0, true, "");
+        assert_eq!(frame, [5, 0, 0x39, 0x30, 0, 0, 0, 0, 0, 0, 0, 0, 0x80, 0x3F, 1, 0, 0, 0, 0]);
+        let frame = playback_state(PlaybackStatus::Ended, 12345, 1.0, false, "ab");
+        assert_eq!(frame[..2], [5, 3]);
+        assert_eq!(frame[14..], [0, 2, 0, 0, 0, b'a', b'b']);
     }
 
     #[test]

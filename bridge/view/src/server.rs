@@ -1,24 +1,28 @@
 //! The server: its threads, and what they share.
 
 use crate::assets::Assets;
-use crate::channels::{Changes, Channels};
+use crate::bag::{self, BagPlayback, BagSource};
+use crate::channels::Changes;
 use crate::connection::{self, Ended, Proof};
 use crate::graph::Connections;
 use crate::options::{Access, Token, ViewOptions, ViewTime};
 use crate::outbox::{Frame, Outbox};
+use crate::page::{self, PAGE_PORT, http};
 use crate::parameters::{parameter, settings};
-use crate::protocol::{Level, status, time};
+use crate::protocol::{Level, SUBPROTOCOLS, status, time, timestamp};
 use crate::services::{ShownService, shown};
 use crate::session::{Client, Session, Watched};
+use crate::source::{CoreSource, Source};
+use downbeat_bags::{PlayerError, Reader};
 use downbeat_edge::{CoreAccess, Interfaces};
-use downbeat_executor::{Clock, Core, CoreHandle, SetupError, TopicInfo};
+use downbeat_executor::{Clock, Core, CoreHandle, SetupError};
 use parking_lot::{Condvar, Mutex};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use thiserror::Error;
@@ -40,36 +44,61 @@ pub enum ViewError {
     /// A thread cannot be started.
     #[error("cannot start a thread for viewers: {0}")]
     Thread(io::Error),
+    /// A bag cannot be played.
+    #[error(transparent)]
+    Bag(#[from] PlayerError),
     /// A service cannot be shown.
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// The core does not answer.
+    #[error("the core does not answer: it has stopped, or a module does not return")]
+    NoAnswer,
 }
 
-/// Shows a core to viewers until it is dropped.
+/// Shows a core, or recorded bags, to viewers until it is dropped.
 ///
 /// It may be started before or while the core runs, and is dropped after the core has stopped, so that viewers receive the last
 /// messages. Topics that appear later are shown within a second of a viewer being connected; services are those that modules serve
 /// when the server starts.
 pub struct ViewServer {
     shared: Arc<Shared>,
-    address: SocketAddr,
+    foxglove: Option<SocketAddr>,
+    page: Option<SocketAddr>,
     threads: Vec<JoinHandle<()>>,
+}
+
+/// What a server needs of a core that only a core that does not run yet can give.
+#[derive(Clone)]
+pub struct Seed {
+    pub(crate) core: CoreHandle,
+    pub(crate) clock: Arc<dyn Clock>,
+    pub(crate) interfaces: Interfaces,
+    pub(crate) services: Arc<[ShownService]>,
+}
+
+impl Seed {
+    /// Takes the seed of a core. Viewers can call the services that modules serve now.
+    ///
+    /// # Errors
+    /// If the core has no caller for a service.
+    pub fn of(core: &mut Core, interfaces: &Interfaces) -> Result<Self, SetupError> {
+        let services = shown(core, interfaces)?.into();
+        Ok(Self { core: core.handle(), clock: core.clock(), interfaces: interfaces.clone(), services })
+    }
 }
 
 /// What the threads of the server share.
 pub(crate) struct Shared {
-    pub(crate) core: CoreHandle,
-    pub(crate) channels: Channels,
-    pub(crate) services: Vec<ShownService>,
+    pub(crate) source: Source,
     pub(crate) assets: Assets,
     pub(crate) options: ViewOptions,
-    clock: Arc<dyn Clock>,
     session_id: String,
     /// Held while channels are announced, so that each viewer hears of each channel once.
     announcing: Mutex<()>,
     clients: Mutex<BTreeMap<u64, Arc<Client>>>,
     /// The open connections, those in their handshake too.
     connections: Mutex<BTreeMap<u64, Connection>>,
+    last_connection: AtomicU64,
     is_stopping: AtomicBool,
     /// True if the thread that announces changes has something to do before its next look.
     pulse: Mutex<bool>,
@@ -78,8 +107,12 @@ pub(crate) struct Shared {
 
 struct Connection {
     stream: TcpStream,
+    door: Door,
     thread: Option<JoinHandle<()>>,
 }
+
+/// How long the core may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// How often the core is compared with what viewers know.
 const LOOK: Duration = Duration::from_secs(1);
@@ -100,43 +133,96 @@ impl ViewServer {
     /// # Errors
     /// If the address is in use or not of this machine, or a thread cannot be started.
     pub fn start(core: &mut Core, interfaces: &Interfaces, options: ViewOptions) -> Result<Self, ViewError> {
-        let address = SocketAddr::new(options.address, options.port);
-        let listen = |source| ViewError::Listen { address, source };
-        let listener = TcpListener::bind(address).map_err(listen)?;
-        let address = listener.local_addr().map_err(listen)?;
-        let services = shown(core, interfaces)?;
-        let channels = Channels::new(interfaces);
+        let seed = Seed::of(core, interfaces)?;
         let topics: Vec<_> = core.topics().cloned().collect();
-        channels.refresh(&mut CoreAccess::Idle(core), &topics, &options);
+        let source = CoreSource::new(seed, &mut CoreAccess::Idle(core), &topics, &options);
+        Self::open(Source::Core(source), options)
+    }
+
+    /// Starts the server for a core that may run already, of which the seed was taken before it ran.
+    ///
+    /// # Errors
+    /// If the core does not answer, the address is in use or not of this machine, or a thread cannot be started.
+    pub fn start_from(seed: Seed, options: ViewOptions) -> Result<Self, ViewError> {
+        let core = seed.core.clone();
+        let topics = core.topics().wait(PATIENCE).ok_or(ViewError::NoAnswer)?;
+        let source = CoreSource::new(seed, &mut CoreAccess::Running(&core), &topics, &options);
+        Self::open(Source::Core(source), options)
+    }
+
+    /// Starts a server that shows recorded bags, merged by time, which viewers play, pause and seek. The definitions of types that
+    /// the bags lack are looked up in `interfaces`.
+    ///
+    /// # Errors
+    /// If the bags have a topic with different types or end before the start, the address is in use or not of this machine, or
+    /// a thread cannot be started.
+    pub fn show_bags(
+        bags: impl Into<Arc<[Reader]>>,
+        interfaces: &Interfaces,
+        playback: BagPlayback,
+        options: ViewOptions,
+    ) -> Result<Self, ViewError> {
+        let source = Source::Bag(BagSource::new(bags.into(), interfaces, playback, &options)?);
+        let mut server = Self::open(source, options)?;
+        let shared = Arc::clone(&server.shared);
+        server.threads.push(spawn("view play", move || shared.play())?);
+        Ok(server)
+    }
+
+    /// Serves a page for what is no core: all that it asks is answered by the [`Host`](crate::Host) of its options.
+    ///
+    /// # Errors
+    /// If the address is in use or not of this machine, or a thread cannot be started.
+    pub fn start_page(options: ViewOptions) -> Result<Self, ViewError> {
+        Self::open(Source::Nothing, options)
+    }
+
+    fn open(source: Source, options: ViewOptions) -> Result<Self, ViewError> {
+        let foxglove = options.foxglove.map(|port| listen(options.address, port)).transpose()?;
+        let page =
+            options.page.as_ref().map(|page| listen_for_page(options.address, page.port)).transpose()?;
         let packages = options.packages.clone();
         let assets = Assets::new(packages, Assets::ament_prefixes(), options.limits.asset_bytes);
         let started = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let shared = Arc::new(Shared {
-            core: core.handle(),
-            channels,
-            services,
+            source,
             assets,
             options,
-            clock: core.clock(),
-            session_id: format!("{}-{}", started.as_nanos(), address.port()),
+            session_id: format!("{}-{}", started.as_nanos(), std::process::id()),
             announcing: Mutex::default(),
             clients: Mutex::default(),
             connections: Mutex::default(),
+            last_connection: AtomicU64::new(0),
             is_stopping: AtomicBool::new(false),
             pulse: Mutex::default(),
             pulsed: Condvar::new(),
         });
-        let mut server = Self { shared: Arc::clone(&shared), address, threads: Vec::new() };
+        let mut server =
+            Self { shared: Arc::clone(&shared), foxglove: None, page: None, threads: Vec::new() };
         let announcer = Arc::clone(&shared);
         server.threads.push(spawn("view", move || announcer.announce_changes())?);
-        server.threads.push(spawn("view accept", move || accept(&listener, &shared))?);
+        if let Some((listener, address)) = foxglove {
+            server.foxglove = Some(address);
+            let shared = Arc::clone(&shared);
+            server.threads.push(spawn("view accept", move || accept(&listener, &shared, Door::Foxglove))?);
+        }
+        if let Some((listener, address)) = page {
+            server.page = Some(address);
+            server.threads.push(spawn("page accept", move || accept(&listener, &shared, Door::Page))?);
+        }
         Ok(server)
     }
 
-    /// The address on which the server listens.
+    /// The address for Foxglove, Lichtblick and PlotJuggler, if they are served.
     #[must_use]
-    pub fn address(&self) -> SocketAddr {
-        self.address
+    pub fn foxglove_address(&self) -> Option<SocketAddr> {
+        self.foxglove
+    }
+
+    /// The address of the page, if it is served.
+    #[must_use]
+    pub fn page_address(&self) -> Option<SocketAddr> {
+        self.page
     }
 
     /// The token with which a viewer may change the robot, if there is one.
@@ -148,14 +234,25 @@ impl ViewServer {
         }
     }
 
-    /// The URL for a viewer on this machine, with the token. Keep it secret.
+    /// The URL for Foxglove, Lichtblick and PlotJuggler on this machine, with the token. Keep it secret.
     #[must_use]
-    pub fn url(&self) -> String {
-        let address = reachable(self.address);
-        match self.token() {
+    pub fn foxglove_url(&self) -> Option<String> {
+        let address = reachable(self.foxglove?);
+        Some(match self.token() {
             Some(token) => format!("ws://{address}/?token={}", token.as_str()),
             None => format!("ws://{address}/"),
-        }
+        })
+    }
+
+    /// The URL of the page for a browser on this machine, with the token. Keep it secret.
+    #[must_use]
+    pub fn page_url(&self) -> Option<String> {
+        let address = reachable(self.page?);
+        Some(match self.token() {
+            // Behind the #, where neither servers nor logs see it.
+            Some(token) => format!("http://{address}/#token={}", token.as_str()),
+            None => format!("http://{address}/"),
+        })
     }
 
     /// How many viewers are connected.
@@ -170,8 +267,10 @@ impl Drop for ViewServer {
     fn drop(&mut self) {
         self.shared.is_stopping.store(true, Ordering::SeqCst);
         self.shared.look_now();
-        // Wakes the thread that accepts. If that fails nobody can connect, and the threads are not joined.
-        let is_awake = TcpStream::connect_timeout(&reachable(self.address), LOOK).is_ok();
+        self.shared.source.stop();
+        // Wakes the threads that accept. If that fails nobody can connect, and the threads are not joined.
+        let mut doors = self.foxglove.iter().chain(&self.page);
+        let is_awake = doors.all(|door| TcpStream::connect_timeout(&reachable(*door), LOOK).is_ok());
         for thread in self.threads.drain(..).filter(|_| is_awake) {
             let _ = thread.join();
         }
@@ -186,7 +285,7 @@ impl Drop for ViewServer {
         for thread in connections.into_values().filter_map(|connection| connection.thread) {
             let _ = thread.join();
         }
-        self.shared.channels.close();
+        self.shared.source.close();
     }
 }
 
@@ -195,6 +294,15 @@ impl Shared {
     pub(crate) fn look_now(&self) {
         *self.pulse.lock() = true;
         self.pulsed.notify_all();
+    }
+
+    /// The thread that plays a bag, until the server stops.
+    fn play(&self) {
+        if let Some(bag) = self.source.bag()
+            && let Err(error) = bag::play(self, bag)
+        {
+            tracing::error!("the bag is not played: {error}");
+        }
     }
 
     /// The thread that announces what changes in the core, until the server stops.
@@ -206,10 +314,12 @@ impl Shared {
             if self.is_stopping.load(Ordering::SeqCst) {
                 return;
             }
-            if self.options.time == ViewTime::Core {
-                let now = self.clock.now().as_nanos();
+            if self.options.time == ViewTime::Core
+                && let Ok(core) = self.source.core()
+            {
+                let now = core.time_ns();
                 if last_time.replace(now) != Some(now) {
-                    let frame = time(u64::try_from(now).unwrap_or(0));
+                    let frame = time(now);
                     self.for_each_client(|_| Some(Frame::Binary(frame.clone())));
                 }
             }
@@ -242,7 +352,7 @@ impl Shared {
     }
 
     /// Sends each viewer what `frame` returns for it. A viewer that takes nothing more is disconnected.
-    fn for_each_client(&self, mut frame: impl FnMut(&Client) -> Option<Frame>) {
+    pub(crate) fn for_each_client(&self, mut frame: impl FnMut(&Client) -> Option<Frame>) {
         let clients: Vec<_> = self.clients.lock().values().cloned().collect();
         for client in clients {
             if let Some(frame) = frame(&client)
@@ -253,6 +363,10 @@ impl Shared {
         }
     }
 
+    fn has_room_for_viewer(&self) -> bool {
+        self.clients.lock().len() < self.options.limits.clients
+    }
+
     fn disconnect(&self, id: u64) {
         if let Some(connection) = self.connections.lock().get(&id) {
             let _ = connection.stream.shutdown(Shutdown::Both);
@@ -260,9 +374,9 @@ impl Shared {
     }
 
     fn announce_channels(&self) {
-        let Some(topics) = self.core.topics().wait(LOOK) else { return };
+        let Ok(core) = self.source.core() else { return };
         let _announcing = self.announcing.lock();
-        let Changes { added, removed } = self.refresh(&topics);
+        let Some(Changes { added, removed }) = core.refresh(&self.options, LOOK) else { return };
         if !removed.is_empty() {
             let text = json!({ "op": "unadvertise", "channelIds": removed }).to_string();
             self.for_each_client(|_| Some(Frame::Text(text.clone())));
@@ -274,15 +388,12 @@ impl Shared {
         }
     }
 
-    fn refresh(&self, topics: &[TopicInfo]) -> Changes {
-        self.channels.refresh(&mut CoreAccess::Running(&self.core), topics, &self.options)
-    }
-
     fn announce_connections(&self) {
         if !self.clients.lock().values().any(|client| client.watched.lock().connections.is_some()) {
             return;
         }
-        let Some(graph) = self.core.graph().wait(LOOK) else { return };
+        let Ok(core) = self.source.core() else { return };
+        let Some(graph) = core.handle.graph().wait(LOOK) else { return };
         let connections = Connections::of(&graph);
         self.for_each_client(|client| {
             let mut watched = client.watched.lock();
@@ -297,7 +408,8 @@ impl Shared {
         if !self.clients.lock().values().any(|client| !client.watched.lock().parameters.is_empty()) {
             return;
         }
-        let Some(settings) = settings(&self.core, LOOK) else { return };
+        let Ok(core) = self.source.core() else { return };
+        let Some(settings) = settings(&core.handle, LOOK) else { return };
         self.for_each_client(|client| {
             let mut changed = Vec::new();
             for (name, known) in &mut client.watched.lock().parameters {
@@ -341,14 +453,11 @@ impl Shared {
 
     /// Tells a new viewer what there is, and every change from now on.
     fn welcome(&self, client: &Arc<Client>, proof: Proof) -> Result<(), crate::outbox::Closed> {
-        let mut capabilities = vec!["parameters", "parametersSubscribe", "connectionGraph", "assets"];
-        if self.options.time == ViewTime::Core {
-            capabilities.push("time");
-        }
-        if proof == Proof::Full {
+        let mut capabilities = self.source.capabilities(&self.options);
+        if proof == Proof::Full && self.source.core().is_ok() {
             capabilities.extend(["clientPublish", "services"]);
         }
-        let info = json!({
+        let mut info = json!({
             "op": "serverInfo",
             "name": self.options.name,
             "capabilities": capabilities,
@@ -356,31 +465,50 @@ impl Shared {
             "metadata": { "ROS_DISTRO": "jazzy" },
             "sessionId": self.session_id,
         });
+        if let Some(bag) = self.source.bag() {
+            info["dataStartTime"] = timestamp(u64::try_from(bag.start).unwrap_or(0));
+            info["dataEndTime"] = timestamp(u64::try_from(bag.end).unwrap_or(0));
+        }
         let _announcing = self.announcing.lock();
         client.outbox.announce(Frame::Text(info.to_string()))?;
-        let channels: Vec<_> = self.channels.all().iter().map(|channel| channel.announcement()).collect();
-        let channels = json!({ "op": "advertise", "channels": channels });
+        let channels = json!({ "op": "advertise", "channels": self.source.channels() });
         client.outbox.announce(Frame::Text(channels.to_string()))?;
-        if proof == Proof::Full {
-            let services: Vec<_> = self.services.iter().map(ShownService::announcement).collect();
+        if proof == Proof::Full && self.source.core().is_ok() {
+            let services: Vec<_> = self.source.services().iter().map(ShownService::announcement).collect();
             let services = json!({ "op": "advertiseServices", "services": services });
             client.outbox.announce(Frame::Text(services.to_string()))?;
         }
         self.clients.lock().insert(client.id, Arc::clone(client));
+        if let Some(bag) = self.source.bag() {
+            bag.greet(client.id);
+        }
         Ok(())
     }
 
     /// The thread of a connection.
-    fn serve(&self, id: u64, stream: TcpStream) {
+    fn serve(self: &Arc<Self>, id: u64, mut stream: TcpStream, door: Door) {
         let limits = &self.options.limits;
         let peer = stream.peer_addr().map_or_else(|_| "?".to_owned(), |peer| peer.to_string());
-        let (mut reader, proof) = match connection::accept(stream, &self.options.access, limits) {
-            Ok(accepted) => accepted,
-            Err(error) => {
-                tracing::debug!("a connection from {peer} is no viewer: {error}");
-                return;
+        let mut received = Vec::new();
+        if door == Door::Page {
+            let Some(page) = &self.options.page else { return };
+            match http::serve(&mut stream, page) {
+                Ok(Some(handshake)) => received = handshake,
+                Ok(None) | Err(_) => return,
             }
-        };
+            if !self.has_room_for_viewer() {
+                return refuse(stream);
+            }
+        }
+        let access = &self.options.access;
+        let (mut reader, proof, protocol) =
+            match connection::accept(stream, received, door.subprotocols(), access, limits) {
+                Ok(accepted) => accepted,
+                Err(error) => {
+                    tracing::debug!("a connection from {peer} is no viewer: {error}");
+                    return;
+                }
+            };
         let outbox = Arc::new(Outbox::new(limits.backlog_messages, limits.backlog_bytes));
         let writer = reader.split(&outbox, SILENCE).and_then(|stream| {
             let (outbox, stall) = (Arc::clone(&outbox), limits.stall);
@@ -394,7 +522,10 @@ impl Shared {
                 return;
             }
         };
-        let client = Arc::new(Client { id, outbox: Arc::clone(&outbox), watched: Mutex::default() });
+        // The client class of `@foxglove/ws-protocol`, which knows only this one, takes the state of playback for a fault.
+        let knows_playback = protocol != "foxglove.websocket.v1";
+        let client = Client { id, outbox: Arc::clone(&outbox), knows_playback, watched: Mutex::default() };
+        let client = Arc::new(client);
         if self.welcome(&client, proof).is_ok() {
             tracing::info!(
                 "viewer {peer} is connected{}",
@@ -420,9 +551,26 @@ impl Shared {
     }
 }
 
+/// Where a connection came in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Door {
+    Foxglove,
+    Page,
+}
+
+impl Door {
+    fn subprotocols(self) -> &'static [&'static str] {
+        match self {
+            Self::Foxglove => &SUBPROTOCOLS,
+            Self::Page => &[page::SUBPROTOCOL],
+        }
+    }
+}
+
 /// The thread that accepts connections, until the server stops.
-fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
-    for id in 1_u64.. {
+fn accept(listener: &TcpListener, shared: &Arc<Shared>, door: Door) {
+    loop {
+        let id = shared.last_connection.fetch_add(1, Ordering::Relaxed) + 1;
         let accepted = listener.accept();
         if shared.is_stopping.load(Ordering::SeqCst) {
             return;
@@ -437,7 +585,12 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             }
         };
         let mut connections = shared.connections.lock();
-        if connections.len() >= shared.options.limits.clients {
+        // Files of the page are fetched over connections beside those of viewers.
+        let most = match door {
+            Door::Foxglove => shared.options.limits.clients,
+            Door::Page => shared.options.limits.clients.saturating_mul(4),
+        };
+        if connections.values().filter(|connection| connection.door == door).count() >= most {
             drop(connections);
             refuse(stream);
             continue;
@@ -447,12 +600,14 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
         let thread = spawn("view read", {
             let shared = Arc::clone(shared);
             move || {
-                shared.serve(id, stream);
+                shared.serve(id, stream, door);
                 shared.connections.lock().remove(&id);
             }
         });
         match thread {
-            Ok(thread) => drop(connections.insert(id, Connection { stream: other, thread: Some(thread) })),
+            Ok(thread) => {
+                drop(connections.insert(id, Connection { stream: other, thread: Some(thread), door }))
+            }
             Err(error) => tracing::warn!("a viewer could not connect: {error}"),
         }
     }
@@ -466,6 +621,21 @@ fn refuse(mut stream: TcpStream) {
         stream,
         "HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n{text}"
     );
+}
+
+fn listen(address: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr), ViewError> {
+    let address = SocketAddr::new(address, port);
+    let refused = |source| ViewError::Listen { address, source };
+    let listener = TcpListener::bind(address).map_err(refused)?;
+    let address = listener.local_addr().map_err(refused)?;
+    Ok((listener, address))
+}
+
+fn listen_for_page(address: IpAddr, port: Option<u16>) -> Result<(TcpListener, SocketAddr), ViewError> {
+    match port {
+        Some(port) => listen(address, port),
+        None => listen(address, PAGE_PORT).or_else(|_| listen(address, 0)),
+    }
 }
 
 /// The address under which this machine reaches the server.

@@ -1,16 +1,17 @@
 //! What one viewer asks for.
 
-use crate::channels::Channel;
 use crate::connection::{Ended, Proof, Reader};
 use crate::graph::Connections;
 use crate::options::Access;
 use crate::outbox::{Closed, Frame, Outbox};
+use crate::page::{self, Ask};
 use crate::parameters::{Settings, parameter, settings, wanted};
 use crate::protocol::{
-    BinaryRequest, ClientChannel, Level, Parameter, Request, Subscription, asset_error, asset_head,
+    BinaryRequest, ClientChannel, Level, Parameter, Request, Subscription, answer, asset_error, asset_head,
     call_failure, status,
 };
 use crate::server::Shared;
+use crate::source::{CoreSource, Subscribed};
 use downbeat_edge::{CoreAccess, EncodedInlet, KnownType, Waiting};
 use downbeat_msgs::encoding::{Codec, Encoding};
 use parking_lot::Mutex;
@@ -28,6 +29,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 pub(crate) struct Client {
     pub(crate) id: u64,
     pub(crate) outbox: Arc<Outbox>,
+    /// True if its version of the protocol has the state of playback.
+    pub(crate) knows_playback: bool,
     pub(crate) watched: Mutex<Watched>,
 }
 
@@ -46,12 +49,13 @@ pub(crate) struct Watched {
 
 /// The requests of one viewer.
 pub(crate) struct Session<'a> {
-    shared: &'a Shared,
+    shared: &'a Arc<Shared>,
     client: &'a Client,
     proof: Proof,
-    subscriptions: HashMap<u32, Arc<Channel>>,
+    subscriptions: HashMap<u32, Subscribed>,
     publications: HashMap<u32, Publication>,
     open_calls: Arc<AtomicUsize>,
+    open_asks: Arc<AtomicUsize>,
 }
 
 /// A topic on which the viewer publishes.
@@ -64,9 +68,17 @@ struct Publication {
 }
 
 impl<'a> Session<'a> {
-    pub(crate) fn new(shared: &'a Shared, client: &'a Client, proof: Proof) -> Self {
+    pub(crate) fn new(shared: &'a Arc<Shared>, client: &'a Client, proof: Proof) -> Self {
         let (subscriptions, publications) = (HashMap::new(), HashMap::new());
-        Self { shared, client, proof, subscriptions, publications, open_calls: Arc::default() }
+        Self {
+            shared,
+            client,
+            proof,
+            subscriptions,
+            publications,
+            open_calls: Arc::default(),
+            open_asks: Arc::default(),
+        }
     }
 
     /// Serves the viewer until it leaves or is disconnected.
@@ -157,12 +169,47 @@ impl<'a> Session<'a> {
                 };
                 self.answer(frame)
             }
+            Request::Ask { id, ask, arguments } => self.ask(id, ask, arguments),
         }
+    }
+
+    /// Answers on another thread: some questions take seconds, and a viewer has several open.
+    fn ask(&self, id: u32, name: String, arguments: Value) -> Result<(), Closed> {
+        if self.shared.options.page.is_none() {
+            return self.report(Level::Error, "questions are answered on the port of the page");
+        }
+        if self.open_asks.fetch_add(1, Ordering::Relaxed) >= MOST_ASKS {
+            self.open_asks.fetch_sub(1, Ordering::Relaxed);
+            let refused = Err(format!("{MOST_ASKS} questions of this viewer wait for an answer already"));
+            return self.answer(Frame::Text(answer(id, refused)));
+        }
+        let (shared, outbox) = (Arc::clone(self.shared), Arc::clone(&self.client.outbox));
+        let (open, may_change) = (Arc::clone(&self.open_asks), self.proof == Proof::Full);
+        let asked = std::thread::Builder::new().name("view ask".into()).spawn(move || {
+            if let Some(page) = &shared.options.page {
+                let ask = Ask { name: &name, arguments: &arguments, may_change };
+                let answered = page::answer(&shared, page, ask);
+                // A viewer that does not read is disconnected by the next announcement.
+                let _ = outbox.answer(Frame::Text(answer(id, answered)), shared.options.limits.stall);
+            }
+            open.fetch_sub(1, Ordering::Relaxed);
+        });
+        asked.map(drop).or_else(|error| {
+            self.open_asks.fetch_sub(1, Ordering::Relaxed);
+            self.answer(Frame::Text(answer(id, Err(format!("no thread can be started: {error}")))))
+        })
     }
 
     fn binary(&mut self, bytes: &[u8]) -> Result<(), Closed> {
         match BinaryRequest::read(bytes) {
             Ok(BinaryRequest::Publish { channel_id, data }) => self.publish(channel_id, data),
+            Ok(BinaryRequest::Playback(control)) => match self.shared.source.bag() {
+                Some(bag) => {
+                    bag.control(control);
+                    Ok(())
+                }
+                None => self.report(Level::Error, "this is a running robot: its time cannot be chosen"),
+            },
             Ok(BinaryRequest::Call { service_id, call_id, encoding, data }) => {
                 let called = self.call(service_id, call_id, encoding, data);
                 called.or_else(|reason| self.answer(Frame::Text(call_failure(service_id, call_id, &reason))))
@@ -177,26 +224,21 @@ impl<'a> Session<'a> {
             format!("subscription {id} exists already")
         } else if self.subscriptions.len() >= limit {
             format!("a viewer may have {limit} subscriptions")
-        } else if let Some(channel) = self.shared.channels.find(channel_id) {
-            let Client { id: client, outbox, watched } = self.client;
-            watched.lock().topics.insert(id, Arc::clone(&channel.topic));
-            let mut core = CoreAccess::Running(&self.shared.core);
-            match self.shared.channels.subscribe(&channel, &mut core, *client, id, outbox) {
-                Ok(()) => {
-                    self.subscriptions.insert(id, channel);
+        } else {
+            match self.shared.source.subscribe(self.client, id, channel_id) {
+                Ok(subscribed) => {
+                    self.client.watched.lock().topics.insert(id, Arc::clone(&subscribed.topic));
+                    self.subscriptions.insert(id, subscribed);
                     return Ok(());
                 }
-                Err(error) => error.to_string(),
+                Err(reason) => reason,
             }
-        } else {
-            format!("there is no channel {channel_id}")
         };
         self.report(Level::Error, &format!("cannot subscribe: {refused}"))
     }
 
     fn unsubscribe(&mut self, id: u32) {
-        if let Some(channel) = self.subscriptions.remove(&id) {
-            channel.unsubscribe(self.client.id, id);
+        if self.subscriptions.remove(&id).is_some() {
             self.client.outbox.forget(id);
             self.client.watched.lock().topics.remove(&id);
         }
@@ -212,7 +254,8 @@ impl<'a> Session<'a> {
         if !(self.shared.options.topics)(topic) {
             return Err("the server does not show this topic".to_owned());
         }
-        let message_type = self.type_of(topic, &channel.schema_name)?;
+        let source = self.shared.source.core()?;
+        let message_type = self.type_of(source, topic, &channel.schema_name)?;
         let codec = match channel.encoding.as_str() {
             "cdr" => None,
             "json" => {
@@ -221,7 +264,7 @@ impl<'a> Session<'a> {
             }
             other => return Err(format!("the encoding \"{other}\" is neither \"cdr\" nor \"json\"")),
         };
-        let mut core = CoreAccess::Running(&self.shared.core);
+        let mut core = CoreAccess::Running(&source.handle);
         let inlet =
             message_type.inlet_with(&mut core, topic, Waiting::All).map_err(|error| error.to_string())?;
         tracing::info!("a viewer publishes on /{topic} [{message_type}]");
@@ -229,16 +272,16 @@ impl<'a> Session<'a> {
     }
 
     /// The type that the topic carries, or if it is a new topic that of the name.
-    fn type_of(&self, topic: &str, name: &str) -> Result<KnownType, String> {
-        let Shared { channels, core, options, .. } = self.shared;
+    fn type_of(&self, core: &CoreSource, topic: &str, name: &str) -> Result<KnownType, String> {
+        let CoreSource { handle, channels, .. } = core;
         // Viewers write both `std_msgs/Bool` and `std_msgs/msg/Bool`.
         let name = match name.split_once('/') {
             Some((package, rest)) if !rest.contains('/') => format!("{package}/msg/{rest}"),
             _ => name.to_owned(),
         };
-        let topics = core.topics().wait(PATIENCE).ok_or(NO_ANSWER)?;
+        let topics = handle.topics().wait(PATIENCE).ok_or(NO_ANSWER)?;
         match topics.iter().find(|info| *info.name == *topic) {
-            Some(info) => match channels.message_type(info, options) {
+            Some(info) => match channels.message_type(info, &self.shared.options) {
                 Some(carried) if carried.name() == name => Ok(carried),
                 Some(carried) => Err(format!("it carries {carried}, not {name}")),
                 None => Err(format!("it carries {}, which is no ROS 2 type", info.message_type)),
@@ -268,7 +311,7 @@ impl<'a> Session<'a> {
 
     fn call(&self, service_id: u32, call_id: u32, encoding: &str, data: &[u8]) -> Result<(), String> {
         self.check_access()?;
-        let services = &self.shared.services;
+        let services = self.shared.source.services();
         let service = services.iter().find(|service| service.id() == service_id);
         let service = service.ok_or_else(|| format!("there is no service {service_id}"))?;
         if encoding != "cdr" {
@@ -283,19 +326,20 @@ impl<'a> Session<'a> {
     }
 
     fn get_parameters(&self, names: &[String], id: Option<&str>) -> Result<(), Closed> {
-        match settings(&self.shared.core, PATIENCE) {
-            Some(settings) => self.send_parameters(
+        match self.settings() {
+            Ok(settings) => self.send_parameters(
                 &settings,
                 |name| names.is_empty() || names.iter().any(|n| n == name),
                 id,
             ),
-            None => self.report(Level::Error, NO_ANSWER),
+            Err(reason) => self.report(Level::Error, &reason),
         }
     }
 
     fn set_parameters(&self, parameters: &[Parameter], id: Option<&str>) -> Result<(), Closed> {
-        let Some(before) = settings(&self.shared.core, PATIENCE) else {
-            return self.report(Level::Error, NO_ANSWER);
+        let before = match self.settings() {
+            Ok(before) => before,
+            Err(reason) => return self.report(Level::Error, &reason),
         };
         for parameter in parameters {
             if let Err(reason) = self.set(parameter, &before) {
@@ -306,16 +350,20 @@ impl<'a> Session<'a> {
             }
         }
         self.shared.look_now();
-        let after = settings(&self.shared.core, PATIENCE).unwrap_or(before);
+        let after = self.settings().unwrap_or(before);
         // Also after a refusal: the viewer shows the value in force.
         self.send_parameters(&after, |name| parameters.iter().any(|parameter| parameter.name == name), id)
+    }
+
+    fn settings(&self) -> Result<Settings, String> {
+        settings(&self.shared.source.core()?.handle, PATIENCE).ok_or_else(|| NO_ANSWER.to_owned())
     }
 
     fn set(&self, parameter: &Parameter, present: &Settings) -> Result<(), String> {
         self.check_access()?;
         let (module, info) = present.get(&parameter.name).ok_or("no module has this setting")?;
         let value = wanted(parameter, &info.value)?;
-        let set = self.shared.core.set(module, &info.name, value).wait(PATIENCE);
+        let set = self.shared.source.core()?.handle.set(module, &info.name, value).wait(PATIENCE);
         set.ok_or(NO_ANSWER)?.map_err(|refused| refused.to_string())
     }
 
@@ -355,13 +403,8 @@ impl<'a> Session<'a> {
     }
 }
 
-impl Drop for Session<'_> {
-    fn drop(&mut self) {
-        for (id, channel) in self.subscriptions.drain() {
-            channel.unsubscribe(self.client.id, id);
-        }
-    }
-}
+/// Questions of one viewer that wait for an answer.
+const MOST_ASKS: usize = 16;
 
 /// Parameters that one viewer may watch.
 const MOST_PARAMETERS: usize = 10_000;

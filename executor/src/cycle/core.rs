@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crossbeam::sync::Parker;
 
-use super::agenda::Asker;
+use super::agenda::{Asker, Ready};
 use super::detached::DetachedModule;
 use super::mechanism::Mechanisms;
 use super::phase::{CoreLife, CoreState, Pause, SyncPhase};
@@ -14,7 +14,7 @@ use super::stage::{Launcher, StageHolder};
 use crate::module::{Input, Link, Place};
 use crate::observe::{CycleInfo, Measuring, spans_are_on};
 use crate::threads::{Watch, end_of, reason};
-use crate::{Role, ThreadError, Time};
+use crate::{Role, ThreadError, Time, TraceCause};
 
 /// Why a core cannot run.
 #[derive(Debug, thiserror::Error)]
@@ -241,13 +241,19 @@ impl Core {
         }
         self.stage.exclusive().measuring = measuring;
         let due = if measuring.is_on() { self.earliest_due() } else { Time::MAX };
+        let fresh: Vec<_> = match measuring {
+            Measuring::Trace => {
+                self.stage.views.topics.fresh().map(|(slot, topic)| (slot, Arc::clone(topic))).collect()
+            }
+            Measuring::Times | Measuring::Nothing => Vec::new(),
+        };
         self.process_and_sync(now);
         if let Some(watch) = &self.watch {
             watch.end();
         }
         if measuring.is_on() {
             let lateness = (due <= now).then(|| now.saturating_since(due));
-            self.take_readings(CycleInfo { cycle, lateness, has_slept: self.has_slept });
+            self.take_readings(CycleInfo { cycle, lateness, has_slept: self.has_slept }, &fresh);
         }
     }
 
@@ -299,16 +305,23 @@ impl Core {
         }
     }
 
-    fn take_readings(&mut self, info: CycleInfo) {
+    /// `fresh` has the topics that carried messages to modules in a traced cycle, by the slots of these.
+    fn take_readings(&mut self, info: CycleInfo, fresh: &[(usize, Arc<str>)]) {
         let stage = self.stage.exclusive();
         stage.measuring = Measuring::Nothing;
         self.state.inspector.synced();
         for nth in 0..stage.runnable.len() {
+            let Ready { slot, causes, .. } = stage.runnable[nth];
             // A module that was removed in this cycle is not there any more.
-            if let Some(cell) = stage.cells.get(stage.runnable[nth].slot)
+            if let Some(cell) = stage.cells.get(slot)
                 && let Some(span) = cell.span.take()
             {
-                self.state.inspector.ran(&mut cell.meter, &cell.io.name, info.cycle, &span);
+                let causes = || {
+                    let topics = fresh.iter().filter(|(receiver, _)| *receiver == slot);
+                    let messages = topics.map(|(_, topic)| TraceCause::Messages(Arc::clone(topic)));
+                    messages.chain(causes.traced()).collect()
+                };
+                self.state.inspector.ran(&mut cell.meter, &cell.io.name, info.cycle, &span, causes);
             }
         }
         self.state.inspector.end(info);

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::module::{Behaviour, Given, Host, ModuleBehaviour, ModuleIo, Use};
 use crate::observe::ModuleMeter;
@@ -36,6 +37,8 @@ pub(crate) struct Member {
     /// Panics in a row, without a time in which it ran well.
     pub(crate) panics_in_a_row: u32,
     pub(crate) started: Time,
+    /// Of its timers.
+    pub(crate) periods: Vec<Duration>,
     /// What its last life counted, until the next begins.
     pub(crate) meter: Option<ModuleMeter>,
 }

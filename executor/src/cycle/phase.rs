@@ -11,7 +11,7 @@ use super::stage::{Askers, Stage};
 use crate::module::{Asked, Causes, Link, ModuleCell, Place, Post, StepOutcome, Use, UseEnds};
 use crate::observe::{Inspector, ModuleMeter};
 use crate::threads::Watchdog;
-use crate::{Clock, ModuleChange, ModuleId, Role, Time};
+use crate::{Clock, ModuleChange, ModuleId, Role, SettingInfo, Time};
 
 /// What the core knows beside its stage and its mechanisms.
 pub(crate) struct CoreState {
@@ -41,6 +41,8 @@ pub(crate) struct CoreState {
     pub(crate) cycle: u64,
     pub(crate) life: CoreLife,
     pub(crate) pause: Pause,
+    /// Those that the module declared that was refused last.
+    pub(crate) refused_settings: Vec<SettingInfo>,
     /// True if what modules ask of themselves is dropped, but for their removal.
     pub(crate) drops_commands_to_self: bool,
 }
@@ -82,6 +84,7 @@ impl CoreState {
             cycle: 0,
             life: CoreLife::New,
             pause: Pause::default(),
+            refused_settings: Vec::new(),
             drops_commands_to_self: false,
         }
     }

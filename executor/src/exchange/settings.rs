@@ -257,6 +257,8 @@ pub struct SettingInfo {
     pub value: SettingValue,
     /// The numbers it may have; `None` for no limit.
     pub range: Option<RangeInclusive<f64>>,
+    /// The texts it may have; empty for no limit.
+    pub choices: Vec<String>,
     /// True if it does not change after the start.
     pub is_read_only: bool,
 }
@@ -264,7 +266,8 @@ pub struct SettingInfo {
 impl SettingInfo {
     fn new(name: &str, default: impl SettingType, description: &str) -> Self {
         let (name, description) = (name.to_owned(), description.to_owned());
-        Self { name, description, value: default.into_value(), range: None, is_read_only: false }
+        let (value, choices) = (default.into_value(), Vec::new());
+        Self { name, description, value, range: None, choices, is_read_only: false }
     }
 
     fn check(&self, value: SettingValue) -> Result<SettingValue, String> {
@@ -273,6 +276,12 @@ impl SettingInfo {
             && let Some(number) = value.numbers().into_iter().find(|number| !range.contains(number))
         {
             return Err(format!("{number} is out of range, {} to {} is allowed", range.start(), range.end()));
+        }
+        if let SettingValue::Text(text) = &value
+            && !self.choices.is_empty()
+            && !self.choices.contains(text)
+        {
+            return Err(format!("\"{text}\" is none of {}", self.choices.join(", ")));
         }
         Ok(value)
     }
@@ -314,6 +323,10 @@ struct Part {
 }
 
 impl SettingsPort {
+    pub(crate) fn declared(&self) -> Vec<SettingInfo> {
+        self.infos.clone()
+    }
+
     /// Adds a setting, with the value it was given or else its default.
     fn declare(
         &mut self,
@@ -434,6 +447,44 @@ impl<M: Module> Setup<'_, M> {
         self.declare_setting(SettingInfo {
             is_read_only: true,
             ..SettingInfo::new(name, default, description)
+        })
+    }
+
+    /// Declares a text that is one of a few, is given before the start and does not change after it.
+    ///
+    /// # Errors
+    /// A name used twice, or a default or given value that is not among the choices.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, Module, ModuleOptions, Setup, SetupError};
+    /// struct Camera;
+    ///
+    /// impl Module for Camera {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.read_only_choice("format", "rgb8", &["rgb8", "mono8"], "of the pixels")?;
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let settings = [("format".to_owned(), "rbg8".to_owned().into())].into();
+    /// let options = ModuleOptions { settings, ..ModuleOptions::default() };
+    /// let refused = Core::new().add_with("camera", Camera, options).unwrap_err();
+    /// assert!(refused.to_string().contains("\"rbg8\" is none of rgb8, mono8"));
+    /// ```
+    pub fn read_only_choice(
+        &mut self,
+        name: &str,
+        default: &str,
+        choices: &[&str],
+        description: &str,
+    ) -> Result<Setting<String>, SetupError> {
+        let choices = choices.iter().map(|&choice| choice.to_owned()).collect();
+        self.declare_setting(SettingInfo {
+            choices,
+            is_read_only: true,
+            ..SettingInfo::new(name, default.to_owned(), description)
         })
     }
 
@@ -597,6 +648,12 @@ impl Core {
         let id = self.state.members.find(module)?.id;
         Some(self.mechanisms.get::<Settings>(SETTINGS)?.infos(&self.stage, id))
     }
+
+    /// The settings that the module declared whose setup failed last: for descriptions of modules that lack a setting.
+    #[must_use]
+    pub fn refused_settings(&self) -> &[SettingInfo] {
+        &self.state.refused_settings
+    }
 }
 
 impl CoreHandle {
@@ -654,6 +711,7 @@ mod tests {
             description,
             value: SettingValue::Double(1.0),
             range: Some(0.0..=4.0),
+            choices: Vec::new(),
             is_read_only: false,
         }
     }

@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::module::{Causes, ModuleIo, Place, TIMERS};
-use crate::{Context, Mechanism, Module, ModuleChange, Port, Setup, SetupError, SyncPhase, Time, Version};
+use crate::{
+    Context, Core, Mechanism, Module, ModuleChange, Port, Setup, SetupError, SyncPhase, Time, Version,
+};
 
 /// Has modules run when their timers, tasks and time-outs are due.
 #[derive(Default)]
@@ -33,6 +35,12 @@ impl Mechanism for Timers {
 pub(crate) struct TimersPort {
     timers: Vec<Timer>,
     tasks: Tasks,
+}
+
+impl TimersPort {
+    pub(crate) fn periods(&self) -> Vec<Duration> {
+        self.timers.iter().map(|timer| timer.period).collect()
+    }
 }
 
 impl Port for TimersPort {
@@ -227,6 +235,33 @@ impl<P> Context<'_, P> {
     pub fn cancel(&mut self, task: Task) {
         self.io().ask(TIMERS);
         self.io().open_own::<TimersPort>(TIMERS).tasks.cancel(task);
+    }
+}
+
+impl Core {
+    /// The periods of a module's timers, in the order of their declaration; nothing if there is no such module.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use downbeat_executor::{Core, Module, Setup, SetupError};
+    /// struct Heartbeat;
+    ///
+    /// impl Module for Heartbeat {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.every(Duration::from_secs(1), |_, _| {})
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new();
+    /// core.add("heartbeat", Heartbeat)?;
+    /// assert_eq!(core.periods("heartbeat"), Some(&[Duration::from_secs(1)][..]));
+    /// # Ok::<(), SetupError>(())
+    /// ```
+    #[must_use]
+    pub fn periods(&self, module: &str) -> Option<&[Duration]> {
+        self.state.members.find(module).map(|member| &*member.periods)
     }
 }
 

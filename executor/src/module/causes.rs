@@ -1,5 +1,7 @@
 //! Why a module runs, and of which mechanisms it has asked something: sets of small numbers.
 
+use crate::TraceCause;
+
 // The numbers of the core's mechanisms, in the order of the sync phase; those of users follow.
 
 /// Adds, removes and pauses modules, and learns of their panics.
@@ -65,6 +67,35 @@ impl Causes {
     #[inline]
     pub(crate) fn is_empty(self) -> bool {
         self.0 == 0
+    }
+
+    /// Those other than messages, for a trace.
+    pub(crate) fn traced(self) -> Vec<TraceCause> {
+        if self == Self::ALL {
+            return vec![TraceCause::Start];
+        }
+        let mut causes = self;
+        let mut found = Vec::new();
+        if causes.0 & Self::DUE.0 == Self::DUE.0 {
+            // The time alone does not tell which of the three it brought.
+            found.push(TraceCause::Time);
+            causes = causes.without(Self::DUE);
+        }
+        let kinds = [
+            (Self::SETTINGS, TraceCause::Setting),
+            (Self::RESULTS, TraceCause::Result),
+            (Self::REQUESTS, TraceCause::Request),
+            (Self::REPLIES, TraceCause::Response),
+            (Self::TASKS, TraceCause::Time),
+            (Self::TIMERS, TraceCause::Time),
+            (Self::WOKEN, TraceCause::Woken),
+        ];
+        for (kind, cause) in kinds {
+            if causes.has(kind) && !found.contains(&cause) {
+                found.push(cause);
+            }
+        }
+        found
     }
 
     /// The place of the kind in the order of a run.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::histogram::{TimeHistogram, nanoseconds};
 use super::sampler::{Sampler, clock_reading_time};
-use super::trace::TraceEventKind;
+use super::trace::{TraceCause, TraceEventKind};
 use super::{CycleStatistics, CycleTrace, Measuring, ModuleMeter, SharedTiming, Span};
 use crate::Time;
 use crate::threads::ReceiptSender;
@@ -124,11 +124,18 @@ impl Inspector {
     }
 
     /// A module ran in the cycle. Told after the sync phase, and only where something is measured.
-    pub(crate) fn ran(&mut self, meter: &mut ModuleMeter, module: &Arc<str>, cycle: u64, span: &Span) {
+    pub(crate) fn ran(
+        &mut self,
+        meter: &mut ModuleMeter,
+        module: &Arc<str>,
+        cycle: u64,
+        span: &Span,
+        causes: impl FnOnce() -> Vec<TraceCause>,
+    ) {
         self.current.runs += 1;
         meter.took(span.duration());
         if self.measuring == Measuring::Trace {
-            self.add_to_trace(TraceEventKind::Run, Some(module), cycle, span);
+            self.add_to_trace(TraceEventKind::Run, Some(module), cycle, span, causes());
         }
     }
 
@@ -140,12 +147,15 @@ impl Inspector {
         cycle: u64,
         span: &Span,
         due: Option<Time>,
+        causes: impl FnOnce() -> Vec<TraceCause>,
     ) {
         meter.took(span.duration());
         if let Some(time) = due {
             self.timing.looped(module, time, span.duration());
         }
-        self.add_to_trace(TraceEventKind::Step, Some(module), cycle, span);
+        if self.trace.is_some() {
+            self.add_to_trace(TraceEventKind::Step, Some(module), cycle, span, causes());
+        }
     }
 
     /// The cycle has ended.
@@ -212,9 +222,9 @@ impl Inspector {
         if self.measuring == Measuring::Trace {
             let thread = Some(std::thread::current());
             let process = Span { begin, end: processed, thread: thread.clone() };
-            self.add_to_trace(TraceEventKind::Process, None, info.cycle, &process);
+            self.add_to_trace(TraceEventKind::Process, None, info.cycle, &process, Vec::new());
             let sync = Span { begin: processed, end: synced, thread };
-            self.add_to_trace(TraceEventKind::Sync, None, info.cycle, &sync);
+            self.add_to_trace(TraceEventKind::Sync, None, info.cycle, &sync, Vec::new());
         }
         // Inside the cycle the clock was read for each run and for each phase; taking the readings in is measured.
         let inside = self.clock_reading_time * (runs + 2);
@@ -227,9 +237,16 @@ impl Inspector {
         }
     }
 
-    fn add_to_trace(&mut self, kind: TraceEventKind, module: Option<&Arc<str>>, cycle: u64, span: &Span) {
+    fn add_to_trace(
+        &mut self,
+        kind: TraceEventKind,
+        module: Option<&Arc<str>>,
+        cycle: u64,
+        span: &Span,
+        causes: Vec<TraceCause>,
+    ) {
         if let Some(tracing) = &mut self.trace {
-            tracing.trace.add(kind, module, cycle, span);
+            tracing.trace.add(kind, module, cycle, span, causes);
         }
     }
 }
@@ -250,7 +267,7 @@ mod tests {
         inspector.processed();
         inspector.synced();
         if let Some(span) = span {
-            inspector.ran(meter, &Arc::from("a"), number, &span);
+            inspector.ran(meter, &Arc::from("a"), number, &span, Vec::new);
         }
         inspector.end(CycleInfo {
             cycle: number,

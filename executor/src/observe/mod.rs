@@ -29,4 +29,4 @@ pub use snapshot::{
 pub(crate) use span::{Measuring, Span, Stopwatch, spans_are_on};
 pub(crate) use timing::SharedTiming;
 pub use timing::{LoopTiming, Timing};
-pub use trace::{CycleTrace, TraceEvent, TraceEventKind};
+pub use trace::{CycleTrace, TraceCause, TraceEvent, TraceEventKind};

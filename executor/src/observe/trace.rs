@@ -1,6 +1,7 @@
 //! A trace of a few cycles: which module ran when and on which thread.
 
 use std::cmp::Reverse;
+use std::fmt;
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::thread::ThreadId;
@@ -25,10 +26,12 @@ pub struct CycleTrace {
 
 /// Something that took time.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct TraceEvent {
     /// What it was.
     pub kind: TraceEventKind,
     /// The module that ran; nothing for a phase of the cycle.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "optional_text"))]
     pub module: Option<Arc<str>>,
     /// Where: an index of [`CycleTrace::threads`].
     pub thread: usize,
@@ -38,10 +41,62 @@ pub struct TraceEvent {
     pub begin_ns: u64,
     /// When it ended, in nanoseconds since the core's start.
     pub end_ns: u64,
+    /// Why the module ran; empty for a phase of the cycle.
+    pub causes: Vec<TraceCause>,
+}
+
+/// Why a module ran.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TraceCause {
+    /// It was its first run.
+    Start,
+    /// Messages of this topic.
+    Messages(Arc<str>),
+    /// A timer or a task was due.
+    Time,
+    /// A request to one of its services.
+    Request,
+    /// A response to a call of its own.
+    Response,
+    /// A setting changed.
+    Setting,
+    /// The result of a job.
+    Result,
+    /// It runs in every cycle, made a transition, or was paused until then.
+    Woken,
+}
+
+impl fmt::Display for TraceCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Start => "start",
+            Self::Messages(topic) => return write!(f, "message on {topic}"),
+            Self::Time => "timer",
+            Self::Request => "request",
+            Self::Response => "response",
+            Self::Setting => "setting",
+            Self::Result => "result of a job",
+            Self::Woken => "woken",
+        })
+    }
+}
+
+#[cfg(feature = "serde")]
+fn optional_text<S: serde::Serializer>(text: &Option<Arc<str>>, serializer: S) -> Result<S::Ok, S::Error> {
+    serde::Serialize::serialize(&text.as_deref(), serializer)
+}
+
+#[cfg(feature = "serde")]
+impl serde::Serialize for TraceCause {
+    /// As its text.
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
 }
 
 /// What an event of a trace is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
 pub enum TraceEventKind {
     /// A module's run inside a cycle.
     Run,
@@ -69,7 +124,14 @@ impl CycleTrace {
         Self { origin, threads: Vec::new(), events: Vec::new() }
     }
 
-    pub(crate) fn add(&mut self, kind: TraceEventKind, module: Option<&Arc<str>>, cycle: u64, span: &Span) {
+    pub(crate) fn add(
+        &mut self,
+        kind: TraceEventKind,
+        module: Option<&Arc<str>>,
+        cycle: u64,
+        span: &Span,
+        causes: Vec<TraceCause>,
+    ) {
         // The thread of a step that began before the trace was requested is not known.
         let Some(thread) = &span.thread else { return };
         if self.is_full() {
@@ -83,7 +145,15 @@ impl CycleTrace {
         });
         let since_origin = |time: Instant| nanoseconds(time.saturating_duration_since(self.origin));
         let (begin_ns, end_ns) = (since_origin(span.begin), since_origin(span.end));
-        self.events.push(TraceEvent { kind, module: module.cloned(), thread, cycle, begin_ns, end_ns });
+        self.events.push(TraceEvent {
+            kind,
+            module: module.cloned(),
+            thread,
+            cycle,
+            begin_ns,
+            end_ns,
+            causes,
+        });
     }
 
     pub(crate) fn is_full(&self) -> bool {
@@ -136,9 +206,11 @@ impl CycleTrace {
             let name = json_string(event.module.as_deref().unwrap_or(kind));
             let (ts, dur) = (Microseconds(event.begin_ns), Microseconds(event.end_ns - event.begin_ns));
             let (tid, cycle) = (event.thread + 1, event.cycle);
+            let causes: Vec<_> = event.causes.iter().map(TraceCause::to_string).collect();
+            let causes = json_string(&causes.join(", "));
             write!(
                 out,
-                r#",{{"name":{name},"cat":"{kind}","ph":"X","ts":{ts},"dur":{dur},"pid":{process},"tid":{tid},"args":{{"cycle":{cycle}}}}}"#
+                r#",{{"name":{name},"cat":"{kind}","ph":"X","ts":{ts},"dur":{dur},"pid":{process},"tid":{tid},"args":{{"cycle":{cycle},"causes":{causes}}}}}"#
             )?;
         }
         write!(out, "]}}")?;
@@ -177,10 +249,11 @@ mod tests {
         let there = there.unwrap().join().unwrap();
         let mut trace = CycleTrace::new(origin);
         let (motion, vision): (Arc<str>, Arc<str>) = (Arc::from("motion"), Arc::from("vision\\1"));
-        trace.add(TraceEventKind::Run, Some(&motion), 7, &span(1_000, 2_500, &here));
-        trace.add(TraceEventKind::Step, Some(&vision), 7, &span(5, 5_000_005, &there));
-        trace.add(TraceEventKind::Process, None, 7, &span(1_000, 2_500, &here));
-        trace.add(TraceEventKind::Sync, None, 7, &span(2_500, 2_501, &here));
+        let causes = vec![TraceCause::Messages("joint_states".into()), TraceCause::Time];
+        trace.add(TraceEventKind::Run, Some(&motion), 7, &span(1_000, 2_500, &here), causes);
+        trace.add(TraceEventKind::Step, Some(&vision), 7, &span(5, 5_000_005, &there), Vec::new());
+        trace.add(TraceEventKind::Process, None, 7, &span(1_000, 2_500, &here), Vec::new());
+        trace.add(TraceEventKind::Sync, None, 7, &span(2_500, 2_501, &here), Vec::new());
         trace.finish()
     }
 
@@ -208,6 +281,7 @@ mod tests {
         let run = complete.iter().find(|event| event["name"] == "motion").unwrap();
         assert_eq!((run["cat"].as_str(), run["ts"].as_f64()), (Some("run"), Some(1.0)));
         assert_eq!((run["dur"].as_f64(), run["args"]["cycle"].as_u64()), (Some(1.5), Some(7)));
+        assert_eq!(run["args"]["causes"], "message on joint_states, timer");
         let step = complete.iter().find(|event| event["name"] == "vision\\1").unwrap();
         assert_eq!((step["ts"].as_f64(), step["dur"].as_f64()), (Some(0.005), Some(5_000.0)));
         assert_ne!(step["tid"], run["tid"]);

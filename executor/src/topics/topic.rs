@@ -465,6 +465,12 @@ impl Topics {
         self.is_any_fresh
     }
 
+    /// The modules inside the cycle, by slot, that are given messages in the next process phase, and of which topics.
+    pub(crate) fn fresh(&self) -> impl Iterator<Item = (usize, &Arc<str>)> {
+        let carrying = self.entries.iter().filter(|entry| entry.users > 0 && entry.epoch == self.epoch);
+        carrying.flat_map(|entry| entry.attached.iter().map(|&slot| (slot, &entry.info.name)))
+    }
+
     /// The topics that carry messages to detached modules and outlets after the last sync phase, in the order in which these
     /// came.
     #[inline]

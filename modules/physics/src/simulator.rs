@@ -269,9 +269,10 @@ impl Settings {
             )?,
             seed: setup.read_only_setting("seed", 1_i64, "same seed, same noise and faults")?,
             faults: setup.read_only_setting("faults", Vec::<String>::new(), "as of darwin_op_emulator")?,
-            physics: setup.read_only_setting(
+            physics: setup.read_only_choice(
                 "physics",
-                "rapier".to_owned(),
+                "rapier",
+                &["rapier", "mujoco"],
                 "the engine: rapier, or mujoco if it is built in",
             )?,
             urdf: setup.read_only_setting(
@@ -281,9 +282,10 @@ impl Settings {
             )?,
             world: setup.read_only_setting("world", String::new(), "path of the world; empty: a floor")?,
             step_ms: setup.read_only_setting("step_ms", 4_i64, "step of the physics, 1 to 10")?,
-            posture: setup.read_only_setting(
+            posture: setup.read_only_choice(
                 "posture",
-                "standing".to_owned(),
+                "standing",
+                &["standing", "prone", "supine"],
                 "standing, prone or supine",
             )?,
             start: setup.read_only_setting("start", vec![0.0, 0.0, 0.0], "x and y, m; heading, degrees")?,

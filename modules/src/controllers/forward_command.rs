@@ -80,9 +80,10 @@ impl Module for ForwardCommandController {
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         self.joints = joint_names(setup, "joints", "names of the joints, in the order of the commands")?;
-        let key: Setting<String> = setup.read_only_setting(
+        let key: Setting<String> = setup.read_only_choice(
             "interface_name",
-            "position".to_owned(),
+            "position",
+            &["position", "velocity", "effort"],
             "what the commands are: position, velocity or effort",
         )?;
         self.interface = match setup.value(key).map(String::as_str) {
@@ -138,6 +139,6 @@ mod tests {
     #[test]
     fn an_unknown_interface_is_refused() {
         let refused = add(&mut core_at_zero().0, "torque").unwrap_err().to_string();
-        assert!(refused.contains("\"torque\" is none of position, velocity and effort"), "{refused}");
+        assert!(refused.contains("\"torque\" is none of position, velocity, effort"), "{refused}");
     }
 }

@@ -196,9 +196,10 @@ impl SettingKeys {
                 "per joint in the order of the ids, added to goals and taken off positions, to make up for how the \
                  unit was built; 1 tick is 0.088 degrees; empty for none",
             )?,
-            board: setup.read_only_setting(
+            board: setup.read_only_choice(
                 "board",
-                "cm730".to_owned(),
+                "cm730",
+                &["cm730", "cm740"],
                 "cm730, or cm740 of the OP2, which has another scale and other axes of the IMU",
             )?,
             gyro_axes: setup.read_only_setting(

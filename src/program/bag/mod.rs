@@ -17,6 +17,8 @@ pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;
 mod select;
+#[cfg(feature = "view")]
+pub(super) mod view;
 
 use std::path::Path;
 

@@ -19,7 +19,7 @@ use tracing_subscriber::registry::LookupSpan;
 use super::screen::Screen;
 use crate::bridge::rosout::{LogLine, LoggerLevels, LoggerNames, Rosout, Severity};
 use crate::robot::{LogArguments, LogLevel, RobotFile};
-use crate::running::NodeLog;
+use crate::running::{LogTail, NodeLog};
 pub(crate) use environment::Stream;
 use environment::{Colors, LogOptions};
 use file::LogFile;
@@ -52,6 +52,7 @@ impl Log {
                 rosout: Rosout::new(),
                 levels: LoggerLevels::starting_at(start_of(given.as_deref().unwrap_or(DEFAULT))),
                 names: LoggerNames::new(PROGRAM),
+                tail: LogTail::default(),
             },
             file: options.file.as_deref().map(LogFile::create).transpose()?,
         };
@@ -72,6 +73,7 @@ impl Log {
             format: options.format.clone(),
             file: log.file.clone(),
             rosout: log.of_node.rosout.clone(),
+            tail: log.of_node.tail.clone(),
         };
         tracing_subscriber::registry().with(layer).try_init().context("cannot start the log")?;
         if let Some(error) = problem {
@@ -140,6 +142,7 @@ struct LogLayer {
     format: Format,
     file: Option<LogFile>,
     rosout: Rosout,
+    tail: LogTail,
 }
 
 /// Standard error or output, above the status block.
@@ -189,6 +192,7 @@ where
             if let Some(file) = &self.file {
                 file.write(plain(&self.format, &line, &logger));
             }
+            self.tail.push(line.clone(), &logger);
             self.rosout.log(line);
         }
     }

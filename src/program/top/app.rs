@@ -13,6 +13,7 @@ use ratatui::text::{Line, Text};
 use ratatui::widgets::{Cell, Paragraph, Row, Table, Tabs};
 use ratatui::{DefaultTerminal, Frame};
 
+use super::graph;
 use super::grid::{Grid, Sort, summary};
 
 const REFRESH: Duration = Duration::from_millis(500);
@@ -45,21 +46,26 @@ fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> 
                 Some(Action::Resume) => client.resume()?,
                 Some(Action::Step) => client.step()?,
                 // No request to the robot: only the display changes.
-                None => continue,
+                None if !app.lacks_graph() => continue,
+                None => {}
             }
+        }
+        if app.tab == Tab::Graph {
+            app.graph = Some(graph::lines(&client.graph()?));
         }
         app.update(client.snapshot()?);
         next_update = Instant::now() + REFRESH;
     }
 }
 
-/// The tables, one of which is shown.
+/// The tables and the graph, one of which is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Tab {
     #[default]
     Modules,
     Topics,
     Outlets,
+    Graph,
 }
 
 /// An action triggered by a key.
@@ -80,17 +86,24 @@ pub(crate) struct App {
     sort: Sort,
     /// The number of rows above the first visible one.
     scrolled: usize,
+    /// The lines of the graph, once they were read.
+    graph: Option<Vec<String>>,
 }
 
 impl App {
     /// Shows average rates since the robot's start until there is a second snapshot.
     pub(crate) fn new(robot: String, snapshot: Snapshot) -> Self {
         let earlier = Snapshot::default();
-        Self { robot, earlier, later: snapshot, tab: Tab::default(), sort: Sort::default(), scrolled: 0 }
+        let (tab, sort) = (Tab::default(), Sort::default());
+        Self { robot, earlier, later: snapshot, tab, sort, scrolled: 0, graph: None }
     }
 
     pub(crate) fn update(&mut self, snapshot: Snapshot) {
         self.earlier = std::mem::replace(&mut self.later, snapshot);
+    }
+
+    fn lacks_graph(&self) -> bool {
+        self.tab == Tab::Graph && self.graph.is_none()
     }
 
     pub(crate) fn press(&mut self, key: KeyEvent) -> Option<Action> {
@@ -101,15 +114,18 @@ impl App {
             KeyCode::Char('p') => return Some(Action::Pause),
             KeyCode::Char('n') if self.later.is_paused => return Some(Action::Step),
             KeyCode::Char('s') => self.sort = self.sort.next(),
+            KeyCode::Char('g') => self.show(if self.tab == Tab::Graph { Tab::Modules } else { Tab::Graph }),
             KeyCode::Tab => self.show(match self.tab {
                 Tab::Modules => Tab::Topics,
                 Tab::Topics => Tab::Outlets,
-                Tab::Outlets => Tab::Modules,
+                Tab::Outlets => Tab::Graph,
+                Tab::Graph => Tab::Modules,
             }),
             KeyCode::BackTab => self.show(match self.tab {
-                Tab::Modules => Tab::Outlets,
+                Tab::Modules => Tab::Graph,
                 Tab::Topics => Tab::Modules,
                 Tab::Outlets => Tab::Topics,
+                Tab::Graph => Tab::Outlets,
             }),
             KeyCode::Down => self.scrolled = (self.scrolled + 1).min(self.rows().saturating_sub(1)),
             KeyCode::Up => self.scrolled = self.scrolled.saturating_sub(1),
@@ -137,19 +153,29 @@ impl App {
             format!("modules {}", modules.len()),
             format!("topics {}", topics.len()),
             format!("outlets {}", outlets.len()),
+            "graph".to_owned(),
         ];
         let selected = match self.tab {
             Tab::Modules => 0,
             Tab::Topics => 1,
             Tab::Outlets => 2,
+            Tab::Graph => 3,
         };
         frame.render_widget(Tabs::new(titles).select(selected), tabs);
-        self.draw_table(frame, table);
+        match self.grid() {
+            Some(grid) => self.draw_table(grid, frame, table),
+            None => self.draw_graph(frame, table),
+        }
         frame.render_widget(Paragraph::new(self.keys()).style(Style::new().dim()), keys);
     }
 
-    fn draw_table(&self, frame: &mut Frame<'_>, area: Rect) {
-        let grid = self.grid().fitting(usize::from(area.width));
+    fn draw_graph(&self, frame: &mut Frame<'_>, area: Rect) {
+        let lines = self.graph.iter().flatten().skip(self.scrolled);
+        frame.render_widget(Text::from_iter(lines.map(|line| Line::from(line.as_str()))), area);
+    }
+
+    fn draw_table(&self, grid: Grid, frame: &mut Frame<'_>, area: Rect) {
+        let grid = grid.fitting(usize::from(area.width));
         let alignment = |column| if grid.is_left(column) { Alignment::Left } else { Alignment::Right };
         let cell =
             |(column, text): (usize, String)| Cell::from(Text::from(text).alignment(alignment(column)));
@@ -168,7 +194,7 @@ impl App {
 
     fn keys(&self) -> String {
         let pause = if self.later.is_paused { "p resume  n next cycle" } else { "p pause" };
-        format!("q quit  tab table  s sort: {}  {pause}  ↑↓ scroll", self.sort.name())
+        format!("q quit  tab table  g graph  s sort: {}  {pause}  ↑↓ scroll", self.sort.name())
     }
 
     fn rows(&self) -> usize {
@@ -176,15 +202,19 @@ impl App {
             Tab::Modules => self.later.modules.len(),
             Tab::Topics => self.later.topics.len(),
             Tab::Outlets => self.later.outlets.len(),
+            Tab::Graph => self.graph.as_ref().map_or(0, Vec::len),
         }
     }
 
-    fn grid(&self) -> Grid {
-        match self.tab {
-            Tab::Modules => Grid::of_modules(&self.earlier, &self.later, self.sort),
-            Tab::Topics => Grid::of_topics(&self.earlier, &self.later, self.sort),
-            Tab::Outlets => Grid::of_outlets(&self.earlier, &self.later, self.sort),
-        }
+    /// The table; `None` for the graph.
+    fn grid(&self) -> Option<Grid> {
+        let table = match self.tab {
+            Tab::Modules => Grid::of_modules,
+            Tab::Topics => Grid::of_topics,
+            Tab::Outlets => Grid::of_outlets,
+            Tab::Graph => return None,
+        };
+        Some(table(&self.earlier, &self.later, self.sort))
     }
 }
 
@@ -223,7 +253,7 @@ mod tests {
         assert_eq!(screen[..3], summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), 130));
         assert!(screen[3].contains("modules 3") && screen[3].contains("topics 2"), "{screen:#?}");
         assert_eq!(screen[4..8], expected_tables.lines().collect::<Vec<_>>());
-        assert_eq!(screen[9], "q quit  tab table  s sort: order  p pause  ↑↓ scroll");
+        assert_eq!(screen[9], "q quit  tab table  g graph  s sort: order  p pause  ↑↓ scroll");
     }
 
     #[test]
@@ -240,6 +270,20 @@ mod tests {
             press(&mut app, KeyCode::Down);
         }
         assert!(screen(&app, 130, 10)[5].starts_with("joint_states"));
+    }
+
+    #[test]
+    fn the_graph_is_shown_by_its_key_and_scrolls() {
+        let mut app = app();
+        press(&mut app, KeyCode::Char('g'));
+        assert!(app.lacks_graph(), "it is read when it is needed");
+        let lines = graph::lines(&graph::tests::graph());
+        app.graph = Some(lines.clone());
+        assert_eq!(screen(&app, 130, 12)[4..11], lines);
+        press(&mut app, KeyCode::Down);
+        assert_eq!(screen(&app, 130, 12)[4..10], lines[1..]);
+        press(&mut app, KeyCode::Char('g'));
+        assert_eq!(app.tab, Tab::Modules);
     }
 
     #[test]
@@ -260,11 +304,11 @@ mod tests {
         for width in [60, 80, 100] {
             let mut app = app();
             for _ in 0..2 {
+                let Some(grid) = app.grid() else { continue };
                 let screen = screen(&app, width, 14);
                 let head = screen.iter().position(|line| line.contains("modules 3")).unwrap();
                 let whole = summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), usize::MAX);
                 assert_eq!(screen[..head].join("   "), whole.join("   "));
-                let grid = app.grid();
                 let shown: Vec<_> =
                     screen[head + 1].split("  ").filter(|heading| !heading.is_empty()).collect();
                 let is_all = shown.len() == grid.headings.len();

@@ -2,6 +2,8 @@
 
 #[cfg(feature = "top")]
 mod app;
+#[cfg(feature = "top")]
+mod graph;
 // Sorting and highlighting are only used by the screen.
 #[cfg_attr(not(feature = "top"), allow(dead_code))]
 mod grid;

@@ -28,6 +28,8 @@ pub use source::RobotFileError;
 pub(crate) use source::{Given, ParameterPlace, Place, Source, toml_string};
 pub(crate) use table::list_of;
 use table::{Table, Value};
+#[cfg(all(feature = "cli", feature = "view"))]
+pub(crate) use view::FOXGLOVE_PORT;
 pub use view::{ViewAccess, ViewEntry};
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -60,7 +62,7 @@ pub struct RobotFile {
     /// How a bag of the robot is replayed.
     pub replay: ReplaySection,
     /// The server for Foxglove, Lichtblick and PlotJuggler; `None` for no server.
-    pub view: Option<ViewEntry>,
+    pub view: ViewEntry,
 }
 
 /// A value and its line.
@@ -88,9 +90,14 @@ impl RobotFile {
     /// Returns an error with path and line if the file, or a parameter file, cannot be read or is invalid;
     /// also if an argument is invalid.
     pub fn read_with(path: &Path, catalog: &Catalog, arguments: &RosArgs) -> Result<Self> {
-        let (mut file, parameter_files) = Self::parse(Source::read(path, "robot file")?, catalog)?;
+        Self::read_from(Source::read(path, "robot file")?, catalog, arguments)
+    }
+
+    /// Reads a text as the file that is, or will be, at the path of the source.
+    pub(crate) fn read_from(source: Source, catalog: &Catalog, arguments: &RosArgs) -> Result<Self> {
+        let folder = source.path().parent().map(Path::to_owned).unwrap_or_default();
+        let (mut file, parameter_files) = Self::parse(source, catalog)?;
         file.apply_names(arguments);
-        let folder = path.parent().map(Path::to_owned).unwrap_or_default();
         for Located { line, value: name } in parameter_files {
             file.set_from_parameter_file(&folder.join(name)).map_err(|error| match error {
                 RobotFileError::Unreadable { .. } => file.source.error(line, error.to_string()),
@@ -128,7 +135,7 @@ impl RobotFile {
         let expose = expose.transpose()?.unwrap_or_default();
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
-        let view = root.take("view").map_or(Ok(None), view::view)?;
+        let view = root.take("view").map_or(Ok(ViewEntry::default()), view::view)?;
         root.finish()?;
         let file = Self {
             source,

@@ -1,4 +1,4 @@
-//! `[view]`: the server for Foxglove, Lichtblick and PlotJuggler.
+//! `[view]`: the server for Foxglove, Lichtblick and PlotJuggler, and for the page of our own.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
@@ -13,8 +13,12 @@ use super::{Result, choice};
 pub struct ViewEntry {
     /// The address on which it listens.
     pub address: IpAddr,
-    /// The port; 0 for a free one.
-    pub port: u16,
+    /// The port for Foxglove, Lichtblick and PlotJuggler, if they are served; 0 for a free one.
+    pub foxglove: Option<u16>,
+    /// The page, if it is served, and its port; `None` for the usual one, or a free one where that is in use.
+    pub page: Option<Option<u16>>,
+    /// Names of the machine under which browsers open the page, besides `localhost` and addresses.
+    pub hosts: Vec<String>,
     /// The topics that it shows; `None` for all.
     pub topics: Option<Vec<TopicPattern>>,
     /// Who may change the robot.
@@ -37,11 +41,13 @@ pub enum ViewAccess {
 }
 
 impl Default for ViewEntry {
-    /// All topics, for viewers on this machine, which need a random token to change the robot.
+    /// All topics, for viewers on this machine, which need a random token to change the robot. Neither of the two is served.
     fn default() -> Self {
         Self {
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),
-            port: 8765,
+            foxglove: None,
+            page: None,
+            hosts: Vec::new(),
             topics: None,
             access: ViewAccess::Token,
             token: None,
@@ -50,18 +56,27 @@ impl Default for ViewEntry {
     }
 }
 
-/// Reads `[view]`: `foxglove = true`, or a table.
-pub(super) fn view(value: Value<'_>) -> Result<Option<ViewEntry>> {
+/// The port that Foxglove suggests.
+pub(crate) const FOXGLOVE_PORT: u16 = 8765;
+
+/// Reads `[view]`.
+pub(super) fn view(value: Value<'_>) -> Result<ViewEntry> {
     let mut table = value.table("[view]")?;
-    let foxglove = table.require("foxglove")?;
-    table.finish()?;
     let mut entry = ViewEntry::default();
-    let Some(mut table) = foxglove.as_table("foxglove") else {
-        let is_on = foxglove.flag().map_err(|_| foxglove.error("expected true, false or a table"))?;
-        return Ok(is_on.then_some(entry));
+    let mut door = |name: &'static str| match table.take(name) {
+        None => Ok(None),
+        Some(value) => match value.flag() {
+            Ok(is_on) => Ok(is_on.then_some(None)),
+            Err(_) => value
+                .number_in(0..=65535, "true, false or a port from 0 to 65535")
+                .map(|port| Some(Some(port))),
+        },
     };
-    if let Some(value) = table.take("port") {
-        entry.port = value.number_in(0..=65535, "a port from 0 to 65535")?;
+    entry.foxglove = door("foxglove")?.map(|port| port.unwrap_or(FOXGLOVE_PORT));
+    entry.page = door("page")?;
+    if let Some(value) = table.take("hosts") {
+        let host = |value: Value<'_>| value.text().map(str::to_owned);
+        entry.hosts = value.list()?.into_iter().map(host).collect::<Result<_>>()?;
     }
     if let Some(value) = table.take("address") {
         let text = value.text()?;
@@ -97,7 +112,7 @@ pub(super) fn view(value: Value<'_>) -> Result<Option<ViewEntry>> {
         }
     }
     table.finish()?;
-    Ok(Some(entry))
+    Ok(entry)
 }
 
 #[cfg(test)]
@@ -108,46 +123,48 @@ mod tests {
     use crate::robot::{Catalog, RobotFile};
     use std::path::Path;
 
-    fn read(view: &str) -> Result<Option<ViewEntry>> {
-        let text = format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n[view]\n{view}");
+    fn read(view: &str) -> Result<ViewEntry> {
+        let text = format!("[robot]\nname = \"r\"\n[[module]]\nkind = \"stand_nod_wave\"\n{view}");
         let source = Source::new(Path::new("robots/robot.toml"), text);
         RobotFile::parse(source, &Catalog::built_in()).map(|(file, _)| file.view)
     }
 
     #[test]
-    fn a_server_is_asked_for_with_one_word_or_a_table() {
-        assert!(read("foxglove = false").unwrap().is_none());
-        let usual = read("foxglove = true").unwrap().unwrap();
-        assert_eq!(
-            (usual.port, usual.address.to_string(), usual.access),
-            (8765, "127.0.0.1".into(), ViewAccess::Token)
-        );
+    fn a_server_is_asked_for_with_one_word_or_a_port() {
+        for nothing in ["", "[view]", "[view]\nfoxglove = false\npage = false"] {
+            let entry = read(nothing).unwrap();
+            assert_eq!((entry.foxglove, entry.page), (None, None));
+        }
+        let usual = read("[view]\nfoxglove = true\npage = true").unwrap();
+        assert_eq!((usual.foxglove, usual.page), (Some(8765), Some(None)));
+        assert_eq!((usual.address.to_string(), usual.access), ("127.0.0.1".into(), ViewAccess::Token));
         let given = read(
-            "[view.foxglove]\nport = 9000\naddress = \"0.0.0.0\"\ntopics = [\"joint_states\", \"camera/**\"]\n\
-             token = \"my-own-secret\"\npackages = { my_robot = \"meshes\" }",
+            "[view]\nfoxglove = 9000\npage = 9001\naddress = \"0.0.0.0\"\nhosts = [\"robot.local\"]\n\
+             topics = [\"joint_states\", \"camera/**\"]\ntoken = \"my-own-secret\"\npackages = { my_robot = \"meshes\" }",
         );
-        let given = given.unwrap().unwrap();
-        assert_eq!((given.port, given.address.to_string()), (9000, "0.0.0.0".into()));
+        let given = given.unwrap();
+        assert_eq!((given.foxglove, given.page), (Some(9000), Some(Some(9001))));
+        assert_eq!(
+            (given.address.to_string(), given.hosts),
+            ("0.0.0.0".into(), vec!["robot.local".to_owned()])
+        );
         assert!(given.topics.unwrap()[1].matches("camera/left/image"));
         assert_eq!(given.token.as_deref(), Some("my-own-secret"));
         assert_eq!(given.packages, [("my_robot".to_owned(), PathBuf::from("robots/meshes"))]);
-        assert_eq!(
-            read("foxglove = { access = \"read_only\" }").unwrap().unwrap().access,
-            ViewAccess::ReadOnly
-        );
+        assert_eq!(read("[view]\naccess = \"read_only\"").unwrap().access, ViewAccess::ReadOnly);
     }
 
     #[test]
     fn errors_contain_the_line() {
         for (view, words) in [
-            ("foxglov = true", "[view] needs \"foxglove\""),
-            ("foxglove = 1", "expected true, false or a table"),
-            ("foxglove = { port = 70000 }", "a port from 0 to 65535"),
-            ("foxglove = { address = \"robot\" }", "is no IP address"),
-            ("foxglove = { access = \"all\" }", "unknown choice \"all\""),
-            ("foxglove = { access = \"open\", token = \"12345678\" }", "only with access"),
+            ("foxglov = true", "foxglov"),
+            ("foxglove = \"yes\"", "expected true, false or a port"),
+            ("page = 70000", "a port from 0 to 65535"),
+            ("address = \"robot\"", "is no IP address"),
+            ("access = \"all\"", "unknown choice \"all\""),
+            ("access = \"open\"\ntoken = \"12345678\"", "only with access"),
         ] {
-            let error = read(view).unwrap_err().to_string();
+            let error = read(&format!("[view]\n{view}")).unwrap_err().to_string();
             assert!(error.starts_with("robots/robot.toml:") && error.contains(words), "{error}");
         }
     }

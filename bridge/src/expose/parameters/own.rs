@@ -37,5 +37,5 @@ fn of_qos<'a>(topic: &'a str, entity: &'a str, qos: &QosProfile) -> impl Iterato
 
 fn parameter(name: &str, description: &str, value: SettingValue, is_read_only: bool) -> SettingInfo {
     let (name, description) = (name.to_owned(), description.to_owned());
-    SettingInfo { name, description, value, range: None, is_read_only }
+    SettingInfo { name, description, value, range: None, choices: Vec::new(), is_read_only }
 }

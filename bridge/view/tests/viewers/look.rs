@@ -164,9 +164,9 @@ fn the_time_of_a_simulated_robot_is_the_time_of_its_viewers() {
     let clock = ManualClock::new(Time::from_nanos(1_000_000_000));
     let mut core = Core::new().with_clock(clock.clone());
     let mut options = ViewOptions::new("simulated").unwrap();
-    (options.port, options.time) = (0, ViewTime::Core);
+    (options.foxglove, options.time) = (Some(0), ViewTime::Core);
     let server = ViewServer::start(&mut core, &Interfaces::carried(), options).unwrap();
-    let mut viewer = Viewer::connect(server.address(), "/").unwrap();
+    let mut viewer = Viewer::connect(server.foxglove_address().unwrap(), "/").unwrap();
     assert!(viewer.info["capabilities"].as_array().unwrap().contains(&json!("time")));
     let time = |viewer: &mut Viewer| u64::from_le_bytes(viewer.binary(2).try_into().unwrap());
     assert_eq!(time(&mut viewer), 1_000_000_000);

@@ -65,7 +65,7 @@ pub fn robot(change: impl FnOnce(&mut ViewOptions)) -> Robot {
     let joint_states = core.inlet("joint_states").unwrap();
     let description = core.inlet("robot_description").unwrap();
     let mut options = ViewOptions::new("test robot").unwrap();
-    options.port = 0;
+    options.foxglove = Some(0);
     options.access = Access::Token(Token::new(TOKEN).unwrap());
     options.latched = vec![("robot_description".into(), 1)];
     options.packages = vec![("robot".into(), folder.path().to_owned())];
@@ -79,7 +79,7 @@ pub fn robot(change: impl FnOnce(&mut ViewOptions)) -> Robot {
 
 impl Robot {
     pub fn address(&self) -> SocketAddr {
-        self.server.as_ref().unwrap().address()
+        self.server.as_ref().unwrap().foxglove_address().unwrap()
     }
 
     /// A viewer with the token.
@@ -148,11 +148,20 @@ pub struct Viewer {
 impl Viewer {
     /// Connects, and reads what the server announces first.
     pub fn connect(address: SocketAddr, path: &str) -> Result<Self, String> {
-        let mut socket = open(address, path, "foxglove.websocket.v1")?;
-        let info = next_json(&mut socket)?;
-        let advertise = next_json(&mut socket)?;
+        Self::connect_as(address, path, "foxglove.websocket.v1")
+    }
+
+    /// Connects with this version of the protocol.
+    pub fn connect_as(address: SocketAddr, path: &str, protocol: &str) -> Result<Self, String> {
+        Ok(Self::of(open(address, path, protocol)?))
+    }
+
+    /// Reads what the server announces first.
+    pub fn of(mut socket: WebSocket<TcpStream>) -> Self {
+        let info = next_json(&mut socket).unwrap();
+        let advertise = next_json(&mut socket).unwrap();
         let channels = advertise["channels"].as_array().unwrap().clone();
-        Ok(Self { socket, info, channels, pending: VecDeque::new() })
+        Self { socket, info, channels, pending: VecDeque::new() }
     }
 
     pub fn send(&mut self, request: Value) {

@@ -20,7 +20,7 @@ use crate::topics::{AnyOutbox, Batch, Outboxes, Report, Subscriber, Topics, for_
 use crate::{
     AnyMessage, AnyPublication, AnyReceived, Context, Core, CoreHandle, Mechanism, MessageType, Module,
     ModuleChange, ModuleId, OutletStatistics, Port, Publication, Receipt, Received, Role, Setup, SetupError,
-    Step, SyncPhase, Time, TopicInfo, Version,
+    Step, SyncPhase, Time, TopicInfo, TraceCause, Version,
 };
 
 /// Messages from outside the cycle come first: those of inlets in the order in which the inlets were made, those of
@@ -191,7 +191,13 @@ impl Messages {
             meter.dropped(outcome.inputs.iter().map(|input| u64::from(input.skipped)).sum());
             if let Some(span) = &outcome.span {
                 let due = outcome.was_due.then_some(outcome.time);
-                state.inspector.stepped(meter, &module, cycle, span, due);
+                let causes = || {
+                    let received = outcome.inputs.iter().filter(|input| input.received > 0);
+                    let messages =
+                        received.map(|input| TraceCause::Messages(Arc::clone(topics.name(input.topic))));
+                    messages.chain(due.map(|_| TraceCause::Time)).collect()
+                };
+                state.inspector.stepped(meter, &module, cycle, span, due, causes);
             }
         }
         // An observer's steps are no input of the robot; and one that records steps would cause its next.

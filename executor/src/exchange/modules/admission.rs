@@ -4,7 +4,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crate::cycle::{CoreHost, CoreLife, DetachedModule, Member, Pause, Source};
-use crate::module::{Behaviour, Given, ModuleCell, ModuleIo, Place};
+use crate::exchange::settings::SettingsPort;
+use crate::exchange::timers::TimersPort;
+use crate::module::{Behaviour, Given, ModuleCell, ModuleIo, Place, SETTINGS, TIMERS};
 use crate::threads::{drop_guarded, end_of};
 use crate::{ModuleId, ModuleOptions, Restart, SetupError, SyncPhase, Synchrony};
 
@@ -31,9 +33,18 @@ pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(
         false => Place::Attached(stage.cells.free_slot()),
     };
     let (id, name, started) = (ModuleId { order, life: 0, place }, Arc::from(name), state.clock.now());
-    let uses = Vec::new();
-    let mut member =
-        Member { id, name, options, source, uses, restarts: 0, panics_in_a_row: 0, started, meter: None };
+    let mut member = Member {
+        id,
+        name,
+        options,
+        source,
+        uses: Vec::new(),
+        restarts: 0,
+        panics_in_a_row: 0,
+        started,
+        periods: Vec::new(),
+        meter: None,
+    };
     instate(phase, &mut member)?;
     phase.state.members.insert(member);
     Ok(())
@@ -72,9 +83,14 @@ fn set_up(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<ModuleCell, 
         Some(module) => module.set_up(&mut io, &mut host, uses, is_detached, given),
         None => Err(SetupError::NotRestartable(io.name.to_string())),
     });
-    let behaviour: Box<dyn Behaviour> = catch_unwind(set_up).unwrap_or_else(|panic| {
+    let set_up = catch_unwind(set_up).unwrap_or_else(|panic| {
         Err(SetupError::Panicked { module: member.name.to_string(), reason: end_of(panic) })
+    });
+    let behaviour: Box<dyn Behaviour> = set_up.inspect_err(|_| {
+        state.refused_settings =
+            io.look::<SettingsPort>(SETTINGS).map_or_else(Vec::new, SettingsPort::declared);
     })?;
+    member.periods = io.look::<TimersPort>(TIMERS).map_or_else(Vec::new, TimersPort::periods);
     let meter = member.meter.take().unwrap_or_else(|| state.inspector.module_meter());
     let watch =
         member.options.deadline.map(|deadline| state.watchdog.watch(Arc::clone(&member.name), deadline));

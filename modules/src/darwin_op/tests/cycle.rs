@@ -300,6 +300,6 @@ fn an_unknown_board_or_axis_is_refused() {
             ModuleOptions { settings: [(name.to_owned(), value)].into(), ..ModuleOptions::default() };
         core.add_with("darwin_op", DarwinOp::serial(), options).err().unwrap().to_string()
     };
-    assert!(refused("board", "cm750".to_owned().into()).contains("must be \"cm730\" or \"cm740\""));
+    assert!(refused("board", "cm750".to_owned().into()).contains("\"cm750\" is none of cm730, cm740"));
     assert!(refused("gyro_axes", "x up".to_owned().into()).contains("forward, left, up"));
 }

@@ -153,7 +153,7 @@ fn seconds_or_endless(text: &str) -> Result<Limit, String> {
 }
 
 /// In seconds as in `ros2 bag play`, or with a unit.
-fn seconds(text: &str) -> Result<Duration, String> {
+pub(super) fn seconds(text: &str) -> Result<Duration, String> {
     const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
     let duration = match text.parse::<f64>() {
         Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string()),

@@ -1,0 +1,190 @@
+// What the panels of the graph and the timeline compute. `node --test bridge/view/tests/page/data.test.mjs`
+
+import assert from 'node:assert/strict';
+import { test } from 'node:test';
+import { History, edgesOf, isDebug, isOwn, summary } from '../../page/panels/graph_data.js';
+import { Timeline, niceStep, publishersOf } from '../../page/panels/timeline_data.js';
+
+const times = (more = {}) => ({ count: 0, sum_ns: 0, p50_ns: 0, p99_ns: 0, max_ns: 0, ...more });
+const moduleOf = (more = {}) => ({
+  name: 'walk', state: 'active', is_detached: false, runs: 0, received: 0, published: 0, overruns: 0, panics: 0, restarts: 0, inbox: 0, dropped: 0,
+  run_time: times(), ...more,
+});
+const topicOf = (more = {}) => ({ name: 'imu', message_type: 'Imu', subscribers: 1, messages: 0, dropped: 0, largest_batch: 1, ...more });
+const snapshot = (seconds, { modules = [], topics = [], outlets = [] } = {}) => ({ uptime_ns: seconds * 1e9, cycle: 0, is_paused: false, modules, topics, outlets });
+
+test('rates are differences of two snapshots', () => {
+  const history = new History();
+  // Every fourth run is measured, and takes 2 ms.
+  history.add(snapshot(10, { modules: [moduleOf({ runs: 1000, run_time: times({ count: 250, sum_ns: 1e12 }) })], topics: [topicOf({ messages: 500, dropped: 3 })] }));
+  history.add(snapshot(12, { modules: [moduleOf({ runs: 1200, run_time: times({ count: 300, sum_ns: 1e12 + 50 * 2e6, p99_ns: 3e6 }) })], topics: [topicOf({ messages: 700, dropped: 7 })] }));
+  const walk = history.module('walk');
+  assert.deepEqual([walk.hz, walk.share, walk.isLong, walk.isOverrunning], [100, 0.2, false, false]);
+  assert.equal(summary(walk).text[0], '100 Hz · 20.0 % core');
+  const imu = history.topic('imu');
+  assert.deepEqual([imu.hz, imu.dropsPerSecond], [100, 2]);
+  assert.deepEqual([history.module('none'), history.topic('none'), history.outlet('none')], [null, null, null]);
+});
+
+test('the first snapshot has no rates yet', () => {
+  const history = new History();
+  history.add(snapshot(10, { modules: [moduleOf({ runs: 1000 })] }));
+  assert.equal(history.module('walk').hz, 0);
+});
+
+test('a robot that was started again begins from nothing', () => {
+  const history = new History();
+  history.add(snapshot(100, { modules: [moduleOf({ runs: 9000 })] }));
+  history.add(snapshot(1, { modules: [moduleOf({ runs: 10 })] }));
+  history.add(snapshot(3, { modules: [moduleOf({ runs: 30 })] }));
+  assert.equal(history.module('walk').hz, 10);
+});
+
+test('the history does not grow', () => {
+  const history = new History();
+  for (let look = 0; look < 5000; look += 1) history.add(snapshot(look / 2, { modules: [moduleOf({ runs: look })] }));
+  assert(history.looks.length < 30, `${history.looks.length}`);
+  assert.equal(history.shares('walk').length, 120);
+});
+
+test('a module that needs attention says so in a word', () => {
+  const history = new History();
+  const of = (more) => {
+    history.looks = [];
+    history.add(snapshot(0, { modules: [moduleOf()] }));
+    history.add(snapshot(2, { modules: [moduleOf({ runs: 250, ...more })] }));
+    return summary(history.module('walk'));
+  };
+  assert.deepEqual([of({}).badge, of({}).tone], [undefined, undefined]);
+  assert.equal(of({ overruns: 1 }).tone, 'late');
+  assert.equal(of({ run_time: times({ count: 250, sum_ns: 1e9, p99_ns: 9e6 }) }).badge, 'late', 'its 99th percentile is above its period of 8 ms');
+  assert.equal(of({ state: 'failed', overruns: 1 }).tone, 'failed');
+  assert.equal(of({ state: 'restarting' }).badge, 'restarting');
+  assert.equal(of({ state: 'paused' }).badge, 'held');
+  assert.equal(of({ state: 'unconfigured' }).badge, 'unconfigured');
+  assert.equal(of({ is_detached: true, dropped: 4 }).badge, 'drops');
+  assert.match(of({ is_detached: true, inbox: 7 }).text[0], /queue 7$/);
+});
+
+test('lateness is forgotten after a while', () => {
+  const history = new History();
+  for (let second = 0; second < 30; second += 1) history.add(snapshot(second, { modules: [moduleOf({ runs: second * 100, overruns: second < 3 ? 0 : 1 })] }));
+  assert.equal(summary(history.module('walk')).tone, undefined);
+});
+
+const graph = {
+  modules: [{ name: 'eye', is_detached: true }, { name: 'walk', is_detached: false }],
+  topics: ['image', 'a', 'b', 'c', 'executor/cycles', 'alone'].map((name) => ({ name, message_type: 'T' })),
+  services: [{ name: 'reset', request_type: 'R', response_type: 'S' }],
+  outlets: [{ name: 'bag' }],
+  edges: [
+    ...[0, 1, 2, 3].map((topic) => ({ publishes: { module: 0, topic } })),
+    ...[1, 2, 3].map((topic) => ({ subscribes: { module: 1, topic } })),
+    { publishes: { module: 1, topic: 4 } }, { leaves: { topic: 0, outlet: 0 } }, { calls: { module: 1, service: 0 } }, { serves: { module: 0, service: 0 } },
+  ],
+};
+const options = { mode: 'nodes', debug: false, outlets: true, services: true, group: false };
+const ids = ({ nodes }) => nodes.map(({ id }) => id).sort();
+const lines = ({ edges }) => edges.map(({ from, to, label }) => `${from} ${label ?? ''}> ${to}`).sort();
+
+test('topics as nodes', () => {
+  const shown = edgesOf(graph, options);
+  assert.deepEqual(ids(shown), ['m:eye', 'm:walk', 'o:bag', 's:reset', 't:a', 't:alone', 't:b', 't:c', 't:image']);
+  assert.equal(shown.edges.length, 10);
+  assert(edgesOf(graph, { ...options, debug: true }).nodes.some(({ id }) => id === 't:executor/cycles'));
+  assert(!ids(edgesOf(graph, { ...options, outlets: false, services: false })).some((id) => /^[os]:/.test(id)));
+});
+
+test('topics between the same modules as one node', () => {
+  const shown = edgesOf(graph, { ...options, group: true });
+  const grouped = shown.nodes.find(({ kind }) => kind === 'topics');
+  assert.deepEqual([grouped.title, grouped.topics], ['3 topics', ['a', 'b', 'c']]);
+  assert(ids(shown).includes('t:image'));
+});
+
+test('topics as labels of edges', () => {
+  const shown = edgesOf(graph, { ...options, mode: 'labels', services: false });
+  assert.deepEqual(ids(shown), ['m:eye', 'm:walk', 'o:bag', 't:alone']);
+  assert.deepEqual(lines(shown), ['m:eye 3 topics> m:walk', 'm:eye image> o:bag']);
+});
+
+test('modules that the program adds are shown on request', () => {
+  const { modules, topics, edges } = graph;
+  const more = { ...graph, modules: [...modules, { name: 'step_journal', is_detached: false }], topics: [...topics, { name: 'module_steps', message_type: 'T' }],
+    edges: [...edges, { subscribes: { module: 2, topic: 1 } }, { publishes: { module: 2, topic: 6 } }, { calls: { module: 2, service: 0 } }] };
+  assert.deepEqual(lines(edgesOf(more, options)), lines(edgesOf(graph, options)));
+  assert.equal(edgesOf(more, options).modules, 2);
+  assert.equal(edgesOf(more, { ...options, debug: true }).modules, 3);
+  assert(isOwn('bridge_services') && !isOwn('my_journal'));
+});
+
+test('topics about the program are told apart', () => {
+  assert.deepEqual(['executor/modules', 'bridge/statistics', 'rosout', 'parameter_events', 'robot/rosout'].map(isDebug), Array(5).fill(true));
+  assert.deepEqual(['joint_states', 'my_executor/x', 'bridges', 'rosout_agg'].map(isDebug), Array(4).fill(false));
+});
+
+// Two threads: `eye` runs by itself and publishes images; `walk` runs in cycles for them, then `legs` for the goals of `walk`.
+const trace = {
+  threads: ['main', 'eye'],
+  events: [
+    { kind: 'run', module: 'walk', thread: 0, cycle: 7, begin_ns: 1100, end_ns: 1300, causes: ['message on image', 'timer'] },
+    { kind: 'run', module: 'legs', thread: 0, cycle: 7, begin_ns: 1300, end_ns: 1400, causes: ['message on goals'] },
+    { kind: 'process', thread: 0, cycle: 7, begin_ns: 1000, end_ns: 1500 },
+    { kind: 'sync', thread: 0, cycle: 7, begin_ns: 1500, end_ns: 1600 },
+    { kind: 'step', module: 'eye', thread: 1, cycle: 7, begin_ns: 100, end_ns: 900 },
+    { kind: 'step', module: 'eye', thread: 1, cycle: 8, begin_ns: 950, end_ns: 2000 },
+  ],
+};
+const publishers = new Map([['image', ['eye']], ['goals', ['walk']]]);
+
+test('a lane per thread, the cycles first', () => {
+  const { lanes, cycles, begin, end, modules } = new Timeline(trace, publishers);
+  assert.deepEqual(lanes.map(({ name, phases, work }) => [name, phases.length, work.length]), [['main', 2, 2], ['eye', 0, 2]]);
+  assert.deepEqual([...cycles], [[7, { begin: 1000, end: 1600 }]]);
+  assert.deepEqual([begin, end, modules], [100, 2000, ['eye', 'legs', 'walk']]);
+});
+
+test('an arrow comes from the run that published the message', () => {
+  const timeline = new Timeline(trace, publishers);
+  const [walk] = timeline.byModule.get('walk');
+  const [legs] = timeline.byModule.get('legs');
+  assert.deepEqual(timeline.causesOf(walk).map(({ cause, topic }) => [cause.begin_ns, topic]), [[100, 'image']], 'not the step that still ran');
+  assert.deepEqual(timeline.chainOf(legs).map(({ cause }) => cause.module), ['walk', 'eye']);
+});
+
+test('modules that send each other messages are no endless chain', () => {
+  const events = [0, 1, 2, 3, 4].flatMap((n) => [
+    { kind: 'run', module: 'a', thread: 0, cycle: n, begin_ns: n * 10, end_ns: n * 10 + 2, causes: ['message on y'] },
+    { kind: 'run', module: 'b', thread: 0, cycle: n, begin_ns: n * 10 + 2, end_ns: n * 10 + 4, causes: ['message on x'] },
+  ]);
+  const timeline = new Timeline({ threads: ['main'], events }, new Map([['x', ['a']], ['y', ['b']]]));
+  assert.equal(timeline.chainOf(timeline.byModule.get('b')[4]).length, 9);
+});
+
+test('statistics count what is in view', () => {
+  const timeline = new Timeline(trace, publishers);
+  const of = (begin, end) => timeline.statistics(begin, end).map(({ module, runs, longest }) => [module, runs, longest]);
+  assert.deepEqual(of(0, 3000), [['eye', 2, 1050], ['walk', 1, 200], ['legs', 1, 100]]);
+  assert.deepEqual(of(1350, 1400), [['eye', 1, 1050], ['legs', 1, 100]]);
+});
+
+test('what is at a time', () => {
+  const timeline = new Timeline(trace, publishers);
+  const { work } = timeline.lanes[0];
+  assert.equal(timeline.at(work, 1250, 0).module, 'walk');
+  assert.equal(timeline.at(work, 1420, 30).module, 'legs');
+  assert.equal(timeline.at(work, 1700, 30), null);
+});
+
+test('a trace without events', () => {
+  const timeline = new Timeline({ threads: [], events: [] });
+  assert.deepEqual([timeline.lanes, timeline.statistics(0, 1)], [[], []]);
+});
+
+test('publishers come from the graph', () => {
+  assert.deepEqual([...publishersOf(graph)].slice(0, 2), [['image', ['eye']], ['a', ['eye']]]);
+});
+
+test('steps of an axis are round', () => {
+  assert.deepEqual([niceStep(100, 10), niceStep(120, 10), niceStep(999, 3), niceStep(1e9, 8)], [10, 20, 500, 2e8]);
+});

@@ -1,0 +1,78 @@
+//! `downbeat compose`
+
+use std::io::{BufRead, Write};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use serde_json::{Value, json};
+
+use super::cli::ComposeArguments;
+use super::stop::Stop;
+use crate::compose::{Composer, Runner};
+use crate::robot::Catalog;
+use crate::view::{Ask, Host, PageOptions, ViewOptions, ViewServer};
+
+pub(crate) fn compose(arguments: &ComposeArguments, catalog: &Catalog) -> anyhow::Result<()> {
+    let composer = Composer::open(&arguments.robot, catalog.clone(), runner()?)
+        .with_context(|| format!("cannot open {}", arguments.robot.display()))?;
+    if arguments.stdio { answer_lines(&composer) } else { serve(composer, arguments.port) }
+}
+
+/// This program, as it was started: in Python it is an interpreter with a script.
+fn runner() -> anyhow::Result<Runner> {
+    let program = std::env::current_exe().context("cannot find this program")?;
+    let is_interpreter = program.file_name().is_some_and(|name| name.to_string_lossy().starts_with("python"));
+    let line: Vec<String> = std::fs::read("/proc/self/cmdline")
+        .map(|line| {
+            line.split(|&byte| byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect()
+        })
+        .unwrap_or_else(|_| std::env::args().collect());
+    let script = line.into_iter().skip(1).take_while(|word| word != "compose");
+    Ok(Runner { program, arguments: script.filter(|_| is_interpreter).collect() })
+}
+
+/// Answers questions of the page.
+struct Editor(Composer);
+
+impl Host for Editor {
+    fn answer(&self, ask: Ask<'_>) -> Option<Result<Value, String>> {
+        Some(ask.check_access().and_then(|()| self.0.ask(ask.name, ask.arguments)))
+    }
+}
+
+const LOOK: Duration = Duration::from_millis(250);
+
+fn serve(composer: Composer, port: Option<u16>) -> anyhow::Result<()> {
+    let stop = Stop::new()?;
+    let path = composer.path().display().to_string();
+    let host: Arc<dyn Host> = Arc::new(Editor(composer));
+    let page = PageOptions { port, start: "compose.html", host: Some(host), ..PageOptions::default() };
+    let options = ViewOptions { foxglove: None, page: Some(page), ..ViewOptions::new("compose")? };
+    let server = ViewServer::start_page(options)?;
+    println!("{path}");
+    println!("open in a browser: {}", server.page_url().unwrap_or_default());
+    while !stop.is_due() {
+        stop.sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// Answers `{"id": …, "ask": …, …}` by `{"id": …, "ok": …}` or `{"id": …, "error": …}`, in the order of the questions.
+fn answer_lines(composer: &Composer) -> anyhow::Result<()> {
+    for line in std::io::stdin().lock().lines() {
+        let line = line.context("cannot read standard input")?;
+        let answer = match serde_json::from_str::<Value>(&line) {
+            Err(error) => json!({ "id": null, "error": format!("this is no JSON: {error}") }),
+            Ok(question) => {
+                let answer = composer.ask(question["ask"].as_str().unwrap_or_default(), &question);
+                match answer {
+                    Ok(ok) => json!({ "id": question["id"], "ok": ok }),
+                    Err(error) => json!({ "id": question["id"], "error": error }),
+                }
+            }
+        };
+        writeln!(std::io::stdout().lock(), "{answer}").context("cannot write standard output")?;
+    }
+    Ok(())
+}

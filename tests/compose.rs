@@ -1,0 +1,120 @@
+//! Kinds describe themselves, and robots are composed.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use common::{downbeat, output_of, text_of};
+use serde_json::{Value, json};
+
+fn described(arguments: &[&str]) -> Value {
+    let line = [&["describe", "--json"], arguments].concat();
+    let output = output_of(&line);
+    assert!(output.status.success(), "{line:?}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn refused(arguments: &[&str]) -> String {
+    let output = output_of(arguments);
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn kinds_describe_themselves() {
+    let all = described(&[]);
+    assert_eq!(all["schema"], 1);
+    assert!(all["kinds"].as_array().unwrap().len() > 10);
+    let one = described(&["joint_command_mux", "-p", "sources:=[walk, kick]"]);
+    let mux = &one["kinds"][0];
+    let received: Vec<_> = mux["ports"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|port| port["does"] == "subscribes")
+        .map(|port| (port["name"].as_str().unwrap(), port["type"].as_str().unwrap()))
+        .collect();
+    assert_eq!(received, [("walk", "sensor_msgs/msg/JointState"), ("kick", "sensor_msgs/msg/JointState")]);
+    let hold =
+        mux["settings"].as_array().unwrap().iter().find(|setting| setting["name"] == "hold_s").unwrap();
+    assert_eq!(
+        (&hold["type"], &hold["default"], &hold["range"]),
+        (&json!("double"), &json!(2.0), &json!([0.0, 3600.0]))
+    );
+
+    let text = text_of(&["describe", "forward_command"]);
+    for words in ["joints (required)", "its ports are not known", "names no joint"] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    let text = text_of(&["describe", "forward_command", "-p", "joints:=[left, right]"]);
+    for words in ["position | velocity | effort", "publishes     joint_commands", "forward_command/commands"]
+    {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    assert!(refused(&["describe", "gaits"]).contains("did you mean \"gait\"?"));
+    assert!(refused(&["describe", "-p", "a:=1"]).contains("name the kind"));
+    assert!(refused(&["describe", "gait", "-p", "period=1"]).contains("NAME:=VALUE"));
+}
+
+#[test]
+fn the_modules_of_a_robot_are_described_with_their_settings() {
+    let robot = described(&["--robot", "robots/so101.toml", "hardware"]);
+    let [hardware] = robot["modules"].as_array().unwrap().as_slice() else { panic!("{robot}") };
+    assert_eq!((&hardware["name"], &hardware["profile"]["kind"]), (&json!("hardware"), &json!("servo_bus")));
+    assert!(hardware["profile"].get("needs").is_none(), "{hardware}");
+    assert!(refused(&["describe", "--robot", "robots/so101.toml", "gait"]).contains("no module \"gait\""));
+}
+
+#[test]
+fn an_editor_asks_by_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.toml");
+    let mut editor = downbeat(&["compose", path.to_str().unwrap(), "--stdio"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut questions = editor.stdin.take().unwrap();
+    let mut answers = BufReader::new(editor.stdout.take().unwrap()).lines();
+    let mut ask = |question: &str| -> Value {
+        writeln!(questions, "{question}").unwrap();
+        serde_json::from_str(&answers.next().unwrap().unwrap()).unwrap()
+    };
+    let answer = ask(r#"{"id": 1, "ask": "edit", "edits": [{"op": "add_module", "kind": "imu_filter"}]}"#);
+    assert_eq!((&answer["id"], &answer["ok"]["revision"]), (&json!(1), &json!(1)));
+    assert!(ask("what?")["error"].as_str().unwrap().contains("no JSON"));
+    assert!(ask(r#"{"id": 2, "ask": "dance"}"#)["error"].as_str().unwrap().contains("\"dance\""));
+    assert_eq!(ask(r#"{"id": 3, "ask": "save"}"#)["ok"]["is_dirty"], false);
+    drop(questions);
+    assert!(editor.wait().unwrap().success());
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert!(text.contains("[[module]]\nname = \"imu_filter\"\nkind = \"imu_filter\""), "{text}");
+}
+
+/// A user composes a robot from nothing in a browser, checks, saves, runs, records and looks at it. Needs node modules and a
+/// browser, named by the variables `DOWNBEAT_NODE_MODULES` and `DOWNBEAT_CHROMIUM`.
+#[test]
+fn a_robot_is_composed_in_a_browser() {
+    let (Some(modules), Some(chromium)) =
+        (std::env::var_os("DOWNBEAT_NODE_MODULES"), std::env::var_os("DOWNBEAT_CHROMIUM"))
+    else {
+        eprintln!("skipped: DOWNBEAT_NODE_MODULES and DOWNBEAT_CHROMIUM are not set");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("bridge/view/tests/page/compose.mjs");
+    let status = Command::new("node")
+        .arg(script)
+        .arg(folder.path())
+        .env("DOWNBEAT", env!("CARGO_BIN_EXE_downbeat"))
+        .env("DOWNBEAT_NODE_MODULES", modules)
+        .env("DOWNBEAT_CHROMIUM", chromium)
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .status()
+        .unwrap();
+    assert!(status.success());
+}
