@@ -35,10 +35,11 @@ pub use file::{
     TopicChoice, ViewAccess, ViewEntry,
 };
 pub use kind::{Kind, ModuleSource};
-pub use profile::{
-    KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs, SettingProfile,
-};
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
+pub use profile::{
+    KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
+    SettingProfile,
+};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
 pub(crate) use sources::Sources;

@@ -107,7 +107,15 @@ impl Recordable {
         encoding: Encoding,
     ) -> Result<Vec<Outlet>, RecorderError> {
         let qos_of = |name: &str| self.qos.get(name).cloned().unwrap_or(QosProfile::DEFAULT);
-        recorder::record_while(core, recording, &self.topics, WhenFull::Lose, encoding, &self.interfaces, qos_of)
+        recorder::record_while(
+            core,
+            recording,
+            &self.topics,
+            WhenFull::Lose,
+            encoding,
+            &self.interfaces,
+            qos_of,
+        )
     }
 }
 

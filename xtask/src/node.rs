@@ -14,7 +14,9 @@ const MANIFESTS: [&str; 2] = ["package.json", "package-lock.json"];
 /// reports this and returns `None`: tests that need it are then skipped.
 pub(crate) fn modules() -> anyhow::Result<Option<PathBuf>> {
     if let Err(found) = find() {
-        eprintln!("xtask: {found}; the tests with @mcap/core, with @foxglove/ws-protocol and of the page are skipped");
+        eprintln!(
+            "xtask: {found}; the tests with @mcap/core, with @foxglove/ws-protocol and of the page are skipped"
+        );
         return Ok(None);
     }
     let source = workspace().join("bags/tests/node");

@@ -208,7 +208,7 @@ fn every_message_arrives_once_although_subscriptions_change() {
         poses.push(text);
         // The messages are read again from here, with another selection.
         let others = poses.len() as u32;
-        if others % 20 == 0 {
+        if others.is_multiple_of(20) {
             let channel = viewer.channel("/rare")["id"].clone();
             viewer.send(
                 json!({ "op": "subscribe", "subscriptions": [{ "id": 1 + others, "channelId": channel }] }),
