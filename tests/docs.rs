@@ -15,11 +15,12 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 16] = [
+const PAGES: [&str; 17] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
     "docs/darwin_op.md",
+    "docs/foxglove.md",
     "docs/libraries.md",
     "docs/look.md",
     "docs/look_inside.md",
@@ -35,7 +36,7 @@ const PAGES: [&str; 16] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 16] = [
+const ELSEWHERE: [&str; 17] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
