@@ -4,9 +4,9 @@
 mod common;
 
 use std::io::{BufRead, BufReader, Write};
-use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
+use common::browser::script;
 use common::{downbeat, output_of, text_of};
 use serde_json::{Value, json};
 
@@ -98,23 +98,8 @@ fn an_editor_asks_by_lines() {
 /// browser, named by the variables `DOWNBEAT_NODE_MODULES` and `DOWNBEAT_CHROMIUM`.
 #[test]
 fn a_robot_is_composed_in_a_browser() {
-    let (Some(modules), Some(chromium)) =
-        (std::env::var_os("DOWNBEAT_NODE_MODULES"), std::env::var_os("DOWNBEAT_CHROMIUM"))
-    else {
-        eprintln!("skipped: DOWNBEAT_NODE_MODULES and DOWNBEAT_CHROMIUM are not set");
-        return;
-    };
+    let Some(mut script) = script("compose.mjs") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("bridge/view/tests/page/compose.mjs");
-    let status = Command::new("node")
-        .arg(script)
-        .arg(folder.path())
-        .env("DOWNBEAT", env!("CARGO_BIN_EXE_downbeat"))
-        .env("DOWNBEAT_NODE_MODULES", modules)
-        .env("DOWNBEAT_CHROMIUM", chromium)
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .status()
-        .unwrap();
+    let status = script.arg(folder.path()).current_dir(env!("CARGO_MANIFEST_DIR")).status().unwrap();
     assert!(status.success());
 }

@@ -1,6 +1,7 @@
 //! Helpers of the tests: the program in a separate process, robot files, and real rclpy.
 #![allow(dead_code, clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+pub mod browser;
 #[path = "../../bridge/tests/common/hosts.rs"]
 pub mod hosts;
 #[path = "../../bridge/tests/common/matrix.rs"]

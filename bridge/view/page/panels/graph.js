@@ -22,7 +22,7 @@ const LONGEST_PREVIEW = 6000;
 /** How many fields of a topic are plotted at first. */
 const MOST_LINES = 8;
 /** @type {Options} */
-const DEFAULTS = { mode: 'nodes', debug: false, outlets: true, services: true, group: null, bar: false };
+const DEFAULTS = { mode: 'nodes', debug: false, outlets: true, services: false, group: null, bar: false };
 
 /** @type {import('../panel.js').Panel} */
 export default {

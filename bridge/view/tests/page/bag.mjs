@@ -34,7 +34,7 @@ const now = async () => BigInt(await page.evaluate(() => String(window.robot.pla
 const length = () => page.evaluate(() => Number(window.robot.playback.endNs - window.robot.playback.startNs) / 1e9);
 const bar = () => page.getByTestId('seek');
 const seek = async (part) => bar().fill(String(Math.round(Number(await bar().getAttribute('max')) * part)));
-const stamp = async () => /(\d+\.\d{9})/.exec(await page.getByTestId('message').evaluate((tree) => tree.textContent))?.[1];
+const stamp = async () => /(\d{10}\.\d{9})/.exec(await page.getByTestId('message').evaluate((tree) => tree.textContent))?.[1];
 
 test('the seek bar leads every panel to the messages of that time', async () => {
   await look(page, 'topics');

@@ -12,6 +12,7 @@ async function take(names, look_, wait) {
   const { page, close } = await open(browser, process.env.DOWNBEAT_PAGE, look_);
   for (const [view, name] of names) {
     await look(page, view);
+    if (view === 'topics') await page.getByTestId('topics').getByRole('button', { name: '/joint_states', exact: true }).click();
     await page.waitForTimeout(wait);
     await page.screenshot({ path: join(folder, `${name}.jpg`), type: 'jpeg', quality: 80 });
   }

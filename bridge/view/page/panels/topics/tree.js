@@ -12,6 +12,11 @@ const PREVIEW = 6;
 const isBranch = (value) => value !== null && typeof value === 'object';
 
 /** @param {any} value */
+const isTime = (value) => isBranch(value) && 'sec' in value && 'nanosec' in value;
+/** @param {{ sec: number, nanosec: number }} time */
+const timeText = ({ sec, nanosec }) => `${sec}.${String(nanosec).padStart(9, '0')}`;
+
+/** @param {any} value */
 function leafText(value) {
   if (typeof value === 'number') return Number.isFinite(value) ? String(Number(value.toPrecision(7))) : String(value);
   return typeof value === 'string' ? JSON.stringify(value) : String(value);
@@ -24,8 +29,9 @@ function preview(value) {
     const inside = Array.from(items.slice(0, PREVIEW), (item) => (isBranch(item) ? '…' : typeof item === 'string' ? item.slice(0, 20) : leafText(item))).join(', ');
     return `[${items.length}]  ${inside}${items.length > PREVIEW ? ', …' : ''}`;
   }
-  if ('sec' in value && 'nanosec' in value) return `${value.sec}.${String(value.nanosec).padStart(9, '0')}`;
-  return Object.entries(value).slice(0, 4).map(([key, inner]) => (isBranch(inner) ? key : `${key} ${leafText(inner)}`)).join('  ');
+  if (isTime(value)) return timeText(value);
+  const text = (/** @type {[string, any]} */ [key, inner]) => (isTime(inner) ? timeText(inner) : isBranch(inner) ? key : `${key} ${leafText(inner)}`);
+  return Object.entries(value).slice(0, 4).map(text).join('  ');
 }
 
 /** @param {string} key @param {any} first @param {boolean} [isOpen] @returns {Node_} */
