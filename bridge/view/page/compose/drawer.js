@@ -19,7 +19,7 @@ export function drawer(root, goTo) {
   const problems = h('div', { class: 'panel', id: 'tab-problems', role: 'tabpanel', 'aria-label': 'Problems' }, found);
   const output = h('div', { class: 'log', id: 'tab-output', role: 'tabpanel', 'aria-label': 'Output of the robot', tabIndex: 0, hidden: true });
   const count = h('span', { class: 'count' });
-  const tab = (/** @type {string} */ text, /** @type {string} */ panel, /** @type {...Node} */ ...more) => h('button', {
+  const tab = (/** @type {string} */ text, /** @type {string} */ panel, /** @type {Node[]} */ ...more) => h('button', {
     type: 'button', role: 'tab', 'aria-controls': panel, onclick: () => choose(panel) }, text, ...more);
   const tabs = [tab('Problems', 'tab-problems', count), tab('Output', 'tab-output')];
   const toggle = iconButton('left', 'Hide', () => { isByHand = true; root.classList.toggle('is-closed'); mark(); });
