@@ -145,4 +145,22 @@ fn a_screen_needs_a_terminal() {
     let _robot = Robot::start(folder.path());
     let (is_shown, text) = output(folder.path(), &["top"]);
     assert!(!is_shown && text.contains("--once"), "{text}");
+    let (is_shown, text) = output(folder.path(), &["top", "--plot", "joint_commands:position[0]"]);
+    assert!(!is_shown && text.contains("--once"), "{text}");
+}
+
+#[test]
+fn a_field_that_cannot_be_plotted_is_named_with_the_nearest_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let _robot = Robot::start(folder.path());
+    for (field, expected) in [
+        ("joint_comands:position[0]", "there is no topic \"joint_comands\", did you mean \"joint_commands\"?"),
+        ("joint_commands:positon[0]", "joint_commands has no number at positon[0]:"),
+        ("joint_commands:positon[0]", "did you mean `position`?"),
+        ("joint_commands:position", "it is an array: select an element, such as position[0]"),
+        ("joint_commands", "write TOPIC:FIELD, such as joint_states:position[3]"),
+    ] {
+        let (is_shown, text) = output(folder.path(), &["top", "--plot", field]);
+        assert!(!is_shown && text.contains(expected), "{field}: {text}");
+    }
 }

@@ -7,8 +7,9 @@ use std::time::Duration;
 use downbeat_executor::{Graph, Snapshot};
 use serde::de::DeserializeOwned;
 
-use super::{Answer, Request, RunningRobot};
+use super::{Answer, Request, RunningRobot, TopicValues};
 use crate::robot::EndpointReport;
+use crate::table::NumberField;
 
 /// How long an answer may take. Longer than the robot itself waits for the cycles of a trace.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -150,6 +151,40 @@ impl Client {
     /// Returns an error if the robot has ended or refuses the request.
     pub fn take_back(&mut self, topics: Vec<String>) -> Result<Vec<EndpointReport>, ClientError> {
         self.value_of(Request::TakeBack { topics })
+    }
+
+    /// Watches fields of a topic, and no others of it, until this client is dropped: paths of numbers such as `position[3]`, or
+    /// `position[head_tilt]` by the name of the element. Without fields, only [`numbers`](Self::numbers) are known of the topic.
+    ///
+    /// # Errors
+    /// Returns an error if the robot has ended or has no such topic or field.
+    pub fn watch(&mut self, topic: &str, fields: &[String]) -> Result<(), ClientError> {
+        self.value_of(Request::Watch { topic: topic.to_owned(), fields: fields.to_vec() })
+    }
+
+    /// Ends watching a topic.
+    ///
+    /// # Errors
+    /// Returns an error if the robot has ended.
+    pub fn unwatch(&mut self, topic: &str) -> Result<(), ClientError> {
+        self.value_of(Request::Unwatch { topic: topic.to_owned() })
+    }
+
+    /// Returns which numbers the latest message of a watched topic has; `None` if there was no message since it is watched.
+    ///
+    /// # Errors
+    /// Returns an error if the robot has ended or the topic is not watched.
+    pub fn numbers(&mut self, topic: &str) -> Result<Option<Vec<NumberField>>, ClientError> {
+        self.value_of(Request::Numbers { topic: topic.to_owned() })
+    }
+
+    /// Returns the values of all watched fields since the last call. The robot keeps
+    /// [`Watch::MOST_VALUES`](super::Watch::MOST_VALUES) of each.
+    ///
+    /// # Errors
+    /// Returns an error if the robot has ended.
+    pub fn values(&mut self) -> Result<Vec<TopicValues>, ClientError> {
+        self.value_of(Request::Values)
     }
 
     fn value_of<T: DeserializeOwned>(&mut self, request: Request) -> Result<T, ClientError> {

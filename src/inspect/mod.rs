@@ -40,6 +40,7 @@
 mod client;
 mod directory;
 mod server;
+mod watch;
 
 use std::time::Duration;
 
@@ -51,6 +52,7 @@ use crate::robot::EndpointReport;
 pub use client::{Client, ClientError};
 pub use directory::{ClaimError, DirectoryError, NodeClaim, RunningRobot, SocketDirectory};
 pub use server::{InspectionServer, ServerError};
+pub use watch::{FieldValues, TopicValues, Watch};
 
 /// A request of a client, for example `{"request":"snapshot"}` or `{"request":"trace","cycles":10}`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,6 +88,27 @@ pub enum Request {
         /// Names of topics in ROS 2 or in the robot, or patterns.
         topics: Vec<String>,
     },
+    /// Watches fields of a topic, and no others of it, until the client disconnects. Answered with `null`. The robot reads its
+    /// messages only while they are watched.
+    Watch {
+        /// The topic in the robot.
+        topic: String,
+        /// Paths of numbers, such as `position[3]`, or `position[head_tilt]` by the name of the element; see [`Watch::watch`].
+        fields: Vec<String>,
+    },
+    /// Ends watching a topic. Answered with `null`.
+    Unwatch {
+        /// The topic.
+        topic: String,
+    },
+    /// Requests which numbers the latest message of a watched topic has. Answered with a list of
+    /// [`NumberField`](crate::table::NumberField)s, or `null` if there was no message since it is watched.
+    Numbers {
+        /// The topic.
+        topic: String,
+    },
+    /// Requests the values of the watched fields since the last such request. Answered with a list of [`TopicValues`].
+    Values,
 }
 
 impl Request {
@@ -172,6 +195,14 @@ pub trait Inspected: Send + Sync + 'static {
     fn take_back(&self, _topics: &[String]) -> Result<Vec<EndpointReport>, String> {
         Err(NO_NODE.to_owned())
     }
+
+    /// Returns a watch for a client, which watches nothing yet.
+    ///
+    /// # Errors
+    /// Returns a message if the topics of the robot cannot be watched.
+    fn watch(&self) -> Result<Watch, String> {
+        Err("its topics cannot be watched".to_owned())
+    }
 }
 
 const NO_NODE: &str = "it runs without a ROS 2 node";
@@ -227,6 +258,9 @@ mod tests {
         assert_eq!(of(r#"{"request":"trace","cycles":10}"#), Some(Request::Trace { cycles: 10 }));
         assert_eq!(of(r#"{"request":"trace"}"#), None);
         assert_eq!(of(r#"{"request":"explode"}"#), None);
+        let (topic, fields) = ("joint_states".to_owned(), vec!["position[3]".to_owned()]);
+        let watch = r#"{"request":"watch","topic":"joint_states","fields":["position[3]"]}"#;
+        assert_eq!(of(watch), Some(Request::Watch { topic, fields }));
     }
 
     #[test]

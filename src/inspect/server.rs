@@ -14,7 +14,7 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use serde_json::value::{RawValue, to_raw_value};
 
-use super::{Answer, Inspected, LONGEST_REQUEST, Request, SocketDirectory};
+use super::{Answer, Inspected, LONGEST_REQUEST, Request, SocketDirectory, Watch};
 
 /// How many clients may be connected at a time.
 const MOST_CLIENTS: usize = 16;
@@ -184,6 +184,8 @@ fn attend(number: u64, stream: UnixStream, shared: &Arc<Shared>) -> io::Result<(
 /// Answers the requests of a client until it disconnects.
 fn converse(stream: &UnixStream, shared: &Shared) -> io::Result<()> {
     let mut lines = BufReader::new(stream);
+    // Ends with the connection.
+    let mut watch = None;
     loop {
         let mut line = Vec::new();
         if (&mut lines).take(LONGEST_REQUEST).read_until(b'\n', &mut line)? == 0 {
@@ -193,13 +195,13 @@ fn converse(stream: &UnixStream, shared: &Shared) -> io::Result<()> {
             let refusal = format!("a request must be a line of fewer than {LONGEST_REQUEST} bytes");
             return write_line(stream, &Answer::Error(refusal));
         }
-        write_line(stream, &answer(&line, &*shared.robot))?;
+        write_line(stream, &answer(&line, &*shared.robot, &mut watch))?;
     }
 }
 
-fn answer(line: &[u8], robot: &dyn Inspected) -> Answer {
+fn answer(line: &[u8], robot: &dyn Inspected, watch: &mut Option<Watch>) -> Answer {
     let answered = match serde_json::from_slice(line) {
-        Ok(request) => carry_out(request, robot),
+        Ok(request) => carry_out(request, robot, watch),
         Err(error) => {
             Err(format!("\"{}\" is not a request: {error}", String::from_utf8_lossy(line).trim_end()))
         }
@@ -207,7 +209,11 @@ fn answer(line: &[u8], robot: &dyn Inspected) -> Answer {
     answered.map_or_else(Answer::Error, Answer::Ok)
 }
 
-fn carry_out(request: Request, robot: &dyn Inspected) -> Result<Box<RawValue>, String> {
+fn carry_out(
+    request: Request,
+    robot: &dyn Inspected,
+    watch: &mut Option<Watch>,
+) -> Result<Box<RawValue>, String> {
     match request {
         Request::Snapshot => json(&robot.snapshot().map_err(|error| error.to_string())?),
         Request::Graph => json(&robot.graph().map_err(|error| error.to_string())?),
@@ -238,6 +244,24 @@ fn carry_out(request: Request, robot: &dyn Inspected) -> Result<Box<RawValue>, S
         Request::Exposed => json(&robot.exposed()?),
         Request::Expose { entries } => json(&robot.expose(&entries)?),
         Request::TakeBack { topics } => json(&robot.take_back(&topics)?),
+        Request::Watch { topic, fields } => {
+            let watch = match watch {
+                Some(watch) => watch,
+                None => watch.insert(robot.watch()?),
+            };
+            json(&watch.watch(&topic, &fields)?)
+        }
+        Request::Unwatch { topic } => {
+            if let Some(watch) = watch {
+                watch.unwatch(&topic);
+            }
+            json(&())
+        }
+        Request::Numbers { topic } => match watch {
+            Some(watch) => json(&watch.numbers(&topic)?),
+            None => Err(format!("{topic} is not watched")),
+        },
+        Request::Values => json(&watch.as_ref().map_or_else(Vec::new, Watch::values)),
     }
 }
 

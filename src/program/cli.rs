@@ -279,6 +279,10 @@ pub(crate) struct TopArguments {
     /// Print one snapshot as JSON and exit, with or without --once.
     #[arg(long)]
     pub(crate) json: bool,
+    /// Plot a field over time, up to six: "joint_states:position[3]", or by element name "joint_states:position[head_tilt]".
+    #[cfg(feature = "top")]
+    #[arg(long, value_name = "TOPIC:FIELD", conflicts_with_all = ["once", "json"])]
+    pub(crate) plot: Vec<super::topic_field::TopicField>,
 }
 
 #[derive(Args)]

@@ -26,6 +26,8 @@ mod statistics;
 mod status;
 mod stop;
 mod top;
+#[cfg(any(feature = "plots", feature = "top"))]
+mod topic_field;
 mod trace;
 #[cfg(feature = "view")]
 mod view;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::bridge::expose::{Bridge, ExposedEndpoint, TopicPattern};
 use crate::executor::{CoreHandle, CycleTrace, Graph, Snapshot};
-use crate::inspect::{Inspected, Unavailable};
+use crate::inspect::{Inspected, Unavailable, Watch};
 use crate::robot::{EndpointReport, RobotFile};
 
 pub(crate) struct InspectedRobot {
@@ -79,6 +79,10 @@ impl Inspected for InspectedRobot {
             tracing::info!("exposed no more: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
         Ok(removed)
+    }
+
+    fn watch(&self) -> Result<Watch, String> {
+        Ok(Watch::new(self.core.clone(), self.file.catalog.interfaces.clone()))
     }
 }
 

@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 
 use downbeat_bags::{MergedBags, Reader, ReaderError, Selection, TypeConflict};
 use downbeat_edge::Interfaces;
-use downbeat_msgs::dynamic::ValueRef;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::{DecodeError, Decoder};
+use super::{DecodeError, Decoder, number};
 
 /// A field over time.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Series {
     /// Seconds since the epoch, ascending.
     #[serde(rename = "t")]
@@ -82,8 +81,7 @@ pub fn series(
         let place = message.log_time.abs_diff(start) / part;
         for ((field, curve), problem) in fields.iter().zip(&mut curves).zip(&mut problems) {
             let value = match content.get(field) {
-                Ok(ValueRef::Bool(value)) => Some(f64::from(u8::from(value))),
-                Ok(value) => value.as_f64(),
+                Ok(value) => number(value),
                 Err(error) => {
                     problem.get_or_insert_with(|| error.to_string());
                     continue;

@@ -12,8 +12,9 @@ use crate::bags::Reader;
 use crate::bridge::edge::Interfaces;
 use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
+use crate::program::topic_field::TopicField;
 use crate::robot::Catalog;
-use crate::table::{Cell, Column, ColumnKind, Decoder};
+use crate::table::{Cell, Column, ColumnKind, Decoder, ELEMENT_NAMES};
 
 /// More curves are not distinguishable.
 const MOST_CURVES: usize = 40;
@@ -49,12 +50,8 @@ pub(crate) struct Wanted {
 
 impl Wanted {
     fn parse(text: &str) -> Result<Self, String> {
-        match text.rsplit_once(':') {
-            Some((topic, path)) if !topic.is_empty() && !path.is_empty() => {
-                Ok(Self { topic: absolute(topic), path: path.to_owned() })
-            }
-            _ => Err("write TOPIC:FIELD, such as joint_states:position[3]".to_owned()),
-        }
+        let TopicField { topic, field } = text.parse()?;
+        Ok(Self { topic: absolute(&topic), path: field })
     }
 
     /// Returns whether the path is the field or inside it.
@@ -166,9 +163,6 @@ struct Named<'a> {
 }
 
 impl<'a> Named<'a> {
-    /// Arrays of names: in `JointState`, and in `JointTrajectory`, `MultiDOFJointState` and others.
-    const NAMES: [&'static str; 2] = ["name", "joint_names"];
-
     fn of(column: &'a str, all: &[&Column]) -> Option<Self> {
         let (before, rest) = column.rsplit_once('[')?;
         let (number, behind) = rest.split_once(']')?;
@@ -181,7 +175,7 @@ impl<'a> Named<'a> {
             });
             of_array.count()
         };
-        Self::NAMES.into_iter().find_map(|names| {
+        ELEMENT_NAMES.into_iter().find_map(|names| {
             let names = format!("{parent}{names}");
             let wanted = format!("{names}[{number}]");
             let is_it = |column: &&Column| column.name == wanted && column.kind == ColumnKind::Text;

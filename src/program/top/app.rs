@@ -15,15 +15,28 @@ use ratatui::{DefaultTerminal, Frame};
 
 use super::graph;
 use super::grid::{Grid, Sort, summary};
+use super::plot::Plot;
+use crate::program::topic_field::TopicField;
 
 const REFRESH: Duration = Duration::from_millis(500);
 
-/// Shows the robot until a key ends it.
-pub(super) fn show(client: Client, snapshot: Snapshot) -> anyhow::Result<()> {
+/// How often curves move while they are shown.
+const PLOT_REFRESH: Duration = Duration::from_millis(100);
+
+/// Shows the robot until a key ends it, first the plot if there are fields to plot.
+pub(super) fn show(mut client: Client, snapshot: Snapshot, fields: &[TopicField]) -> anyhow::Result<()> {
+    let mut app = App::new(client.robot().to_string(), snapshot);
+    for field in fields {
+        app.plot.add(field).map_err(anyhow::Error::msg)?;
+        app.tab = Tab::Plot;
+    }
+    app.plot.exchange(&mut client)?;
+    if let Some(problem) = app.plot.problem() {
+        bail!("{}", crate::msgs::printable(problem));
+    }
     if !std::io::stdout().is_terminal() {
         bail!("standard output is not a terminal; --once prints a snapshot, --json all numbers");
     }
-    let app = App::new(client.robot().to_string(), snapshot);
     let mut terminal = ratatui::try_init().context("cannot use this terminal")?;
     let outcome = show_on(&mut terminal, client, app);
     ratatui::restore();
@@ -32,9 +45,10 @@ pub(super) fn show(client: Client, snapshot: Snapshot) -> anyhow::Result<()> {
 
 fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> anyhow::Result<()> {
     let mut next_update = Instant::now() + REFRESH;
+    let mut next_values = Instant::now();
     loop {
         terminal.draw(|frame| app.draw(frame)).context("cannot draw on the terminal")?;
-        let rest = next_update.saturating_duration_since(Instant::now());
+        let rest = next_update.min(next_values).saturating_duration_since(Instant::now());
         if event::poll(rest).context("cannot read from the terminal")? {
             let action = match event::read().context("cannot read from the terminal")? {
                 Event::Key(key) if key.kind != KeyEventKind::Release => app.press(key),
@@ -45,20 +59,30 @@ fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> 
                 Some(Action::Pause) => client.pause()?,
                 Some(Action::Resume) => client.resume()?,
                 Some(Action::Step) => client.step()?,
-                // No request to the robot: only the display changes.
-                None if !app.lacks_graph() => continue,
                 None => {}
             }
+            if action.is_some() || app.lacks_graph() {
+                next_update = Instant::now();
+            }
+            if app.plot.is_waiting() {
+                next_values = Instant::now();
+            }
         }
-        if app.tab == Tab::Graph {
-            app.graph = Some(graph::lines(&client.graph()?));
+        if next_values <= Instant::now() {
+            app.plot.exchange(&mut client)?;
+            next_values = Instant::now() + if app.tab == Tab::Plot { PLOT_REFRESH } else { REFRESH };
         }
-        app.update(client.snapshot()?);
-        next_update = Instant::now() + REFRESH;
+        if next_update <= Instant::now() {
+            if app.tab == Tab::Graph {
+                app.graph = Some(graph::lines(&client.graph()?));
+            }
+            app.update(client.snapshot()?);
+            next_update = Instant::now() + REFRESH;
+        }
     }
 }
 
-/// The tables and the graph, one of which is shown.
+/// The tables, the graph and the plot, one of which is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Tab {
     #[default]
@@ -66,6 +90,7 @@ enum Tab {
     Topics,
     Outlets,
     Graph,
+    Plot,
 }
 
 /// An action triggered by a key.
@@ -88,6 +113,7 @@ pub(crate) struct App {
     scrolled: usize,
     /// The lines of the graph, once they were read.
     graph: Option<Vec<String>>,
+    plot: Plot,
 }
 
 impl App {
@@ -95,7 +121,7 @@ impl App {
     pub(crate) fn new(robot: String, snapshot: Snapshot) -> Self {
         let earlier = Snapshot::default();
         let (tab, sort) = (Tab::default(), Sort::default());
-        Self { robot, earlier, later: snapshot, tab, sort, scrolled: 0, graph: None }
+        Self { robot, earlier, later: snapshot, tab, sort, scrolled: 0, graph: None, plot: Plot::default() }
     }
 
     pub(crate) fn update(&mut self, snapshot: Snapshot) {
@@ -109,29 +135,45 @@ impl App {
     pub(crate) fn press(&mut self, key: KeyEvent) -> Option<Action> {
         match key.code {
             KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return Some(Action::Quit),
+            _ if self.tab == Tab::Plot && self.plot.is_choosing() => self.press_in_plot(key),
             KeyCode::Char('q') | KeyCode::Esc => return Some(Action::Quit),
             KeyCode::Char('p') if self.later.is_paused => return Some(Action::Resume),
             KeyCode::Char('p') => return Some(Action::Pause),
             KeyCode::Char('n') if self.later.is_paused => return Some(Action::Step),
             KeyCode::Char('s') => self.sort = self.sort.next(),
             KeyCode::Char('g') => self.show(if self.tab == Tab::Graph { Tab::Modules } else { Tab::Graph }),
+            KeyCode::Char('v') if self.tab == Tab::Plot => self.show(Tab::Modules),
+            KeyCode::Char('v') => {
+                self.show(Tab::Plot);
+                if self.plot.len() == 0 {
+                    self.plot.choose();
+                }
+            }
             KeyCode::Tab => self.show(match self.tab {
                 Tab::Modules => Tab::Topics,
                 Tab::Topics => Tab::Outlets,
                 Tab::Outlets => Tab::Graph,
-                Tab::Graph => Tab::Modules,
+                Tab::Graph => Tab::Plot,
+                Tab::Plot => Tab::Modules,
             }),
             KeyCode::BackTab => self.show(match self.tab {
-                Tab::Modules => Tab::Graph,
+                Tab::Modules => Tab::Plot,
                 Tab::Topics => Tab::Modules,
                 Tab::Outlets => Tab::Topics,
                 Tab::Graph => Tab::Outlets,
+                Tab::Plot => Tab::Graph,
             }),
+            _ if self.tab == Tab::Plot => self.press_in_plot(key),
             KeyCode::Down => self.scrolled = (self.scrolled + 1).min(self.rows().saturating_sub(1)),
             KeyCode::Up => self.scrolled = self.scrolled.saturating_sub(1),
             _ => {}
         }
         None
+    }
+
+    fn press_in_plot(&mut self, key: KeyEvent) {
+        let Self { plot, later, .. } = self;
+        plot.press(key, &topics(later), seconds(later));
     }
 
     fn show(&mut self, tab: Tab) {
@@ -154,16 +196,21 @@ impl App {
             format!("topics {}", topics.len()),
             format!("outlets {}", outlets.len()),
             "graph".to_owned(),
+            format!("plot {}", self.plot.len()),
         ];
         let selected = match self.tab {
             Tab::Modules => 0,
             Tab::Topics => 1,
             Tab::Outlets => 2,
             Tab::Graph => 3,
+            Tab::Plot => 4,
         };
         frame.render_widget(Tabs::new(titles).select(selected), tabs);
         match self.grid() {
             Some(grid) => self.draw_table(grid, frame, table),
+            None if self.tab == Tab::Plot => {
+                self.plot.draw(frame, table, &self::topics(&self.later), seconds(&self.later));
+            }
             None => self.draw_graph(frame, table),
         }
         frame.render_widget(Paragraph::new(self.keys()).style(Style::new().dim()), keys);
@@ -194,7 +241,14 @@ impl App {
 
     fn keys(&self) -> String {
         let pause = if self.later.is_paused { "p resume  n next cycle" } else { "p pause" };
-        format!("q quit  tab table  g graph  s sort: {}  {pause}  ↑↓ scroll", self.sort.name())
+        match self.tab {
+            Tab::Plot if self.plot.is_choosing() => self.plot.keys(),
+            Tab::Plot => format!("q quit  tab table  {}  {pause}", self.plot.keys()),
+            _ => {
+                let sort = self.sort.name();
+                format!("q quit  tab table  g graph  v plot  s sort: {sort}  {pause}  ↑↓ scroll")
+            }
+        }
     }
 
     fn rows(&self) -> usize {
@@ -203,19 +257,29 @@ impl App {
             Tab::Topics => self.later.topics.len(),
             Tab::Outlets => self.later.outlets.len(),
             Tab::Graph => self.graph.as_ref().map_or(0, Vec::len),
+            Tab::Plot => 0,
         }
     }
 
-    /// The table; `None` for the graph.
+    /// The table; `None` for the graph and the plot.
     fn grid(&self) -> Option<Grid> {
         let table = match self.tab {
             Tab::Modules => Grid::of_modules,
             Tab::Topics => Grid::of_topics,
             Tab::Outlets => Grid::of_outlets,
-            Tab::Graph => return None,
+            Tab::Graph | Tab::Plot => return None,
         };
         Some(table(&self.earlier, &self.later, self.sort))
     }
+}
+
+fn topics(snapshot: &Snapshot) -> Vec<&str> {
+    snapshot.topics.iter().map(|topic| &*topic.name).collect()
+}
+
+/// The time of a robot in seconds.
+fn seconds(snapshot: &Snapshot) -> f64 {
+    snapshot.time.as_nanos() as f64 / 1e9
 }
 
 #[cfg(test)]
@@ -253,7 +317,7 @@ mod tests {
         assert_eq!(screen[..3], summary("darwin_op (process 7)", &snapshot(10), &snapshot(12), 130));
         assert!(screen[3].contains("modules 3") && screen[3].contains("topics 2"), "{screen:#?}");
         assert_eq!(screen[4..8], expected_tables.lines().collect::<Vec<_>>());
-        assert_eq!(screen[9], "q quit  tab table  g graph  s sort: order  p pause  ↑↓ scroll");
+        assert_eq!(screen[9], "q quit  tab table  g graph  v plot  s sort: order  p pause  ↑↓ scroll");
     }
 
     #[test]
@@ -284,6 +348,28 @@ mod tests {
         assert_eq!(screen(&app, 130, 12)[4..10], lines[1..]);
         press(&mut app, KeyCode::Char('g'));
         assert_eq!(app.tab, Tab::Modules);
+    }
+
+    #[test]
+    fn the_plot_is_shown_by_its_key_and_its_input_line_takes_all_keys() {
+        let mut app = app();
+        press(&mut app, KeyCode::Char('v'));
+        let lines = screen(&app, 130, 20);
+        assert!(lines.iter().any(|line| line == "> joint_states"), "{lines:#?}");
+        for key in "qpg".chars() {
+            assert_eq!(press(&mut app, KeyCode::Char(key)), None);
+        }
+        assert!(screen(&app, 130, 20).iter().any(|line| line.starts_with("field: qpg")), "{lines:#?}");
+        assert_eq!(press(&mut app, KeyCode::Esc), None);
+        app.plot.add(&"joint_states:position[3]".parse().unwrap()).unwrap();
+        let lines = screen(&app, 130, 20);
+        assert!(lines[3].contains("plot 1") && lines[18].starts_with("> joint_states:position[3]"), "{lines:#?}");
+        let keys = "q quit  tab table  a add  d remove  ↑↓ select  w last 10 s  h hold  p pause";
+        assert_eq!(lines[19], keys);
+        assert_eq!(press(&mut app, KeyCode::Char('p')), Some(Action::Pause));
+        press(&mut app, KeyCode::Tab);
+        assert_eq!(app.tab, Tab::Modules);
+        assert_eq!(app.plot.len(), 1, "it goes on");
     }
 
     #[test]

@@ -3,10 +3,14 @@
 #[cfg(feature = "top")]
 mod app;
 #[cfg(feature = "top")]
+mod choose;
+#[cfg(feature = "top")]
 mod graph;
 // Sorting and highlighting are only used by the screen.
 #[cfg_attr(not(feature = "top"), allow(dead_code))]
 mod grid;
+#[cfg(feature = "top")]
+mod plot;
 
 use crate::executor::Snapshot;
 use crate::inspect::Client;
@@ -27,7 +31,7 @@ pub(crate) fn top(arguments: &TopArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     #[cfg(feature = "top")]
-    return app::show(client, snapshot);
+    return app::show(client, snapshot, &arguments.plot);
     #[cfg(not(feature = "top"))]
     super::not_built("top", "--once prints a snapshot, --json all numbers")
 }
