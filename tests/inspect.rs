@@ -1,14 +1,20 @@
 //! Inspection of a robot with known answers through its socket.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod common;
+
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use downbeat::executor::{CycleTrace, Graph, GraphModule, Snapshot};
-use downbeat::inspect::{Client, Inspected, InspectionServer, RunningRobot, SocketDirectory, Unavailable};
+use downbeat::edge::Interfaces;
+use downbeat::executor::{Core, CoreHandle, CycleTrace, Graph, GraphModule, Snapshot};
+use downbeat::inspect::{
+    Client, Inspected, InspectionServer, RunningRobot, SocketDirectory, Unavailable, Watch,
+};
+use downbeat::msgs::sensor_msgs::msg::JointState;
 
 /// Counts cycles: one for each snapshot, none while it is paused.
 #[derive(Default)]
@@ -45,6 +51,39 @@ impl Inspected for Robot {
 
     fn step(&self) {
         self.cycle.fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+/// A core whose topics can be watched.
+struct WatchedCore(CoreHandle);
+
+impl Inspected for WatchedCore {
+    fn snapshot(&self) -> Result<Snapshot, Unavailable> {
+        Inspected::snapshot(&self.0)
+    }
+
+    fn trace(&self, cycles: u32) -> Result<CycleTrace, Unavailable> {
+        Inspected::trace(&self.0, cycles)
+    }
+
+    fn graph(&self) -> Result<Graph, Unavailable> {
+        Inspected::graph(&self.0)
+    }
+
+    fn pause(&self) {
+        self.0.pause();
+    }
+
+    fn resume(&self) {
+        self.0.resume();
+    }
+
+    fn step(&self) {
+        self.0.step();
+    }
+
+    fn watch(&self) -> Result<Watch, String> {
+        Ok(Watch::new(self.0.clone(), Interfaces::carried()))
     }
 }
 
@@ -163,4 +202,78 @@ fn stopping_a_robot_removes_its_socket_and_disconnects_clients() {
     assert_eq!(directory.running().unwrap(), []);
     let error = client.snapshot().unwrap_err().to_string();
     assert!(error.contains("it may have ended"), "{error}");
+}
+
+#[test]
+fn a_client_reads_the_values_of_a_topic_while_it_watches_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut core = Core::new();
+    let inlet = core.inlet::<JointState>("joint_states").unwrap();
+    let handle = core.handle();
+    let running = std::thread::spawn(move || core.run());
+    let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
+    let watched = Arc::new(WatchedCore(handle.clone()));
+    let _server = InspectionServer::start(&directory, "darwin_op", watched).unwrap();
+    let robot = &directory.running().unwrap()[0];
+    let [mut client, mut other] = [(); 2].map(|()| Client::connect(robot).unwrap());
+
+    let fields = ["position[head_tilt]", "position[0]", "velocity[0]"].map(str::to_owned);
+    client.watch("/joint_states", &fields).unwrap();
+    assert_eq!(other.snapshot().unwrap().outlets.len(), 1);
+    assert_eq!(client.numbers("joint_states").unwrap(), None, "there was no message yet");
+    for n in 0..5 {
+        let name = ["head_pan", "head_tilt"].map(str::to_owned).to_vec();
+        let position = vec![f64::from(n), f64::from(n) / 8.0];
+        inlet.publish(JointState { name, position, ..JointState::default() }).unwrap();
+    }
+    let mut read: [Vec<f64>; 3] = Default::default();
+    let mut times = Vec::new();
+    let mut problem = None;
+    common::wait_until("all values are read", || {
+        let topics = client.values().unwrap();
+        assert_eq!((topics.len(), topics[0].topic.as_str(), topics[0].missed), (1, "joint_states", 0));
+        for (values, field) in read.iter_mut().zip(&topics[0].fields) {
+            values.extend(&field.series.values);
+            problem.clone_from(&field.problem);
+        }
+        times.extend(topics[0].fields[0].series.times.clone());
+        read[0].len() == 5
+    });
+    assert_eq!(read, [vec![0.0, 0.125, 0.25, 0.375, 0.5], vec![0.0, 1.0, 2.0, 3.0, 4.0], vec![]]);
+    assert_eq!(problem.as_deref(), Some("there is no element 0, there are 0, counted from 0"));
+    assert!(times.len() == 5 && times.is_sorted() && times[0] > 1.6e9, "{times:?}");
+    let numbers = client.numbers("joint_states").unwrap().unwrap();
+    assert_eq!(
+        (numbers[3].field.as_str(), numbers[3].element.as_deref()),
+        ("position[1]", Some("head_tilt"))
+    );
+
+    for (topic, field, expected) in [
+        ("joint_state", "position[0]", "no topic \"joint_state\", did you mean \"joint_states\"?"),
+        ("joint_states", "positon[0]", "joint_states has no number at positon[0]: "),
+        ("joint_states", "positon[0]", "did you mean `position`?"),
+        ("joint_states", "header.frame_id", "it is text"),
+    ] {
+        let error = client.watch(topic, &[field.to_owned()]).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    assert_eq!(client.values().unwrap()[0].fields.len(), 3, "what was watched before stays");
+    assert_eq!(other.values().unwrap(), [], "each client has its own watch");
+    assert!(other.numbers("joint_states").unwrap_err().to_string().contains("is not watched"));
+
+    drop(client);
+    common::wait_until("the outlet is gone", || other.snapshot().unwrap().outlets.is_empty());
+    handle.stop();
+    running.join().unwrap().unwrap();
+}
+
+#[test]
+fn a_robot_without_a_watch_refuses_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_directory, _server, robot) = start(folder.path());
+    let mut client = Client::connect(&robot).unwrap();
+    let error = client.watch("joint_states", &[]).unwrap_err().to_string();
+    assert!(error.contains("cannot be watched"), "{error}");
+    assert_eq!(client.values().unwrap(), []);
+    client.unwatch("joint_states").unwrap();
 }

@@ -7,14 +7,47 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use common::{QUIET_ROBOT, Running, downbeat, text_of, wait_until};
+use downbeat::bags::Reader;
+use downbeat::edge::Interfaces;
 use downbeat::executor::Snapshot;
+use downbeat::inspect::{Client, SocketDirectory};
+use downbeat::table::{MOST_POINTS, series};
+
+/// A robot with servos, which moves.
+const MOVING_ROBOT: &str = r#"
+[robot]
+name = "moving"
+
+[[module]]
+name = "emulator"
+kind = "darwin_op_emulator"
+settings = { link = "memory:top", seed = 1, faults = [] }
+
+[[module]]
+name = "hardware"
+kind = "darwin_op"
+settings = { port = "memory:top" }
+remap = { joint_commands = "joint_goals" }
+
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+
+[[module]]
+name = "mux"
+kind = "joint_command_mux"
+"#;
 
 struct Robot(Child);
 
 impl Robot {
     fn start(folder: &Path) -> Self {
-        let file = folder.join("quiet.toml");
-        std::fs::write(&file, QUIET_ROBOT).unwrap();
+        Self::start_of(folder, QUIET_ROBOT)
+    }
+
+    fn start_of(folder: &Path, robot: &str) -> Self {
+        let file = folder.join("robot.toml");
+        std::fs::write(&file, robot).unwrap();
         let mut command =
             in_folder(folder, &["bag", "record", "--robot", file.to_str().unwrap(), "--output"]);
         command.arg(folder.join("bag")).stdout(Stdio::null()).stderr(Stdio::null());
@@ -150,11 +183,47 @@ fn a_screen_needs_a_terminal() {
 }
 
 #[test]
+fn watched_values_are_those_that_the_robot_records() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = Robot::start_of(folder.path(), MOVING_ROBOT);
+    let directory = SocketDirectory::open_at(folder.path().join("downbeat")).unwrap();
+    let mut client = Client::connect(&directory.running().unwrap()[0]).unwrap();
+    let (topic, field) = ("motion/joint_commands", "position[0]");
+    client.watch(topic, &[field.to_owned()]).unwrap();
+    let (mut times, mut values) = (Vec::new(), Vec::new());
+    wait_until("there are enough values", || {
+        let [watched] = <[_; 1]>::try_from(client.values().unwrap()).unwrap();
+        assert_eq!((watched.topic.as_str(), watched.missed), (topic, 0));
+        times.extend(watched.fields[0].series.times.clone());
+        values.extend(watched.fields[0].series.values.clone());
+        times.len() > 50
+    });
+    let bag = folder.path().join("bag");
+    let recorded = || {
+        let bags = [Reader::open(&bag).ok()?];
+        let (topic, interfaces) = (format!("/{topic}"), Interfaces::carried());
+        series(&bags, &topic, &[field], MOST_POINTS, &interfaces).ok()?.pop()
+    };
+    wait_until("they are recorded", || {
+        recorded().is_some_and(|recorded| recorded.times.last() >= times.last())
+    });
+    drop(robot);
+    let recorded = recorded().unwrap();
+    let first = recorded.times.iter().position(|time| *time == times[0]).unwrap();
+    assert_eq!(recorded.times[first..][..times.len()], times);
+    assert_eq!(recorded.values[first..][..times.len()], values);
+    assert_ne!(values[0], values[values.len() - 1], "the robot moves");
+}
+
+#[test]
 fn a_field_that_cannot_be_plotted_is_named_with_the_nearest_one() {
     let folder = tempfile::tempdir().unwrap();
     let _robot = Robot::start(folder.path());
     for (field, expected) in [
-        ("joint_comands:position[0]", "there is no topic \"joint_comands\", did you mean \"joint_commands\"?"),
+        (
+            "joint_comands:position[0]",
+            "there is no topic \"joint_comands\", did you mean \"joint_commands\"?",
+        ),
         ("joint_commands:positon[0]", "joint_commands has no number at positon[0]:"),
         ("joint_commands:positon[0]", "did you mean `position`?"),
         ("joint_commands:position", "it is an array: select an element, such as position[0]"),

@@ -363,7 +363,10 @@ mod tests {
         assert_eq!(press(&mut app, KeyCode::Esc), None);
         app.plot.add(&"joint_states:position[3]".parse().unwrap()).unwrap();
         let lines = screen(&app, 130, 20);
-        assert!(lines[3].contains("plot 1") && lines[18].starts_with("> joint_states:position[3]"), "{lines:#?}");
+        assert!(
+            lines[3].contains("plot 1") && lines[18].starts_with("> joint_states:position[3]"),
+            "{lines:#?}"
+        );
         let keys = "q quit  tab table  a add  d remove  ↑↓ select  w last 10 s  h hold  p pause";
         assert_eq!(lines[19], keys);
         assert_eq!(press(&mut app, KeyCode::Char('p')), Some(Action::Pause));

@@ -51,7 +51,9 @@ impl Chooser {
         let marked = self.candidates(topics).into_iter().nth(self.marked);
         match key.code {
             KeyCode::Esc => return Some(Chosen::Nothing),
-            KeyCode::Down => self.marked = (self.marked + 1).min(self.candidates(topics).len().saturating_sub(1)),
+            KeyCode::Down => {
+                self.marked = (self.marked + 1).min(self.candidates(topics).len().saturating_sub(1))
+            }
             KeyCode::Up => self.marked = self.marked.saturating_sub(1),
             KeyCode::Backspace => {
                 let mut text = self.text.clone();
@@ -92,7 +94,9 @@ impl Chooser {
         let contains = |text: &str, wanted: &str| text.to_lowercase().contains(&wanted.to_lowercase());
         let Some((topic, field)) = self.text.split_once(':') else {
             let matching = topics.iter().filter(|topic| contains(topic, self.text.trim_start_matches('/')));
-            return matching.map(|topic| Candidate { text: format!("{topic}:"), shown: (*topic).to_owned() }).collect();
+            return matching
+                .map(|topic| Candidate { text: format!("{topic}:"), shown: (*topic).to_owned() })
+                .collect();
         };
         let candidate = |number: &NumberField| {
             let shown = match &number.element {

@@ -414,7 +414,7 @@ pub(super) mod tests {
         let ramp: Vec<_> = (0..=50).map(|n| (95.0 + f64::from(n) * 0.1, f64::from(n) * 0.1)).collect();
         plot.take(values("joint_states", "position[3]", &ramp));
         let lines = screen(&plot, 60, 12, 99.0);
-        assert!(lines[0].contains("5.25") && lines[9].contains("-0.25"), "{lines:#?}");
+        assert!(lines[0].contains("5.25") && lines[8].contains("-0.25"), "{lines:#?}");
         assert!(lines[10].contains("-10 s") && lines[10].contains("-5 s"), "{lines:#?}");
         assert!(lines[11].starts_with("> joint_states:position[3]  5.000"), "{lines:#?}");
         // Five of ten seconds: the right half, as the newest value is at the right end.
