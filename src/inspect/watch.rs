@@ -342,8 +342,7 @@ mod tests {
 
         let mut core = Core::new();
         let inlet = core.inlet::<RawMessage>("leg").unwrap();
-        let text = core.inlet::<String>("text").unwrap();
-        drop(text);
+        let _text = core.inlet::<String>("text").unwrap();
         let handle = core.handle();
         let running = std::thread::spawn(move || core.run());
         let mut watch = Watch::new(handle.clone(), Interfaces::carried());
@@ -388,9 +387,8 @@ mod tests {
     #[test]
     fn requests_for_too_much_are_refused() {
         let mut core = Core::new();
-        for topic in 0..=Watch::MOST_TOPICS {
-            drop(core.inlet::<Float64>(&format!("height_{topic}")).unwrap());
-        }
+        let open = |topic| core.inlet::<Float64>(&format!("height_{topic}")).unwrap();
+        let _inlets: Vec<_> = (0..=Watch::MOST_TOPICS).map(open).collect();
         let handle = core.handle();
         let running = std::thread::spawn(move || core.run());
         let mut watch = Watch::new(handle.clone(), Interfaces::carried());
