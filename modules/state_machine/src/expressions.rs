@@ -1,0 +1,301 @@
+//! Expressions and scripts of charts, in the language rhai.
+//!
+//! They reach the data of their chart and nothing else: no files, no clock, no random numbers, no output. What one evaluation
+//! may cost is bounded (the constants below), so that a loop without an end is an error of the chart and not of the robot.
+//!
+//! Texts may be in single quotes as well, since attributes of XML are in double quotes; rhai's characters therefore do not exist.
+
+use crate::functions;
+use parking_lot::RwLock;
+use rhai::packages::{Package, StandardPackage};
+use rhai::{AST, Dynamic, Engine, EvalAltResult, OptimizationLevel, ParseError, Position, Scope};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Arc, LazyLock};
+use std::time::Duration;
+
+/// Statements, calls and turns of loops that one evaluation may take.
+const MOST_OPERATIONS: u64 = 100_000;
+/// The depth of calls of functions.
+const MOST_CALLS: usize = 16;
+/// The depth of nested expressions, and of those in functions.
+const DEEPEST: (usize, usize) = (64, 32);
+/// Bytes of a text.
+const LONGEST_TEXT: usize = 64 << 10;
+/// Elements of an array, and keys of a map.
+const LARGEST: usize = 4096;
+/// Variables and functions of a script.
+const MOST_NAMES: usize = 256;
+
+/// What expressions can ask for beside their variables.
+#[derive(Debug, Default)]
+pub(crate) struct World {
+    /// Since any epoch.
+    pub(crate) now: Duration,
+    /// When each active state was entered, by its id.
+    pub(crate) entered: BTreeMap<String, Duration>,
+    /// When each variable that holds messages last received one.
+    pub(crate) received: BTreeMap<String, Option<Duration>>,
+}
+
+/// Evaluates the expressions of one chart.
+pub(crate) struct Evaluator {
+    engine: Engine,
+    pub(crate) world: Arc<RwLock<World>>,
+}
+
+/// The text of an expression or script that is syntactically valid.
+#[derive(Clone)]
+pub(crate) struct Program {
+    pub(crate) text: String,
+    /// Where it begins in the file.
+    pub(crate) line: u32,
+    pub(crate) ast: AST,
+}
+
+/// Whether a text is one expression or several statements.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Syntax {
+    Expression,
+    Statements,
+}
+
+/// An error in a chart: found when it was read, or while it runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// The line of the file, from 1.
+    pub line: u32,
+    /// What was found, and what to do.
+    pub text: String,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.line, self.text)
+    }
+}
+
+impl Program {
+    /// Checks the syntax of a text that begins on this line.
+    pub(crate) fn new(text: &str, line: u32, syntax: Syntax) -> Result<Self, Problem> {
+        static PARSER: LazyLock<Engine> = LazyLock::new(engine);
+        let translated = with_double_quotes(text);
+        let ast = match syntax {
+            Syntax::Expression => PARSER.compile_expression(&translated),
+            Syntax::Statements => PARSER.compile(&translated),
+        };
+        let ast = ast.map_err(|ParseError(error, position)| Problem {
+            line: line_of(line, position),
+            text: format!("`{}` is no valid expression: {error}{}", shortened(text), column(position)),
+        })?;
+        Ok(Self { text: text.to_owned(), line, ast })
+    }
+}
+
+impl fmt::Debug for Program {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}` on line {}", self.text, self.line)
+    }
+}
+
+impl Evaluator {
+    pub(crate) fn new() -> Self {
+        let world = Arc::new(RwLock::new(World::default()));
+        let mut engine = engine();
+        functions::register_world(&mut engine, &world);
+        Self { engine, world }
+    }
+
+    /// The value of an expression. Variables that it makes are forgotten.
+    pub(crate) fn value(&self, program: &Program, scope: &mut Scope<'static>) -> Result<Dynamic, Problem> {
+        let variables = scope.len();
+        let value = self.engine.eval_ast_with_scope::<Dynamic>(scope, &program.ast);
+        scope.rewind(variables);
+        value.map(Dynamic::flatten).map_err(|error| problem(program, &error))
+    }
+
+    /// Whether a condition holds.
+    pub(crate) fn holds(&self, program: &Program, scope: &mut Scope<'static>) -> Result<bool, Problem> {
+        let value = self.value(program, scope)?;
+        value.as_bool().map_err(|found| Problem {
+            line: program.line,
+            text: format!("the condition `{}` is of type {found}; it has to be true or false", program.text),
+        })
+    }
+
+    /// Runs a script. Its variables stay.
+    pub(crate) fn run(&self, program: &Program, scope: &mut Scope<'static>) -> Result<(), Problem> {
+        let variables = scope.len();
+        let result = self.engine.run_ast_with_scope(scope, &program.ast);
+        if scope.len() > variables + MOST_NAMES {
+            scope.rewind(variables);
+        }
+        result.map_err(|error| problem(program, &error))
+    }
+}
+
+impl fmt::Debug for Evaluator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Evaluator").field("world", &self.world).finish_non_exhaustive()
+    }
+}
+
+/// The language without the functions that belong to one chart.
+fn engine() -> Engine {
+    let mut engine = Engine::new_raw();
+    engine.register_global_module(StandardPackage::new().as_shared_module());
+    for outside in ["eval", "sleep", "exit"] {
+        engine.disable_symbol(outside);
+    }
+    engine.set_optimization_level(OptimizationLevel::None);
+    engine.set_max_operations(MOST_OPERATIONS);
+    engine.set_max_call_levels(MOST_CALLS);
+    engine.set_max_expr_depths(DEEPEST.0, DEEPEST.1);
+    engine.set_max_string_size(LONGEST_TEXT);
+    engine.set_max_array_size(LARGEST);
+    engine.set_max_map_size(LARGEST);
+    engine.set_max_variables(MOST_NAMES);
+    engine.set_max_functions(MOST_NAMES);
+    engine.set_fail_on_invalid_map_property(true);
+    functions::register(&mut engine);
+    engine
+}
+
+fn problem(program: &Program, error: &EvalAltResult) -> Problem {
+    let position = error.position();
+    let mut bare = error.to_string();
+    if let Some(end) = bare.rfind(" (line ") {
+        bare.truncate(end);
+    }
+    if matches!(error, EvalAltResult::ErrorTooManyOperations(_)) {
+        bare = format!("it takes more than {MOST_OPERATIONS} operations; does a loop in it end?");
+    }
+    let text = format!("`{}`: {bare}", shortened(&program.text));
+    Problem { line: line_of(program.line, position), text }
+}
+
+fn line_of(first: u32, position: Position) -> u32 {
+    first + u32::try_from(position.line().unwrap_or(1).saturating_sub(1)).unwrap_or(0)
+}
+
+fn column(position: Position) -> String {
+    position.position().map_or_else(String::new, |column| format!(", at character {column}"))
+}
+
+fn shortened(text: &str) -> String {
+    const SHOWN: usize = 80;
+    let text = text.trim();
+    match text.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+/// Replaces the single quotes around texts by double quotes. Positions of characters stay, unless a text holds double quotes.
+fn with_double_quotes(text: &str) -> String {
+    let mut translated = String::with_capacity(text.len() + 8);
+    let mut characters = text.chars().peekable();
+    // The quote that ends the text or comment in which the scan is.
+    let mut inside: Option<char> = None;
+    while let Some(c) = characters.next() {
+        match (inside, c) {
+            (None, '\'') => {
+                inside = Some('\'');
+                translated.push('"');
+            }
+            (None, '"' | '`') => {
+                inside = Some(c);
+                translated.push(c);
+            }
+            (None, '/') if characters.peek() == Some(&'/') => {
+                inside = Some('\n');
+                translated.push(c);
+            }
+            (None, '/') if characters.peek() == Some(&'*') => {
+                inside = Some('*');
+                translated.push(c);
+            }
+            (Some('*'), '*') if characters.peek() == Some(&'/') => {
+                inside = None;
+                translated.push(c);
+                translated.extend(characters.next());
+            }
+            (Some('\''), '\'') => {
+                inside = None;
+                translated.push('"');
+            }
+            (Some('\''), '"') => translated.push_str("\\\""),
+            (Some('\'' | '"'), '\\') => match characters.next() {
+                // rhai knows no \' in texts.
+                Some('\'') => translated.push('\''),
+                next => {
+                    translated.push(c);
+                    translated.extend(next);
+                }
+            },
+            (Some(end), c) if end == c && end != '*' => {
+                inside = None;
+                translated.push(c);
+            }
+            (_, c) => translated.push(c),
+        }
+    }
+    translated
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    fn value(text: &str) -> Result<Dynamic, Problem> {
+        let program = Program::new(text, 7, Syntax::Expression)?;
+        Evaluator::new().value(&program, &mut Scope::new())
+    }
+
+    #[test]
+    fn texts_may_be_in_single_quotes() {
+        for (text, expected) in [
+            ("'kick'", "kick"),
+            (r#"'say "hi"'"#, "say \"hi\""),
+            (r"'it\'s'", "it's"),
+            (r#""it's""#, "it's"),
+            ("`it's ${1 + 1}`", "it's 2"),
+            ("/* don't */ 'a' + 'b'", "ab"),
+        ] {
+            assert_eq!(value(text).unwrap().into_string().unwrap(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_never_ends_or_grows_is_an_error_with_its_line() {
+        for script in [
+            "let x = 0;\nloop { x += 1; }",
+            "let s = 'ab';\nloop { s += s; }",
+            "let a = [1];\nloop { a += a; }",
+            "fn f(x) { f(x + 1) }\nf(0)",
+            "let x = [];\nloop { x = [x]; }",
+        ] {
+            let program = Program::new(script, 10, Syntax::Statements).unwrap();
+            let problem = Evaluator::new().run(&program, &mut Scope::new()).unwrap_err();
+            assert!((10..=11).contains(&problem.line), "{problem}");
+        }
+    }
+
+    #[test]
+    fn there_is_no_way_out() {
+        for text in ["eval('1')", "open_file('x')", "import 'x' as y", "timestamp()", "sleep(1)", "rand()"] {
+            assert!(value(text).is_err(), "{text}");
+        }
+        assert!(value("print('x')").unwrap().is_unit());
+    }
+
+    #[test]
+    fn a_syntax_error_names_the_line_and_the_text() {
+        let problem = Program::new("1 +\n* 2", 3, Syntax::Expression).unwrap_err();
+        assert_eq!(problem.line, 4);
+        assert!(problem.text.contains("is no valid expression"), "{problem}");
+        assert!(Program::new(&"(".repeat(5000), 1, Syntax::Expression).is_err());
+    }
+}

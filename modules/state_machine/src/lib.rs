@@ -1,0 +1,36 @@
+//! Decisions of a robot as statecharts in files: a subset of SCXML with expressions in rhai.
+//!
+//! ```
+//! use downbeat_state_machine::{Chart, Dynamic, Event, Interpreter};
+//! use std::{path::Path, sync::Arc, time::Duration};
+//!
+//! let chart = Chart::parse(Path::new("door.scxml"), r#"
+//!     <scxml xmlns="http://www.w3.org/2005/07/scxml" version="1.0">
+//!         <state id="closed"><transition event="push" target="open"/></state>
+//!         <state id="open">
+//!             <onentry><send event="tired" delay="2s"/></onentry>
+//!             <transition event="tired" target="closed"/>
+//!         </state>
+//!     </scxml>"#)?;
+//! let mut door = Interpreter::new(Arc::new(chart), "door");
+//! door.start(Duration::ZERO);
+//! door.send(Event::new("push", Dynamic::UNIT));
+//! door.advance(Duration::from_secs(1));
+//! assert_eq!(door.active().collect::<Vec<_>>(), ["open"]);
+//! door.advance(Duration::from_secs(3));
+//! assert_eq!(door.active().collect::<Vec<_>>(), ["closed"]);
+//! # Ok::<(), downbeat_state_machine::ChartError>(())
+//! ```
+//!
+//! The subset, and how a chart is connected to a robot: docs/state_machine.md.
+
+mod chart;
+mod draw;
+mod expressions;
+mod functions;
+mod interpreter;
+
+pub use chart::{Chart, ChartError, ChartSetting, DOWNBEAT, Interface, Port, SettingDefault, Timer};
+pub use expressions::Problem;
+pub use interpreter::{Effect, Event, Interpreter, Memory};
+pub use rhai::{Dynamic, Map};
