@@ -106,6 +106,8 @@ pub(crate) enum Command {
     Expose(ExposeArguments),
     /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without running it.
     Graph(GraphArguments),
+    /// Check the chart of a state machine and draw it: for Graphviz, or for Mermaid.
+    Chart(ChartArguments),
     /// Inspect, record, play and process bags.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -385,6 +387,16 @@ pub(crate) struct GraphArguments {
     /// The maximum time to search until the nodes of all endpoints are known, which takes seconds.
     #[arg(long, value_parser = duration, value_name = "TIME", default_value = "8s", conflicts_with = "robot")]
     pub(crate) wait: Duration,
+}
+
+#[derive(Args)]
+pub(crate) struct ChartArguments {
+    /// The chart.
+    #[arg(value_name = "FILE.scxml")]
+    pub(crate) file: PathBuf,
+    /// Draw for Mermaid, which many code hosts render, instead of for Graphviz.
+    #[arg(long)]
+    pub(crate) mermaid: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

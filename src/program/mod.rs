@@ -4,6 +4,7 @@
 mod output;
 
 mod bag;
+mod chart;
 mod check;
 mod choose;
 pub(crate) mod cli;
@@ -73,6 +74,7 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::Trace(arguments) => trace::trace(&arguments),
         #[cfg(feature = "view")]
         Command::View(arguments) => view::view(&arguments, catalog, &ros),
+        Command::Chart(arguments) => chart::chart(&arguments),
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {

@@ -54,7 +54,10 @@ impl Catalog {
     #[must_use]
     pub fn built_in() -> Self {
         let kinds = super::kind::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
-        Self { kinds: kinds.collect(), ..Self::default() }
+        let interfaces = Interfaces::carried().with(downbeat_state_machine::INTERFACES);
+        // No carried interface has these names.
+        let interfaces = interfaces.unwrap_or_default();
+        Self { kinds: kinds.collect(), interfaces, ..Self::default() }
     }
 
     /// Adds a kind of module.

@@ -32,6 +32,7 @@ use downbeat_modules::stand_nod_wave::StandNodWave;
 use downbeat_modules::transform_server::TransformServer;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::{Message, cdr};
+use downbeat_state_machine::StateMachineOptions;
 
 /// A kind of module that robot files can name: how its modules are created, how they run by default, and
 /// whether they drive a device.
@@ -421,6 +422,14 @@ pub(super) fn built_in() -> Vec<Kind> {
             |source| library(source).map(|options| vec![options.path]).unwrap_or_default(),
         )
         .with_synchrony(Synchrony::WhenDue),
+        Kind::foreign(
+            "state_machine",
+            "decisions as a statechart in a file, a subset of SCXML (docs/state_machine.md)",
+            [&["file"], &["reload"]],
+            |source| downbeat_state_machine::load(&state_machine(source)?),
+            |source| state_machine(source).map(|options| vec![options.path]).unwrap_or_default(),
+        )
+        .with_synchrony(Synchrony::WhenDue),
         Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
         Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default),
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
@@ -457,20 +466,31 @@ pub(super) fn built_in() -> Vec<Kind> {
 
 /// Reads the keys of a module in a shared library.
 fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
-    let is_set = |key: &str| match source.keys.get(key) {
-        None => Ok(false),
-        Some(SettingValue::Bool(value)) => Ok(*value),
-        Some(other) => Err(format!("`{key}` is true or false, not {other}")),
-    };
     let Some(SettingValue::Text(path)) = source.keys.get("path") else {
         return Err("`path` is the file of the library, such as \"libfoo.so\"".to_owned());
     };
     Ok(LibraryOptions {
         module: source.module.clone(),
         path: source.folder.join(path),
-        is_reloaded: is_set("reload")?,
-        is_isolated: is_set("isolate")?,
+        is_reloaded: is_set(source, "reload", false)?,
+        is_isolated: is_set(source, "isolate", false)?,
     })
+}
+
+/// Reads the keys of a state machine.
+fn state_machine(source: &ModuleSource) -> Result<StateMachineOptions, String> {
+    let Some(SettingValue::Text(file)) = source.keys.get("file") else {
+        return Err("`file` is the chart, such as \"player.scxml\"".to_owned());
+    };
+    Ok(StateMachineOptions { path: source.folder.join(file), is_reloaded: is_set(source, "reload", true)? })
+}
+
+fn is_set(source: &ModuleSource, key: &str, default: bool) -> Result<bool, String> {
+    match source.keys.get(key) {
+        None => Ok(default),
+        Some(SettingValue::Bool(value)) => Ok(*value),
+        Some(other) => Err(format!("`{key}` is true or false, not {other}")),
+    }
 }
 
 /// The Darwin OP in a simulated world, if it is built in.

@@ -13,6 +13,10 @@ type Answer<T> = Result<T, Box<EvalAltResult>>;
 
 /// Registers the functions that need nothing but their arguments.
 pub(crate) fn register(engine: &mut Engine) {
+    // Those of the language that would stop the robot.
+    engine.register_fn("sleep", |_: INT| refuse_sleep());
+    engine.register_fn("sleep", |_: FLOAT| refuse_sleep());
+    engine.register_fn("exit", refuse_exit);
     engine.register_fn("distance", |a: Map, b: Map| -> Answer<f64> {
         let squares = ["x", "y", "z"].map(|axis| -> Answer<f64> { Ok((coordinate(&a, axis)? - coordinate(&b, axis)?).powi(2)) });
         squares.into_iter().sum::<Answer<f64>>().map(f64::sqrt)
@@ -112,6 +116,14 @@ fn coordinate(of: &Map, name: &str) -> Answer<f64> {
 fn number(value: &Dynamic) -> Answer<f64> {
     let integer = |value: INT| value as f64;
     value.as_float().or_else(|_| value.as_int().map(integer)).map_err(|found| fail(format!("a number is needed, not a value of type {found}")))
+}
+
+fn refuse_sleep() -> Answer<()> {
+    Err(fail("an expression cannot wait; use <send> with a delay".to_owned()))
+}
+
+fn refuse_exit() -> Answer<()> {
+    Err(fail("an expression cannot end a chart; enter a <final> state".to_owned()))
 }
 
 fn fail(text: String) -> Box<EvalAltResult> {

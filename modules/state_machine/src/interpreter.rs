@@ -606,13 +606,6 @@ impl Interpreter {
         for &number in enabled {
             exits.extend(self.exits(number));
         }
-        let mut enter = Entering::default();
-        // Histories that are left in this step count as they were before it.
-        for &number in enabled {
-            if let Some(domain) = self.domain(number) {
-                self.add_targets(number, domain, &mut enter);
-            }
-        }
         self.exit(&exits);
         for &number in enabled {
             let transition = &chart.transitions[number];
@@ -623,6 +616,13 @@ impl Interpreter {
                 event: event.to_owned(),
             });
             self.execute(&transition.actions);
+        }
+        // After the exit: it has changed histories.
+        let mut enter = Entering::default();
+        for &number in enabled {
+            if let Some(domain) = self.domain(number) {
+                self.add_targets(number, domain, &mut enter);
+            }
         }
         self.enter(&enter);
     }
@@ -692,7 +692,9 @@ impl Interpreter {
     }
 
     fn add_ancestors(&self, state: usize, below: usize, enter: &mut Entering) {
-        for ancestor in self.chart.ancestors(state).take_while(|&ancestor| self.chart.is_inside(ancestor, below)) {
+        // What a history stands for may be beside states that stay active, which appendix D would enter again.
+        let is_left = |&ancestor: &usize| self.chart.is_inside(ancestor, below) && !self.active.contains(&ancestor);
+        for ancestor in self.chart.ancestors(state).take_while(is_left) {
             enter.states.insert(ancestor);
             if self.chart.states[ancestor].kind == StateKind::Parallel {
                 self.add_regions(ancestor, enter);
@@ -753,13 +755,8 @@ impl Interpreter {
             self.end();
             return;
         }
-        let data = match self.payload(&chart.states[state].done_data, chart.states[state].line) {
-            Ok(data) => data,
-            Err(failure) => {
-                self.note(Err(failure));
-                Dynamic::UNIT
-            }
-        };
+        let (data, result) = self.payload(&chart.states[state].done_data);
+        self.note(result);
         self.raise(Event::internal(&format!("done.state.{}", chart.states[parent].id), data));
         let Some(outer) = chart.states[parent].parent.filter(|&outer| chart.states[outer].kind == StateKind::Parallel)
         else {
@@ -913,22 +910,32 @@ impl Interpreter {
         }
     }
 
-    fn payload(&mut self, payload: &Payload, line: u32) -> Result<Dynamic, Failure> {
-        match payload {
-            Payload::None => Ok(Dynamic::UNIT),
-            Payload::Content(Given::Text(text)) => Ok(text.clone().into()),
-            Payload::Content(Given::Computed(value)) => Ok(self.evaluator.value(value, &mut self.scope)?),
+    /// The data of an event, and the first error in them; fields with errors are left out.
+    fn payload(&mut self, payload: &Payload) -> (Dynamic, Result<(), Failure>) {
+        let mut result = Ok(());
+        let data = match payload {
+            Payload::None => Dynamic::UNIT,
+            Payload::Content(Given::Text(text)) => self.evaluator.read(text),
+            Payload::Content(Given::Computed(value)) => {
+                let value = self.evaluator.value(value, &mut self.scope);
+                value.unwrap_or_else(|problem| {
+                    result = Err(problem.into());
+                    Dynamic::UNIT
+                })
+            }
             Payload::Parameters(parameters) => {
                 let mut map = Map::new();
                 for (name, value) in parameters {
                     match self.evaluator.value(value, &mut self.scope) {
                         Ok(value) => _ = map.insert(name.as_str().into(), value),
-                        Err(problem) => self.note(Err(Problem { line, ..problem }.into())),
+                        Err(problem) if result.is_ok() => result = Err(problem.into()),
+                        Err(_) => {}
                     }
                 }
-                Ok(map.into())
+                if map.is_empty() { Dynamic::UNIT } else { map.into() }
             }
-        }
+        };
+        (data, result)
     }
 
     fn try_send(&mut self, send: &Send) -> Result<(), Failure> {
@@ -977,7 +984,8 @@ impl Interpreter {
         if delay > Duration::ZERO && matches!(target, Target::Internal) {
             return Err(fail("error.execution", "an event for \"#_internal\" has no delay".to_owned()));
         }
-        let data = self.payload(&send.payload, send.line)?;
+        let (data, result) = self.payload(&send.payload);
+        result?;
         let kind = if matches!(target, Target::Internal) { EventKind::Internal } else { EventKind::External };
         let event = Event { name, data, kind, send_id: send.id.clone().or_else(|| id.clone()), is_own: true };
         if delay == Duration::ZERO {

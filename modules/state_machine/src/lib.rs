@@ -25,12 +25,18 @@
 //! The subset, and how a chart is connected to a robot: docs/state_machine.md.
 
 mod chart;
+mod check;
 mod draw;
 mod expressions;
 mod functions;
 mod interpreter;
+mod module;
+mod values;
+
+downbeat_msgs::include_interfaces!();
 
 pub use chart::{Chart, ChartError, ChartSetting, DOWNBEAT, Interface, Port, SettingDefault, Timer};
 pub use expressions::Problem;
 pub use interpreter::{Effect, Event, Interpreter, Memory};
+pub use module::{StateMachineOptions, load};
 pub use rhai::{Dynamic, Map};

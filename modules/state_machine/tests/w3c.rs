@@ -30,6 +30,9 @@ const OUTSIDE: &[(&str, &str)] = &[
     ("JSON.stringify", "the library of ECMAScript"),
     ("checkErrorData", "the data of errors in SCION"),
     ("new testobject", "objects of ECMAScript"),
+    ("no error in s0", "a manual test: a person judges the log"),
+    ("var Var01", "declarations of ECMAScript"),
+    ("++var1", "operators of ECMAScript"),
     ("$scion", "names that SCION makes up"),
 ];
 
@@ -53,6 +56,8 @@ const TRANSLATIONS: &[(&str, &str)] = &[
     ("cond=\"'foo'\"", "cond=\"'foo' != ''\""),
     ("_ioprocessors['scxml'].location\"", "_ioprocessors['scxml'].location != ''\""),
     // What cannot be evaluated; the recommendation lets it be refused at the start as well, which is what rhai's parser does.
+    ("var Var1 =", "let Var1 ="),
+    ("item=\"'continue'\"", "item=\"_event\""),
     ("\"return\"", "\"1 / 0\""),
 ];
 
@@ -117,11 +122,19 @@ fn result(path: &Path, script: &Path) -> String {
         Ok(chart) => chart,
         Err(error) => {
             let problem = &error.problems[0];
-            return format!("refused: {}", problem.text.replace(['\n', '|'], " "));
+            return format!("n/a: refused, {}", problem.text.replace(['\n', '|'], " "));
         }
     };
     let script: Value = serde_json::from_str(&std::fs::read_to_string(script).unwrap()).unwrap();
-    run(chart, &script).map_or_else(|problem| format!("FAILED: {problem}"), |()| "passed".to_owned())
+    let is_of_w3c = path.parent().is_some_and(|folder| folder.ends_with("w3c-ecma"));
+    // SCION lets a parallel state stay active where appendix D exits and enters it; the cases have both expectations.
+    let is_legacy = ["more-parallel/test10.scxml", "more-parallel/test10b.scxml"].iter().any(|case| path.ends_with(case));
+    let result = match (is_of_w3c, is_legacy) {
+        (true, _) => run_to_pass(chart),
+        (_, true) => run(chart, &script["legacySemantics"]),
+        _ => run(chart, &script),
+    };
+    result.map_or_else(|problem| format!("FAILED: {problem}"), |()| "passed".to_owned())
 }
 
 fn without_comments(text: &str) -> String {
@@ -134,14 +147,18 @@ fn without_comments(text: &str) -> String {
     kept + rest
 }
 
+/// The cases of the W3C pass if they reach the state `pass`.
+fn run_to_pass(chart: Chart) -> Result<(), String> {
+    let mut machine = Interpreter::new(Arc::new(chart), "session");
+    let mut log = faults(machine.start(Duration::ZERO));
+    wait(&mut machine, Duration::ZERO, Duration::from_secs(60), &mut log);
+    expect(&machine, &serde_json::json!(["pass"]), "at last", &log)
+}
+
 fn run(chart: Chart, script: &Value) -> Result<(), String> {
     let mut machine = Interpreter::new(Arc::new(chart), "session");
     let mut now = Duration::ZERO;
     let mut log = faults(machine.start(now));
-    let is_timed = script["events"].as_array().is_none_or(Vec::is_empty);
-    if is_timed {
-        now = wait(&mut machine, now, Duration::from_secs(60), &mut log);
-    }
     expect(&machine, &script["initialConfiguration"], "at first", &log)?;
     for event in script["events"].as_array().into_iter().flatten() {
         if let Some(after) = event["after"].as_u64() {

@@ -1,6 +1,8 @@
 //! What a module in another language declares, as data.
 
+use crate::{Interfaces, KnownType};
 use downbeat_executor::SettingValue;
+use downbeat_msgs::dynamic::DynamicType;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -16,6 +18,7 @@ pub struct Declarations {
     pub(super) settings: Vec<SettingDeclaration>,
     pub(super) is_run_each_cycle: bool,
     pub(super) is_reloading: bool,
+    pub(super) interfaces: Interfaces,
     counts: Counts,
 }
 
@@ -68,6 +71,24 @@ impl Declarations {
     #[must_use]
     pub fn new(module_name: &str, given: BTreeMap<String, SettingValue>) -> Self {
         Self { module_name: module_name.to_owned(), given, ..Self::default() }
+    }
+
+    /// The same with the interfaces of the robot, for [`definition`](Self::definition).
+    #[must_use]
+    pub fn with_interfaces(self, interfaces: Interfaces) -> Self {
+        Self { interfaces, ..self }
+    }
+
+    /// The definition of a message, request, response, goal, result or feedback, such as `std_srvs/srv/SetBool_Request`: for
+    /// modules that read messages field by field.
+    ///
+    /// # Errors
+    /// If the robot has no such type.
+    pub fn definition(&self, name: &str) -> Result<DynamicType, String> {
+        if let Some(of) = self.interfaces.message(name).ok().and_then(KnownType::dynamic) {
+            return Ok(of);
+        }
+        self.interfaces.definitions().find(name).map_err(|error| error.to_string())
     }
 
     /// The name under which the module is added.

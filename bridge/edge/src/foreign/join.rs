@@ -18,7 +18,8 @@ impl Module for ForeignModule {
             Some(declared) => declared,
             None => {
                 let mut foreign = (self.make)().map_err(|reason| setup.refuse(reason))?;
-                let mut declared = Declarations::new(setup.module_name(), self.options.settings.clone());
+                let mut declared = Declarations::new(setup.module_name(), self.options.settings.clone())
+                    .with_interfaces(self.interfaces.clone());
                 foreign.setup(&mut declared).map_err(|reason| setup.refuse(reason))?;
                 self.foreign = Some(foreign);
                 Arc::new(declared)

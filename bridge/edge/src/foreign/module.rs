@@ -393,7 +393,8 @@ impl ForeignModule {
         // What was set while the module ran comes before what it was given at the start.
         let mut given = self.options.settings.clone();
         given.extend(self.settings(context));
-        let mut declarations = Declarations::new(context.module_name(), given);
+        let mut declarations =
+            Declarations::new(context.module_name(), given).with_interfaces(self.interfaces.clone());
         successor.setup(&mut declarations)?;
         let state = self.foreign.as_mut().map_or_else(|| Ok(Box::new(()) as SavedState), |old| old.save())?;
         successor.restore(state)?;
