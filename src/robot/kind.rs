@@ -248,7 +248,7 @@ impl Kind {
     }
 
     /// Brings a panel to the page of the robot: a JavaScript module whose default export has `create(root, robot, view)`
-    /// (docs/panels.md). `topics` are those that it shows, as the module names them; the panel learns their names in the robot.
+    /// (docs/panels.md). `topics` are those that it shows, as the module names them (`~` is its own name); the panel learns their names in the robot.
     #[must_use]
     pub fn with_panel(
         self,
@@ -429,6 +429,7 @@ pub(super) fn built_in() -> Vec<Kind> {
             |source| downbeat_state_machine::load(&state_machine(source)?),
             |source| state_machine(source).map(|options| vec![options.path]).unwrap_or_default(),
         )
+        .with_panel("Chart", downbeat_state_machine::PANEL, &["~/mermaid", "~/state"])
         .with_synchrony(Synchrony::WhenDue),
         Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
         Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default),

@@ -150,7 +150,11 @@ fn page(file: &RobotFile, host: Arc<PageHost>) -> PageOptions {
 fn panel(module: &ModuleEntry) -> Option<Panel> {
     let (title, script, topics) = if let Some(panel) = module.kind.panel() {
         let renamed = |topic: &&str| {
-            module.remaps.get(*topic).map_or_else(|| (*topic).to_owned(), |to| to.value.clone())
+            let topic = match topic.strip_prefix("~/") {
+                Some(own) => format!("{}/{own}", module.name),
+                None => (*topic).to_owned(),
+            };
+            module.remaps.get(&topic).map_or(topic, |to| to.value.clone())
         };
         (
             panel.title.to_owned(),

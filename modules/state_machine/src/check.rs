@@ -20,7 +20,8 @@ pub(crate) fn unknown_names(chart: &Chart, messages: &BTreeMap<String, DynamicTy
         _ => Vec::new(),
     }));
     // Scripts make variables.
-    let are_all_known = chart.scripts.is_empty() && !each_action(chart).iter().any(|action| matches!(action, Action::Script(_)));
+    let are_all_known = chart.scripts.is_empty()
+        && !each_action(chart).iter().any(|action| matches!(action, Action::Script(_)));
     let mut problems = Vec::new();
     for program in programs {
         for Path { line, names } in program.paths() {
@@ -35,7 +36,9 @@ pub(crate) fn unknown_names(chart: &Chart, messages: &BTreeMap<String, DynamicTy
                 }
                 _ => None,
             };
-            problems.extend(unknown.map(|text| Problem { line, text: format!("`{}`: {text}", program.text.trim()) }));
+            problems.extend(
+                unknown.map(|text| Problem { line, text: format!("`{}`: {text}", program.text.trim()) }),
+            );
         }
     }
     problems.sort_by_key(|problem| problem.line);
@@ -57,7 +60,8 @@ fn unknown_field(of: &DynamicType, names: &[String]) -> Option<String> {
 }
 
 fn programs(chart: &Chart) -> Vec<&Program> {
-    let mut programs: Vec<&Program> = chart.transitions.iter().filter_map(|transition| transition.condition.as_ref()).collect();
+    let mut programs: Vec<&Program> =
+        chart.transitions.iter().filter_map(|transition| transition.condition.as_ref()).collect();
     for state in &chart.states {
         programs.extend(state.data.iter().filter_map(|data| data.value.as_ref()));
         programs.extend(of_payload(&state.done_data));
@@ -68,7 +72,9 @@ fn programs(chart: &Chart) -> Vec<&Program> {
             Action::Cancel { id, .. } => programs.extend(computed(Some(id))),
             Action::Log { value, .. } => programs.extend(value),
             Action::Assign { value, .. } => programs.push(value),
-            Action::If { branches } => programs.extend(branches.iter().filter_map(|(condition, _)| condition.as_ref())),
+            Action::If { branches } => {
+                programs.extend(branches.iter().filter_map(|(condition, _)| condition.as_ref()))
+            }
             Action::ForEach(each) => programs.push(&each.array),
             Action::Send(send) => {
                 for given in [&send.event, &send.target, &send.kind, &send.delay] {
@@ -99,7 +105,8 @@ fn of_payload(payload: &Payload) -> Vec<&Program> {
 /// All actions, those in others included.
 fn each_action(chart: &Chart) -> Vec<&Action> {
     let blocks = chart.states.iter().flat_map(|state| state.entry.iter().chain(&state.exit));
-    let mut open: Vec<&Action> = blocks.chain(chart.transitions.iter().map(|transition| &transition.actions)).flatten().collect();
+    let mut open: Vec<&Action> =
+        blocks.chain(chart.transitions.iter().map(|transition| &transition.actions)).flatten().collect();
     let mut all = Vec::new();
     while let Some(action) = open.pop() {
         all.push(action);

@@ -8,7 +8,10 @@ impl Chart {
     /// The chart in DOT; the active states are filled.
     #[must_use]
     pub fn to_dot(&self, active: &BTreeSet<&str>) -> String {
-        let mut dot = format!("digraph {} {{\n    compound=true; node [shape=box style=rounded];\n", quoted(&self.name));
+        let mut dot = format!(
+            "digraph {} {{\n    compound=true; node [shape=box style=rounded];\n",
+            quoted(&self.name)
+        );
         self.children_in_dot(0, active, 1, &mut dot);
         for transition in self.drawn_transitions() {
             let text = quoted(&label(transition));
@@ -40,7 +43,9 @@ impl Chart {
                 let _ = writeln!(text, "    s{source} --> s{target}{colon}{label}");
             }
         }
-        for (number, _) in self.states.iter().enumerate().filter(|(_, state)| active.contains(state.id.as_str())) {
+        for (number, _) in
+            self.states.iter().enumerate().filter(|(_, state)| active.contains(state.id.as_str()))
+        {
             let _ = writeln!(text, "    class s{number} active");
         }
         text
@@ -49,7 +54,12 @@ impl Chart {
     /// Those of states: first states are drawn otherwise.
     fn drawn_transitions(&self) -> impl Iterator<Item = &Transition> {
         let of_states = self.states.iter().enumerate().flat_map(|(_, state)| {
-            state.transitions.iter().chain(state.initial.filter(|_| state.is_history()).as_ref()).copied().collect::<Vec<_>>()
+            state
+                .transitions
+                .iter()
+                .chain(state.initial.filter(|_| state.is_history()).as_ref())
+                .copied()
+                .collect::<Vec<_>>()
         });
         of_states.map(|transition| &self.transitions[transition])
     }
@@ -70,7 +80,11 @@ impl Chart {
     fn children_in_dot(&self, state: usize, active: &BTreeSet<&str>, depth: usize, dot: &mut String) {
         let indent = "    ".repeat(depth);
         for first in self.first_states(state) {
-            let cluster = if self.states[first].children.is_empty() { String::new() } else { format!(" [lhead=cluster_{first}]") };
+            let cluster = if self.states[first].children.is_empty() {
+                String::new()
+            } else {
+                format!(" [lhead=cluster_{first}]")
+            };
             let _ = writeln!(dot, "{indent}i{state}_{first} [shape=point label=\"\"];");
             let _ = writeln!(dot, "{indent}i{state}_{first} -> s{}{cluster};", self.leaf_of(first));
         }
@@ -89,8 +103,12 @@ impl Chart {
                 continue;
             }
             let line = if of.kind == StateKind::Parallel { "dashed" } else { "rounded" };
-            let filled = if fill.is_empty() { String::new() } else { format!(",filled\"; fillcolor=\"#fff0cc") };
-            let _ = writeln!(dot, "{indent}subgraph cluster_{child} {{\n{indent}    label={name}; style=\"{line}{filled}\";");
+            let filled =
+                if fill.is_empty() { String::new() } else { format!(",filled\"; fillcolor=\"#fff0cc") };
+            let _ = writeln!(
+                dot,
+                "{indent}subgraph cluster_{child} {{\n{indent}    label={name}; style=\"{line}{filled}\";"
+            );
             self.children_in_dot(child, active, depth + 1, dot);
             let _ = writeln!(dot, "{indent}}}");
         }
@@ -115,7 +133,8 @@ impl Chart {
         }
         for &history in &self.states[state].histories {
             let star = if self.states[history].kind == StateKind::Deep { "H*" } else { "H" };
-            let _ = writeln!(text, "{indent}state \"{star} {}\" as s{history}", plain(&self.states[history].id));
+            let _ =
+                writeln!(text, "{indent}state \"{star} {}\" as s{history}", plain(&self.states[history].id));
         }
     }
 }
@@ -131,5 +150,7 @@ fn quoted(text: &str) -> String {
 
 /// Without what ends a label in Mermaid.
 fn plain(text: &str) -> String {
-    text.chars().map(|c| if matches!(c, ';' | ':' | '"' | '\n' | '\r' | '#' | '{' | '}') { ' ' } else { c }).collect()
+    text.chars()
+        .map(|c| if matches!(c, ';' | ':' | '"' | '\n' | '\r' | '#' | '{' | '}') { ' ' } else { c })
+        .collect()
 }

@@ -8,7 +8,9 @@
 use crate::functions;
 use parking_lot::RwLock;
 use rhai::packages::{Package, StandardPackage};
-use rhai::{AST, ASTNode, Expr, Dynamic, Engine, EvalAltResult, OptimizationLevel, ParseError, Position, Scope};
+use rhai::{
+    AST, ASTNode, Dynamic, Engine, EvalAltResult, Expr, OptimizationLevel, ParseError, Position, Scope,
+};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, LazyLock};
@@ -341,7 +343,9 @@ mod tests {
 
     #[test]
     fn there_is_no_way_out() {
-        for text in ["eval('1')", "open_file('x')", "import 'x' as y", "timestamp()", "sleep(1)", "rand()", "exit()"] {
+        for text in
+            ["eval('1')", "open_file('x')", "import 'x' as y", "timestamp()", "sleep(1)", "rand()", "exit()"]
+        {
             assert!(value(text).is_err(), "{text}");
         }
         // Printing leads nowhere.

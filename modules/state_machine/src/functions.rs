@@ -18,14 +18,16 @@ pub(crate) fn register(engine: &mut Engine) {
     engine.register_fn("sleep", |_: FLOAT| refuse_sleep());
     engine.register_fn("exit", refuse_exit);
     engine.register_fn("distance", |a: Map, b: Map| -> Answer<f64> {
-        let squares = ["x", "y", "z"].map(|axis| -> Answer<f64> { Ok((coordinate(&a, axis)? - coordinate(&b, axis)?).powi(2)) });
+        let squares = ["x", "y", "z"]
+            .map(|axis| -> Answer<f64> { Ok((coordinate(&a, axis)? - coordinate(&b, axis)?).powi(2)) });
         squares.into_iter().sum::<Answer<f64>>().map(f64::sqrt)
     });
     engine.register_fn("norm", |a: Map| -> Answer<f64> {
         let squares = ["x", "y", "z"].map(|axis| -> Answer<f64> { Ok(coordinate(&a, axis)?.powi(2)) });
         squares.into_iter().sum::<Answer<f64>>().map(f64::sqrt)
     });
-    engine.register_fn("atan2", |y: Dynamic, x: Dynamic| -> Answer<f64> { Ok(number(&y)?.atan2(number(&x)?)) });
+    engine
+        .register_fn("atan2", |y: Dynamic, x: Dynamic| -> Answer<f64> { Ok(number(&y)?.atan2(number(&x)?)) });
     engine.register_fn("bearing", |to: Map| -> Answer<f64> {
         Ok(coordinate(&to, "y")?.atan2(coordinate(&to, "x")?))
     });
@@ -47,7 +49,9 @@ pub(crate) fn register(engine: &mut Engine) {
 /// Registers those that know the chart and its time.
 pub(crate) fn register_world(engine: &mut Engine, world: &Arc<RwLock<World>>) {
     let [active, times, clock, ages, receipts] = std::array::from_fn(|_| Arc::clone(world));
-    engine.register_fn("In", move |state: ImmutableString| -> bool { active.read().entered.contains_key(&*state) });
+    engine.register_fn("In", move |state: ImmutableString| -> bool {
+        active.read().entered.contains_key(&*state)
+    });
     engine.register_fn("time_in", move |state: ImmutableString| -> f64 {
         let world = times.read();
         world.entered.get(&*state).map_or(0.0, |&since| world.now.saturating_sub(since).as_secs_f64())
@@ -56,9 +60,7 @@ pub(crate) fn register_world(engine: &mut Engine, world: &Arc<RwLock<World>>) {
     engine.register_fn("age", move |name: ImmutableString| -> Answer<FLOAT> {
         let world = ages.read();
         let received = receipt(&world, &name)?;
-        Ok(
-            received.map_or(f64::INFINITY, |at| world.now.saturating_sub(at).as_secs_f64()),
-        )
+        Ok(received.map_or(f64::INFINITY, |at| world.now.saturating_sub(at).as_secs_f64()))
     });
     engine.register_fn("has", move |name: ImmutableString| -> Answer<bool> {
         Ok(receipt(&receipts.read(), &name)?.is_some())
@@ -115,7 +117,10 @@ fn coordinate(of: &Map, name: &str) -> Answer<f64> {
 
 fn number(value: &Dynamic) -> Answer<f64> {
     let integer = |value: INT| value as f64;
-    value.as_float().or_else(|_| value.as_int().map(integer)).map_err(|found| fail(format!("a number is needed, not a value of type {found}")))
+    value
+        .as_float()
+        .or_else(|_| value.as_int().map(integer))
+        .map_err(|found| fail(format!("a number is needed, not a value of type {found}")))
 }
 
 fn refuse_sleep() -> Answer<()> {

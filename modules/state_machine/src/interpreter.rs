@@ -166,7 +166,8 @@ impl Event {
             EventKind::External => "external",
             EventKind::Platform => "platform",
         };
-        let (origin, origin_type) = if self.is_own { (Some("#_scxml_self"), Some(PROCESSOR)) } else { (None, None) };
+        let (origin, origin_type) =
+            if self.is_own { (Some("#_scxml_self"), Some(PROCESSOR)) } else { (None, None) };
         Map::from([
             ("name".into(), self.name.clone().into()),
             ("type".into(), kind.to_owned().into()),
@@ -273,7 +274,9 @@ impl Interpreter {
         }
         self.is_running = true;
         let chart = Arc::clone(&self.chart);
-        for (number, state) in chart.states.iter().enumerate().take(if chart.is_late { 1 } else { usize::MAX }) {
+        for (number, state) in
+            chart.states.iter().enumerate().take(if chart.is_late { 1 } else { usize::MAX })
+        {
             self.initialise(number, &state.data);
         }
         for script in &chart.scripts {
@@ -321,7 +324,8 @@ impl Interpreter {
         if self.is_running {
             let events: BTreeSet<String> = self.external.drain(..).map(|event| event.name).collect();
             let events = events.into_iter().collect::<Vec<_>>().join(", ");
-            let text = format!("the chart sends itself events without an end: {events}; give the <send> a delay");
+            let text =
+                format!("the chart sends itself events without an end: {events}; give the <send> a delay");
             self.effects.push(Effect::Fault(Problem { line: 1, text }));
         }
         self.external.clear();
@@ -343,7 +347,11 @@ impl Interpreter {
         Memory {
             active: self.active.iter().skip(1).map(id).collect(),
             entered: world.entered.clone(),
-            history: self.history.iter().map(|(state, kept)| (id(state), kept.iter().map(id).collect())).collect(),
+            history: self
+                .history
+                .iter()
+                .map(|(state, kept)| (id(state), kept.iter().map(id).collect()))
+                .collect(),
             data: data.collect(),
             delayed: self.delayed.clone(),
             received: world.received.iter().map(message).collect(),
@@ -377,9 +385,12 @@ impl Interpreter {
         }
         let found = |ids: &[String]| ids.iter().filter_map(|id| chart.state(id)).collect::<Vec<_>>();
         for (id, kept) in &memory.history {
-            let Some(history) = chart.state(id).filter(|&state| chart.states[state].is_history()) else { continue };
+            let Some(history) = chart.state(id).filter(|&state| chart.states[state].is_history()) else {
+                continue;
+            };
             let Some(parent) = chart.states[history].parent else { continue };
-            let is_fit = |state: &usize| chart.is_inside(*state, parent) && !chart.states[*state].is_history();
+            let is_fit =
+                |state: &usize| chart.is_inside(*state, parent) && !chart.states[*state].is_history();
             let kept: Vec<usize> = found(kept).into_iter().filter(is_fit).collect();
             if !kept.is_empty() && self.can_be_together(parent, &kept) {
                 self.history.insert(history, kept);
@@ -391,7 +402,11 @@ impl Interpreter {
         let mut kept: BTreeSet<usize> =
             found(&memory.active).into_iter().filter(|&state| !chart.states[state].is_history()).collect();
         // A chart that had ended goes on if it no longer ends there.
-        if ended && kept.iter().any(|&state| chart.states[state].parent == Some(0) && chart.states[state].kind == StateKind::Final) {
+        if ended
+            && kept.iter().any(|&state| {
+                chart.states[state].parent == Some(0) && chart.states[state].kind == StateKind::Final
+            })
+        {
             self.is_running = false;
         }
         let above: Vec<usize> = kept.iter().flat_map(|&state| chart.ancestors(state)).collect();
@@ -421,7 +436,11 @@ impl Interpreter {
         states.iter().enumerate().all(|(number, &a)| {
             states[number + 1..].iter().all(|&b| {
                 let innermost = chart.ancestors(a).find(|&around| chart.is_inside(b, around));
-                a != b && innermost.is_some_and(|around| chart.states[around].kind == StateKind::Parallel && (around == outer || chart.is_inside(around, outer)))
+                a != b
+                    && innermost.is_some_and(|around| {
+                        chart.states[around].kind == StateKind::Parallel
+                            && (around == outer || chart.is_inside(around, outer))
+                    })
             })
         })
     }
@@ -431,10 +450,12 @@ impl Interpreter {
         enter.states.insert(state);
         let chart = &self.chart;
         match chart.states[state].kind {
-            StateKind::Compound => match chart.states[state].children.iter().find(|child| kept.contains(child)) {
-                Some(&child) => self.complete(child, kept, enter),
-                None => self.add_default(state, enter),
-            },
+            StateKind::Compound => {
+                match chart.states[state].children.iter().find(|child| kept.contains(child)) {
+                    Some(&child) => self.complete(child, kept, enter),
+                    None => self.add_default(state, enter),
+                }
+            }
             StateKind::Parallel => {
                 chart.states[state].children.iter().for_each(|&child| self.complete(child, kept, enter));
             }
@@ -693,7 +714,8 @@ impl Interpreter {
 
     fn add_ancestors(&self, state: usize, below: usize, enter: &mut Entering) {
         // What a history stands for may be beside states that stay active, which appendix D would enter again.
-        let is_left = |&ancestor: &usize| self.chart.is_inside(ancestor, below) && !self.active.contains(&ancestor);
+        let is_left =
+            |&ancestor: &usize| self.chart.is_inside(ancestor, below) && !self.active.contains(&ancestor);
         for ancestor in self.chart.ancestors(state).take_while(is_left) {
             enter.states.insert(ancestor);
             if self.chart.states[ancestor].kind == StateKind::Parallel {
@@ -758,7 +780,8 @@ impl Interpreter {
         let (data, result) = self.payload(&chart.states[state].done_data);
         self.note(result);
         self.raise(Event::internal(&format!("done.state.{}", chart.states[parent].id), data));
-        let Some(outer) = chart.states[parent].parent.filter(|&outer| chart.states[outer].kind == StateKind::Parallel)
+        let Some(outer) =
+            chart.states[parent].parent.filter(|&outer| chart.states[outer].kind == StateKind::Parallel)
         else {
             return;
         };
@@ -833,7 +856,10 @@ impl Interpreter {
                     self.delayed.retain(|delayed| delayed.id.as_deref() != Some(id.as_str()));
                 }
                 Action::Log { label, value, line } => {
-                    let value = value.as_ref().map(|value| self.evaluator.value(value, &mut self.scope)).transpose()?;
+                    let value = value
+                        .as_ref()
+                        .map(|value| self.evaluator.value(value, &mut self.scope))
+                        .transpose()?;
                     let text = value.map_or_else(String::new, |value| value.to_string());
                     self.effects.push(Effect::Log { label: label.clone(), text, line: *line });
                 }
@@ -867,7 +893,13 @@ impl Interpreter {
                         line: each.array.line,
                         text: format!("`{}` is of type {found}; <foreach> needs an array", each.array.text),
                     })?;
-                    for name in each.names.iter().flatten().filter(|name| !self.scope.contains(name)).collect::<Vec<_>>() {
+                    for name in each
+                        .names
+                        .iter()
+                        .flatten()
+                        .filter(|name| !self.scope.contains(name))
+                        .collect::<Vec<_>>()
+                    {
                         self.scope.push_dynamic(name.clone(), Dynamic::UNIT);
                     }
                     for (index, item) in array.into_iter().enumerate() {
@@ -949,12 +981,19 @@ impl Interpreter {
             }
             (None, None) => None,
         };
-        let fail = |event, text| Failure { event, problem: Problem { line: send.line, text }, send_id: id.clone() };
+        let fail =
+            |event, text| Failure { event, problem: Problem { line: send.line, text }, send_id: id.clone() };
         let kind = send.kind.as_ref().map(|kind| self.text(kind, send.line)).transpose()?;
-        if let Some(kind) = kind.filter(|kind| !["scxml", PROCESSOR, "http://www.w3.org/TR/scxml/"].contains(&kind.trim_end_matches('#'))) {
-            return Err(fail("error.execution", format!("`type` of <send> is \"scxml\" or missing, not \"{kind}\"")));
+        if let Some(kind) = kind.filter(|kind| {
+            !["scxml", PROCESSOR, "http://www.w3.org/TR/scxml/"].contains(&kind.trim_end_matches('#'))
+        }) {
+            return Err(fail(
+                "error.execution",
+                format!("`type` of <send> is \"scxml\" or missing, not \"{kind}\""),
+            ));
         }
-        let name = send.event.as_ref().map(|event| self.text(event, send.line)).transpose()?.unwrap_or_default();
+        let name =
+            send.event.as_ref().map(|event| self.text(event, send.line)).transpose()?.unwrap_or_default();
         let target = send.target.as_ref().map(|target| self.text(target, send.line)).transpose()?;
         let target = match target.as_deref() {
             None => Target::Own,
@@ -966,7 +1005,8 @@ impl Interpreter {
             }
             Some(port) => {
                 let interface = &self.chart.interface;
-                let mut ports = [&interface.publishers, &interface.services, &interface.actions].into_iter().flatten();
+                let mut ports =
+                    [&interface.publishers, &interface.services, &interface.actions].into_iter().flatten();
                 if !ports.any(|known| known.name == port) {
                     let text = format!("<send> has the target \"{port}\", which the chart does not declare");
                     return Err(fail("error.execution", text));
@@ -978,7 +1018,9 @@ impl Interpreter {
             None => Duration::ZERO,
             Some(delay) => {
                 let text = self.text(delay, send.line)?;
-                duration(&text).ok_or_else(|| fail("error.execution", format!("\"{text}\" is no delay such as \"1.5s\"")))?
+                duration(&text).ok_or_else(|| {
+                    fail("error.execution", format!("\"{text}\" is no delay such as \"1.5s\""))
+                })?
             }
         };
         if delay > Duration::ZERO && matches!(target, Target::Internal) {

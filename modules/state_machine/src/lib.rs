@@ -40,3 +40,6 @@ pub use expressions::Problem;
 pub use interpreter::{Effect, Event, Interpreter, Memory};
 pub use module::{StateMachineOptions, load};
 pub use rhai::{Dynamic, Map};
+
+/// The panel of the robot's page that shows the chart: a JavaScript module (docs/panels.md).
+pub const PANEL: &str = include_str!("chart.panel.js");

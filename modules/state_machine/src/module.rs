@@ -7,12 +7,14 @@
 //!
 //! and the topics, services and actions that the chart declares.
 
-use crate::state_machine_interfaces::msg::StateMachineState;
 use crate::chart::{Chart, ChartSetting, Port, SettingDefault};
 use crate::expressions::Problem;
 use crate::interpreter::{Effect, Event, Interpreter, Memory};
+use crate::state_machine_interfaces::msg::StateMachineState;
 use crate::values::{to_map, to_message};
-use downbeat_edge::foreign::{Declarations, Event as PortEvent, Foreign, ForeignContext, SavedState, SettingDeclaration};
+use downbeat_edge::foreign::{
+    Declarations, Event as PortEvent, Foreign, ForeignContext, SavedState, SettingDeclaration,
+};
 use downbeat_executor::{SettingValue, Time};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
@@ -129,17 +131,20 @@ impl StateMachine {
             declarations.definition(&name).map_err(|problem| self.at(port.line, problem))
         };
         let mut ports = Ports::default();
+        let mut first_messages = Vec::new();
         for port in &chart.interface.subscriptions {
             let of = define(declarations, port, "")?;
             let first = to_map(DynamicMessage::new(&of).as_message());
-            self.interpreter.provide(&port.name, first.into());
+            first_messages.push((&port.name, first));
             let number = declarations.subscribe(&port.topic, &port.type_name, None);
             ports.subscriptions.insert(number, (port.clone(), of));
         }
-        let messages = ports.subscriptions.values().map(|(port, of)| (port.name.clone(), of.clone())).collect();
+        let messages =
+            ports.subscriptions.values().map(|(port, of)| (port.name.clone(), of.clone())).collect();
         let unknown = crate::check::unknown_names(&chart, &messages);
         if !unknown.is_empty() {
-            let lines: Vec<String> = unknown.iter().map(|problem| self.at(problem.line, &problem.text)).collect();
+            let lines: Vec<String> =
+                unknown.iter().map(|problem| self.at(problem.line, &problem.text)).collect();
             return Err(lines.join("\n"));
         }
         for port in &chart.interface.publishers {
@@ -150,22 +155,31 @@ impl StateMachine {
         let client = |declarations: &mut Declarations, port: &Port, stage: Stage| {
             let (service, type_name, timeout) = match stage {
                 Stage::Service => (port.topic.clone(), port.type_name.clone(), port.timeout),
-                Stage::Goal => {
-                    (format!("{}/_action/send_goal", port.topic), format!("{}_SendGoal", port.type_name), port.timeout)
-                }
+                Stage::Goal => (
+                    format!("{}/_action/send_goal", port.topic),
+                    format!("{}_SendGoal", port.type_name),
+                    port.timeout,
+                ),
                 Stage::Result => {
                     let type_name = format!("{}_GetResult", port.type_name);
                     (format!("{}/_action/get_result", port.topic), type_name, RESULT_TIMEOUT)
                 }
-                Stage::Cancel => {
-                    (format!("{}/_action/cancel_goal", port.topic), "action_msgs/srv/CancelGoal".to_owned(), port.timeout)
-                }
+                Stage::Cancel => (
+                    format!("{}/_action/cancel_goal", port.topic),
+                    "action_msgs/srv/CancelGoal".to_owned(),
+                    port.timeout,
+                ),
             };
             let part = |part: &str| {
                 let name = format!("{type_name}_{part}");
                 declarations.definition(&name).map_err(|problem| self.at(port.line, problem))
             };
-            let client = Client { name: port.name.clone(), stage, request: part("Request")?, response: part("Response")? };
+            let client = Client {
+                name: port.name.clone(),
+                stage,
+                request: part("Request")?,
+                response: part("Response")?,
+            };
             Ok::<_, String>((declarations.client(&service, &type_name, None, timeout), client))
         };
         for port in &chart.interface.services {
@@ -183,17 +197,17 @@ impl StateMachine {
             ports.actions.insert(port.name.clone(), numbers);
             let type_name = format!("{}_FeedbackMessage", port.type_name);
             let of = define(declarations, port, "_FeedbackMessage")?;
-            let number = declarations.subscribe(&format!("{}/_action/feedback", port.topic), &type_name, None);
+            let number =
+                declarations.subscribe(&format!("{}/_action/feedback", port.topic), &type_name, None);
             ports.feedback.insert(number, (port.name.clone(), of));
         }
         for timer in &chart.interface.timers {
             ports.timers.insert(declarations.every(timer.period), timer.event.clone());
         }
         for setting in &chart.interface.settings {
-            let (number, value) =
-                declarations.setting(declaration(setting)).map_err(|problem| self.at(setting.line, problem))?;
+            let declared = declarations.setting(declaration(setting));
+            let (number, _) = declared.map_err(|problem| self.at(setting.line, problem))?;
             ports.settings.push((number, setting.name.clone()));
-            let _ = value;
         }
         let module = declarations.module_name().to_owned();
         ports.state = declarations.publish(&format!("{module}/state"), StateMachineState::TYPE_NAME, None);
@@ -201,6 +215,9 @@ impl StateMachine {
             declarations.publish(&format!("{module}/{picture}"), std_msgs::msg::String::TYPE_NAME, None)
         });
         ports.wake = declarations.task();
+        for (name, first) in first_messages {
+            self.interpreter.provide(name, first.into());
+        }
         self.ports = ports;
         Ok(())
     }
@@ -246,7 +263,8 @@ impl StateMachine {
         let Some((send_id, goal)) = self.ports.open.remove(&(client, call)) else { return };
         let Some(Client { name, stage, response, .. }) = self.ports.clients.get(&client) else { return };
         let (name, stage) = (name.clone(), *stage);
-        let decoded = result.and_then(|bytes| DynamicMessage::from_cdr(response, bytes).map_err(|error| error.to_string()));
+        let decoded = result
+            .and_then(|bytes| DynamicMessage::from_cdr(response, bytes).map_err(|error| error.to_string()));
         let data = match decoded {
             Ok(message) => to_map(message.as_message()),
             Err(problem) => {
@@ -263,7 +281,8 @@ impl StateMachine {
                 self.add(&format!("action.{name}.accepted"), Dynamic::UNIT, send_id.clone());
                 let result_client = self.ports.actions.get(&name).map(|[_, result, _]| *result);
                 let request = Map::from([("goal_id".into(), id_map(goal))]);
-                let called = result_client.map(|client| self.call(client, &request.into(), send_id, goal, context));
+                let called =
+                    result_client.map(|client| self.call(client, &request.into(), send_id, goal, context));
                 if let Some(Err(problem)) = called {
                     self.add(&format!("action.{name}.lost"), problem.into(), None);
                 }
@@ -317,7 +336,8 @@ impl StateMachine {
         };
         if event == Some("cancel") {
             let Some(&goal) = self.ports.goals.get(target) else { return Ok(()) };
-            let request = Map::from([("goal_info".into(), Map::from([("goal_id".into(), id_map(goal))]).into())]);
+            let request =
+                Map::from([("goal_info".into(), Map::from([("goal_id".into(), id_map(goal))]).into())]);
             return self.call(cancels, &request.into(), id, goal, context);
         }
         self.ports.count += 1;
@@ -369,7 +389,12 @@ impl StateMachine {
     }
 
     /// Does what the chart says. Returns what failed.
-    fn apply(&mut self, effects: Vec<Effect>, has_moved: &mut bool, context: &mut ForeignContext<'_, '_>) -> Vec<String> {
+    fn apply(
+        &mut self,
+        effects: Vec<Effect>,
+        has_moved: &mut bool,
+        context: &mut ForeignContext<'_, '_>,
+    ) -> Vec<String> {
         let module = context.module_name().to_owned();
         let mut failed = Vec::new();
         for effect in effects {
@@ -389,7 +414,10 @@ impl StateMachine {
                 Effect::Send { target, event, data, id, line } => {
                     if let Err(text) = self.send(&target, event.as_deref(), &data, id, context) {
                         *has_moved = true;
-                        self.note(&module, &Problem { line, text: format!("<send> to \"{target}\": {text}") });
+                        self.note(
+                            &module,
+                            &Problem { line, text: format!("<send> to \"{target}\": {text}") },
+                        );
                         failed.push(text);
                     }
                 }
@@ -501,7 +529,13 @@ fn declaration(setting: &ChartSetting) -> SettingDeclaration {
         SettingDefault::Text(text) => SettingValue::Text(text.clone()),
     };
     let range = setting.range.map(|(low, high)| low..=high);
-    SettingDeclaration { name: setting.name.clone(), description: setting.about.clone(), default, range, is_read_only: false }
+    SettingDeclaration {
+        name: setting.name.clone(),
+        description: setting.about.clone(),
+        default,
+        range,
+        is_read_only: false,
+    }
 }
 
 fn since_epoch(time: Time) -> Duration {
@@ -512,8 +546,12 @@ fn since_epoch(time: Time) -> Duration {
 fn goal_id(module: &str, action: &str, now: Time, count: u64) -> Goal {
     let mut id = Goal::default();
     for (half, seed) in id.chunks_mut(8).zip([0xcbf2_9ce4_8422_2325_u64, 0x9e37_79b9_7f4a_7c15]) {
-        let parts = [module.as_bytes(), action.as_bytes(), &now.as_nanos().to_le_bytes(), &count.to_le_bytes()];
-        let hash = parts.concat().iter().fold(seed, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3));
+        let parts =
+            [module.as_bytes(), action.as_bytes(), &now.as_nanos().to_le_bytes(), &count.to_le_bytes()];
+        let hash = parts
+            .concat()
+            .iter()
+            .fold(seed, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3));
         half.copy_from_slice(&hash.to_le_bytes());
     }
     id

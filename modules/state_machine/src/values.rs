@@ -17,10 +17,9 @@ fn to_dynamic(value: ValueRef<'_>) -> Dynamic {
         ValueRef::Float64(value) => value.into(),
         ValueRef::String(text) | ValueRef::WString(text) => text.to_owned().into(),
         // Beyond the integers of the language, the nearest number.
-        integer => integer.as_i64().map_or_else(
-            || integer.as_f64().unwrap_or_default().into(),
-            Dynamic::from_int,
-        ),
+        integer => {
+            integer.as_i64().map_or_else(|| integer.as_f64().unwrap_or_default().into(), Dynamic::from_int)
+        }
     }
 }
 
@@ -66,7 +65,8 @@ fn set(message: &mut DynamicMessage, path: &str, value: &Dynamic) -> Result<(), 
     let array = if array.iter().all(Dynamic::is_int) {
         Array::Int64(array.iter().filter_map(|value| value.as_int().ok()).collect())
     } else if array.iter().all(|value| value.is_int() || value.is_float()) {
-        let number = |value: &Dynamic| value.as_float().or_else(|_| value.as_int().map(|integer| integer as f64));
+        let number =
+            |value: &Dynamic| value.as_float().or_else(|_| value.as_int().map(|integer| integer as f64));
         Array::Float64(array.iter().filter_map(|value| number(value).ok()).collect())
     } else if array.iter().all(Dynamic::is_bool) {
         Array::Bool(array.iter().filter_map(|value| value.as_bool().ok()).collect())

@@ -113,7 +113,10 @@ fn a_player_walks_to_the_ball_and_kicks() {
     assert!(mermaid.try_iter().last().unwrap().data.contains("active"));
     robot.run(2500);
     let last = states.try_iter().last().unwrap();
-    assert_eq!((last.active, last.event, last.fault), (vec!["search".to_owned()], "done".into(), String::new()));
+    assert_eq!(
+        (last.active, last.event, last.fault),
+        (vec!["search".to_owned()], "done".into(), String::new())
+    );
     // Seen again, but no more for a second.
     ball.publish(Point { x: 1.0, y: 9.0, z: 0.0 }).unwrap();
     robot.run(500);
@@ -135,7 +138,12 @@ fn a_guard_that_never_ends_is_an_event_and_the_robot_goes_on() {
     let endless = chart.replace("endless()", "1 / 0 == 1");
     let loops = chart.replace(r#"cond="endless()""#, "").replace("<state id=\"b\"/>", r#"<state id="b"><onentry><script>loop {}</script></onentry><transition event="error.execution" target="wrong"/></state>"#);
     for chart in [endless, loops] {
-        let mut robot = Robot::new(&chart.replace(r#"as="in""#, "").replace(r#"type="std_msgs/msg/Float64""#, r#"type="std_msgs/msg/Float64" as="input""#)).unwrap();
+        let mut robot = Robot::new(
+            &chart
+                .replace(r#"as="in""#, "")
+                .replace(r#"type="std_msgs/msg/Float64""#, r#"type="std_msgs/msg/Float64" as="input""#),
+        )
+        .unwrap();
         let states = robot.receive::<StateMachineState>("mind/state");
         let input = robot.core.inlet::<Float64>("in").unwrap();
         robot.run(100);
@@ -197,14 +205,23 @@ fn a_chart_is_changed_100_times_while_the_robot_runs() {
 #[test]
 fn what_the_robot_does_not_have_is_reported_with_file_and_line() {
     for (chart, words) in [
-        ("\n<downbeat:subscribe topic='ball' type='geometry_msgs/msg/Pont'/><state id='a'/>", "chart.scxml:3: "),
-        ("<state id='a'><transition event='x' target='bb'/></state><state id='b'/>", "there is no state \"bb\", did you mean \"b\"?"),
+        (
+            "\n<downbeat:subscribe topic='ball' type='geometry_msgs/msg/Pont'/><state id='a'/>",
+            "chart.scxml:3: ",
+        ),
+        (
+            "<state id='a'><transition event='x' target='bb'/></state><state id='b'/>",
+            "there is no state \"bb\", did you mean \"b\"?",
+        ),
         ("<state id='a'><onentry><log expr='1 +'/></onentry></state>", "is no valid expression"),
         (
             "<downbeat:subscribe topic='ball' type='geometry_msgs/msg/PointStamped'/><state id='a'><onentry><log expr='ball.point.w'/></onentry></state>",
             "geometry_msgs/msg/Point has no field \"w\"",
         ),
-        ("<state id='a'><onentry><log expr='setting.speed'/></onentry></state>", "there is no setting \"speed\""),
+        (
+            "<state id='a'><onentry><log expr='setting.speed'/></onentry></state>",
+            "there is no setting \"speed\"",
+        ),
         ("<state id='a'><onentry><log expr='bal + 1'/></onentry></state>", "there is no variable \"bal\""),
         ("<state id='a'><invoke/></state>", "<invoke> is not supported"),
     ] {

@@ -23,8 +23,10 @@ fn tree() -> impl Strategy<Value = Tree> {
     let leaf = prop_oneof![6 => Just(Tree::Atomic), 1 => Just(Tree::Final)];
     let state = leaf.prop_recursive(3, 24, 4, |inner| {
         prop_oneof![
-            (prop::collection::vec(inner.clone(), 1..4), any::<bool>()).prop_map(|(states, history)| Tree::Compound(states, history)),
-            prop::collection::vec(inner.prop_filter("no final", |tree| !matches!(tree, Tree::Final)), 1..4).prop_map(Tree::Parallel),
+            (prop::collection::vec(inner.clone(), 1..4), any::<bool>())
+                .prop_map(|(states, history)| Tree::Compound(states, history)),
+            prop::collection::vec(inner.prop_filter("no final", |tree| !matches!(tree, Tree::Final)), 1..4)
+                .prop_map(Tree::Parallel),
         ]
     });
     prop::collection::vec(state, 1..4).prop_map(|states| Tree::Compound(states, false))
@@ -75,16 +77,22 @@ fn write(tree: &Tree, id: &str, targets: &[String], random: &mut Random, text: &
     writeln!(text, r#"<onexit><log label="out" expr="'{id}'"/></onexit>"#).unwrap();
     if history {
         let kind = ["deep", "shallow"][random.below(2)];
-        writeln!(text, r#"<history id="{id}h" type="{kind}"><transition target="{id}_0"/></history>"#).unwrap();
+        writeln!(text, r#"<history id="{id}h" type="{kind}"><transition target="{id}_0"/></history>"#)
+            .unwrap();
     }
     for _ in 0..random.below(3) {
         let event = EVENTS[random.below(4)];
         let kind = ["internal", "external"][random.below(2)];
         let target = &targets[random.below(targets.len())];
-        let action = ["<raise event='a'/>", "<send event='b' delay='1s'/>", "<assign location='n' expr='n + 1'/>", ""];
+        let action =
+            ["<raise event='a'/>", "<send event='b' delay='1s'/>", "<assign location='n' expr='n + 1'/>", ""];
         let action = action[random.below(4)];
         let condition = ["", r#" cond="n &lt; 9""#, r#" cond="n % 2 == 0""#][random.below(3)];
-        writeln!(text, r#"<transition event="{event}" type="{kind}" target="{target}"{condition}>{action}</transition>"#).unwrap();
+        writeln!(
+            text,
+            r#"<transition event="{event}" type="{kind}" target="{target}"{condition}>{action}</transition>"#
+        )
+        .unwrap();
     }
     for (number, child) in children.iter().enumerate() {
         write(child, &format!("{id}_{number}"), targets, random, text);
@@ -103,7 +111,11 @@ fn chart_of(tree: &Tree, seed: u64) -> (Chart, Shape, String) {
         write(state, &format!("s_{number}"), &of.targets, &mut random, &mut text);
     }
     text.push_str("</scxml>");
-    (Chart::parse(Path::new("random.scxml"), &text).unwrap_or_else(|error| panic!("{error}\n{text}")), of, text)
+    (
+        Chart::parse(Path::new("random.scxml"), &text).unwrap_or_else(|error| panic!("{error}\n{text}")),
+        of,
+        text,
+    )
 }
 
 fn assert_legal(machine: &Interpreter, of: &Shape) {
@@ -111,7 +123,8 @@ fn assert_legal(machine: &Interpreter, of: &Shape) {
     let children = |id: &str| of.children.get(id).map_or(&[][..], Vec::as_slice);
     for &state in active.iter().chain(&["s"]) {
         let inside = children(state).iter().filter(|child| active.contains(child.as_str())).count();
-        let wanted = if of.parallel.contains(state) { children(state).len() } else { children(state).len().min(1) };
+        let wanted =
+            if of.parallel.contains(state) { children(state).len() } else { children(state).len().min(1) };
         assert_eq!(inside, wanted, "{state} in {active:?}");
         if let Some(parent) = of.parents.get(state) {
             assert!(parent == "s" || active.contains(parent.as_str()), "{state} without {parent}");
@@ -123,8 +136,12 @@ fn assert_legal(machine: &Interpreter, of: &Shape) {
 fn assert_balanced(effects: &[Effect], inside: &mut BTreeSet<String>) {
     for effect in effects {
         match effect {
-            Effect::Log { label, text, .. } if label == "in" => assert!(inside.insert(text.clone()), "{text} twice"),
-            Effect::Log { label, text, .. } if label == "out" => assert!(inside.remove(text), "{text} was not in"),
+            Effect::Log { label, text, .. } if label == "in" => {
+                assert!(inside.insert(text.clone()), "{text} twice")
+            }
+            Effect::Log { label, text, .. } if label == "out" => {
+                assert!(inside.remove(text), "{text} was not in")
+            }
             _ => {}
         }
     }
@@ -216,7 +233,12 @@ proptest! {
 
 #[test]
 fn deep_and_endless_texts_are_refused() {
-    for text in ["<state>".repeat(100_000), format!("<scxml xmlns='http://www.w3.org/2005/07/scxml'>{}", "<state>".repeat(200)), "x".repeat(2 << 20), String::new()] {
+    for text in [
+        "<state>".repeat(100_000),
+        format!("<scxml xmlns='http://www.w3.org/2005/07/scxml'>{}", "<state>".repeat(200)),
+        "x".repeat(2 << 20),
+        String::new(),
+    ] {
         assert!(Chart::parse(Path::new("deep.scxml"), &text).is_err());
     }
 }

@@ -67,7 +67,15 @@ fn translated(text: &str) -> String {
     for (from, to) in TRANSLATIONS {
         text = text.replace(from, to);
     }
-    for name in ["_event.data", "_event.sendid", "_event.origintype", "_event.origin", "_event.invokeid", "Var1", "Var2"] {
+    for name in [
+        "_event.data",
+        "_event.sendid",
+        "_event.origintype",
+        "_event.origin",
+        "_event.invokeid",
+        "Var1",
+        "Var2",
+    ] {
         text = text.replace(&format!("typeof {name} == 'undefined'"), &format!("type_of({name}) == '()'"));
     }
     text
@@ -97,16 +105,25 @@ fn every_case_passes_or_does_not_apply_as_the_table_says() {
     }
     let actual = Path::new(env!("CARGO_TARGET_TMPDIR")).join("w3c_cases.md");
     std::fs::write(&actual, &table).unwrap();
-    let differing: Vec<String> =
-        table.lines().filter(|line| !TABLE.lines().any(|listed| listed == *line)).map(str::to_owned).collect();
-    assert!(table == TABLE, "{} differs from tests/w3c_cases.md:\n{}", actual.display(), differing.join("\n"));
+    let differing: Vec<String> = table
+        .lines()
+        .filter(|line| !TABLE.lines().any(|listed| listed == *line))
+        .map(str::to_owned)
+        .collect();
+    assert!(
+        table == TABLE,
+        "{} differs from tests/w3c_cases.md:\n{}",
+        actual.display(),
+        differing.join("\n")
+    );
     let passed = results.values().filter(|result| *result == "passed").count();
     println!("{passed} of {} cases pass, the others do not apply", results.len());
 }
 
 fn package() -> Option<PathBuf> {
     let modules = std::env::var_os("DOWNBEAT_NODE_MODULES").map(PathBuf::from);
-    let modules = modules.unwrap_or_else(|| Path::new(env!("CARGO_TARGET_TMPDIR")).join("../node/node_modules"));
+    let modules =
+        modules.unwrap_or_else(|| Path::new(env!("CARGO_TARGET_TMPDIR")).join("../node/node_modules"));
     let folder = modules.join("@scion-scxml/test-framework/test");
     folder.is_dir().then_some(folder)
 }
@@ -128,7 +145,8 @@ fn result(path: &Path, script: &Path) -> String {
     let script: Value = serde_json::from_str(&std::fs::read_to_string(script).unwrap()).unwrap();
     let is_of_w3c = path.parent().is_some_and(|folder| folder.ends_with("w3c-ecma"));
     // SCION lets a parallel state stay active where appendix D exits and enters it; the cases have both expectations.
-    let is_legacy = ["more-parallel/test10.scxml", "more-parallel/test10b.scxml"].iter().any(|case| path.ends_with(case));
+    let is_legacy =
+        ["more-parallel/test10.scxml", "more-parallel/test10b.scxml"].iter().any(|case| path.ends_with(case));
     let result = match (is_of_w3c, is_legacy) {
         (true, _) => run_to_pass(chart),
         (_, true) => run(chart, &script["legacySemantics"]),
@@ -193,14 +211,20 @@ fn faults(effects: Vec<Effect>) -> Vec<String> {
 fn expect(machine: &Interpreter, wanted: &Value, when: &str, log: &[String]) -> Result<(), String> {
     let wanted: BTreeSet<&str> = wanted.as_array().unwrap().iter().filter_map(Value::as_str).collect();
     let found: BTreeSet<&str> = machine.active_leaves().collect();
-    if wanted == found { Ok(()) } else { Err(format!("{when}: {found:?} and not {wanted:?}; {log:?}").replace('|', "/")) }
+    if wanted == found {
+        Ok(())
+    } else {
+        Err(format!("{when}: {found:?} and not {wanted:?}; {log:?}").replace('|', "/"))
+    }
 }
 
 fn dynamic(value: &Value) -> Dynamic {
     match value {
         Value::Null => Dynamic::UNIT,
         Value::Bool(value) => (*value).into(),
-        Value::Number(value) => value.as_i64().map_or_else(|| value.as_f64().unwrap_or(0.0).into(), Dynamic::from_int),
+        Value::Number(value) => {
+            value.as_i64().map_or_else(|| value.as_f64().unwrap_or(0.0).into(), Dynamic::from_int)
+        }
         Value::String(text) => text.clone().into(),
         Value::Array(values) => values.iter().map(dynamic).collect::<Vec<_>>().into(),
         Value::Object(fields) => {

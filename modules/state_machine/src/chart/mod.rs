@@ -105,14 +105,28 @@ pub(crate) enum Payload {
 
 #[derive(Debug)]
 pub(crate) enum Action {
-    Raise { event: String },
+    Raise {
+        event: String,
+    },
     Send(Box<Send>),
-    Cancel { id: Given, line: u32 },
-    Log { label: String, value: Option<Program>, line: u32 },
-    Assign { location: Program, value: Program },
+    Cancel {
+        id: Given,
+        line: u32,
+    },
+    Log {
+        label: String,
+        value: Option<Program>,
+        line: u32,
+    },
+    Assign {
+        location: Program,
+        value: Program,
+    },
     Script(Program),
     /// The last condition may be missing: `<else>`.
-    If { branches: Vec<(Option<Program>, Vec<Action>)> },
+    If {
+        branches: Vec<(Option<Program>, Vec<Action>)>,
+    },
     ForEach(Box<ForEach>),
 }
 

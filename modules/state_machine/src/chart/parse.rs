@@ -104,8 +104,17 @@ const ATTRIBUTES: &[(&str, &[&str])] = &[
     (
         "send",
         &[
-            "event", "eventexpr", "target", "targetexpr", "type", "typeexpr", "id", "idlocation", "delay",
-            "delayexpr", "namelist",
+            "event",
+            "eventexpr",
+            "target",
+            "targetexpr",
+            "type",
+            "typeexpr",
+            "id",
+            "idlocation",
+            "delay",
+            "delayexpr",
+            "namelist",
         ],
     ),
     ("cancel", &["sendid", "sendidexpr"]),
@@ -134,7 +143,9 @@ impl Reader {
         }
         if !allowed.contains(&name) {
             let text = match (name, ATTRIBUTES.iter().any(|(known, _)| *known == name)) {
-                ("invoke" | "finalize", _) => format!("<{name}> is not supported; another chart is another module"),
+                ("invoke" | "finalize", _) => {
+                    format!("<{name}> is not supported; another chart is another module")
+                }
                 (_, true) => format!("<{name}> cannot stand here; here may be: {}", allowed.join(", ")),
                 (_, false) => format!("there is no element <{name}>{}", hint(name, allowed.iter().copied())),
             };
@@ -199,9 +210,9 @@ impl Reader {
         }
         let name = node.tag_name().name();
         let number = self.chart.states.len();
-        let has_children = node.children().any(|child| {
-            ["state", "parallel", "final"].iter().any(|state| is_scxml(child, state))
-        });
+        let has_children = node
+            .children()
+            .any(|child| ["state", "parallel", "final"].iter().any(|state| is_scxml(child, state)));
         let kind = match (name, node.attribute("type").map(str::trim)) {
             ("parallel", _) => StateKind::Parallel,
             ("final", _) => StateKind::Final,
@@ -252,7 +263,15 @@ impl Reader {
                 &["onentry", "onexit", "transition", "state", "parallel", "history", "datamodel"]
             }
             _ => &[
-                "onentry", "onexit", "transition", "initial", "state", "parallel", "final", "history", "datamodel",
+                "onentry",
+                "onexit",
+                "transition",
+                "initial",
+                "state",
+                "parallel",
+                "final",
+                "history",
+                "datamodel",
             ],
         };
         for child in node.children().filter(Node::is_element) {
@@ -479,7 +498,8 @@ impl Reader {
         self.needed(node, "array")?;
         let array = self.expression(node, "array")?;
         let item_name = self.needed(node, "item")?;
-        let names = [Some(item_name), node.attribute("index")].map(|name| name.map(|name| name.trim().to_owned()));
+        let names =
+            [Some(item_name), node.attribute("index")].map(|name| name.map(|name| name.trim().to_owned()));
         for name in names.iter().flatten().filter(|name| !is_variable(name)) {
             self.fail(node, format!("\"{name}\" cannot be a variable: letters, digits and `_`"));
         }
@@ -578,14 +598,18 @@ impl Reader {
         };
         self.check_attributes(node, known);
         if element == "every" {
-            let (Some(period), Some(event)) = (self.needed(node, "period"), self.needed(node, "event")) else {
+            let (Some(period), Some(event)) = (self.needed(node, "period"), self.needed(node, "event"))
+            else {
                 return;
             };
             match duration(period).filter(|period| *period >= Duration::from_millis(1)) {
                 Some(period) => {
                     self.chart.interface.timers.push(Timer { period, event: event.to_owned() });
                 }
-                None => self.fail(node, format!("`period` is a time of 1 ms or more such as \"0.1s\", not \"{period}\"")),
+                None => self.fail(
+                    node,
+                    format!("`period` is a time of 1 ms or more such as \"0.1s\", not \"{period}\""),
+                ),
             }
             return;
         }
@@ -634,7 +658,10 @@ impl Reader {
                 _ => SettingDefault::Text(default.to_owned()),
             },
         };
-        let mut bound = |attribute: &str, missing: f64| match node.attribute(attribute).map(|text| (text, text.trim().parse::<f64>())) {
+        let mut bound = |attribute: &str, missing: f64| match node
+            .attribute(attribute)
+            .map(|text| (text, text.trim().parse::<f64>()))
+        {
             None => missing,
             Some((_, Ok(bound))) if !bound.is_nan() => bound,
             Some((text, _)) => {
@@ -682,7 +709,8 @@ impl Reader {
                     None => {
                         let line = self.chart.transitions[number].line;
                         let hint = hint(&target, self.chart.states.iter().map(|state| state.id.as_str()));
-                        self.problems.push(Problem { line, text: format!("there is no state \"{target}\"{hint}") });
+                        self.problems
+                            .push(Problem { line, text: format!("there is no state \"{target}\"{hint}") });
                     }
                 }
             }
@@ -730,7 +758,10 @@ pub(crate) fn duration(text: &str) -> Option<Duration> {
 /// The most similar name, as the end of a sentence.
 pub(crate) fn hint<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const SIMILAR: f64 = 0.7;
-    let rated = known.into_iter().filter(|known| !known.is_empty()).map(|known| (strsim::jaro_winkler(name, known), known));
+    let rated = known
+        .into_iter()
+        .filter(|known| !known.is_empty())
+        .map(|known| (strsim::jaro_winkler(name, known), known));
     match rated.max_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((similarity, known)) if similarity >= SIMILAR => format!(", did you mean \"{known}\"?"),
         _ => String::new(),

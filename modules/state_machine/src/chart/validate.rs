@@ -9,7 +9,10 @@ pub(super) fn validate(chart: &mut Chart) -> Result<(), Vec<Problem>> {
     let mut lines = BTreeMap::new();
     for state in chart.states.iter().skip(1) {
         if let Some(first) = lines.insert(&state.id, state.line) {
-            fail(state.line, format!("there is another state \"{}\" on line {first}; ids are unique", state.id));
+            fail(
+                state.line,
+                format!("there is another state \"{}\" on line {first}; ids are unique", state.id),
+            );
         }
     }
     if chart.states[0].children.is_empty() {
@@ -35,7 +38,8 @@ fn validate_state(chart: &Chart, number: usize, state: &State, fail: &mut impl F
     if state.is_history() {
         let Some(parent) = state.parent else { return };
         let Some(default) = default else {
-            let text = format!("the history \"{}\" needs a <transition> to the states it has at first", state.id);
+            let text =
+                format!("the history \"{}\" needs a <transition> to the states it has at first", state.id);
             return fail(state.line, text);
         };
         let is_fit = |&target: &usize| match state.kind {
@@ -43,17 +47,23 @@ fn validate_state(chart: &Chart, number: usize, state: &State, fail: &mut impl F
             _ => chart.states[target].parent == Some(parent),
         };
         if default.targets.is_empty() || !default.targets.iter().all(is_fit) {
-            fail(default.line, format!("the default of the history \"{}\" is a state of its parent", state.id));
+            fail(
+                default.line,
+                format!("the default of the history \"{}\" is a state of its parent", state.id),
+            );
         }
     } else if let Some(default) = default {
         if matches!(state.kind, StateKind::Atomic | StateKind::Parallel | StateKind::Final) {
             fail(state.line, format!("\"{}\" has an initial state, but none to choose from", state.id));
         }
-        if default.targets.is_empty() || !default.targets.iter().all(|&target| chart.is_inside(target, number)) {
+        if default.targets.is_empty()
+            || !default.targets.iter().all(|&target| chart.is_inside(target, number))
+        {
             fail(default.line, format!("the initial states of \"{}\" are states in it", state.id));
         }
     }
-    if let Some(default) = default.filter(|default| !default.events.is_empty() || default.condition.is_some()) {
+    if let Some(default) = default.filter(|default| !default.events.is_empty() || default.condition.is_some())
+    {
         fail(default.line, "an initial or default transition has neither `event` nor `cond`".to_owned());
     }
 }
@@ -67,7 +77,8 @@ fn validate_targets(chart: &Chart, transition: &Transition, fail: &mut impl FnMu
             let is_parallel = innermost.is_some_and(|outer| chart.states[outer].kind == StateKind::Parallel);
             if !is_one_in_other && !is_parallel {
                 let (a, b) = (&chart.states[a].id, &chart.states[b].id);
-                let text = format!("\"{a}\" and \"{b}\" cannot be active together: they are in no <parallel>");
+                let text =
+                    format!("\"{a}\" and \"{b}\" cannot be active together: they are in no <parallel>");
                 return fail(transition.line, text);
             }
         }
@@ -84,7 +95,10 @@ fn validate_names(chart: &Chart, fail: &mut impl FnMut(u32, String)) {
         let mut lines = BTreeMap::new();
         for (name, line) in names {
             if name.starts_with('_') || name == "setting" {
-                fail(line, format!("\"{name}\" is the name of a variable that every chart has; choose another"));
+                fail(
+                    line,
+                    format!("\"{name}\" is the name of a variable that every chart has; choose another"),
+                );
             }
             if let Some(first) = lines.insert(name, line) {
                 fail(line, format!("\"{name}\" is on line {first} already; choose another name"));
