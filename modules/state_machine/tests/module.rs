@@ -24,7 +24,8 @@ impl Robot {
     fn new(chart: &str) -> Result<Self, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("chart.scxml");
-        std::fs::write(&path, in_scxml(chart)).unwrap();
+        let text = if chart.contains("<scxml") { chart.to_owned() } else { in_scxml(chart) };
+        std::fs::write(&path, text).unwrap();
         let clock = ManualClock::new(Time::ZERO);
         let mut core = Core::new().with_clock(clock.clone());
         let options = StateMachineOptions { path: path.clone(), is_reloaded: true };
@@ -65,30 +66,8 @@ fn in_scxml(chart: &str) -> String {
     )
 }
 
-const PLAYER: &str = r#"
-    <downbeat:subscribe topic="pose" type="geometry_msgs/msg/PoseStamped"/>
-    <downbeat:subscribe topic="ball" type="geometry_msgs/msg/Point" event="ball.seen"/>
-    <downbeat:publish topic="cmd_vel" type="geometry_msgs/msg/Twist"/>
-    <downbeat:publish topic="motions/play" type="std_msgs/msg/String" as="motion"/>
-    <downbeat:every period="100ms" event="tick"/>
-    <datamodel><downbeat:setting name="kick_distance" default="0.2" min="0.05" max="1" about="from how near it kicks [m]"/></datamodel>
-    <state id="search">
-        <transition event="ball.seen" target="approach"/>
-    </state>
-    <state id="approach">
-        <transition event="tick" cond="age('ball') > 1" target="search"/>
-        <transition event="tick" cond="distance(ball, pose.pose.position) &lt; setting.kick_distance" target="kick"/>
-        <transition event="tick">
-            <send target="cmd_vel">
-                <param name="linear.x" expr="0.2"/>
-                <param name="angular.z" expr="clamp(bearing(relative(pose.pose, ball)), -0.5, 0.5)"/>
-            </send>
-        </transition>
-    </state>
-    <state id="kick">
-        <onentry><send target="motion"><content expr="'kick_right'"/></send><send event="done" delay="2s"/></onentry>
-        <transition event="done" target="search"/>
-    </state>"#;
+/// The example of the page.
+const PLAYER: &str = include_str!("../../../robots/player.scxml");
 
 #[test]
 fn a_player_walks_to_the_ball_and_kicks() {
