@@ -88,7 +88,7 @@ pub struct Memory {
     delayed: Vec<Delayed>,
     received: BTreeMap<String, (Option<Duration>, Dynamic)>,
     is_running: bool,
-    counts: [u64; 2],
+    made_up: u64,
 }
 
 #[derive(Clone, Debug)]
@@ -356,7 +356,7 @@ impl Interpreter {
             delayed: self.delayed.clone(),
             received: world.received.iter().map(message).collect(),
             is_running: self.is_running,
-            counts: [self.made_up, 0],
+            made_up: self.made_up,
         }
     }
 
@@ -396,7 +396,7 @@ impl Interpreter {
                 self.history.insert(history, kept);
             }
         }
-        self.made_up = memory.counts[0];
+        self.made_up = memory.made_up;
         self.delayed = memory.delayed;
         let ended = !memory.is_running;
         let mut kept: BTreeSet<usize> =

@@ -15,7 +15,7 @@ use crate::values::{to_map, to_message};
 use downbeat_edge::foreign::{
     Declarations, Event as PortEvent, Foreign, ForeignContext, SavedState, SettingDeclaration,
 };
-use downbeat_executor::{SettingValue, Time};
+use downbeat_executor::{SettingValue, Time, Transition};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use downbeat_msgs::{Message, cdr, std_msgs};
@@ -472,7 +472,6 @@ impl Foreign for StateMachine {
     fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
         self.declare_ports(declarations)?;
         declarations.each_run();
-        // The first run.
         if self.options.is_reloaded {
             declarations.reload();
         }
@@ -501,6 +500,18 @@ impl Foreign for StateMachine {
             _ => {}
         }
         Ok(())
+    }
+
+    fn transition(
+        &mut self,
+        transition: Transition,
+        context: &mut ForeignContext<'_, '_>,
+    ) -> Result<(), String> {
+        if transition != Transition::Activate {
+            return Ok(());
+        }
+        // The first run, before anything else happens.
+        context.schedule_after(self.ports.wake, Duration::ZERO).map_err(|error| error.to_string())
     }
 
     fn successor(&mut self) -> Result<Option<Box<dyn Foreign>>, String> {

@@ -22,13 +22,17 @@ struct Robot {
 
 impl Robot {
     fn new(chart: &str) -> Result<Self, String> {
+        Self::with(chart, true)
+    }
+
+    fn with(chart: &str, is_reloaded: bool) -> Result<Self, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("chart.scxml");
         let text = if chart.contains("<scxml") { chart.to_owned() } else { in_scxml(chart) };
         std::fs::write(&path, text).unwrap();
         let clock = ManualClock::new(Time::ZERO);
         let mut core = Core::new().with_clock(clock.clone());
-        let options = StateMachineOptions { path: path.clone(), is_reloaded: true };
+        let options = StateMachineOptions { path: path.clone(), is_reloaded };
         let make = Arc::new(move || load(&options));
         let interfaces = Interfaces::carried().with(INTERFACES).unwrap();
         let make = move || ForeignModule::new(make.clone(), interfaces.clone(), ModuleOptions::default());
@@ -68,6 +72,16 @@ fn in_scxml(chart: &str) -> String {
 
 /// The example of the page.
 const PLAYER: &str = include_str!("../../../robots/player.scxml");
+
+#[test]
+fn a_chart_starts_without_an_event() {
+    let mut robot = Robot::with("<state id='a'><onentry><send event='go' delay='50ms'/></onentry><transition event='go' target='b'/></state><state id='b'/>", false).unwrap();
+    let states = robot.receive::<StateMachineState>("mind/state");
+    robot.run(30);
+    assert_eq!(states.try_iter().last().unwrap().active, ["a"]);
+    robot.run(100);
+    assert_eq!(states.try_iter().last().unwrap().active, ["b"]);
+}
 
 #[test]
 fn a_player_walks_to_the_ball_and_kicks() {
