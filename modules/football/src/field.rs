@@ -552,7 +552,7 @@ mod tests {
     fn impossible_lengths_are_refused_with_line_and_remedy() {
         assert_eq!(
             error("width = 2.25 ", "width = 6.5 "),
-            "field.toml:14: goal.width is 6.5 m; it has to be more than 0 and at most width without the posts, 5.8 m"
+            "field.toml:13: goal.width is 6.5 m; it has to be more than 0 and at most width without the posts, 5.8 m"
         );
         assert_eq!(
             error("length = 9.0", "length = nan"),

@@ -1,0 +1,3 @@
+//! Pictures per second.
+#![allow(missing_docs, clippy::unwrap_used)]
+fn main() {}
