@@ -2,6 +2,7 @@
 //! the ball, goal posts and other robots, in pixels and on the field.
 //!
 //! - [`Detector`] is the engine, without messages: a [`Picture`], a [`View`] and the classes of [`Colours`] in, [`Seen`] out;
+//! - [`Vision`] is the module for robot files.
 //!
 //! The order is the classical one of robot football: colour classes by a table, scan lines, field boundary, candidates below it, each
 //! verified by its size on the field, and projected with the pose of the camera. Coordinates on the field are in the frame
@@ -16,6 +17,7 @@ mod colours;
 mod detector;
 mod labels;
 mod markings;
+mod module;
 mod picture;
 mod round;
 mod upright;
@@ -25,5 +27,6 @@ pub use colours::{Class, ClassRange, Colours, ColoursError, Table};
 pub use detector::{
     Detector, Exposure, Seen, SeenBall, SeenCircle, SeenIntersection, SeenLine, SeenPost, SeenRobot,
 };
+pub use module::Vision;
 pub use picture::{Encoding, Picture, PictureError};
 pub use view::{Camera, CameraError, View};
