@@ -140,7 +140,8 @@ impl Vision {
         let at = Time::from_nanos(header.stamp.as_nanos());
         let floor = ctx.get(ctx.ports.floor_frame);
         let camera = self.transforms.lookup(floor, &header.frame_id, at)?.target_from_source;
-        let base = self.transforms.lookup(floor, ctx.get(ctx.ports.base_frame), at)?.target_from_source;
+        let base_frame: &String = ctx.get(ctx.ports.base_frame);
+        let base = self.transforms.lookup(floor, base_frame, at)?.target_from_source;
         let ahead = base.rotation * DVec3::X;
         let footprint = Isometry {
             translation: base.translation.with_z(0.0),

@@ -91,11 +91,12 @@ fn half_white(labels: &Labels, view: &View, boundary: &[DVec2], radius: f64) -> 
                 && sums.share_of_carpet(at, 1.6 * size) > 0.3
                 && let Some(ball) = refined(labels, view, at, radius)
             {
+                let is_full = found.len() >= 64;
                 match found.iter_mut().find(|other| other.centre.distance(ball.centre) < other.radius * 1.5) {
                     Some(other) if other.confidence < ball.confidence => *other = ball,
                     Some(_) => {}
-                    None if found.len() < 64 => found.push(ball),
-                    None => {}
+                    None if is_full => {}
+                    None => found.push(ball),
                 }
             }
             column += step;
