@@ -61,10 +61,12 @@ const ANGLE_DEVIATION: f64 = 0.02;
 /// ε of equation (2): how often something is seen that is not there.
 const OUTLIER: f64 = 0.05;
 /// How fast the means of equation (3) follow.
-const FAST: f64 = 0.25;
+const FAST: f64 = 0.12;
 const SLOW: f64 = 0.02;
 /// The largest share of particles that are drawn anew at once.
-const MOST_RESET: f64 = 0.3;
+const MOST_RESET: f64 = 0.15;
+/// How certain the heading by odometry is, in rad.
+const HEADING_DEVIATION: f64 = 0.2;
 /// How far particles may be from the best one to belong to it: m, rad.
 const CLUSTER: (f64, f64) = (0.6, 0.6);
 
@@ -184,12 +186,18 @@ impl Filter {
     /// The mean and the covariance of the particles around the best one.
     #[must_use]
     pub fn believed(&self) -> Believed {
-        let best = self.particles.iter().max_by(|one, other| one.weight.total_cmp(&other.weight));
-        let Some(best) = best.map(|particle| particle.pose) else { return Believed::default() };
-        let near = |particle: &&Particle| {
-            particle.pose.position.distance(best.position) < CLUSTER.0
-                && wrapped(particle.pose.heading - best.heading).abs() < CLUSTER.1
+        // A single particle may fit one picture by chance: the best one is that with the most weight around it.
+        let is_near = |pose: Pose, particle: &&Particle| {
+            particle.pose.position.distance(pose.position) < CLUSTER.0
+                && wrapped(particle.pose.heading - pose.heading).abs() < CLUSTER.1
         };
+        let weight_around = |pose: Pose| {
+            self.particles.iter().filter(|particle| is_near(pose, particle)).map(|particle| particle.weight).sum::<f64>()
+        };
+        let candidates = self.particles.iter().step_by(8).map(|particle| (weight_around(particle.pose), particle.pose));
+        let best = candidates.max_by(|one, other| one.0.total_cmp(&other.0));
+        let Some((_, best)) = best else { return Believed::default() };
+        let near = |particle: &&Particle| is_near(best, particle);
         let (mut weight, mut position, mut turn) = (0.0, DVec2::ZERO, 0.0);
         for Particle { pose, weight: own } in self.particles.iter().filter(near) {
             weight += own;
@@ -228,7 +236,8 @@ impl Filter {
                 .map(|candidate| candidate - at)
                 .min_by(|one, other| one.length_squared().total_cmp(&other.length_squared()))
         };
-        let mut product = 1.0;
+        let off = wrapped(pose.heading - self.heading) / HEADING_DEVIATION;
+        let mut product = OUTLIER + (-0.5 * off * off).exp();
         for (seen, kind, turned) in &landmarks.intersections {
             let at = pose.place(*seen);
             let turned = pose.heading + turned;
