@@ -465,20 +465,20 @@ impl Checks<'_> {
         })
     }
 
-    fn area(&self, keys: [&'static str; 2], raw: &RawArea, length: f64, width: f64) -> Result<Area, FieldError> {
+    fn area(
+        &self,
+        keys: [&'static str; 2],
+        raw: &RawArea,
+        length: f64,
+        width: f64,
+    ) -> Result<Area, FieldError> {
         Ok(Area {
             depth: self.up_to(keys[0], &raw.depth, length / 2.0, "half of length")?,
             width: self.up_to(keys[1], &raw.width, width, "width")?,
         })
     }
 
-    fn up_to(
-        &self,
-        key: &'static str,
-        number: &Number,
-        most: f64,
-        named: &str,
-    ) -> Result<f64, FieldError> {
+    fn up_to(&self, key: &'static str, number: &Number, most: f64, named: &str) -> Result<f64, FieldError> {
         let is_possible = *number.get_ref() > 0.0 && *number.get_ref() <= most;
         self.possible(key, number, is_possible, || match named.ends_with(" m") {
             true => format!("more than 0 and at most {named}"),
@@ -615,7 +615,9 @@ mod tests {
         let found = field.intersections();
         assert_eq!(found.len(), 24);
         assert!(found.iter().all(|one| {
-            found.iter().any(|other| other.kind == one.kind && (other.position + one.position).length() < 1e-12)
+            found
+                .iter()
+                .any(|other| other.kind == one.kind && (other.position + one.position).length() < 1e-12)
         }));
         let posts = field.posts();
         assert!((posts[0] - DVec2::new(4.475, 0.8)).length() < 1e-12);

@@ -13,6 +13,7 @@ mod field;
 mod floor;
 
 pub use field::{
-    Area, Ball, BallColour, Field, FieldError, Goal, GoalColour, Intersection, IntersectionKind, Line, RobotSize,
+    Area, Ball, BallColour, Field, FieldError, Goal, GoalColour, Intersection, IntersectionKind, Line,
+    RobotSize,
 };
 pub use floor::floor_covariance;

@@ -51,7 +51,7 @@ pub struct Believed {
 }
 
 /// The number of particles.
-const PARTICLES: usize = 250;
+const PARTICLES: usize = 300;
 /// The noise of odometry: m per m of the way, rad per rad, rad per m.
 const WAY_NOISE: f64 = 0.15;
 const TURN_NOISE: f64 = 0.1;
@@ -61,10 +61,10 @@ const ANGLE_DEVIATION: f64 = 0.02;
 /// ε of equation (2): how often something is seen that is not there.
 const OUTLIER: f64 = 0.05;
 /// How fast the means of equation (3) follow.
-const FAST: f64 = 0.12;
+const FAST: f64 = 0.1;
 const SLOW: f64 = 0.02;
 /// The largest share of particles that are drawn anew at once.
-const MOST_RESET: f64 = 0.15;
+const MOST_RESET: f64 = 0.1;
 /// How certain the heading by odometry is, in rad.
 const HEADING_DEVIATION: f64 = 0.2;
 /// How far particles may be from the best one to belong to it: m, rad.
@@ -192,9 +192,14 @@ impl Filter {
                 && wrapped(particle.pose.heading - pose.heading).abs() < CLUSTER.1
         };
         let weight_around = |pose: Pose| {
-            self.particles.iter().filter(|particle| is_near(pose, particle)).map(|particle| particle.weight).sum::<f64>()
+            self.particles
+                .iter()
+                .filter(|particle| is_near(pose, particle))
+                .map(|particle| particle.weight)
+                .sum::<f64>()
         };
-        let candidates = self.particles.iter().step_by(8).map(|particle| (weight_around(particle.pose), particle.pose));
+        let candidates =
+            self.particles.iter().step_by(8).map(|particle| (weight_around(particle.pose), particle.pose));
         let best = candidates.max_by(|one, other| one.0.total_cmp(&other.0));
         let Some((_, best)) = best else { return Believed::default() };
         let near = |particle: &&Particle| is_near(best, particle);
@@ -228,7 +233,8 @@ impl Filter {
             let off = DVec2::new(heading.dot(off), heading.perp_dot(off));
             let [[xx, xy], [_, yy]] = floor_covariance(height, seen, ANGLE_DEVIATION);
             let (xx, yy) = (xx + 0.0009, yy + 0.0009);
-            let square = (yy * off.x * off.x - 2.0 * xy * off.x * off.y + xx * off.y * off.y) / (xx * yy - xy * xy);
+            let square =
+                (yy * off.x * off.x - 2.0 * xy * off.x * off.y + xx * off.y * off.y) / (xx * yy - xy * xy);
             OUTLIER + (-0.5 * square).exp()
         };
         let nearest = |at: DVec2, candidates: &mut dyn Iterator<Item = DVec2>| {
@@ -249,7 +255,8 @@ impl Filter {
             product *= nearest(at, &mut candidates).map_or(OUTLIER, |off| fit(*seen, off));
         }
         for seen in &landmarks.posts {
-            product *= nearest(pose.place(*seen), &mut self.posts.into_iter()).map_or(OUTLIER, |off| fit(*seen, off));
+            product *= nearest(pose.place(*seen), &mut self.posts.into_iter())
+                .map_or(OUTLIER, |off| fit(*seen, off));
         }
         if let Some(seen) = landmarks.circle {
             product *= fit(seen, -pose.place(seen));

@@ -37,7 +37,8 @@ impl Walk {
             bias: (DVec2::ONE, 0.0),
             time: 0.0,
         };
-        walk.bias = (DVec2::new(walk.between(0.9, 1.1), walk.between(-0.1, 0.1)), walk.between(-0.003, 0.003));
+        walk.bias =
+            (DVec2::new(walk.between(0.9, 1.1), walk.between(-0.1, 0.1)), walk.between(-0.003, 0.003));
         walk
     }
 
@@ -174,8 +175,16 @@ fn twenty_walks_are_followed() {
             }
         }
     }
-    let found = [share(&mut metres, 0.5), share(&mut metres, 0.95), share(&mut radians, 0.5).to_degrees(), share(&mut radians, 0.95).to_degrees()];
-    println!("median {:.3} m, 95 % {:.3} m; heading: median {:.2}, 95 % {:.2} degrees", found[0], found[1], found[2], found[3]);
+    let found = [
+        share(&mut metres, 0.5),
+        share(&mut metres, 0.95),
+        share(&mut radians, 0.5).to_degrees(),
+        share(&mut radians, 0.95).to_degrees(),
+    ];
+    println!(
+        "median {:.3} m, 95 % {:.3} m; heading: median {:.2}, 95 % {:.2} degrees",
+        found[0], found[1], found[2], found[3]
+    );
     assert!(found[0] <= 0.10 && found[1] <= 0.30 && found[3] <= 5.0, "{found:?}");
 }
 

@@ -27,7 +27,8 @@ fn pictures(c: &mut Criterion) {
         c.bench_function(&format!("{width} x {height}"), |bencher| {
             bencher.iter(|| {
                 let picture =
-                    Picture::new([width, height], width as usize * 3, Encoding::Rgb8, black_box(&data)).unwrap();
+                    Picture::new([width, height], width as usize * 3, Encoding::Rgb8, black_box(&data))
+                        .unwrap();
                 detector.see(&picture, &view)
             });
         });

@@ -145,7 +145,9 @@ impl Colours {
     /// The text of a file with these colours.
     #[must_use]
     pub fn to_text(&self) -> String {
-        let mut text = "# Colour classes: hue in degrees, saturation and value from 0 to 1 (docs/vision.md).\n".to_owned();
+        let mut text =
+            "# Colour classes: hue in degrees, saturation and value from 0 to 1 (docs/vision.md).\n"
+                .to_owned();
         for (class, ClassRange { hue, saturation, value }) in self.classes() {
             let pair = |[from, to]: [f64; 2], digits: usize| format!("[{from:.digits$}, {to:.digits$}]");
             text += &format!(
@@ -242,7 +244,8 @@ mod tests {
     #[test]
     fn the_table_knows_the_colours_of_a_field() {
         let table = Table::new(&Colours::default());
-        let classes = [[40, 130, 50], [235, 235, 235], [230, 90, 20], [230, 210, 30], [150, 175, 200], [20, 20, 20]];
+        let classes =
+            [[40, 130, 50], [235, 235, 235], [230, 90, 20], [230, 210, 30], [150, 175, 200], [20, 20, 20]];
         let expected = [Class::Green, Class::White, Class::Orange, Class::Yellow, Class::White, Class::Other];
         assert_eq!(classes.map(|rgb| table.class_of(rgb)), expected);
     }
@@ -259,6 +262,10 @@ mod tests {
     #[test]
     fn hues_around_red_are_one_range() {
         let red = ClassRange { hue: [350.0, 10.0], saturation: [0.0, 1.0], value: [0.0, 1.0] };
-        assert!(red.contains(hsv([200, 0, 5])) && red.contains(hsv([200, 5, 0])) && !red.contains(hsv([0, 200, 0])));
+        assert!(
+            red.contains(hsv([200, 0, 5]))
+                && red.contains(hsv([200, 5, 0]))
+                && !red.contains(hsv([0, 200, 0]))
+        );
     }
 }

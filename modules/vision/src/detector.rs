@@ -148,7 +148,8 @@ impl Detector {
     pub fn see(&mut self, picture: &Picture<'_>, view: &View) -> Seen {
         self.labels.fill(picture, &self.table);
         let (labels, field) = (&self.labels, &self.field);
-        let brightness = labels.luma.iter().map(|luma| u64::from(*luma)).sum::<u64>() / labels.luma.len() as u64;
+        let brightness =
+            labels.luma.iter().map(|luma| u64::from(*luma)).sum::<u64>() / labels.luma.len() as u64;
         let has_carpet = labels.share(Class::Green) > 0.01;
         let exposure = match brightness {
             _ if has_carpet => Exposure::Good,

@@ -98,7 +98,9 @@ impl Labels {
                     debug_assert!(end < left);
                     next_above += 1;
                 }
-                for &(start, _, number) in above[next_above..].iter().take_while(|(start, ..)| *start <= right + 1) {
+                for &(start, _, number) in
+                    above[next_above..].iter().take_while(|(start, ..)| *start <= right + 1)
+                {
                     debug_assert!(start <= right + 1);
                     let root = root_of(&mut parents, number);
                     match own {

@@ -315,7 +315,9 @@ fn intersections(lines: &[SeenLine], view: &View, labels: &Labels) -> Vec<SeenIn
             let across = directions[0].perp_dot(directions[1]);
             let way = (other.ends[0] - one.ends[0]).perp_dot(directions[1]) / across;
             let place = one.ends[0] + directions[0] * way;
-            let Some(pixel) = view.pixel_of(place.extend(0.0)).filter(|pixel| is_inside(*pixel)) else { continue };
+            let Some(pixel) = view.pixel_of(place.extend(0.0)).filter(|pixel| is_inside(*pixel)) else {
+                continue;
+            };
             let reach = 0.2 + 2.0 * view.pixel_at(place);
             // The arms of each line, away from where they meet.
             let mut arms: Vec<DVec2> = Vec::new();

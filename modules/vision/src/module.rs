@@ -5,12 +5,12 @@ use crate::detector::{Detector, Exposure, Seen, SeenIntersection};
 use crate::picture::Picture;
 use crate::view::{Camera, CameraError, View};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_football::Field;
 use downbeat_football::soccer_model_msgs::msg::Ball as BallEstimate;
 use downbeat_football::soccer_vision_2d_msgs::msg as flat;
 use downbeat_football::soccer_vision_3d_msgs::msg as solid;
 use downbeat_football::soccer_vision_attribute_msgs::msg::Confidence;
 use downbeat_football::vision_msgs::msg::{BoundingBox2D, BoundingBox3D, Point2D};
-use downbeat_football::Field;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::geometry_msgs::msg::{Point, Vector3};
@@ -181,13 +181,18 @@ impl Module for Vision {
             String::new(),
             "name of a built-in field, or path of a file; empty: darwin_op_2014",
         )?;
-        let colours =
-            setup.read_only_setting("colours", String::new(), "path of colour classes; empty: built-in ones")?;
+        let colours = setup.read_only_setting(
+            "colours",
+            String::new(),
+            "path of colour classes; empty: built-in ones",
+        )?;
         let text = |setup: &Setup<'_, Self>, setting| setup.value(setting).cloned().unwrap_or_default();
-        let found = Field::named(&text(setup, field)).map_err(|error| setup.refuse_value(field, error.to_string()))?;
+        let found = Field::named(&text(setup, field))
+            .map_err(|error| setup.refuse_value(field, error.to_string()))?;
         let classes = match text(setup, colours).as_str() {
             "" => Colours::default(),
-            path => Colours::read(Path::new(path)).map_err(|error| setup.refuse_value(colours, error.to_string()))?,
+            path => Colours::read(Path::new(path))
+                .map_err(|error| setup.refuse_value(colours, error.to_string()))?,
         };
         self.detector = Some(Detector::new(found, &classes));
         listen(setup, |vision: &mut Self| &mut vision.transforms)?;
@@ -207,7 +212,11 @@ impl Module for Vision {
             robots: setup.publish("vision/robots")?,
             ball: setup.publish("vision/ball")?,
             diagnostics: setup.publish("diagnostics")?,
-            floor_frame: setup.setting("floor_frame", "odom".to_owned(), "a frame in which the floor is z = 0")?,
+            floor_frame: setup.setting(
+                "floor_frame",
+                "odom".to_owned(),
+                "a frame in which the floor is z = 0",
+            )?,
             base_frame: setup.setting("base_frame", "base_link".to_owned(), "the base of the robot")?,
             angle_deviation: setup.setting_in(
                 "angle_deviation",
@@ -245,7 +254,10 @@ fn publish(seen: &Seen, view: &View, field: &Field, image: &Header, ctx: &mut Co
         center: pixel(ball.centre),
         confidence: confidence(ball.confidence),
     });
-    ctx.publish(ctx.ports.flat_balls, flat::BallArray { header: pixels.clone(), balls: flat_balls.collect() });
+    ctx.publish(
+        ctx.ports.flat_balls,
+        flat::BallArray { header: pixels.clone(), balls: flat_balls.collect() },
+    );
     let radius = field.ball.diameter / 2.0;
     let solid_balls = balls.map(|ball| solid::Ball {
         center: Point { z: radius, ..place(ball.place) },
@@ -266,14 +278,20 @@ fn publish(seen: &Seen, view: &View, field: &Field, image: &Header, ctx: &mut Co
         confidence: confidence(post.confidence),
         ..flat::Goalpost::default()
     });
-    ctx.publish(ctx.ports.flat_posts, flat::GoalpostArray { header: pixels.clone(), posts: flat_posts.collect() });
+    ctx.publish(
+        ctx.ports.flat_posts,
+        flat::GoalpostArray { header: pixels.clone(), posts: flat_posts.collect() },
+    );
     let goal = field.goal;
     let solid_posts = seen.posts.iter().map(|post| solid::Goalpost {
         bb: standing_on(post.place, [goal.post_diameter, goal.post_diameter, goal.height]),
         confidence: confidence(post.confidence),
         ..solid::Goalpost::default()
     });
-    ctx.publish(ctx.ports.posts, solid::GoalpostArray { header: ground.clone(), posts: solid_posts.collect() });
+    ctx.publish(
+        ctx.ports.posts,
+        solid::GoalpostArray { header: ground.clone(), posts: solid_posts.collect() },
+    );
     let flat_robots = seen.robots.iter().map(|robot| flat::Robot {
         bb: standing(robot.foot, robot.size),
         confidence: confidence(robot.confidence),
@@ -330,8 +348,11 @@ fn publish_markings(
             center: pixel(circle.pixel),
             confidence: confidence.clone(),
         });
-        let mut ellipse =
-            solid::MarkingEllipse { diameter: field.circle_diameter, confidence, ..solid::MarkingEllipse::default() };
+        let mut ellipse = solid::MarkingEllipse {
+            diameter: field.circle_diameter,
+            confidence,
+            ..solid::MarkingEllipse::default()
+        };
         ellipse.center.position = place(circle.place);
         ellipse.center.orientation.w = 1.0;
         on_floor.ellipses.push(ellipse);

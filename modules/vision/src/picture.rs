@@ -22,10 +22,14 @@ pub enum PictureError {
     #[error("the encoding \"{0}\" is not supported; set the camera to rgb8, bgr8, yuv422 or yuv422_yuy2")]
     Encoding(String),
     /// It has no colours.
-    #[error("the picture has no colours (\"{0}\"); ball and field are found by colour: set the camera to rgb8 or yuv422_yuy2")]
+    #[error(
+        "the picture has no colours (\"{0}\"); ball and field are found by colour: set the camera to rgb8 or yuv422_yuy2"
+    )]
     Mono(String),
     /// Its size is not possible.
-    #[error("a picture of {0} x {1} pixels; 16 x 16 to 4096 x 4096 are possible, and an even width for yuv422")]
+    #[error(
+        "a picture of {0} x {1} pixels; 16 x 16 to 4096 x 4096 are possible, and an even width for yuv422"
+    )]
     Size(u32, u32),
     /// It has fewer bytes than its header says.
     #[error("the picture has {found} bytes, its header declares {declared}: the camera driver cuts it off")]

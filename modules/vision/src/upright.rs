@@ -36,7 +36,8 @@ pub(crate) fn posts(labels: &Labels, view: &View, boundary: &[DVec2], field: &Fi
             let middle = (left + column - 1) / 2;
             let Some(start) = row_in(middle) else { continue };
             let width = (column - left) as f64;
-            let (top, bottom) = (follow(labels, middle, start, class, -1), follow(labels, middle, start, class, 1));
+            let (top, bottom) =
+                (follow(labels, middle, start, class, -1), follow(labels, middle, start, class, 1));
             if bottom + 1 >= labels.height || left == 0 || column == labels.width {
                 continue;
             }
@@ -97,7 +98,9 @@ pub(crate) fn robots(
         let is_post = posts.iter().any(|post| (post.foot.x - column as f64).abs() <= post.size.x);
         let body = if is_post { None } else { body_in(labels, view, boundary, field, column) };
         let is_ball = |foot: usize| {
-            let near = |ball: &SeenBall| ball.centre.distance(DVec2::new(column as f64, foot as f64)) < 1.5 * ball.radius;
+            let near = |ball: &SeenBall| {
+                ball.centre.distance(DVec2::new(column as f64, foot as f64)) < 1.5 * ball.radius
+            };
             balls.iter().any(near)
         };
         match (body.filter(|(_, foot)| !is_ball(*foot)), &mut group) {

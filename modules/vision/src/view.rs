@@ -19,7 +19,9 @@ pub struct Camera {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CameraError {
     /// Numbers are missing or not possible.
-    #[error("camera_info has no usable matrix k; calibrate the camera, or set its field of view in its driver")]
+    #[error(
+        "camera_info has no usable matrix k; calibrate the camera, or set its field of view in its driver"
+    )]
     Matrix,
     /// The picture has another size than the calibration.
     #[error(
@@ -32,7 +34,9 @@ pub enum CameraError {
         calibrated: [u32; 2],
     },
     /// Its lens is distorted.
-    #[error("camera_info declares distortion (d is not 0); rectify pictures first, as image_proc does, or set d to 0")]
+    #[error(
+        "camera_info declares distortion (d is not 0); rectify pictures first, as image_proc does, or set d to 0"
+    )]
     Distorted,
 }
 
@@ -92,7 +96,8 @@ impl View {
     #[must_use]
     pub fn pixel_of(&self, point: DVec3) -> Option<DVec2> {
         let in_camera = self.ground_from_camera.inverse().transform_point(point);
-        (in_camera.z > 0.02).then(|| in_camera.truncate() / in_camera.z * self.camera.focal + self.camera.centre)
+        (in_camera.z > 0.02)
+            .then(|| in_camera.truncate() / in_camera.z * self.camera.focal + self.camera.centre)
     }
 
     /// How many pixels wide something of this width is at a point.

@@ -11,12 +11,12 @@ use std::f64::consts::FRAC_PI_2;
 
 #[test]
 fn ball_lines_and_the_yellow_post_of_a_real_picture_are_found() {
-    let file = std::fs::File::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/darwin_op_frame.png")).unwrap();
+    let file =
+        std::fs::File::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/darwin_op_frame.png")).unwrap();
     let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
     let mut data = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut data).unwrap();
-    let picture =
-        Picture::new([info.width, info.height], info.line_size, Encoding::Rgb8, &data).unwrap();
+    let picture = Picture::new([info.width, info.height], info.line_size, Encoding::Rgb8, &data).unwrap();
     let camera =
         Camera { size: [640, 480], focal: DVec2::new(537.0, 543.0), centre: DVec2::new(319.5, 239.5) };
     // The horizon is in row 46.
@@ -42,5 +42,9 @@ fn ball_lines_and_the_yellow_post_of_a_real_picture_are_found() {
         })
     };
     assert!(crosses(420.0), "{:?}", seen.lines);
-    assert!(seen.posts.iter().any(|post| (post.foot - DVec2::new(278.0, 66.0)).abs().max_element() < 6.0), "{:?}", seen.posts);
+    assert!(
+        seen.posts.iter().any(|post| (post.foot - DVec2::new(278.0, 66.0)).abs().max_element() < 6.0),
+        "{:?}",
+        seen.posts
+    );
 }

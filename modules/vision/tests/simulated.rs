@@ -9,7 +9,7 @@ use evaluation::{Totals, evaluate};
 #[test]
 fn balls_and_places_are_found_in_varied_pictures() {
     let mut totals = Totals::default();
-    for seed in 0..60 {
+    for seed in 0..100 {
         evaluate(seed, &mut totals);
     }
     println!("{totals}");
@@ -20,7 +20,7 @@ fn balls_and_places_are_found_in_varied_pictures() {
 
 #[test]
 fn black_white_and_noisy_pictures_end_without_balls() {
-    use downbeat_vision::{Exposure, Picture, Encoding};
+    use downbeat_vision::{Encoding, Exposure, Picture};
     let mut detector = evaluation::detector();
     let view = evaluation::view_at(0.45, 0.5, 0.0);
     for (grey, expected) in [(0, Exposure::Black), (255, Exposure::White), (128, Exposure::NoCarpet)] {

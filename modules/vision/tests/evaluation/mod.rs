@@ -109,7 +109,8 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
     let colours = [[40, 40, 45], [200, 200, 210], [150, 30, 120], [30, 60, 170], [120, 20, 20]];
     let boxes = (0..random.usize(..4))
         .map(|index| {
-            let at = to_map(DVec2::from_angle(between(&mut random, -0.6, 0.6)) * between(&mut random, 0.6, 5.0));
+            let at =
+                to_map(DVec2::from_angle(between(&mut random, -0.6, 0.6)) * between(&mut random, 0.6, 5.0));
             Block {
                 name: format!("box_{index}"),
                 position: [at.x, at.y, 0.225],
@@ -135,7 +136,8 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
     world.ball = has_ball.then_some(ball);
     let mut data = render(&world);
     // How much of the ball is in the picture, and not behind a box.
-    let seen_pixels = data.chunks(3).zip(without.chunks(3)).filter(|(one, other)| one != other).count() as f64;
+    let seen_pixels =
+        data.chunks(3).zip(without.chunks(3)).filter(|(one, other)| one != other).count() as f64;
     let radius = field.ball.diameter / 2.0;
     let expected = PI * view.width_at(ball_on_ground.extend(radius), radius).powi(2);
     let share = seen_pixels / expected;
@@ -145,9 +147,8 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
     // The pose of the camera is known to a fifth of a degree.
     let mut believed = view;
     let [pitch, roll] = [normal(&mut random), normal(&mut random)].map(|share| share * 0.0035);
-    believed.ground_from_camera.rotation = DQuat::from_rotation_y(pitch)
-        * DQuat::from_rotation_x(roll)
-        * believed.ground_from_camera.rotation;
+    believed.ground_from_camera.rotation =
+        DQuat::from_rotation_y(pitch) * DQuat::from_rotation_x(roll) * believed.ground_from_camera.rotation;
     let seen = detector().see(&picture, &believed);
 
     let is_right = |place: DVec2| has_ball && place.distance(ball_on_ground) < 0.1 + 0.25 * distance;
@@ -196,8 +197,7 @@ fn disturb(data: &mut Vec<u8>, random: &mut Rng) {
             for column in 1..319_usize {
                 for part in 0..3 {
                     let at = |row: usize, column: usize| u32::from(before[(row * 320 + column) * 3 + part]);
-                    let sum: u32 =
-                        (0..9).map(|index| at(row + index / 3 - 1, column + index % 3 - 1)).sum();
+                    let sum: u32 = (0..9).map(|index| at(row + index / 3 - 1, column + index % 3 - 1)).sum();
                     data[(row * 320 + column) * 3 + part] = (sum / 9) as u8;
                 }
             }
