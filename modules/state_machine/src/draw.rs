@@ -53,7 +53,7 @@ impl Chart {
 
     /// Those of states: first states are drawn otherwise.
     fn drawn_transitions(&self) -> impl Iterator<Item = &Transition> {
-        let of_states = self.states.iter().enumerate().flat_map(|(_, state)| {
+        let of_states = self.states.iter().flat_map(|state| {
             state
                 .transitions
                 .iter()
@@ -104,7 +104,7 @@ impl Chart {
             }
             let line = if of.kind == StateKind::Parallel { "dashed" } else { "rounded" };
             let filled =
-                if fill.is_empty() { String::new() } else { format!(",filled\"; fillcolor=\"#fff0cc") };
+                if fill.is_empty() { String::new() } else { ",filled\"; fillcolor=\"#fff0cc".to_owned() };
             let _ = writeln!(
                 dot,
                 "{indent}subgraph cluster_{child} {{\n{indent}    label={name}; style=\"{line}{filled}\";"
