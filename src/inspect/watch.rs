@@ -120,7 +120,7 @@ impl Watch {
         let watched = self.topics.get(topic).ok_or_else(|| format!("{topic} is not watched"))?;
         let latest = watched.feed.lock().latest.clone();
         let Some((of, cdr)) = latest else { return Ok(None) };
-        let of = of.map_err(|type_name| no_definition(type_name))?;
+        let of = of.map_err(no_definition)?;
         let message = DynamicMessage::from_cdr(&of, &cdr).map_err(|error| format!("{topic}: {error}"))?;
         Ok(Some(numbers_of(&message, Self::MOST_NUMBERS)))
     }
