@@ -176,26 +176,31 @@ impl Arena {
         }
     }
 
-    /// Draws the swarm around its centre: `.` undecided, `r` red, `b` blue. A character is 5 cm wide and 10 cm high.
+    /// Draws the swarm around its centre: `o` undecided, `r` red, `b` blue, capital for several. A character is 5 cm
+    /// wide and 10 cm high.
     fn picture(&self) -> String {
         const COLUMNS: usize = 60;
         const ROWS: usize = 30;
         let positions: Vec<_> = self.bodies.iter().map(|body| body.position).collect();
         let corner = centre(&positions) + DVec2::new(-1.5, 1.5);
-        let mut rows = vec![vec![' '; COLUMNS]; ROWS];
+        let mut rows = [[' '; COLUMNS]; ROWS];
         for body in &self.bodies {
             let offset = (body.position - corner) / DVec2::new(0.05, -0.1);
             // A position left of the corner or above it becomes 0, at the edge.
             let (column, row) = (offset.x as usize, offset.y as usize);
-            rows[row.min(ROWS - 1)][column.min(COLUMNS - 1)] = match body.light {
+            let cell = &mut rows[row.min(ROWS - 1)][column.min(COLUMNS - 1)];
+            let letter = match body.light {
                 Light::RED => 'r',
                 Light::BLUE => 'b',
-                _ => '.',
+                _ => 'o',
             };
+            *cell = if *cell == ' ' { letter } else { letter.to_ascii_uppercase() };
         }
-        let lines = rows.iter().map(|row| row.iter().collect::<String>().trim_end().to_owned());
-        let lines = lines.skip_while(String::is_empty).collect::<Vec<_>>().join("\n");
-        lines.trim_end().to_owned()
+        let is_used = |row: &[char; COLUMNS]| row.iter().any(|&cell| cell != ' ');
+        let first = rows.iter().position(is_used).unwrap_or(0);
+        let end = rows.iter().rposition(is_used).map_or(0, |last| last + 1);
+        let lines = rows[first..end].iter().map(|row| format!("|{}|", String::from_iter(row)));
+        lines.collect::<Vec<_>>().join("\n")
     }
 }
 
