@@ -3,6 +3,7 @@
 //! Pictures are simulated: no noise, no distortion, no blur, no shadows, and the robot itself is not in them. Only additions,
 //! multiplications, divisions and square roots, so that the same world gives the same bytes on every machine.
 
+use crate::model::{Model, Shape};
 use crate::spawned::{Spawned, SpawnedShape};
 use crate::world_file::{Field, WorldFile};
 use downbeat_transforms::Isometry;
@@ -57,6 +58,8 @@ enum VisibleShape {
 
 const SKY: Vec3 = Vec3::new(150.0, 175.0, 200.0);
 const LINE: Vec3 = Vec3::new(235.0, 235.0, 235.0);
+/// Of a robot, but for its trunk.
+const LIMB: Vec3 = Vec3::new(60.0, 60.0, 65.0);
 /// Beyond this the floor fades into the sky, in m.
 const HORIZON: f32 = 60.0;
 
@@ -108,6 +111,35 @@ impl Scene {
             };
             Some(Visible::new(&pose_of(&spawned.name)?, shape, colour(spawned.colour), radius))
         }));
+        self
+    }
+
+    /// Adds a robot whose bodies are at these poses, dark with a trunk of this colour.
+    #[must_use]
+    pub(crate) fn with_robot(
+        mut self,
+        model: &Model,
+        pose_of: impl Fn(usize) -> Option<Isometry>,
+        trunk: [u8; 3],
+    ) -> Self {
+        for (index, body) in model.bodies.iter().enumerate() {
+            let Some(world_from_body) = pose_of(index) else { continue };
+            let colour = if index == 0 { colour(trunk) } else { LIMB };
+            self.bodies.extend(body.shapes.iter().map(|(body_from_shape, shape)| {
+                let (shape, radius) = match *shape {
+                    Shape::Box(edges) => {
+                        let half = glam::DVec3::from(edges).as_vec3() / 2.0;
+                        (VisibleShape::Box(half), half.length())
+                    }
+                    Shape::Cylinder { radius, length } => {
+                        let (radius, half) = (radius as f32, length as f32 / 2.0);
+                        (VisibleShape::Post(radius, half), (radius * radius + half * half).sqrt())
+                    }
+                    Shape::Sphere(radius) => (VisibleShape::Ball, radius as f32),
+                };
+                Visible::new(&(world_from_body * *body_from_shape), shape, colour, radius)
+            }));
+        }
         self
     }
 

@@ -4,6 +4,7 @@
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
 //! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_modules::darwin_op_emulator::Body)) in its world;
 //! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera, services;
+//! - [`Arena`] is a world with several robots and a ball;
 //! - [`tasks`] are what a walking robot has to be able to do;
 //! - [`WorldFile`] describes what is around the robot.
 //!
@@ -29,8 +30,10 @@
 //!
 //! The same options, seed and modules give the same bits, under every launcher. `docs/physics.md` says what is modelled.
 
+mod arena;
 pub mod camera;
 mod harness;
+mod machine;
 mod model;
 mod simulation;
 pub mod simulator;
@@ -39,6 +42,7 @@ pub mod tasks;
 mod world;
 mod world_file;
 
+pub use arena::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Picture, RobotTruth};
 pub use harness::{DARWIN_OP, SimulatedRobot, SimulatedRunError};
 pub use model::{Body, Joint, Model, ModelError, Shape};
 pub use simulation::{Request, RunState, Simulation, SimulationError, SimulationOptions, Snapshot};

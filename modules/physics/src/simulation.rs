@@ -9,16 +9,16 @@
 //! limit in the description, both at 12 V. Engines solve (1) as a spring to the goal and a damper: the drive
 //! is limited by moving the goal nearer. Within the free play of the gear there is no torque.
 
+use crate::machine::Machine;
 use crate::model::Model;
 use crate::spawned::Spawned;
-use crate::world::{Engine, EngineError, JointDrive, Motion, Plan, Start, Variation, World};
+use crate::world::{Engine, EngineError, Motion, Plan, Start, Variation, World};
 use crate::world_file::WorldFile;
-use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
+use downbeat_modules::darwin_op::tables::joints::COUNT;
 use downbeat_modules::darwin_op_emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
 use downbeat_transforms::Isometry;
 use glam::DVec3;
 use parking_lot::Mutex;
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -148,47 +148,23 @@ pub enum Request {
     Steps(u64),
 }
 
-/// How long the robot is still held after the first servo got torque.
-const HELD: Duration = Duration::from_millis(500);
-/// The lag of the accelerometer. Estimated.
-const IMU_LAG_S: f64 = 0.005;
-const GRAVITY: f64 = 9.806_65;
 /// The most requests that wait.
 const MOST_REQUESTS: usize = 1000;
 
 struct State {
     options: SimulationOptions,
-    servos: [ServoJoint; COUNT],
-    imu_frame: (usize, Isometry),
+    machine: Machine,
     camera: Option<(usize, Isometry)>,
     world: Box<dyn World>,
-    drives: Vec<JointDrive>,
     run: RunState,
     steps_left: u64,
     elapsed: Duration,
     /// The time since the last step.
     since_step: Duration,
-    /// The robot is held at its start until this time has passed; `None` before the first servo has torque.
-    held_for: Option<Duration>,
-    /// The last commands, oldest first: as many as fit into the latency.
-    commands: VecDeque<[ServoCommand; COUNT]>,
-    joints: [JointMotion; COUNT],
-    imu: ImuMotion,
-    velocity: DVec3,
     requests: Vec<Request>,
     /// What was spawned and not deleted, as it started.
     spawned: Vec<Spawned>,
     snapshot: Snapshot,
-}
-
-/// The joint that a servo turns.
-#[derive(Clone, Copy, Default)]
-struct ServoJoint {
-    body: usize,
-    /// In N m.
-    stall: f64,
-    /// Of the back-EMF, in N m s/rad.
-    damping: f64,
 }
 
 impl Simulation {
@@ -201,20 +177,8 @@ impl Simulation {
         if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
             return Err(SimulationError::Step { found: *step });
         }
-        let mut servos = [ServoJoint::default(); COUNT];
-        for (servo, joint) in servos.iter_mut().zip(&JOINTS) {
-            let missing = || SimulationError::Joint {
-                robot: model.name.clone(),
-                joint: joint.name,
-                servo: joint.id.raw(),
-            };
-            let body = model.body_of_joint(joint.name).ok_or_else(missing)?;
-            let described = model.bodies[body].joint.as_ref().ok_or_else(missing)?;
-            let stall = described.effort * variation.strength;
-            *servo = ServoJoint { body, stall, damping: stall / described.velocity };
-        }
-        let frame = |name: &str| model.frames.get(name).copied();
-        let (imu_frame, camera) = (frame("imu_link").unwrap_or_default(), frame("camera_optical_frame"));
+        let machine = Machine::new(model, *variation)?;
+        let camera = model.frames.get("camera_optical_frame").copied();
         let world = options.new_world()?;
         if let Some((other, depth)) = world.overlap_of_robot() {
             let (world, other) = (options.world.name.clone(), other.to_owned());
@@ -231,26 +195,19 @@ impl Simulation {
             foot_forces: None,
         };
         let mut state = State {
-            servos,
-            imu_frame,
+            machine,
             camera,
             world,
-            drives: vec![JointDrive::default(); model.bodies.len()],
             run: RunState::Playing,
             steps_left: 0,
             elapsed: Duration::ZERO,
             since_step: Duration::ZERO,
-            held_for: None,
-            commands: VecDeque::new(),
-            joints: [JointMotion::default(); COUNT],
-            imu: ImuMotion::default(),
-            velocity: DVec3::ZERO,
             requests: Vec::new(),
             spawned: Vec::new(),
             snapshot,
             options,
         };
-        state.measure_at_rest();
+        state.machine.measure_at_rest(&*state.world);
         state.snapshot = state.look();
         Ok(Self { state: Arc::new(Mutex::new(state)) })
     }
@@ -312,11 +269,11 @@ impl Body for Simulation {
     }
 
     fn joint(&self, index: usize) -> JointMotion {
-        self.state.lock().joints.get(index).copied().unwrap_or_default()
+        self.state.lock().machine.joint(index)
     }
 
     fn imu(&self) -> ImuMotion {
-        self.state.lock().imu
+        self.state.lock().machine.imu()
     }
 
     fn foot_forces(&self) -> Option<FootForces> {
@@ -334,12 +291,7 @@ impl Body for Simulation {
 
 impl State {
     fn advance(&mut self, dt: Duration, commands: [ServoCommand; COUNT]) {
-        self.commands.push_back(commands);
-        let delayed = self.options.variation.latency.as_nanos() / dt.as_nanos().max(1);
-        while self.commands.len() as u128 > delayed + 1 {
-            self.commands.pop_front();
-        }
-        let Some(&commands) = self.commands.front() else { return };
+        let Some(commands) = self.machine.command(dt, commands) else { return };
         match self.run {
             RunState::Playing => {
                 self.since_step += dt;
@@ -359,64 +311,12 @@ impl State {
     fn step(&mut self, commands: &[ServoCommand; COUNT]) {
         let step = self.options.step;
         self.elapsed += step;
-        if self.is_held(commands) {
+        if self.machine.is_held(step, commands) {
             return;
         }
-        let half_play = self.options.variation.backlash / 2.0;
-        for ((servo, command), joint) in self.servos.iter().zip(commands).zip(&mut self.joints) {
-            let (drive, motor) = drive(servo, command, joint.position, half_play);
-            self.drives[servo.body] = motor;
-            joint.drive = drive;
-        }
-        self.world.step(&self.drives);
-        for (servo, joint) in self.servos.iter().zip(&mut self.joints) {
-            (joint.position, joint.velocity) = self.world.joint(servo.body);
-        }
-        self.feel(step.as_secs_f64());
-    }
-
-    /// As by somebody who puts it down once the servos have torque.
-    fn is_held(&mut self, commands: &[ServoCommand; COUNT]) -> bool {
-        match &mut self.held_for {
-            None => {
-                if commands.iter().any(|command| command.max_drive > 0.0) {
-                    self.held_for = Some(HELD);
-                }
-                true
-            }
-            Some(left) if *left > Duration::ZERO => {
-                *left = left.saturating_sub(self.options.step);
-                true
-            }
-            Some(_) => false,
-        }
-    }
-
-    fn feel(&mut self, dt: f64) {
-        let Some(motion) = self.world.motion_of(self.imu_frame.0, &self.imu_frame.1) else { return };
-        let imu_from_world = motion.world_from_body.rotation.conjugate();
-        let acceleration = (motion.linear - self.velocity) / dt + DVec3::Z * GRAVITY;
-        self.velocity = motion.linear;
-        let force = imu_from_world * acceleration;
-        let share = dt / (dt + IMU_LAG_S);
-        let felt = DVec3::from(self.imu.specific_force);
-        self.imu = ImuMotion {
-            angular_velocity: (imu_from_world * motion.angular).to_array(),
-            specific_force: (felt + (force - felt) * share).to_array(),
-        };
-    }
-
-    /// What the sensors measure while nothing moves.
-    fn measure_at_rest(&mut self) {
-        for (servo, joint) in self.servos.iter().zip(&mut self.joints) {
-            let (position, velocity) = self.world.joint(servo.body);
-            *joint = JointMotion { position, velocity, drive: 0.0 };
-        }
-        self.velocity = DVec3::ZERO;
-        if let Some(motion) = self.world.motion_of(self.imu_frame.0, &self.imu_frame.1) {
-            let force = motion.world_from_body.rotation.conjugate() * (DVec3::Z * GRAVITY);
-            self.imu = ImuMotion { angular_velocity: [0.0; 3], specific_force: force.to_array() };
-        }
+        self.machine.drive(commands);
+        self.world.step(self.machine.drives());
+        self.machine.measure(&*self.world, step);
     }
 
     fn look(&self) -> Snapshot {
@@ -450,7 +350,7 @@ impl State {
             },
             Request::SetMotion { thing: None, motion } => {
                 self.world.set_pose_of_robot(&motion.world_from_body);
-                self.measure_at_rest();
+                self.machine.measure_at_rest(&*self.world);
             }
             Request::SetMotion { thing: Some(name), motion } => {
                 if !self.world.set_motion_of_thing(&name, &motion) {
@@ -489,29 +389,11 @@ impl State {
             Err(error) => tracing::error!("the world is not reset: {error}"),
         }
         self.spawned.iter().for_each(|spawned| self.world.spawn(spawned));
-        self.held_for = None;
+        self.machine.hold();
         self.since_step = Duration::ZERO;
         if time {
             self.elapsed = Duration::ZERO;
         }
-        self.measure_at_rest();
+        self.machine.measure_at_rest(&*self.world);
     }
-}
-
-/// The drive of a servo at this angle of its joint, as a share of the full one, and what it does to the joint: equation (1).
-fn drive(servo: &ServoJoint, command: &ServoCommand, angle: f64, half_play: f64) -> (f64, JointDrive) {
-    if command.max_drive <= 0.0 || command.gain <= 0.0 || command.supply <= 0.0 {
-        return (0.0, JointDrive { goal: angle, ..JointDrive::default() });
-    }
-    let error = command.goal - angle;
-    let felt = error - error.clamp(-half_play, half_play);
-    let drive = (command.gain * felt).clamp(-command.max_drive, command.max_drive);
-    let motor = JointDrive {
-        goal: angle + drive / command.gain,
-        stiffness: command.gain * servo.stall * command.supply / 12.0,
-        damping: servo.damping,
-        // Against its direction of rotation a motor brakes with more than its stall torque.
-        max_torque: 2.0 * servo.stall,
-    };
-    (drive, motor)
 }

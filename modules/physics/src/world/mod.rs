@@ -4,7 +4,7 @@
 mod mujoco;
 mod rapier;
 
-pub(crate) use rapier::overlap;
+pub(crate) use rapier::{RapierWorld, overlap};
 
 use crate::model::Model;
 use crate::spawned::Spawned;
@@ -204,18 +204,21 @@ pub(crate) struct Plan<'a> {
     pub(crate) variation: &'a Variation,
 }
 
+/// The bodies of a robot, to be measured.
+pub(crate) trait RobotBodies {
+    /// Angle and speed of the joint of a body, in rad and rad/s.
+    fn joint(&self, body: usize) -> (f64, f64);
+
+    /// The motion of a frame that is fixed in a body.
+    fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion>;
+}
+
 /// A world with a robot, which starts at rest at its start.
-pub(crate) trait World: Send {
+pub(crate) trait World: RobotBodies + Send {
     /// Advances by one step. There is one drive for each body; that of the first is ignored.
     fn step(&mut self, drives: &[JointDrive]);
 
     fn steps(&self) -> u64;
-
-    /// Angle and speed of the joint of a body of the robot, in rad and rad/s.
-    fn joint(&self, body: usize) -> (f64, f64);
-
-    /// The motion of a frame that is fixed in a body of the robot.
-    fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion>;
 
     /// The names of what is in the world, and whether it can move.
     fn things(&self) -> Vec<(&str, bool)>;

@@ -6,7 +6,9 @@
 //! # References
 //! rapier3d 0.36.1: `Multibody` (reduced coordinates, armature and dry friction per degree of freedom).
 
-use super::{ARMATURE, GRAVITY, JointDrive, Motion, Plan, Posture, START_HEIGHT, Start, Variation, World};
+use super::{
+    ARMATURE, GRAVITY, JointDrive, Motion, Plan, Posture, RobotBodies, START_HEIGHT, Start, Variation, World,
+};
 use crate::model::{Model, Shape};
 use crate::spawned::{Spawned, SpawnedShape};
 use crate::world_file::WorldFile;
@@ -15,13 +17,13 @@ use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d::parry::query;
 use rapier3d::prelude::*;
+use std::time::Duration;
 
-/// A world with a robot.
-pub(super) struct RapierWorld {
+/// A world with robots. As a [`World`], it has one.
+pub(crate) struct RapierWorld {
     physics: PhysicsWorld,
     steps: u64,
-    links: Vec<Link>,
-    feet: [Option<Foot>; 2],
+    robots: Vec<Robot>,
     things: Vec<Thing>,
     /// Of everything beside the robot.
     friction: f32,
@@ -29,7 +31,18 @@ pub(super) struct RapierWorld {
     pushed: Vec<RigidBodyHandle>,
 }
 
-/// A body of the robot.
+struct Robot {
+    links: Vec<Link>,
+    feet: [Option<Foot>; 2],
+}
+
+/// A robot of a world, to be measured.
+pub(crate) struct RapierRobot<'a> {
+    world: &'a RapierWorld,
+    robot: usize,
+}
+
+/// A body of a robot.
 struct Link {
     handle: RigidBodyHandle,
     /// In the multibody; 0 for the first body.
@@ -56,28 +69,44 @@ const ROLLING_GAP: f32 = 0.002;
 impl RapierWorld {
     pub(super) fn new(plan: Plan<'_>) -> Self {
         let Plan { file, model, start, step, variation } = plan;
+        Self::with_robots(file, model, step, &[(start, variation)])
+    }
+
+    /// A world with robots of one model. The friction of the things beside them is that of the first robot.
+    pub(crate) fn with_robots(
+        file: &WorldFile,
+        model: &Model,
+        step: Duration,
+        robots: &[(&Start, &Variation)],
+    ) -> Self {
         let mut physics = PhysicsWorld::new();
         physics.gravity = Vector::new(0.0, 0.0, -GRAVITY as f32);
         physics.integration_parameters.dt = step.as_secs_f32();
         physics.integration_parameters.num_solver_iterations = 1;
-        let friction = (file.floor.friction * variation.friction) as f32;
+        let friction_of = |variation: &Variation| (file.floor.friction * variation.friction) as f32;
+        let friction = robots.first().map_or(file.floor.friction as f32, |(_, first)| friction_of(first));
         let things = surroundings(file).into_iter().map(|thing| thing.insert(&mut physics, friction));
         let things = things.collect();
-        let links = insert_robot(&mut physics, model, variation, friction);
-        let feet = ["r_sole", "l_sole"].map(|name| {
-            let &(body, body_from_sole) = model.frames.get(name)?;
-            let handle = links.get(body)?.handle;
-            let collider = *physics.bodies.get(handle)?.colliders().first()?;
-            let body_from_collider = isometry(physics.colliders.get(collider)?.position_wrt_parent()?);
-            Some(Foot { collider, collider_from_sole: body_from_collider.inverse() * body_from_sole })
-        });
-        let mut world = Self { physics, steps: 0, links, feet, things, friction, pushed: Vec::new() };
-        world.place(model, start);
+        let mut world = Self { physics, steps: 0, robots: Vec::new(), things, friction, pushed: Vec::new() };
+        for (index, (start, variation)) in robots.iter().enumerate() {
+            let robot = insert_robot(&mut world.physics, model, variation, friction_of(variation));
+            world.robots.push(robot);
+            world.place(index, model, start);
+        }
         world
     }
 
-    /// Puts the robot where it starts, at rest.
-    fn place(&mut self, model: &Model, start: &Start) {
+    /// A robot, to be measured.
+    pub(crate) fn robot(&self, robot: usize) -> RapierRobot<'_> {
+        RapierRobot { world: self, robot }
+    }
+
+    fn links(&self, robot: usize) -> &[Link] {
+        self.robots.get(robot).map_or(&[], |robot| &robot.links)
+    }
+
+    /// Puts a robot where it starts, at rest.
+    pub(crate) fn place(&mut self, robot: usize, model: &Model, start: &Start) {
         let angle = |joint: &str| {
             start.angles.iter().find(|(name, _)| name == joint).map_or(0.0, |(_, angle)| *angle)
         };
@@ -104,22 +133,23 @@ impl RapierWorld {
             translation: DVec3::new(start.position[0], start.position[1], 0.0),
             rotation: DQuat::from_rotation_z(start.yaw),
         };
-        self.set_coordinates(heading * upright, &angles);
-        let lowest = self.lowest_point();
+        self.set_coordinates(robot, heading * upright, &angles);
+        let lowest = self.lowest_point(robot);
         let lifted = Isometry::from_translation(0.0, 0.0, START_HEIGHT - lowest);
-        self.set_coordinates(lifted * heading * upright, &angles);
+        self.set_coordinates(robot, lifted * heading * upright, &angles);
     }
 
     /// Sets the pose of the first body and the angle of each body's joint, at rest.
-    fn set_coordinates(&mut self, world_from_root: Isometry, angles: &[f64]) {
-        let root = self.links[0].handle;
+    fn set_coordinates(&mut self, robot: usize, world_from_root: Isometry, angles: &[f64]) {
+        let Some(links) = self.robots.get(robot).map(|robot| &robot.links) else { return };
+        let Some(root) = links.first().map(|link| link.handle) else { return };
         if let Some(body) = self.physics.bodies.get_mut(root) {
             body.set_position(pose(&world_from_root), true);
         }
         let Some(link) = self.physics.multibody_joints.rigid_body_link(root).copied() else { return };
         let Some(multibody) = self.physics.multibody_joints.get_multibody_mut(link.multibody) else { return };
         let mut displacements = vec![0.0; multibody.ndofs()];
-        for (link, angle) in self.links.iter().zip(angles).skip(1) {
+        for (link, angle) in links.iter().zip(angles).skip(1) {
             if let Some(joint) = multibody.link(link.index) {
                 displacements[joint.assembly_id()] = *angle as f32 - joint.joint().coords()[3];
             }
@@ -130,10 +160,10 @@ impl RapierWorld {
         multibody.update_rigid_bodies(&mut self.physics.bodies, true);
     }
 
-    /// Of the robot, in m above the floor.
-    fn lowest_point(&self) -> f64 {
+    /// Of a robot, in m above the floor.
+    fn lowest_point(&self, robot: usize) -> f64 {
         let mut lowest = f32::INFINITY;
-        for link in &self.links {
+        for link in self.links(robot) {
             let Some(body) = self.physics.bodies.get(link.handle) else { continue };
             for collider in body.colliders() {
                 let Some(collider) = self.physics.colliders.get(*collider) else { continue };
@@ -180,12 +210,12 @@ impl RapierWorld {
         }
         forces
     }
-}
 
-impl World for RapierWorld {
-    fn step(&mut self, drives: &[JointDrive]) {
-        if let Some(multibody) = multibody_mut(&mut self.physics, &self.links) {
-            for (link, drive) in self.links.iter().zip(drives).skip(1) {
+    /// Advances by one step, with one drive for each body of each robot.
+    pub(crate) fn step_all<'a>(&mut self, drives: impl IntoIterator<Item = &'a [JointDrive]>) {
+        for (robot, drives) in self.robots.iter().zip(drives) {
+            let Some(multibody) = multibody_mut(&mut self.physics, &robot.links) else { continue };
+            for (link, drive) in robot.links.iter().zip(drives).skip(1) {
                 if let Some(joint) = multibody.link_mut(link.index) {
                     let (goal, stiffness, damping) =
                         (drive.goal as f32, drive.stiffness as f32, drive.damping as f32);
@@ -207,14 +237,57 @@ impl World for RapierWorld {
         self.steps += 1;
     }
 
-    fn steps(&self) -> u64 {
-        self.steps
+    /// The first robot that touches something.
+    pub(crate) fn robot_that_touches(&self, thing: &str) -> Option<usize> {
+        let thing = self.things.iter().find(|known| known.name == thing)?;
+        let collider = *self.physics.bodies.get(thing.handle)?.colliders().first()?;
+        let mut touching = self.physics.narrow_phase.contact_pairs_with(collider).filter_map(|pair| {
+            let other = if pair.collider1 == collider { pair.collider2 } else { pair.collider1 };
+            let body = self.physics.colliders.get(other)?.parent()?;
+            let is_part = |robot: &Robot| robot.links.iter().any(|link| link.handle == body);
+            self.robots.iter().position(is_part).filter(|_| pair.has_any_active_contact())
+        });
+        let first = touching.next()?;
+        Some(touching.fold(first, usize::min))
     }
 
+    /// What a robot is inside of, beside the floor and other robots, and how deep in m.
+    pub(crate) fn overlap_with_things(&self, robot: usize) -> Option<(&str, f64)> {
+        let colliders_of = |handle| {
+            let body = self.physics.bodies.get(handle);
+            body.into_iter().flat_map(|body| {
+                let colliders =
+                    body.colliders().iter().filter_map(|handle| self.physics.colliders.get(*handle));
+                colliders.filter_map(|collider| {
+                    Some((*body.position() * *collider.position_wrt_parent()?, collider.shape()))
+                })
+            })
+        };
+        self.things.iter().filter(|thing| thing.name != "floor").find_map(|thing| {
+            let (there, other) = colliders_of(thing.handle).next()?;
+            let depths =
+                self.links(robot).iter().flat_map(|link| colliders_of(link.handle)).filter_map(|(here, shape)| {
+                    let contact = query::contact(&here, shape, &there, other, 0.0).ok().flatten()?;
+                    (contact.dist < -TOUCHING).then(|| f64::from(-contact.dist))
+                });
+            depths.reduce(f64::max).map(|depth| (thing.name.as_str(), depth))
+        })
+    }
+
+    pub(crate) fn foot_forces_of(&self, robot: usize) -> FootForces {
+        let Some(robot) = self.robots.get(robot) else { return FootForces::default() };
+        let [right, left] =
+            robot.feet.each_ref().map(|foot| foot.as_ref().map_or([0.0; 4], |foot| self.forces_on(foot)));
+        FootForces { right, left }
+    }
+}
+
+impl RobotBodies for RapierRobot<'_> {
     fn joint(&self, body: usize) -> (f64, f64) {
-        let Some(link) = self.links.get(body) else { return (0.0, 0.0) };
-        let found = self.physics.multibody_joints.rigid_body_link(link.handle);
-        let multibody = found.and_then(|id| self.physics.multibody_joints.get_multibody(id.multibody));
+        let physics = &self.world.physics;
+        let Some(link) = self.world.links(self.robot).get(body) else { return (0.0, 0.0) };
+        let found = physics.multibody_joints.rigid_body_link(link.handle);
+        let multibody = found.and_then(|id| physics.multibody_joints.get_multibody(id.multibody));
         let joint = multibody.and_then(|multibody| Some((multibody, multibody.link(link.index)?)));
         joint.map_or((0.0, 0.0), |(multibody, joint)| {
             let velocity = multibody.joint_velocity(joint);
@@ -223,8 +296,28 @@ impl World for RapierWorld {
     }
 
     fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion> {
-        let handle = self.links.get(body)?.handle;
-        Some(motion(self.physics.bodies.get(handle)?, body_from_frame))
+        let handle = self.world.links(self.robot).get(body)?.handle;
+        Some(motion(self.world.physics.bodies.get(handle)?, body_from_frame))
+    }
+}
+
+impl RobotBodies for RapierWorld {
+    fn joint(&self, body: usize) -> (f64, f64) {
+        self.robot(0).joint(body)
+    }
+
+    fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion> {
+        self.robot(0).motion_of(body, body_from_frame)
+    }
+}
+
+impl World for RapierWorld {
+    fn step(&mut self, drives: &[JointDrive]) {
+        self.step_all([drives]);
+    }
+
+    fn steps(&self) -> u64 {
+        self.steps
     }
 
     fn things(&self) -> Vec<(&str, bool)> {
@@ -264,7 +357,7 @@ impl World for RapierWorld {
 
     fn overlap_of(&self, spawned: &Spawned) -> Option<(&str, f64)> {
         let new = Surrounding::of(spawned);
-        let links = self.links.iter().map(|link| ("the robot", link.handle));
+        let links = self.links(0).iter().map(|link| ("the robot", link.handle));
         let things = self.things.iter().map(|thing| (thing.name.as_str(), thing.handle));
         links.chain(things).find_map(|(name, handle)| {
             let body = self.physics.bodies.get(handle)?;
@@ -283,12 +376,12 @@ impl World for RapierWorld {
     }
 
     fn set_pose_of_robot(&mut self, world_from_root: &Isometry) {
-        let angles: Vec<f64> = (0..self.links.len()).map(|body| self.joint(body).0).collect();
-        self.set_coordinates(*world_from_root, &angles);
+        let angles: Vec<f64> = (0..self.links(0).len()).map(|body| self.joint(body).0).collect();
+        self.set_coordinates(0, *world_from_root, &angles);
     }
 
     fn push(&mut self, body: usize, impulse: DVec3, point: DVec3) {
-        let Some(handle) = self.links.get(body).map(|link| link.handle) else { return };
+        let Some(handle) = self.links(0).get(body).map(|link| link.handle) else { return };
         let force = vector(impulse) / self.physics.integration_parameters.dt;
         if let Some(body) = self.physics.bodies.get_mut(handle) {
             body.add_force_at_point(force, vector(point), true);
@@ -297,31 +390,11 @@ impl World for RapierWorld {
     }
 
     fn foot_forces(&self) -> Option<FootForces> {
-        let [right, left] =
-            self.feet.each_ref().map(|foot| foot.as_ref().map_or([0.0; 4], |foot| self.forces_on(foot)));
-        Some(FootForces { right, left })
+        Some(self.foot_forces_of(0))
     }
 
     fn overlap_of_robot(&self) -> Option<(&str, f64)> {
-        let colliders_of = |handle| {
-            let body = self.physics.bodies.get(handle);
-            body.into_iter().flat_map(|body| {
-                let colliders =
-                    body.colliders().iter().filter_map(|handle| self.physics.colliders.get(*handle));
-                colliders.filter_map(|collider| {
-                    Some((*body.position() * *collider.position_wrt_parent()?, collider.shape()))
-                })
-            })
-        };
-        self.things.iter().filter(|thing| thing.name != "floor").find_map(|thing| {
-            let (there, other) = colliders_of(thing.handle).next()?;
-            let depths =
-                self.links.iter().flat_map(|link| colliders_of(link.handle)).filter_map(|(here, shape)| {
-                    let contact = query::contact(&here, shape, &there, other, 0.0).ok().flatten()?;
-                    (contact.dist < -TOUCHING).then(|| f64::from(-contact.dist))
-                });
-            depths.reduce(f64::max).map(|depth| (thing.name.as_str(), depth))
-        })
+        self.overlap_with_things(0)
     }
 
     fn hash(&self) -> u64 {
@@ -347,7 +420,7 @@ fn insert_robot(
     model: &Model,
     variation: &Variation,
     friction: f32,
-) -> Vec<Link> {
+) -> Robot {
     let mut links: Vec<Link> = Vec::with_capacity(model.bodies.len());
     for (index, body) in model.bodies.iter().enumerate() {
         let shift = if index == 0 { variation.centre_of_mass } else { 0.0 };
@@ -406,7 +479,14 @@ fn insert_robot(
             multibody.frictions_mut()[index] = friction;
         }
     }
-    links
+    let feet = ["r_sole", "l_sole"].map(|name| {
+        let &(body, body_from_sole) = model.frames.get(name)?;
+        let handle = links.get(body)?.handle;
+        let collider = *physics.bodies.get(handle)?.colliders().first()?;
+        let body_from_collider = isometry(physics.colliders.get(collider)?.position_wrt_parent()?);
+        Some(Foot { collider, collider_from_sole: body_from_collider.inverse() * body_from_sole })
+    });
+    Robot { links, feet }
 }
 
 /// A shape beside the robot.

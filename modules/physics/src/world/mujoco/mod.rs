@@ -6,7 +6,7 @@
 mod library;
 
 use super::rapier::RapierWorld;
-use super::{ARMATURE, EngineError, GRAVITY, JointDrive, Motion, Plan, World};
+use super::{ARMATURE, EngineError, GRAVITY, JointDrive, Motion, Plan, RobotBodies, World};
 use crate::model::Model;
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op_emulator::FootForces;
@@ -144,6 +144,18 @@ impl MujocoWorld {
     }
 }
 
+impl RobotBodies for MujocoWorld {
+    fn joint(&self, body: usize) -> (f64, f64) {
+        self.links.get(body).filter(|_| body > 0).map_or((0.0, 0.0), |link| {
+            (self.positions[FREE[0] + link.joint], self.velocities[FREE[1] + link.joint])
+        })
+    }
+
+    fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion> {
+        Some(fixed_in(self.motions.get(body)?, body_from_frame))
+    }
+}
+
 impl World for MujocoWorld {
     fn step(&mut self, drives: &[JointDrive]) {
         let pushes = std::mem::take(&mut self.pushes);
@@ -169,16 +181,6 @@ impl World for MujocoWorld {
 
     fn steps(&self) -> u64 {
         self.steps
-    }
-
-    fn joint(&self, body: usize) -> (f64, f64) {
-        self.links.get(body).filter(|_| body > 0).map_or((0.0, 0.0), |link| {
-            (self.positions[FREE[0] + link.joint], self.velocities[FREE[1] + link.joint])
-        })
-    }
-
-    fn motion_of(&self, body: usize, body_from_frame: &Isometry) -> Option<Motion> {
-        Some(fixed_in(self.motions.get(body)?, body_from_frame))
     }
 
     fn things(&self) -> Vec<(&str, bool)> {

@@ -1,0 +1,374 @@
+//! Several robots in one world, each behind the bytes of its own bus.
+//!
+//! The devices of all robots and the bodies advance together, by 1 ms: first the devices of each robot, then the world. What the
+//! devices of a robot do while its bus is spoken to may lie ahead of the world by the time on the wire; it waits for the world
+//! and is measured from the world as it is. So cores may drive their robots in any order, or at once on several threads, and get the
+//! same answers, as long as the world advances in between and never meanwhile.
+//!
+//! ```
+//! use downbeat_executor::Time;
+//! use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, Ball};
+//!
+//! let mut options = ArenaOptions::darwin_op(["blue_1", "red_1"].map(ArenaRobot::named));
+//! options.robots[1].start.position = [1.0, 0.0];
+//! options.world.ball = Some(Ball { position: [0.5, 0.0], ..Ball::default() });
+//! let mut arena = Arena::new(options)?;
+//! arena.advance_to(Time::from_nanos(1_000_000));
+//! assert_eq!(arena.snapshot().robots.len(), 2);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use crate::camera::{Camera, Scene};
+use crate::harness::DARWIN_OP;
+use crate::machine::Machine;
+use crate::model::Model;
+use crate::simulation::SimulationError;
+use crate::world::{Motion, Posture, RapierWorld, RobotBodies, Start, Variation, World};
+use crate::world_file::WorldFile;
+use downbeat_executor::Time;
+use downbeat_kinematics::Robot;
+use downbeat_modules::darwin_op::tables::joints::COUNT;
+use downbeat_modules::darwin_op_emulator::{
+    Body, Emulator, EmulatorOptions, FootForces, ImuMotion, JointMotion, ServoCommand, Timing,
+};
+use downbeat_transforms::Isometry;
+use glam::DVec3;
+use parking_lot::Mutex;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Who is in which world.
+#[derive(Clone, Debug)]
+pub struct ArenaOptions {
+    /// Of all robots.
+    pub model: Model,
+    /// What is around them.
+    pub world: WorldFile,
+    /// The step of the physics, 1 to 10 ms.
+    pub step: Duration,
+    /// The robots.
+    pub robots: Vec<ArenaRobot>,
+}
+
+/// A robot of an arena.
+#[derive(Clone, Debug)]
+pub struct ArenaRobot {
+    /// Its name.
+    pub name: String,
+    /// How it starts.
+    pub start: Start,
+    /// How it differs from its description.
+    pub variation: Variation,
+    /// Of the noise of its sensors.
+    pub seed: u64,
+    /// What it wears in pictures: red, green, blue.
+    pub colour: [u8; 3],
+}
+
+/// A world with robots and their emulated devices. Only rapier moves it.
+pub struct Arena {
+    shared: Arc<Mutex<State>>,
+    emulators: Vec<Emulator>,
+    /// When the arena was first advanced, and until when.
+    times: Option<[Time; 2]>,
+}
+
+/// The world of an arena.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArenaSnapshot {
+    /// The time for which the world has moved.
+    pub elapsed: Duration,
+    /// The robots, in the order of the options.
+    pub robots: Vec<RobotTruth>,
+    /// The centre of the ball, if there is one.
+    pub ball: Option<Motion>,
+    /// The robot that touched the ball last.
+    pub last_touch: Option<usize>,
+}
+
+/// Where a robot is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotTruth {
+    /// Its root link.
+    pub root: Motion,
+    /// Its optical frame, if it has a camera.
+    pub camera: Option<Isometry>,
+}
+
+/// A picture that is still to be rendered, on any thread.
+pub struct Picture {
+    scene: Scene,
+    camera: Isometry,
+}
+
+struct State {
+    options: ArenaOptions,
+    world: RapierWorld,
+    robots: Vec<RobotState>,
+    camera: Option<(usize, Isometry)>,
+    elapsed: Duration,
+    since_step: Duration,
+    last_touch: Option<usize>,
+}
+
+struct RobotState {
+    machine: Machine,
+    /// What the devices commanded for each coming millisecond, oldest first.
+    ahead: VecDeque<[ServoCommand; COUNT]>,
+    last: [ServoCommand; COUNT],
+}
+
+/// A robot of an arena as the body of its devices.
+struct ArenaBody {
+    shared: Arc<Mutex<State>>,
+    robot: usize,
+}
+
+/// How often devices and world meet.
+const TICK: Duration = Duration::from_millis(1);
+/// The most commands that wait for the world: the time on the wire of any exchange.
+const MOST_AHEAD: usize = 100;
+
+impl ArenaRobot {
+    /// A robot at the origin, as described.
+    #[must_use]
+    pub fn named(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            start: Start::walking_ready(),
+            variation: Variation::default(),
+            seed: 1,
+            colour: [90, 90, 90],
+        }
+    }
+}
+
+impl ArenaOptions {
+    /// Darwin OPs on a floor, in steps of 4 ms.
+    ///
+    /// # Panics
+    /// Never: the description is part of the program.
+    #[must_use]
+    pub fn darwin_op(robots: impl IntoIterator<Item = ArenaRobot>) -> Self {
+        let robot = Robot::from_urdf(DARWIN_OP, "darwin_op.urdf").expect("a description");
+        Self {
+            model: Model::new(&robot).expect("a model"),
+            world: WorldFile::default(),
+            step: Duration::from_millis(4),
+            robots: robots.into_iter().collect(),
+        }
+    }
+}
+
+impl Arena {
+    /// Builds the world, with all robots at their starts. It is held until each robot has had torque for half a second.
+    ///
+    /// # Errors
+    /// If a robot lacks the joint of a servo or starts inside something, or the step is not possible.
+    pub fn new(options: ArenaOptions) -> Result<Self, SimulationError> {
+        let ArenaOptions { model, world: file, step, robots } = &options;
+        if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
+            return Err(SimulationError::Step { found: *step });
+        }
+        let starts: Vec<_> = robots.iter().map(|robot| (&robot.start, &robot.variation)).collect();
+        let world = RapierWorld::with_robots(file, model, *step, &starts);
+        let in_the_way = (0..robots.len()).find_map(|robot| world.overlap_with_things(robot));
+        if let Some((other, depth)) = in_the_way {
+            let (world, other) = (file.name.clone(), other.to_owned());
+            return Err(SimulationError::Overlap { world, other, depth });
+        }
+        let mut machines = Vec::with_capacity(robots.len());
+        for (index, robot) in robots.iter().enumerate() {
+            let mut machine = Machine::new(model, robot.variation)?;
+            machine.measure_at_rest(&world.robot(index));
+            machines.push(RobotState { machine, ahead: VecDeque::new(), last: [ServoCommand::OFF; COUNT] });
+        }
+        let camera = model.frames.get("camera_optical_frame").copied();
+        let seeds: Vec<u64> = robots.iter().map(|robot| robot.seed).collect();
+        let state = State {
+            options,
+            world,
+            robots: machines,
+            camera,
+            elapsed: Duration::ZERO,
+            since_step: Duration::ZERO,
+            last_touch: None,
+        };
+        let shared = Arc::new(Mutex::new(state));
+        let emulators = seeds.into_iter().enumerate().map(|(robot, seed)| {
+            let options = EmulatorOptions { seed, timing: Timing::Stepped, ..EmulatorOptions::default() };
+            let body = ArenaBody { shared: Arc::clone(&shared), robot };
+            Emulator::in_memory(&options, Some(Box::new(body)))
+        });
+        Ok(Self { emulators: emulators.collect(), shared, times: None })
+    }
+
+    /// The devices of each robot, in the order of the options.
+    #[must_use]
+    pub fn emulators(&self) -> &[Emulator] {
+        &self.emulators
+    }
+
+    /// Advances devices and world to this time of the cores, which were at the time of the first call when they started.
+    pub fn advance_to(&mut self, now: Time) {
+        let [first, mut last] = self.times.unwrap_or([now, now]);
+        if self.times.is_none() {
+            self.emulators.iter().for_each(|emulator| emulator.begin_step(now));
+        }
+        while last + TICK <= now {
+            last = last + TICK;
+            self.emulators.iter().for_each(|emulator| emulator.begin_step(last));
+            self.shared.lock().tick();
+        }
+        self.times = Some([first, last]);
+    }
+
+    /// The world now.
+    #[must_use]
+    pub fn snapshot(&self) -> ArenaSnapshot {
+        let state = self.shared.lock();
+        let rest = Motion { world_from_body: Isometry::IDENTITY, linear: DVec3::ZERO, angular: DVec3::ZERO };
+        let truth = |robot| {
+            let bodies = state.world.robot(robot);
+            let camera = state.camera.and_then(|(body, at)| bodies.motion_of(body, &at));
+            RobotTruth {
+                root: bodies.motion_of(0, &Isometry::IDENTITY).unwrap_or(rest),
+                camera: camera.map(|motion| motion.world_from_body),
+            }
+        };
+        ArenaSnapshot {
+            elapsed: state.elapsed,
+            robots: (0..state.robots.len()).map(truth).collect(),
+            ball: state.world.motion_of_thing("ball"),
+            last_touch: state.last_touch,
+        }
+    }
+
+    /// Puts the ball on the floor, at rest, as if nobody had touched it.
+    pub fn place_ball(&self, position: [f64; 2]) {
+        let mut state = self.shared.lock();
+        let Some(radius) = state.options.world.ball.map(|ball| ball.radius) else { return };
+        let world_from_body = Isometry::from_translation(position[0], position[1], radius);
+        let motion = Motion { world_from_body, linear: DVec3::ZERO, angular: DVec3::ZERO };
+        state.world.set_motion_of_thing("ball", &motion);
+        state.last_touch = None;
+    }
+
+    /// Puts a robot on its feet in the walking-ready stand, at rest; the heading is in rad.
+    pub fn place_robot(&self, robot: usize, position: [f64; 2], yaw: f64) {
+        let mut state = self.shared.lock();
+        let State { options, world, robots, .. } = &mut *state;
+        let Some(placed) = robots.get_mut(robot) else { return };
+        let start = Start { posture: Posture::Standing, position, yaw, ..Start::walking_ready() };
+        world.place(robot, &options.model, &start);
+        placed.machine.measure_at_rest(&world.robot(robot));
+    }
+
+    /// What the camera of a robot sees now: field, ball and the other robots.
+    #[must_use]
+    pub fn picture(&self, robot: usize) -> Option<Picture> {
+        let state = self.shared.lock();
+        let (body, at) = state.camera?;
+        let camera = state.world.robot(robot).motion_of(body, &at)?.world_from_body;
+        let pose_of = |name: &str| Some(state.world.motion_of_thing(name)?.world_from_body);
+        let mut scene = Scene::new(&state.options.world, pose_of);
+        for (index, other) in state.options.robots.iter().enumerate().filter(|(index, _)| *index != robot) {
+            let bodies = state.world.robot(index);
+            let pose_of = |body| Some(bodies.motion_of(body, &Isometry::IDENTITY)?.world_from_body);
+            scene = scene.with_robot(&state.options.model, pose_of, other.colour);
+        }
+        Some(Picture { scene, camera })
+    }
+
+    /// A hash of the poses of all bodies, bit for bit: equal for equal runs.
+    #[must_use]
+    pub fn hash(&self) -> u64 {
+        self.shared.lock().world.hash()
+    }
+}
+
+impl Picture {
+    /// Renders it: rgb8, row by row from the top.
+    #[must_use]
+    pub fn render(&self, camera: &Camera) -> Vec<u8> {
+        self.scene.render(camera, &self.camera)
+    }
+}
+
+impl State {
+    /// A millisecond passes.
+    fn tick(&mut self) {
+        let step = self.options.step;
+        self.since_step += TICK;
+        let is_step = self.since_step >= step;
+        let mut is_held = false;
+        for robot in &mut self.robots {
+            robot.last = robot.ahead.pop_front().unwrap_or(robot.last);
+            let Some(commands) = robot.machine.command(TICK, robot.last) else { continue };
+            if is_step {
+                is_held |= robot.machine.is_held(step, &commands);
+                robot.machine.drive(&commands);
+            }
+        }
+        if !is_step {
+            return;
+        }
+        self.since_step -= step;
+        if is_held {
+            return;
+        }
+        self.elapsed += step;
+        self.world.step_all(self.robots.iter().map(|robot| robot.machine.drives()));
+        for (index, robot) in self.robots.iter_mut().enumerate() {
+            robot.machine.measure(&self.world.robot(index), step);
+        }
+        self.last_touch = self.world.robot_that_touches("ball").or(self.last_touch);
+    }
+}
+
+impl Body for ArenaBody {
+    fn advance(&mut self, _dt: Duration, commands: &[ServoCommand]) {
+        let mut state = self.shared.lock();
+        if let (Ok(commands), Some(robot)) = (commands.try_into(), state.robots.get_mut(self.robot)) {
+            robot.ahead.push_back(commands);
+            if robot.ahead.len() > MOST_AHEAD {
+                robot.ahead.pop_front();
+            }
+        }
+    }
+
+    fn joint(&self, index: usize) -> JointMotion {
+        let state = self.shared.lock();
+        state.robots.get(self.robot).map_or_else(JointMotion::default, |robot| robot.machine.joint(index))
+    }
+
+    fn imu(&self) -> ImuMotion {
+        let state = self.shared.lock();
+        state.robots.get(self.robot).map_or_else(ImuMotion::default, |robot| robot.machine.imu())
+    }
+
+    fn foot_forces(&self) -> Option<FootForces> {
+        Some(self.shared.lock().world.foot_forces_of(self.robot))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_camera_of_a_robot_sees_the_other_one_and_not_itself() {
+        let mut options = ArenaOptions::darwin_op(["seer", "seen"].map(ArenaRobot::named));
+        options.robots[1].start.position = [1.0, 0.0];
+        options.robots[1].colour = [0, 0, 250];
+        let blue_pixels = |arena: &Arena, robot| {
+            let picture = arena.picture(robot).unwrap().render(&Camera::darwin_op());
+            picture.chunks_exact(3).filter(|pixel| pixel[2] > 120 && pixel[0] < 60 && pixel[1] < 60).count()
+        };
+        let arena = Arena::new(options).unwrap();
+        assert!(blue_pixels(&arena, 0) > 100);
+        assert_eq!(blue_pixels(&arena, 1), 0);
+    }
+}

@@ -1,0 +1,87 @@
+//! Robots that share a world.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use downbeat_executor::{Core, ManualClock, ModuleOptions, Time};
+use downbeat_modules::darwin_op::DarwinOp;
+use downbeat_modules::gait::Gait;
+use downbeat_modules::imu_filter::ImuFilter;
+use downbeat_modules::joint_command_mux::JointCommandMux;
+use downbeat_msgs::geometry_msgs::msg::Twist;
+use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, Ball};
+use std::time::Duration;
+
+const START: Time = Time::from_nanos(1_000_000_000);
+const CYCLE: Duration = Duration::from_millis(8);
+
+/// A core with the modules of a walking robot.
+fn walker(arena: &Arena, robot: usize, clock: &ManualClock) -> Core {
+    let mut core = Core::new().with_clock(clock.clone());
+    let mut hardware = ModuleOptions::default();
+    hardware.remaps.insert("joint_commands".into(), "joint_goals".into());
+    let bus = Box::new(arena.emulators()[robot].bus());
+    core.add_with("hardware", DarwinOp::new(bus), hardware).unwrap();
+    core.add("imu_filter", ImuFilter::default()).unwrap();
+    let mut gait = ModuleOptions::default();
+    gait.settings.insert("start".into(), true.into());
+    core.add_with("gait", Gait::default(), gait).unwrap();
+    core.add("mux", JointCommandMux::default()).unwrap();
+    core
+}
+
+/// Robots that face each other with a ball between them walk towards it. Their cores run in this order.
+fn meet(order: [usize; 2], seconds: u64) -> Arena {
+    let mut options = ArenaOptions::darwin_op(["left", "right"].map(ArenaRobot::named));
+    options.robots[0].start.position = [-0.35, 0.0];
+    options.robots[1].start.position = [0.35, 0.0];
+    options.robots[1].start.yaw = std::f64::consts::PI;
+    options.world.ball = Some(Ball { position: [0.0, 0.0], ..Ball::default() });
+    let mut arena = Arena::new(options).unwrap();
+    let clock = ManualClock::new(START);
+    let mut cores: Vec<Core> = (0..2).map(|robot| walker(&arena, robot, &clock)).collect();
+    let inlets: Vec<_> = cores.iter_mut().map(|core| core.inlet::<Twist>("cmd_vel").unwrap()).collect();
+    let mut twist = Twist::default();
+    twist.linear.x = 0.1;
+    let mut now = START;
+    while now < START + Duration::from_secs(seconds) {
+        clock.set(now);
+        arena.advance_to(now);
+        for robot in order {
+            inlets[robot].publish(twist).unwrap();
+            while cores[robot].next_event().is_some_and(|next| next <= now) {
+                cores[robot].cycle().unwrap();
+            }
+        }
+        now = now + CYCLE;
+    }
+    arena
+}
+
+#[test]
+fn robots_touch_ball_and_each_other_and_the_order_of_their_cores_does_not_matter() {
+    let (one, other) = (meet([0, 1], 8), meet([1, 0], 8));
+    assert_eq!(one.snapshot(), other.snapshot());
+    assert_eq!(one.hash(), other.hash());
+    let found = one.snapshot();
+    assert!(found.last_touch.is_some());
+    let x = |robot: usize| found.robots[robot].root.world_from_body.translation.x;
+    assert!(x(0) > -0.33 && x(1) < 0.33, "both have walked: {} {}", x(0), x(1));
+    let apart = (found.robots[1].root.world_from_body.translation
+        - found.robots[0].root.world_from_body.translation)
+        .length();
+    assert!(apart > 0.06, "they are not inside each other: {apart}");
+}
+
+#[test]
+fn ball_and_robots_are_put_where_the_referee_says() {
+    let mut arena = meet([0, 1], 3);
+    arena.place_ball([2.0, 1.0]);
+    arena.place_robot(1, [0.0, 3.0], 1.0);
+    arena.advance_to(START + Duration::from_secs(3) + Duration::from_millis(40));
+    let found = arena.snapshot();
+    let ball = found.ball.unwrap().world_from_body.translation;
+    assert!((ball.truncate() - glam::DVec2::new(2.0, 1.0)).length() < 0.01, "{ball}");
+    let placed = found.robots[1].root.world_from_body;
+    assert!((placed.translation.truncate() - glam::DVec2::new(0.0, 3.0)).length() < 0.1, "{placed:?}");
+    assert!((placed.rotation * glam::DVec3::Z).z > 0.9, "it stands");
+    assert_eq!(found.last_touch, None);
+}
