@@ -363,6 +363,10 @@ mod tests {
         let mut options = ArenaOptions::darwin_op(["seer", "seen"].map(ArenaRobot::named));
         options.robots[1].start.position = [1.0, 0.0];
         options.robots[1].colour = [0, 0, 250];
+        // With a level camera.
+        let head = |robot: &mut ArenaRobot| robot.start.angles.retain(|(joint, _)| joint != "head_tilt");
+        options.robots.iter_mut().for_each(head);
+        options.robots[0].start.angles.push(("head_tilt".to_owned(), 0.8));
         let blue_pixels = |arena: &Arena, robot| {
             let picture = arena.picture(robot).unwrap().render(&Camera::darwin_op());
             picture.chunks_exact(3).filter(|pixel| pixel[2] > 120 && pixel[0] < 60 && pixel[1] < 60).count()

@@ -1,0 +1,71 @@
+//! What a player believes: where it is and where the ball is.
+
+use downbeat_executor::Time;
+use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_kinematics::wrapped;
+use downbeat_msgs::geometry_msgs::msg::{PoseWithCovarianceStamped, Quaternion};
+use glam::DVec2;
+use std::time::Duration;
+
+/// A place on the field and a heading, in m and rad.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Place {
+    pub(crate) position: DVec2,
+    pub(crate) heading: f64,
+}
+
+/// The last messages, as long as they are fresh.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Beliefs {
+    place: Option<(Time, Place)>,
+    ball: Option<(Time, DVec2)>,
+}
+
+/// Beyond this age a belief does not count.
+const FRESH: Duration = Duration::from_secs(1);
+
+impl Place {
+    /// As it is seen from another place.
+    pub(crate) fn seen_from(self, from: Self) -> Self {
+        Self { position: from.point(self.position), heading: wrapped(self.heading - from.heading) }
+    }
+
+    /// A point on the field as it is seen from here: ahead, to the left.
+    pub(crate) fn point(self, on_field: DVec2) -> DVec2 {
+        DVec2::from_angle(-self.heading).rotate(on_field - self.position)
+    }
+}
+
+impl Beliefs {
+    /// Takes a pose in `map`; one that is not finite is ignored.
+    pub(crate) fn take_pose(&mut self, pose: &PoseWithCovarianceStamped, now: Time) {
+        let pose = &pose.pose.pose;
+        let position = DVec2::new(pose.position.x, pose.position.y);
+        let place = Place { position, heading: heading_of(&pose.orientation) };
+        if position.is_finite() && place.heading.is_finite() {
+            self.place = Some((now, place));
+        }
+    }
+
+    /// Takes a ball in `map`; one that is not finite is ignored.
+    pub(crate) fn take_ball(&mut self, ball: &Ball, now: Time) {
+        let position = DVec2::new(ball.point.point.x, ball.point.point.y);
+        if position.is_finite() {
+            self.ball = Some((now, position));
+        }
+    }
+
+    pub(crate) fn place(&self, now: Time) -> Option<Place> {
+        self.place.filter(|(at, _)| now.saturating_since(*at) <= FRESH).map(|(_, place)| place)
+    }
+
+    /// On the field.
+    pub(crate) fn ball(&self, now: Time) -> Option<DVec2> {
+        self.ball.filter(|(at, _)| now.saturating_since(*at) <= FRESH).map(|(_, ball)| ball)
+    }
+}
+
+/// The rotation about z, in rad.
+pub(crate) fn heading_of(q: &Quaternion) -> f64 {
+    (2.0 * (q.w * q.z + q.x * q.y)).atan2(1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+}

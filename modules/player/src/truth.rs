@@ -1,0 +1,126 @@
+//! Pose and ball from the truth of a simulation, with noise: stands in for vision and localisation.
+//!
+//! | topic | type | |
+//! | --- | --- | --- |
+//! | `ground_truth/odom` (in) | `nav_msgs/Odometry` | of the root link on the field |
+//! | `ground_truth/ball` (in) | `geometry_msgs/PoseStamped` | on the field |
+//! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | in `map`, for each truth |
+//! | `ball` | `soccer_model_msgs/Ball` | in `map`, if it is within `range` |
+//!
+//! | setting | |
+//! | --- | --- |
+//! | `seed` | same seed, same noise |
+//! | `position_noise`, `heading_noise` | standard deviations, m and rad; errors change within a second |
+//! | `ball_noise` | standard deviation as a share of the distance |
+//! | `range` | within which the ball is seen, m |
+
+use crate::beliefs::{Place, heading_of};
+use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
+use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_modules::servo_emulator::Random;
+use downbeat_msgs::geometry_msgs::msg::{PoseStamped, PoseWithCovarianceStamped, Quaternion};
+use downbeat_msgs::nav_msgs::msg::Odometry;
+use glam::DVec2;
+
+/// Publishes the truth with noise; see the [module page](self).
+#[derive(Default)]
+pub struct TruthBeliefs {
+    random: Option<Random>,
+    place: Option<Place>,
+    error: Place,
+}
+
+/// The keys of [`TruthBeliefs`].
+pub struct Ports {
+    pose: Publication<PoseWithCovarianceStamped>,
+    ball: Publication<Ball>,
+    position_noise: Setting<f64>,
+    heading_noise: Setting<f64>,
+    ball_noise: Setting<f64>,
+    range: Setting<f64>,
+}
+
+/// The frame of the field.
+const MAP: &str = "map";
+/// The share of an error that remains until the next truth.
+const KEPT: f64 = 0.95;
+
+impl TruthBeliefs {
+    fn on_odometry(&mut self, truth: Received<'_, Odometry>, ctx: &mut Context<'_, Ports>) {
+        let Some(random) = &mut self.random else { return };
+        let pose = &truth.pose.pose;
+        let position = DVec2::new(pose.position.x, pose.position.y);
+        let place = Place { position, heading: heading_of(&pose.orientation) };
+        self.place = Some(place);
+        let deviations = [*ctx.get(ctx.ports.position_noise), *ctx.get(ctx.ports.heading_noise)];
+        // An autoregressive error of these deviations.
+        let [far, turned] = deviations.map(|deviation| deviation * (1.0 - KEPT * KEPT).sqrt());
+        let drift = DVec2::new(random.normal(far), random.normal(far));
+        self.error = Place {
+            position: self.error.position * KEPT + drift,
+            heading: self.error.heading * KEPT + random.normal(turned),
+        };
+        let position = place.position + self.error.position;
+        let mut message = PoseWithCovarianceStamped { header: truth.header.clone(), ..Default::default() };
+        message.header.frame_id = MAP.to_owned();
+        (message.pose.pose.position.x, message.pose.pose.position.y) = (position.x, position.y);
+        let (z, w) = ((place.heading + self.error.heading) / 2.0).sin_cos();
+        message.pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z, w };
+        for (index, deviation) in [(0, deviations[0]), (7, deviations[0]), (35, deviations[1])] {
+            message.pose.covariance[index] = deviation * deviation;
+        }
+        ctx.publish(ctx.ports.pose, message);
+    }
+
+    fn on_ball(&mut self, truth: Received<'_, PoseStamped>, ctx: &mut Context<'_, Ports>) {
+        let (Some(random), Some(place)) = (&mut self.random, self.place) else { return };
+        let ball = DVec2::new(truth.pose.position.x, truth.pose.position.y);
+        let distance = (ball - place.position).length();
+        if distance > *ctx.get(ctx.ports.range) {
+            return;
+        }
+        let deviation = *ctx.get(ctx.ports.ball_noise) * distance;
+        // Seen from where the robot believes to be.
+        let seen = place.point(ball) + DVec2::new(random.normal(deviation), random.normal(deviation));
+        let heading = place.heading + self.error.heading;
+        let believed = place.position + self.error.position + DVec2::from_angle(heading).rotate(seen);
+        let mut message = Ball { header: truth.header.clone(), ..Ball::default() };
+        message.header.frame_id = MAP.to_owned();
+        (message.point.point.x, message.point.point.y) = (believed.x, believed.y);
+        message.point.point.z = truth.pose.position.z;
+        (message.point.covariance[0], message.point.covariance[4]) = (deviation.powi(2), deviation.powi(2));
+        ctx.publish(ctx.ports.ball, message);
+    }
+}
+
+impl Module for TruthBeliefs {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        let seed = setup.read_only_setting("seed", 1_i64, "same seed, same noise")?;
+        let seed = setup.value(seed).copied().unwrap_or_default();
+        // Negative seeds are valid.
+        self.random = Some(Random::new(seed.cast_unsigned(), 3));
+        setup.subscribe("ground_truth/odom", Self::on_odometry)?;
+        setup.subscribe("ground_truth/ball", Self::on_ball)?;
+        let about = "m; standard deviation of the position";
+        Ok(Ports {
+            pose: setup.publish("pose")?,
+            ball: setup.publish("ball")?,
+            position_noise: setup.setting_in("position_noise", 0.03, 0.0..=10.0, about)?,
+            heading_noise: setup.setting_in(
+                "heading_noise",
+                0.03,
+                0.0..=3.0,
+                "rad; standard deviation of the heading",
+            )?,
+            ball_noise: setup.setting_in(
+                "ball_noise",
+                0.03,
+                0.0..=1.0,
+                "standard deviation of the ball's position, as a share of its distance",
+            )?,
+            range: setup.setting_in("range", 20.0, 0.1..=100.0, "m; the ball is seen up to this distance")?,
+        })
+    }
+}

@@ -1,0 +1,315 @@
+//! Walks to a place on the field, or lines up behind the ball for a kick.
+//!
+//! | topic | type | |
+//! | --- | --- | --- |
+//! | `walk_to/pose` (in) | `geometry_msgs/PoseStamped` | walk there: in `map`, or with `base_link` as frame from where the robot is now |
+//! | `walk_to/kick` (in) | `geometry_msgs/PointStamped` | line up for a kick of the ball towards this point in `map` |
+//! | `walk_to/stop` (in) | `std_msgs/Empty` | stop |
+//! | `pose` (in) | `geometry_msgs/PoseWithCovarianceStamped` | of `base_link` in `map` |
+//! | `ball` (in) | `soccer_model_msgs/Ball` | in `map` |
+//! | `walking` (in) | `std_msgs/Bool` | of the gait |
+//! | `cmd_vel` | `geometry_msgs/Twist` | every 40 ms while there is something to walk to |
+//! | `walk_to/state` | `std_msgs/String` | see below; when it changes and once a second |
+//!
+//! A command holds until the next one. The states are `idle`; `walking`; `there`; `blind`, if a pose or a ball older than a second is
+//! all that is known, in which the robot stands; and `kick_left` or `kick_right`, the motion with which a robot that stands behind
+//! the ball can kick now.
+//!
+//! Far from its goal the robot turns to it and walks forward; near it, it steps in all directions. To a ball it comes from behind,
+//! around it if need be.
+//!
+//! | setting | |
+//! | --- | --- |
+//! | `forward`, `side`, `turn` | largest commands, m/s and rad/s |
+//! | `kick_ahead`, `kick_aside` | where the ball is for a kick: ahead of `base_link` and to the side of the foot, m |
+//! | `kick_reach`, `kick_width`, `kick_angle` | how far it may be off, m and rad |
+//! | `there_distance`, `there_angle` | how far the robot may be off at a place, m and rad |
+
+use crate::beliefs::{Beliefs, Place, heading_of};
+use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_kinematics::wrapped;
+use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseStamped, PoseWithCovarianceStamped, Twist};
+use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
+use glam::DVec2;
+use std::time::Duration;
+
+/// Walks to places; see the [module page](self).
+#[derive(Default)]
+pub struct WalkTo {
+    goal: Goal,
+    beliefs: Beliefs,
+    is_walking: bool,
+    /// The foot of the next kick: 1 for the left one, -1 for the right one.
+    foot: Option<f64>,
+    /// Whether it is close behind the ball.
+    is_closing_in: bool,
+    reported: Option<(Time, &'static str)>,
+}
+
+/// The keys of [`WalkTo`].
+pub struct Ports {
+    cmd_vel: Publication<Twist>,
+    state: Publication<Text>,
+    settings: SettingKeys,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Goal {
+    #[default]
+    Nothing,
+    Place(Place),
+    /// As seen from where the robot is when it is next believed to be somewhere.
+    FromHere(Place),
+    Kick(DVec2),
+}
+
+/// Ahead and to the left, in m/s, and to the left, in rad/s.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Velocity {
+    linear: DVec2,
+    turn: f64,
+}
+
+const PERIOD: Duration = Duration::from_millis(40);
+const REPORT: Duration = Duration::from_secs(1);
+/// Within this distance the robot steps in all directions, in m.
+const NEAR: f64 = 0.25;
+/// How far behind the place of a kick the approach ends, in m.
+const BEHIND: f64 = 0.12;
+/// The distance that the robot keeps from a ball that it goes around, in m.
+const CLEARANCE: f64 = 0.3;
+/// By how much the ball has to be on the other side before the foot changes, in m.
+const OTHER_FOOT: f64 = 0.05;
+/// Velocity by distance, turn rate by angle, in 1/s.
+const GAIN: f64 = 1.0;
+const TURN_GAIN: f64 = 1.2;
+
+macro_rules! settings {
+    ($($name:ident = $default:literal in $range:expr, $about:literal;)*) => {
+        #[derive(Clone, Copy)]
+        struct SettingKeys { $($name: Setting<f64>,)* }
+
+        #[derive(Clone, Copy, Debug)]
+        struct Settings { $($name: f64,)* }
+
+        impl SettingKeys {
+            fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Self, SetupError> {
+                Ok(Self { $($name: setup.setting_in(stringify!($name), $default, $range, $about)?,)* })
+            }
+
+            fn values<P>(&self, ctx: &Context<'_, P>) -> Settings {
+                Settings { $($name: *ctx.get(self.$name),)* }
+            }
+        }
+
+        #[cfg(test)]
+        impl Default for Settings {
+            fn default() -> Self {
+                Self { $($name: $default,)* }
+            }
+        }
+    };
+}
+
+settings! {
+    forward = 0.12 in 0.01..=0.5, "m/s; largest velocity forward";
+    side = 0.05 in 0.01..=0.3, "m/s; largest velocity to the side";
+    turn = 0.6 in 0.05..=3.0, "rad/s; largest turn rate";
+    kick_ahead = 0.13 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
+    kick_aside = 0.045 in 0.0..=0.2, "m; the ball to the side of the foot for a kick";
+    kick_reach = 0.025 in 0.001..=0.2, "m; how far the ball may be off ahead";
+    kick_width = 0.025 in 0.001..=0.2, "m; how far the ball may be off to the side";
+    kick_angle = 0.2 in 0.01..=1.0, "rad; how far the direction of a kick may be off";
+    there_distance = 0.1 in 0.01..=2.0, "m; how far the robot may be off at a place";
+    there_angle = 0.2 in 0.01..=3.2, "rad; how far its heading may be off at a place";
+}
+
+impl WalkTo {
+    fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        let (now, settings) = (ctx.now(), ctx.ports.settings.values(ctx));
+        let here = self.beliefs.place(now);
+        if let (Goal::FromHere(goal), Some(here)) = (self.goal, here) {
+            let position = here.position + DVec2::from_angle(here.heading).rotate(goal.position);
+            self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
+        }
+        let (velocity, state) = match (self.goal, here) {
+            (Goal::Nothing, _) => (None, "idle"),
+            (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
+            (Goal::Place(goal), Some(here)) => walk_to_place(goal.seen_from(here), &settings),
+            (Goal::Kick(target), Some(here)) => match self.beliefs.ball(now) {
+                Some(ball) => self.line_up(here.point(ball), here.point(target), &settings),
+                None => (None, "blind"),
+            },
+        };
+        if let Some(Velocity { linear, turn }) = velocity {
+            let mut twist = Twist::default();
+            (twist.linear.x, twist.linear.y, twist.angular.z) = (linear.x, linear.y, turn);
+            ctx.publish(ctx.ports.cmd_vel, twist);
+        }
+        if self.reported.is_none_or(|(at, last)| last != state || at + REPORT <= now) {
+            self.reported = Some((now, state));
+            ctx.publish(ctx.ports.state, Text { data: state.to_owned() });
+        }
+    }
+
+    /// Ball and target as seen from here.
+    fn line_up(&mut self, ball: DVec2, target: DVec2, settings: &Settings) -> (Option<Velocity>, &'static str) {
+        let direction = target - ball;
+        let heading = if direction.length() > 1e-3 { direction.to_angle() } else { 0.0 };
+        // The ball as it would be seen with the heading of the kick.
+        let straight = DVec2::from_angle(-heading).rotate(ball);
+        let foot = match self.foot {
+            Some(foot) if straight.y * foot > -OTHER_FOOT => foot,
+            _ => 1.0_f64.copysign(straight.y),
+        };
+        self.foot = Some(foot);
+        let off = straight - DVec2::new(settings.kick_ahead, foot * settings.kick_aside);
+        let widened = if self.is_walking { 1.0 } else { 1.5 };
+        let can_kick = off.x.abs() < settings.kick_reach * widened
+            && off.y.abs() < settings.kick_width * widened
+            && heading.abs() < settings.kick_angle * widened;
+        if can_kick {
+            // It kicks from the stand.
+            let state = match (self.is_walking, foot > 0.0) {
+                (true, _) => "walking",
+                (false, true) => "kick_left",
+                (false, false) => "kick_right",
+            };
+            return (None, state);
+        }
+        let limit = if self.is_closing_in { 0.35 } else { 0.2 };
+        let is_behind = off.x > -0.05 && off.x < BEHIND + 0.15 && off.y.abs() < limit / 2.0;
+        self.is_closing_in = is_behind && heading.abs() < limit;
+        let velocity = if self.is_closing_in {
+            // First to the side, then ahead: the toes must not push the ball.
+            let ahead = if off.y.abs() < 2.0 * settings.kick_width { off.x } else { off.x - BEHIND };
+            let step = DVec2::from_angle(heading).rotate(DVec2::new(ahead, off.y));
+            near(step, heading, settings)
+        } else {
+            let place = off - DVec2::new(BEHIND, 0.0);
+            let way = around(DVec2::from_angle(heading).rotate(place), ball);
+            if way.length() > NEAR { far(way, settings) } else { near(way, heading, settings) }
+        };
+        (Some(velocity), "walking")
+    }
+}
+
+/// A goal as seen from here.
+fn walk_to_place(goal: Place, settings: &Settings) -> (Option<Velocity>, &'static str) {
+    let distance = goal.position.length();
+    if distance < settings.there_distance && goal.heading.abs() < settings.there_angle {
+        return (None, "there");
+    }
+    let is_near = distance < NEAR;
+    let velocity =
+        if is_near { near(goal.position, goal.heading, settings) } else { far(goal.position, settings) };
+    (Some(velocity), "walking")
+}
+
+/// Turns to a point and walks forward.
+fn far(to: DVec2, settings: &Settings) -> Velocity {
+    let bearing = to.to_angle();
+    let share = bearing.cos().max(0.0).powi(4);
+    let turn = (TURN_GAIN * bearing).clamp(-settings.turn, settings.turn);
+    Velocity { linear: DVec2::new(settings.forward * share, 0.0), turn }
+}
+
+/// Steps in all directions.
+fn near(to: DVec2, heading: f64, settings: &Settings) -> Velocity {
+    let limit = DVec2::new(settings.forward / 2.0, settings.side);
+    let turn = (TURN_GAIN * wrapped(heading)).clamp(-settings.turn, settings.turn);
+    Velocity { linear: (to * GAIN).clamp(-limit, limit), turn }
+}
+
+/// Where to go first on the way to a point, so as not to walk through the ball.
+fn around(to: DVec2, ball: DVec2) -> DVec2 {
+    let Some(along) = to.try_normalize() else { return to };
+    let passes = ball.dot(along);
+    let aside = along.perp().dot(ball);
+    if passes <= 0.0 || passes >= to.length() || aside.abs() >= CLEARANCE {
+        return to;
+    }
+    let side = -1.0_f64.copysign(aside);
+    ball + along.perp() * side * CLEARANCE
+}
+
+impl Module for WalkTo {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        setup.subscribe("walk_to/pose", |walk: &mut Self, goal: Received<'_, PoseStamped>, _| {
+            let position = DVec2::new(goal.pose.position.x, goal.pose.position.y);
+            let place = Place { position, heading: heading_of(&goal.pose.orientation) };
+            if !position.is_finite() || !place.heading.is_finite() {
+                return tracing::warn!("a goal is not finite: it is ignored");
+            }
+            match goal.header.frame_id.as_str() {
+                "map" => walk.goal = Goal::Place(place),
+                "base_link" | "base_footprint" => walk.goal = Goal::FromHere(place),
+                other => tracing::warn!("a goal in the frame {other:?} is ignored; use map or base_link"),
+            }
+        })?;
+        setup.subscribe("walk_to/kick", |walk: &mut Self, target: Received<'_, PointStamped>, _| {
+            let target = DVec2::new(target.point.x, target.point.y);
+            if target.is_finite() {
+                walk.goal = Goal::Kick(target);
+            }
+        })?;
+        setup.subscribe("walk_to/stop", |walk: &mut Self, _: Received<'_, Empty>, _| {
+            walk.goal = Goal::Nothing;
+        })?;
+        setup.subscribe("pose", |walk: &mut Self, pose: Received<'_, PoseWithCovarianceStamped>, ctx| {
+            walk.beliefs.take_pose(&pose, ctx.now());
+        })?;
+        setup.subscribe("ball", |walk: &mut Self, ball: Received<'_, Ball>, ctx| {
+            walk.beliefs.take_ball(&ball, ctx.now());
+        })?;
+        setup.subscribe("walking", |walk: &mut Self, walking: Received<'_, Bool>, _| {
+            walk.is_walking = walking.data;
+        })?;
+        setup.every(PERIOD, Self::tick)?;
+        Ok(Ports {
+            cmd_vel: setup.publish("cmd_vel")?,
+            state: setup.publish("walk_to/state")?,
+            settings: SettingKeys::declare(setup)?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_way_to_a_place_behind_the_ball_goes_around_it() {
+        let ball = DVec2::new(0.5, 0.05);
+        let way = around(DVec2::new(1.0, 0.0), ball);
+        assert!((way - ball).length() > 0.29 && way.y < 0.0, "{way}");
+        assert_eq!(around(DVec2::new(0.3, 0.0), ball), DVec2::new(0.3, 0.0), "it is not that far");
+        assert_eq!(around(DVec2::new(-1.0, 0.0), ball), DVec2::new(-1.0, 0.0), "it is behind");
+    }
+
+    #[test]
+    fn only_a_robot_that_stands_behind_the_ball_kicks_and_with_the_nearer_foot() {
+        let settings = Settings::default();
+        let target = DVec2::new(5.0, 0.0);
+        let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, &settings).1;
+        let mut walk = WalkTo::default();
+        assert_eq!(state(&mut walk, DVec2::new(0.13, 0.045)), "kick_left");
+        // It keeps its foot where both would do.
+        assert_eq!(state(&mut walk, DVec2::new(0.13, -0.02)), "walking");
+        assert_eq!(state(&mut walk, DVec2::new(0.13, -0.06)), "kick_right");
+        walk.is_walking = true;
+        assert_eq!(state(&mut walk, DVec2::new(0.13, -0.045)), "walking");
+    }
+
+    #[test]
+    fn a_goal_far_behind_is_turned_to_first_and_one_nearby_is_stepped_to() {
+        let settings = Settings::default();
+        let behind = far(DVec2::new(-1.0, 0.1), &settings);
+        assert!(behind.linear.length() < 1e-9 && behind.turn > 0.5, "{behind:?}");
+        let aside = near(DVec2::new(0.0, -0.2), 0.0, &settings);
+        assert!(aside.linear.y < -0.04 && aside.turn == 0.0, "{aside:?}");
+    }
+}
