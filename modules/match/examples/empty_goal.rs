@@ -2,15 +2,17 @@
 #![allow(missing_docs)]
 
 use clap::Parser;
-use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
-use downbeat_football::field::Field;
+use downbeat_executor::{Context, Inbox, Module, Publication, Received, Setup, SetupError, Time};
+use downbeat_football::Field;
 use downbeat_match::{Entrant, Pitch, PitchError, player};
 use downbeat_modules::servo_emulator::Random;
 use downbeat_msgs::geometry_msgs::msg::PointStamped;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_physics::ArenaRobot;
 use glam::DVec2;
+use parking_lot::Mutex;
 use std::f64::consts::TAU;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Lets one robot shoot at an empty goal from seeded placements.
@@ -94,10 +96,18 @@ fn shoot(seed: u64, arguments: &Arguments) -> Result<Option<f64>, PitchError> {
     let entrants = vec![Entrant { robot, defends_right: false }];
     let mut pitch = Pitch::new(&field, entrants, |_, core, bus| {
         let mut core = player::with_skills(core, bus, seed.cast_signed())?;
+        // Behind the line, so that the direction is clear in front of it too.
+        let goal = goal + DVec2::X * field.goal.depth;
         core.add("shooter", Shooter { goal, is_busy: false, kicked_at: None })?;
         Ok(core)
     })?;
     pitch.arena().place_ball(ball.to_array());
+    let state = Arc::<Mutex<String>>::default();
+    let shown = Arc::clone(&state);
+    if let Some(core) = pitch.core(0).filter(|_| arguments.trace) {
+        let show = move |text: Received<'_, Text>| shown.lock().clone_from(&text.data);
+        core.outlet("walk_to/state", Inbox::KeepAll, show).map_err(PitchError::setup("shooter"))?.keep();
+    }
     for tenth in 0..arguments.seconds * 10 {
         pitch.run_for(Duration::from_millis(100))?;
         let found = pitch.snapshot();
@@ -106,7 +116,9 @@ fn shoot(seed: u64, arguments: &Arguments) -> Result<Option<f64>, PitchError> {
             let root = found.robots[0].root.world_from_body;
             let ahead = root.rotation * glam::DVec3::X;
             let (x, y, yaw) = (root.translation.x, root.translation.y, ahead.y.atan2(ahead.x));
-            println!("{:>4} robot {x:.2} {y:.2} {yaw:.2} height {:.2} ball {:.2} {:.2}", tenth / 10, root.translation.z, ball.x, ball.y);
+            let seen = DVec2::from_angle(-yaw).rotate(ball.truncate() - DVec2::new(x, y));
+            let (second, state) = (tenth / 10, state.lock());
+            println!("{second:>4} robot {x:.2} {y:.2} {yaw:.2} ball {:.2} {:.2} seen {seen:.3} {state}", ball.x, ball.y);
         }
         if ball.x > goal.x + field.ball.diameter / 2.0 && ball.y.abs() < field.goal.width / 2.0 {
             return Ok(Some(tenth as f64 / 10.0));

@@ -1,6 +1,6 @@
 //! The simulated world of a football field.
 
-use downbeat_football::field::{BallColour, Field, GoalColour};
+use downbeat_football::{BallColour, Field, GoalColour};
 use downbeat_physics::{Ball, Block, WorldFile};
 
 /// The thickness of nets and crossbars that things bounce off, in m.

@@ -2,7 +2,7 @@
 
 use downbeat_executor::{Clock, Core, Inlet, InletError, ManualClock, RunError, SetupError, Time};
 use downbeat_football::football_interfaces::msg::GameState;
-use downbeat_football::field::Field;
+use downbeat_football::Field;
 use downbeat_modules::darwin_op_emulator::MemoryBus;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::geometry_msgs::msg::{Point, Pose, PoseStamped, Quaternion};
@@ -85,6 +85,14 @@ struct Player {
     defends_right: bool,
 }
 
+impl PitchError {
+    /// What becomes of an error while something is added to the core of a robot.
+    pub fn setup(robot: &str) -> impl FnOnce(SetupError) -> Self + use<> {
+        let robot = robot.to_owned();
+        move |source| Self::Setup { robot, source }
+    }
+}
+
 /// The most cycles of a core at one time.
 const MOST_CYCLES: u32 = 10_000;
 const TRUTH_PERIOD: Duration = Duration::from_millis(20);
@@ -113,7 +121,7 @@ impl Pitch {
                 Ok((core.inlet("game_state")?, odometry, ball, core))
             });
             let (game, odometry, ball, core) =
-                joined.map_err(|source| PitchError::Setup { robot: name.clone(), source })?;
+                joined.map_err(PitchError::setup(&name))?;
             let defends_right = entrant.defends_right;
             players.push(Player { name, core, odometry, ball, game, defends_right });
         }
@@ -180,9 +188,10 @@ impl Pitch {
         Ok(())
     }
 
-    fn next_event(&self) -> Option<Time> {
-        let of_cores = self.players.iter().filter_map(|player| player.core.next_event());
-        of_cores.chain([self.truth_at]).min().map(|next| next.max(self.now()))
+    fn next_event(&mut self) -> Option<Time> {
+        let now = self.now();
+        let of_cores = self.players.iter_mut().filter_map(|player| player.core.next_event());
+        of_cores.chain([self.truth_at]).min().map(|next| next.max(now))
     }
 
     fn tell_truth(&self, now: Time) -> Result<(), PitchError> {

@@ -18,7 +18,7 @@
 //!
 //! What happens depends only on the times and truths of the calls of [`Referee::step`].
 
-use downbeat_football::field::Field;
+use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::GameState;
 use glam::DVec2;
 use std::f64::consts::FRAC_PI_2;

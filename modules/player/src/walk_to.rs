@@ -39,7 +39,8 @@ use std::time::Duration;
 pub struct WalkTo {
     goal: Goal,
     beliefs: Beliefs,
-    is_walking: bool,
+    /// Since when it stands; `None` while it walks.
+    stands_since: Option<Time>,
     /// The foot of the next kick: 1 for the left one, -1 for the right one.
     foot: Option<f64>,
     /// Whether it is close behind the ball.
@@ -73,6 +74,8 @@ struct Velocity {
 
 const PERIOD: Duration = Duration::from_millis(40);
 const REPORT: Duration = Duration::from_secs(1);
+/// How long a robot that has stopped sways.
+const REST: Duration = Duration::from_secs(1);
 /// Within this distance the robot steps in all directions, in m.
 const NEAR: f64 = 0.25;
 /// How far behind the place of a kick the approach ends, in m.
@@ -116,9 +119,9 @@ settings! {
     forward = 0.12 in 0.01..=0.5, "m/s; largest velocity forward";
     side = 0.05 in 0.01..=0.3, "m/s; largest velocity to the side";
     turn = 0.6 in 0.05..=3.0, "rad/s; largest turn rate";
-    kick_ahead = 0.13 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
+    kick_ahead = 0.105 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
     kick_aside = 0.045 in 0.0..=0.2, "m; the ball to the side of the foot for a kick";
-    kick_reach = 0.025 in 0.001..=0.2, "m; how far the ball may be off ahead";
+    kick_reach = 0.03 in 0.001..=0.2, "m; how far the ball may be off ahead";
     kick_width = 0.025 in 0.001..=0.2, "m; how far the ball may be off to the side";
     kick_angle = 0.2 in 0.01..=1.0, "rad; how far the direction of a kick may be off";
     there_distance = 0.1 in 0.01..=2.0, "m; how far the robot may be off at a place";
@@ -138,7 +141,7 @@ impl WalkTo {
             (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
             (Goal::Place(goal), Some(here)) => walk_to_place(goal.seen_from(here), &settings),
             (Goal::Kick(target), Some(here)) => match self.beliefs.ball(now) {
-                Some(ball) => self.line_up(here.point(ball), here.point(target), &settings),
+                Some(ball) => self.line_up(here.point(ball), here.point(target), now, &settings),
                 None => (None, "blind"),
             },
         };
@@ -154,7 +157,13 @@ impl WalkTo {
     }
 
     /// Ball and target as seen from here.
-    fn line_up(&mut self, ball: DVec2, target: DVec2, settings: &Settings) -> (Option<Velocity>, &'static str) {
+    fn line_up(
+        &mut self,
+        ball: DVec2,
+        target: DVec2,
+        now: Time,
+        settings: &Settings,
+    ) -> (Option<Velocity>, &'static str) {
         let direction = target - ball;
         let heading = if direction.length() > 1e-3 { direction.to_angle() } else { 0.0 };
         // The ball as it would be seen with the heading of the kick.
@@ -165,18 +174,19 @@ impl WalkTo {
         };
         self.foot = Some(foot);
         let off = straight - DVec2::new(settings.kick_ahead, foot * settings.kick_aside);
-        let widened = if self.is_walking { 1.0 } else { 1.5 };
+        let widened = if self.stands_since.is_none() { 1.0 } else { 1.5 };
         let can_kick = off.x.abs() < settings.kick_reach * widened
             && off.y.abs() < settings.kick_width * widened
             && heading.abs() < settings.kick_angle * widened;
         if can_kick {
-            // It kicks from the stand.
-            let state = match (self.is_walking, foot > 0.0) {
-                (true, _) => "walking",
-                (false, true) => "kick_left",
-                (false, false) => "kick_right",
+            // It kicks from the stand, on which it has to come to rest.
+            let is_at_rest = self.stands_since.is_some_and(|since| since + REST <= now);
+            let state = match (is_at_rest, foot > 0.0) {
+                (false, _) => "walking",
+                (true, true) => "kick_left",
+                (true, false) => "kick_right",
             };
-            return (None, state);
+            return (Some(Velocity::default()), state);
         }
         let limit = if self.is_closing_in { 0.35 } else { 0.2 };
         let is_behind = off.x > -0.05 && off.x < BEHIND + 0.15 && off.y.abs() < limit / 2.0;
@@ -199,7 +209,7 @@ impl WalkTo {
 fn walk_to_place(goal: Place, settings: &Settings) -> (Option<Velocity>, &'static str) {
     let distance = goal.position.length();
     if distance < settings.there_distance && goal.heading.abs() < settings.there_angle {
-        return (None, "there");
+        return (Some(Velocity::default()), "there");
     }
     let is_near = distance < NEAR;
     let velocity =
@@ -265,8 +275,8 @@ impl Module for WalkTo {
         setup.subscribe("ball", |walk: &mut Self, ball: Received<'_, Ball>, ctx| {
             walk.beliefs.take_ball(&ball, ctx.now());
         })?;
-        setup.subscribe("walking", |walk: &mut Self, walking: Received<'_, Bool>, _| {
-            walk.is_walking = walking.data;
+        setup.subscribe("walking", |walk: &mut Self, walking: Received<'_, Bool>, ctx| {
+            walk.stands_since = (!walking.data).then(|| walk.stands_since.unwrap_or(ctx.now()));
         })?;
         setup.every(PERIOD, Self::tick)?;
         Ok(Ports {
@@ -294,14 +304,16 @@ mod tests {
     fn only_a_robot_that_stands_behind_the_ball_kicks_and_with_the_nearer_foot() {
         let settings = Settings::default();
         let target = DVec2::new(5.0, 0.0);
-        let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, &settings).1;
-        let mut walk = WalkTo::default();
-        assert_eq!(state(&mut walk, DVec2::new(0.13, 0.045)), "kick_left");
+        let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, Time::ZERO + REST, &settings).1;
+        let mut walk = WalkTo { stands_since: Some(Time::ZERO), ..WalkTo::default() };
+        assert_eq!(state(&mut walk, DVec2::new(0.1, 0.045)), "kick_left");
         // It keeps its foot where both would do.
-        assert_eq!(state(&mut walk, DVec2::new(0.13, -0.02)), "walking");
-        assert_eq!(state(&mut walk, DVec2::new(0.13, -0.06)), "kick_right");
-        walk.is_walking = true;
-        assert_eq!(state(&mut walk, DVec2::new(0.13, -0.045)), "walking");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.02)), "walking");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.06)), "kick_right");
+        walk.stands_since = Some(Time::ZERO + REST / 2);
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.045)), "walking");
+        walk.stands_since = None;
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.045)), "walking");
     }
 
     #[test]
