@@ -118,7 +118,10 @@ fn shoot(seed: u64, arguments: &Arguments) -> Result<Option<f64>, PitchError> {
             let (x, y, yaw) = (root.translation.x, root.translation.y, ahead.y.atan2(ahead.x));
             let seen = DVec2::from_angle(-yaw).rotate(ball.truncate() - DVec2::new(x, y));
             let (second, state) = (tenth / 10, state.lock());
-            println!("{second:>4} robot {x:.2} {y:.2} {yaw:.2} ball {:.2} {:.2} seen {seen:.3} {state}", ball.x, ball.y);
+            println!(
+                "{second:>4} robot {x:.2} {y:.2} {yaw:.2} ball {:.2} {:.2} seen {seen:.3} {state}",
+                ball.x, ball.y
+            );
         }
         if ball.x > goal.x + field.ball.diameter / 2.0 && ball.y.abs() < field.goal.width / 2.0 {
             return Ok(Some(tenth as f64 / 10.0));

@@ -147,6 +147,9 @@ fn main() -> Result<(), PitchError> {
     }
     let ([blue, red], time) = (game.referee().score(), game.elapsed().as_secs_f64());
     let speed = time / started.elapsed().as_secs_f64();
-    println!("{blue}:{red} after {time:.0} s, {speed:.1} times real time, hash {:016x}", game.pitch().arena().hash());
+    println!(
+        "{blue}:{red} after {time:.0} s, {speed:.1} times real time, hash {:016x}",
+        game.pitch().arena().hash()
+    );
     Ok(())
 }

@@ -44,7 +44,8 @@ pub fn draw(field: &Field, seats: &[Seat], snapshot: &ArenaSnapshot) -> String {
         rows[y][x] = 'o';
     }
     let border = format!("+{}+\n", "-".repeat(SIZE[0]));
-    let rows: String = rows.into_iter().map(|row| format!("|{}|\n", row.into_iter().collect::<String>())).collect();
+    let rows: String =
+        rows.into_iter().map(|row| format!("|{}|\n", row.into_iter().collect::<String>())).collect();
     format!("{border}{rows}{border}")
 }
 

@@ -39,7 +39,13 @@ pub fn world_of(field: &Field) -> WorldFile {
             GoalColour::White => [235, 235, 235],
         },
     };
-    WorldFile { name: field.name.clone(), field: Some(lines), ball: Some(ball), boxes: nets(field), ..WorldFile::default() }
+    WorldFile {
+        name: field.name.clone(),
+        field: Some(lines),
+        ball: Some(ball),
+        boxes: nets(field),
+        ..WorldFile::default()
+    }
 }
 
 /// Back, sides and crossbar of both goals.

@@ -1,8 +1,8 @@
 //! Robots on a field, in lock-step.
 
 use downbeat_executor::{Clock, Core, Inlet, InletError, ManualClock, RunError, SetupError, Time};
-use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_football::Field;
+use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_modules::darwin_op_emulator::MemoryBus;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::geometry_msgs::msg::{Point, Pose, PoseStamped, Quaternion};
@@ -67,7 +67,9 @@ pub enum PitchError {
         source: InletError,
     },
     /// The modules of a core never wait.
-    #[error("{robot}: {MOST_CYCLES} cycles at {at}, and there is still something to do: do modules answer each other without end?")]
+    #[error(
+        "{robot}: {MOST_CYCLES} cycles at {at}, and there is still something to do: do modules answer each other without end?"
+    )]
     Restless {
         /// The name of the robot.
         robot: String,
@@ -120,8 +122,7 @@ impl Pitch {
                 let (odometry, ball) = (core.inlet("ground_truth/odom")?, core.inlet("ground_truth/ball")?);
                 Ok((core.inlet("game_state")?, odometry, ball, core))
             });
-            let (game, odometry, ball, core) =
-                joined.map_err(PitchError::setup(&name))?;
+            let (game, odometry, ball, core) = joined.map_err(PitchError::setup(&name))?;
             let defends_right = entrant.defends_right;
             players.push(Player { name, core, odometry, ball, game, defends_right });
         }

@@ -1,22 +1,4 @@
-//! A referee that sees the truth.
-//!
-//! # Rules
-//! - A half begins, and goes on after a goal, with *ready* (players walk to their positions), *set* (they stand) and *playing*. The ball
-//!   lies in the centre; who did not shoot the goal kicks off.
-//! - A goal counts when the ball is behind the goal line as a whole, between the posts and below the crossbar.
-//! - Behind a touch line, the ball comes back to where it left, as a throw-in for the other team; behind a goal line, as a goal kick at
-//!   the corner of the goal area or as a corner kick. Play goes on at once; a set play ends when its team touches the ball, or after
-//!   [`Rules::set_play`].
-//! - When *set* begins, whoever is not in its own half, or whose team does not kick off and is within the circle, is put back to its
-//!   place there.
-//! - A ball that hardly moves for [`Rules::stuck`] is dropped: *ready* begins again without a goal.
-//! - Who lies for longer than [`Rules::fallen`] or leaves the carpet is *picked up*: it is beside the field for [`Rules::penalty`], and
-//!   comes back on its feet at the touch line of its own half.
-//! - The game has two halves; sides change in between, and the other team kicks off.
-//!
-//! Not ruled: pushing, hands, and how far others stay away from a set play.
-//!
-//! What happens depends only on the times and truths of the calls of [`Referee::step`].
+//! A deterministic state machine over what is true on the field.
 
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::GameState;
@@ -147,7 +129,25 @@ pub struct Truth {
     pub robots: Vec<(DVec2, bool)>,
 }
 
-/// A referee; see the rules above its source.
+/// A referee that sees the truth.
+///
+/// # Rules
+/// - A half begins, and goes on after a goal, with *ready* (players walk to their positions), *set* (they stand) and *playing*. The ball
+///   lies in the centre; who did not shoot the goal kicks off.
+/// - A goal counts when the ball is behind the goal line as a whole, between the posts and below the crossbar.
+/// - Behind a touch line, the ball comes back to where it left, as a throw-in for the other team; behind a goal line, as a goal kick at
+///   the corner of the goal area or as a corner kick. Play goes on at once; a set play ends when its team touches the ball, or after
+///   [`Rules::set_play`].
+/// - When *set* begins, whoever is not in its own half, or whose team does not kick off and is within the circle, is put back to its
+///   place there.
+/// - A ball that hardly moves for [`Rules::stuck`] is dropped: *ready* begins again without a goal.
+/// - Who lies for longer than [`Rules::fallen`] or leaves the carpet is *picked up*: it is beside the field for [`Rules::penalty`], and
+///   comes back on its feet at the touch line of its own half.
+/// - The game has two halves; sides change in between, and the other team kicks off.
+///
+/// Not ruled: pushing, hands, and how far others stay away from a set play.
+///
+/// What happens depends only on the times and truths of the calls of [`Referee::step`].
 pub struct Referee {
     field: Field,
     rules: Rules,
@@ -372,13 +372,7 @@ impl Referee {
         }
     }
 
-    fn watch_ball(
-        &mut self,
-        now: Duration,
-        truth: &Truth,
-        events: &mut Vec<Event>,
-        orders: &mut Vec<Order>,
-    ) {
+    fn watch_ball(&mut self, now: Duration, truth: &Truth, events: &mut Vec<Event>, orders: &mut Vec<Order>) {
         let touching = self.last_touch.and_then(|robot| self.seats.get(robot)).map(|seat| seat.team);
         let until = |(_, team, until): &(SetPlay, Team, Duration)| now < *until && touching != Some(*team);
         self.set_play = self.set_play.filter(until);
@@ -386,7 +380,8 @@ impl Referee {
         let (ball, [x, y]) = (truth.ball, [self.field.length / 2.0, self.field.width / 2.0]);
         if ball.x.abs() > x + radius {
             let is_right = ball.x > 0.0;
-            let is_goal = ball.y.abs() < self.field.goal.width / 2.0 && truth.ball_height < self.field.goal.height;
+            let is_goal =
+                ball.y.abs() < self.field.goal.width / 2.0 && truth.ball_height < self.field.goal.height;
             let defender = if self.defends_right(Team::Red) == is_right { Team::Red } else { Team::Blue };
             if is_goal {
                 let scorer = defender.other();
@@ -476,8 +471,7 @@ impl Referee {
         let seat = self.seats[robot];
         let x = -self.field.length / 4.0 - 0.4 * f64::from(seat.number - 1);
         // Each team on its own side, so that nobody is put into somebody.
-        let (sign, own) =
-            if self.defends_right(seat.team) { (1.0, -x) } else { (-1.0, x) };
+        let (sign, own) = if self.defends_right(seat.team) { (1.0, -x) } else { (-1.0, x) };
         let y = (self.field.width / 2.0 + distance) * sign;
         (DVec2::new(own, y), -FRAC_PI_2 * sign)
     }

@@ -60,7 +60,10 @@ fn both_teams_hear_the_referee_and_see_the_field_from_their_own_side() {
     for robot in 0..2 {
         let states: Vec<u8> =
             heard.iter().filter(|(of, _)| *of == robot).map(|(_, state)| state.state).collect();
-        assert!(states.starts_with(&[GameState::READY]) && states.ends_with(&[GameState::PLAYING]), "{states:?}");
+        assert!(
+            states.starts_with(&[GameState::READY]) && states.ends_with(&[GameState::PLAYING]),
+            "{states:?}"
+        );
         assert!(poses.lock().unwrap().iter().filter(|(of, _)| *of == robot).all(|(_, x)| *x < -0.5));
     }
 }

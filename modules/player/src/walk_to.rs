@@ -75,7 +75,7 @@ struct Velocity {
 const PERIOD: Duration = Duration::from_millis(40);
 const REPORT: Duration = Duration::from_secs(1);
 /// How much wider the window of a kick is for a robot that stands: it swayed while it walked.
-const STANDING_WINDOW: f64 = 1.3;
+const STANDING_WINDOW: f64 = 1.5;
 /// How long a robot that has stopped sways.
 const REST: Duration = Duration::from_secs(1);
 /// Within this distance the robot steps in all directions, in m.
@@ -121,9 +121,9 @@ settings! {
     forward = 0.12 in 0.01..=0.5, "m/s; largest velocity forward";
     side = 0.05 in 0.01..=0.3, "m/s; largest velocity to the side";
     turn = 0.6 in 0.05..=3.0, "rad/s; largest turn rate";
-    kick_ahead = 0.12 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
+    kick_ahead = 0.105 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
     kick_aside = 0.045 in 0.0..=0.2, "m; the ball to the side of the foot for a kick";
-    kick_reach = 0.025 in 0.001..=0.2, "m; how far the ball may be off ahead";
+    kick_reach = 0.03 in 0.001..=0.2, "m; how far the ball may be off ahead";
     kick_width = 0.025 in 0.001..=0.2, "m; how far the ball may be off to the side";
     kick_angle = 0.2 in 0.01..=1.0, "rad; how far the direction of a kick may be off";
     there_distance = 0.1 in 0.01..=2.0, "m; how far the robot may be off at a place";
@@ -308,14 +308,14 @@ mod tests {
         let target = DVec2::new(5.0, 0.0);
         let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, Time::ZERO + REST, &settings).1;
         let mut walk = WalkTo { stands_since: Some(Time::ZERO), ..WalkTo::default() };
-        assert_eq!(state(&mut walk, DVec2::new(0.12, 0.045)), "kick_left");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, 0.045)), "kick_left");
         // It keeps its foot where both would do.
-        assert_eq!(state(&mut walk, DVec2::new(0.12, -0.02)), "walking");
-        assert_eq!(state(&mut walk, DVec2::new(0.12, -0.06)), "kick_right");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.02)), "walking");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.06)), "kick_right");
         walk.stands_since = Some(Time::ZERO + REST / 2);
-        assert_eq!(state(&mut walk, DVec2::new(0.12, -0.045)), "walking");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.045)), "walking");
         walk.stands_since = None;
-        assert_eq!(state(&mut walk, DVec2::new(0.12, -0.045)), "walking");
+        assert_eq!(state(&mut walk, DVec2::new(0.1, -0.045)), "walking");
     }
 
     #[test]
