@@ -446,9 +446,9 @@ impl Checks<'_> {
         Ok(Field {
             length,
             width,
-            margin: self.from_zero("margin", &raw.margin, 20.0, "20 m")?,
+            margin: self.zero_to("margin", &raw.margin, 20.0, "20 m")?,
             line_width,
-            circle_diameter: self.from_zero("circle_diameter", &raw.circle_diameter, width, "width")?,
+            circle_diameter: self.zero_to("circle_diameter", &raw.circle_diameter, width, "width")?,
             penalty_mark: self.up_to("penalty_mark", &raw.penalty_mark, length / 2.0, "half of length")?,
             goal_area,
             penalty_area,
@@ -486,13 +486,7 @@ impl Checks<'_> {
         })
     }
 
-    fn from_zero(
-        &self,
-        key: &'static str,
-        number: &Number,
-        most: f64,
-        named: &str,
-    ) -> Result<f64, FieldError> {
+    fn zero_to(&self, key: &'static str, number: &Number, most: f64, named: &str) -> Result<f64, FieldError> {
         let is_possible = (0.0..=most).contains(number.get_ref());
         self.possible(key, number, is_possible, || format!("from 0 to {named}"))
     }
