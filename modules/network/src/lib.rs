@@ -1,0 +1,14 @@
+//! Modules that talk to others over the network.
+//!
+//! - [`packets`]: what the referee's program (GameController) of the football leagues sends, and what players answer. It parses and
+//!   builds both, so that a referee can use it too.
+//! - [`game_controller`]: the module that listens to the referee.
+//! - [`team`]: team messages of the humanoid league, and the module that exchanges them.
+//! - [`udp`]: the device behind these modules: a socket whose datagrams are recorded, so that a replay repeats them.
+//!
+//! The modules run detached. They never wait for the network: sockets are polled.
+
+pub mod game_controller;
+pub mod packets;
+pub mod team;
+pub mod udp;
