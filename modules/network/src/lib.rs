@@ -4,7 +4,8 @@
 //!   builds both, so that a referee can use it too.
 //! - [`game_controller`]: the module that listens to the referee.
 //! - [`team`]: team messages of the humanoid league, and the module that exchanges them.
-//! - [`udp`]: the device behind these modules: a socket whose datagrams are recorded, so that a replay repeats them.
+//! - [`udp`]: the device behind the modules: a socket whose datagrams are recorded, so that a replay repeats them.
+//! - [`udp_lines`]: lines of text on UDP, as topics.
 //!
 //! The modules run detached. They never wait for the network: sockets are polled.
 
@@ -12,3 +13,4 @@ pub mod game_controller;
 pub mod packets;
 pub mod team;
 pub mod udp;
+pub mod udp_lines;

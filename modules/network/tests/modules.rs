@@ -5,14 +5,16 @@ use std::net::UdpSocket;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use downbeat_executor::{Core, Inbox, ManualClock, ModuleOptions, OutletInbox, SettingValue, Time};
+use downbeat_executor::{Core, Inbox, ManualClock, ModuleOptions, OutletInbox, Received, SettingValue, Time};
 use downbeat_football::football_interfaces::msg::{GameState, TeamMessage};
 use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::std_msgs::msg::String as Line;
 use downbeat_network::game_controller::GameController;
 use downbeat_network::packets::{Answer, ControlPacket, State, Version};
 use downbeat_network::team::{self, TeamCommunication};
 use downbeat_network::udp::Udp;
+use downbeat_network::udp_lines::UdpLines;
 
 fn options<const N: usize>(settings: [(&str, SettingValue); N]) -> ModuleOptions {
     let settings = settings.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
@@ -39,13 +41,8 @@ impl Bench {
         let collected = Arc::new(Mutex::new(Vec::new()));
         let all = Arc::clone(&collected);
         let inbox = OutletInbox::new(topic, Inbox::KeepAll);
-        let take = move |message: &T, _: Time| all.lock().unwrap().push(message.clone());
-        self.core
-            .outlet(topic, &inbox, move |received: downbeat_executor::Received<'_, T>| {
-                take(&received, Time::ZERO)
-            })
-            .unwrap()
-            .keep();
+        let take = move |received: Received<'_, T>| all.lock().unwrap().push((*received).clone());
+        self.core.outlet(topic, &inbox, take).unwrap().keep();
         collected
     }
 
@@ -157,4 +154,27 @@ fn team_mates_hear_each_other_at_most_ten_times_a_second_within_the_budget() {
         bench.run(1);
     }
     assert!(count(&sent) - before <= 3, "{} beyond the budget", count(&sent) - before);
+}
+
+#[test]
+fn lines_pass_both_ways() {
+    let (port, peer) = (free_port(), UdpSocket::bind("127.0.0.1:0").unwrap());
+    peer.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    let mut bench = Bench::new();
+    let received = bench.collect::<Line>("lines/received");
+    let settings = options([
+        ("listen", format!("127.0.0.1:{port}").into()),
+        ("to", peer.local_addr().unwrap().to_string().into()),
+    ]);
+    bench.core.add_with("lines", UdpLines::new(DeviceLink::new(Udp::default())), settings).unwrap();
+    let send = bench.core.inlet::<Line>("lines/send").unwrap();
+    bench.run(2);
+    peer.send_to(b"one\r\ntwo\nthr\xff", ("127.0.0.1", port as u16)).unwrap();
+    send.publish(Line { data: "left".to_owned() }).unwrap();
+    bench.run(3);
+    let lines: Vec<_> = received.lock().unwrap().iter().map(|line| line.data.clone()).collect();
+    assert_eq!(lines, ["one", "two", "thr\u{fffd}"]);
+    let mut buffer = [0; 64];
+    let length = peer.recv(&mut buffer).unwrap();
+    assert_eq!(&buffer[..length], b"left\n");
 }
