@@ -111,7 +111,7 @@ impl Device for Udp {
 
     fn exchange(&mut self, request: &Request, now: Time) -> BusExchange {
         let outcome = match self.attempt(request) {
-            Ok(reply) => return BusExchange { reply: reply.into(), ..exchange_of(request, now) },
+            Ok(reply) => return BusExchange { reply, ..exchange_of(request, now) },
             Err(error) if error.kind() == ErrorKind::WouldBlock => (BusExchange::TIMEOUT, String::new()),
             Err(error) => (BusExchange::FAILED, error.to_string()),
         };
@@ -134,12 +134,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         Request::Send(bytes) => bytes.clone(),
     };
     let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange {
-        stamp,
-        kind: BusExchange::TRANSFER,
-        instruction: instruction.into(),
-        ..BusExchange::default()
-    }
+    BusExchange { stamp, kind: BusExchange::TRANSFER, instruction, ..BusExchange::default() }
 }
 
 /// A module's socket: receives what has come, and reports failures once.
