@@ -43,9 +43,9 @@ use downbeat_msgs::encoding::{self, Codec, Encoding};
 use crate::encoding::{RecordedType, RecordedTypeError};
 use crate::ros_recorder::definition_at_hand;
 pub use columns::{Cell, Column, ColumnKind, Columns, Survey};
-pub use numbers::NumberField;
 #[cfg(feature = "plots")]
 pub(crate) use numbers::ELEMENT_NAMES;
+pub use numbers::NumberField;
 pub(crate) use numbers::{check_number, number, number_at, numbers_of};
 #[cfg(feature = "tables")]
 pub use parquet::ParquetTable;

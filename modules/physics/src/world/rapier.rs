@@ -265,11 +265,12 @@ impl RapierWorld {
         };
         self.things.iter().filter(|thing| thing.name != "floor").find_map(|thing| {
             let (there, other) = colliders_of(thing.handle).next()?;
-            let depths =
-                self.links(robot).iter().flat_map(|link| colliders_of(link.handle)).filter_map(|(here, shape)| {
+            let depths = self.links(robot).iter().flat_map(|link| colliders_of(link.handle)).filter_map(
+                |(here, shape)| {
                     let contact = query::contact(&here, shape, &there, other, 0.0).ok().flatten()?;
                     (contact.dist < -TOUCHING).then(|| f64::from(-contact.dist))
-                });
+                },
+            );
             depths.reduce(f64::max).map(|depth| (thing.name.as_str(), depth))
         })
     }
@@ -415,12 +416,7 @@ fn multibody_mut<'a>(physics: &'a mut PhysicsWorld, links: &[Link]) -> Option<&'
     physics.multibody_joints.get_multibody_mut(id.multibody)
 }
 
-fn insert_robot(
-    physics: &mut PhysicsWorld,
-    model: &Model,
-    variation: &Variation,
-    friction: f32,
-) -> Robot {
+fn insert_robot(physics: &mut PhysicsWorld, model: &Model, variation: &Variation, friction: f32) -> Robot {
     let mut links: Vec<Link> = Vec::with_capacity(model.bodies.len());
     for (index, body) in model.bodies.iter().enumerate() {
         let shift = if index == 0 { variation.centre_of_mass } else { 0.0 };
