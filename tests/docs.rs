@@ -15,7 +15,7 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 17] = [
+const PAGES: [&str; 18] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
@@ -29,6 +29,7 @@ const PAGES: [&str; 17] = [
     "docs/robot_files.md",
     "docs/ros2_users.md",
     "docs/servos.md",
+    "docs/state_machine.md",
     "docs/view.md",
     "docs/walking.md",
     "docs/your_robot.md",
@@ -36,7 +37,7 @@ const PAGES: [&str; 17] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 17] = [
+const ELSEWHERE: [&str; 16] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
@@ -151,7 +152,7 @@ fn every_robot_file_on_a_page_is_read() {
         }
         if text.contains("[[bus]]") || text.contains("[[joint]]") || text.contains("[[device]]") {
             let bus = NEW_SERVO.split("[[joint]]").next().unwrap().replace("feetech_sts", "dynamixel2");
-            let whole = if text.contains("[[bus]]") { text } else { bus + &text };
+            let whole = if text.contains("[[bus]]") { text } else { bus + text.as_str() };
             Description::parse("description", &whole)
                 .map_err(|error| format!("{page}:{line}: {error}"))
                 .unwrap();

@@ -86,7 +86,7 @@ fn every_definition_of_the_wheels_is_shown_as_the_real_command_shows_it() {
         for (name, hash) in expected {
             let found = Sha256::digest(ours[name])
                 .iter()
-                .fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
+                .fold(String::new(), |hex, byte| hex + format!("{byte:02x}").as_str());
             assert_eq!(found, hash, "{name} {option}\n{}", ours[name]);
         }
     }

@@ -599,7 +599,7 @@ fn append(list: &mut Array, value: Value) {
     if !list.trailing_comma()
         && let Some(last) = list.get_mut(last)
     {
-        between = of(last.decor().suffix()) + &between;
+        between = of(last.decor().suffix()) + between.as_str();
         last.decor_mut().set_suffix("");
     }
     let (comments, end) = between.rsplit_once('\n').unwrap_or(("", ""));

@@ -21,10 +21,8 @@ pub fn draw(field: &Field, seats: &[Seat], snapshot: &ArenaSnapshot) -> String {
     let mut rows = vec![vec![' '; SIZE[0]]; SIZE[1]];
     for line in field.lines() {
         let ([from_x, from_y], [to_x, to_y]) = (cell(line.from), cell(line.to));
-        for y in from_y.min(to_y)..=from_y.max(to_y) {
-            for x in from_x.min(to_x)..=from_x.max(to_x) {
-                rows[y][x] = '.';
-            }
+        for row in &mut rows[from_y.min(to_y)..=from_y.max(to_y)] {
+            row[from_x.min(to_x)..=from_x.max(to_x)].fill('.');
         }
     }
     for post in field.posts() {

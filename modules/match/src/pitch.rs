@@ -56,7 +56,7 @@ pub enum PitchError {
         /// The name of the robot.
         robot: String,
         /// Why not.
-        source: RunError,
+        source: Box<RunError>,
     },
     /// A core takes no messages.
     #[error("{robot}: {source}")]
@@ -237,7 +237,7 @@ impl Player {
                 return Err(PitchError::Restless { robot: self.name.clone(), at: now });
             }
             let ran = self.core.cycle();
-            ran.map_err(|source| PitchError::Run { robot: self.name.clone(), source })?;
+            ran.map_err(|source| PitchError::Run { robot: self.name.clone(), source: Box::new(source) })?;
         }
         Ok(())
     }

@@ -320,7 +320,7 @@ fn publish_markings(
     for line in &seen.lines {
         let confidence = confidence(line.confidence);
         let [start, end] = line.pixels.map(pixel);
-        in_picture.segments.push(flat::MarkingSegment { start, end, confidence: confidence.clone() });
+        in_picture.segments.push(flat::MarkingSegment { start, end, confidence });
         let [start, end] = line.ends.map(place);
         on_floor.segments.push(solid::MarkingSegment { start, end, confidence });
     }
@@ -331,7 +331,7 @@ fn publish_markings(
             center: pixel(one.pixel),
             num_rays,
             heading_rays: one.arms.iter().filter_map(|arm| heading_in_picture(one, *arm, view)).collect(),
-            confidence: confidence.clone(),
+            confidence,
         });
         on_floor.intersections.push(solid::MarkingIntersection {
             center: place(one.place),
@@ -346,7 +346,7 @@ fn publish_markings(
         in_picture.ellipses.push(flat::MarkingEllipse {
             bb: around((least + most) / 2.0, most - least),
             center: pixel(circle.pixel),
-            confidence: confidence.clone(),
+            confidence,
         });
         let mut ellipse = solid::MarkingEllipse {
             diameter: field.circle_diameter,

@@ -242,7 +242,7 @@ mod tests {
         );
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("robot.toml");
-        std::fs::write(&path, emulated + &publisher).unwrap();
+        std::fs::write(&path, emulated + publisher.as_str()).unwrap();
         let graph = of_robot(&path, &catalog, &ros).unwrap();
         let file = RobotFile::read_with(&path, &catalog, &ros).unwrap();
         (graph, description(&file).unwrap())

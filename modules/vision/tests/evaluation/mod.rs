@@ -186,13 +186,13 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
 }
 
 /// Light, colour cast, blur and noise.
-fn disturb(data: &mut Vec<u8>, random: &mut Rng) {
+fn disturb(data: &mut [u8], random: &mut Rng) {
     let light = between(random, 0.5, 1.15);
     let cast = [between(random, 0.92, 1.08), 1.0, between(random, 0.92, 1.08)];
     let noise = between(random, 0.0, 7.0);
     if random.bool() {
         // Three by three, the borders as they are.
-        let before = data.clone();
+        let before = data.to_vec();
         for row in 1..239_usize {
             for column in 1..319_usize {
                 for part in 0..3 {
