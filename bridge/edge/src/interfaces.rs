@@ -1,7 +1,7 @@
 //! The registry of messages, services and actions.
 
 use crate::{EncodedInlet, KnownAction, KnownService, KnownType};
-use downbeat_executor::{Core, ServiceInfo, SetupError};
+use downbeat_executor::{Core, Module, ServiceInfo, Setup, SetupError};
 use downbeat_msgs::definitions::nearest;
 use downbeat_msgs::description::Description;
 use downbeat_msgs::dynamic::{AmentPrefixPath, Definitions, Schemas};
@@ -112,6 +112,38 @@ impl Interfaces {
             name: name.to_owned(),
             nearest: nearest(name, self.tables.messages.keys().copied()),
         })
+    }
+
+    /// The message of that name: a registered one, one of a registered action, or one of which only the definition is known, which
+    /// passes through ([`KnownType::raw`]).
+    ///
+    /// # Errors
+    /// [`UnknownType`] where there is none.
+    pub fn find_message(&self, name: &str) -> Result<KnownType, UnknownType> {
+        let unknown = match self.message(name) {
+            Ok(known) => return Ok(known),
+            Err(unknown) => unknown,
+        };
+        if let Some(Ok(action)) = name.strip_suffix("_FeedbackMessage").map(|action| self.action(action)) {
+            return Ok(action.feedback());
+        }
+        let raw = KnownType::raw(name, &self.definitions()).ok();
+        raw.filter(|raw| !raw.hash().is_empty()).ok_or(unknown)
+    }
+
+    /// The type with which a module should use a topic: if the topic carries another Rust type of the same definition as `message`, that.
+    /// The topic is named as the module names it, before remapping.
+    #[must_use]
+    pub fn message_on<M: Module>(
+        &self,
+        setup: &mut Setup<'_, M>,
+        topic: &str,
+        message: KnownType,
+    ) -> KnownType {
+        let topic = setup.remapped(topic);
+        let on_topic = setup.topics().find(|known| *known.name == *topic.trim_start_matches('/'));
+        let carried = on_topic.and_then(|topic| self.message_of(topic.message_type_id));
+        carried.filter(|carried| *carried == message).unwrap_or(message)
     }
 
     /// The message whose Rust type is `type_id`, as

@@ -319,27 +319,36 @@ impl KnownType {
         }
     }
 
-    pub(crate) fn in_core(self) -> MessageType {
+    /// The type as the executor knows it, for [`Setup::publish_of`](downbeat_executor::Setup::publish_of) and
+    /// [`Setup::subscribe_of`](downbeat_executor::Setup::subscribe_of).
+    #[must_use]
+    pub fn in_core(self) -> MessageType {
         match &self.entry.rust {
             Rust::Compiled(compiled) => compiled.in_core,
             Rust::Raw(_) => MessageType::of::<RawMessage>(),
         }
     }
 
-    pub(crate) fn decode(self, cdr: &[u8]) -> cdr::Result<AnyMessage> {
+    /// Decodes a message, encapsulation header (of either byte order) and body. The bytes of a raw type are not checked.
+    ///
+    /// # Errors
+    /// If the bytes are no such message.
+    pub fn decode(self, cdr: &[u8]) -> cdr::Result<AnyMessage> {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.decode)(cdr),
             Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, Bytes::copy_from_slice(cdr)))),
         }
     }
 
-    /// Raw messages of all types have one Rust type.
-    pub(crate) fn is_type_of(self, message: &dyn Any) -> bool {
+    /// Whether a message that a module received is of this type: raw messages of all types have one Rust type.
+    #[must_use]
+    pub fn is_type_of(self, message: &dyn Any) -> bool {
         message.downcast_ref::<RawMessage>().is_none_or(|raw| raw.message_type() == self)
     }
 
-    /// Returns `None` if the message has another Rust type.
-    pub(crate) fn encode(self, message: &dyn Any) -> Option<Bytes> {
+    /// Serializes a message, with its encapsulation header. Returns `None` if it has another Rust type.
+    #[must_use]
+    pub fn encode(self, message: &dyn Any) -> Option<Bytes> {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.encode)(message).map(Bytes::from),
             Rust::Raw(_) => message.downcast_ref().map(|raw: &RawMessage| raw.cdr().clone()),

@@ -6,10 +6,13 @@
 //! - [`team`]: team messages of the humanoid league, and the module that exchanges them.
 //! - [`udp`]: the device behind the modules: a socket whose datagrams are recorded, so that a replay repeats them.
 //! - [`udp_lines`]: lines of text on UDP, as topics.
+//! - `mqtt` (feature of that name): topics of the robot on an MQTT broker.
 //!
 //! The modules run detached. They never wait for the network: sockets are polled.
 
 pub mod game_controller;
+#[cfg(feature = "mqtt")]
+pub mod mqtt;
 pub mod packets;
 pub mod team;
 pub mod udp;

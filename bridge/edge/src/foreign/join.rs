@@ -133,12 +133,10 @@ impl ForeignModule {
         topic: &str,
         Named { name, hash }: &Named,
     ) -> Result<KnownType, SetupError> {
-        let found = message(&self.interfaces, name).map_err(|reason| setup.refuse(reason))?;
+        let found =
+            self.interfaces.find_message(name).map_err(|unknown| setup.refuse(unknown.to_string()))?;
         check_hash(setup, name, hash.as_deref(), found.hash())?;
-        let topic = setup.remapped(topic);
-        let on_topic = setup.topics().find(|known| *known.name == *topic.trim_start_matches('/'));
-        let carried = on_topic.and_then(|topic| self.interfaces.message_of(topic.message_type_id));
-        Ok(carried.filter(|carried| *carried == found).unwrap_or(found))
+        Ok(self.interfaces.message_on(setup, topic, found))
     }
 
     fn service(
@@ -150,19 +148,6 @@ impl ForeignModule {
         check_hash(setup, name, hash.as_deref(), found.hash())?;
         Ok(found)
     }
-}
-
-/// The message of that name, or the one of an action.
-fn message(interfaces: &Interfaces, name: &str) -> Result<KnownType, String> {
-    let unknown = match interfaces.message(name) {
-        Ok(known) => return Ok(known),
-        Err(unknown) => unknown,
-    };
-    if let Some(action) = part_of_action(interfaces, name, "_FeedbackMessage") {
-        return Ok(action.feedback());
-    }
-    let raw = KnownType::raw(name, &interfaces.definitions()).map_err(|error| error.to_string())?;
-    if raw.hash().is_empty() { Err(unknown.to_string()) } else { Ok(raw) }
 }
 
 /// The service of that name, or the one of an action.
