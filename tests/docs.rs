@@ -25,6 +25,7 @@ const PAGES: [&str; 18] = [
     "docs/look.md",
     "docs/look_inside.md",
     "docs/messages.md",
+    "docs/network.md",
     "docs/physics.md",
     "docs/robot_files.md",
     "docs/ros2_users.md",

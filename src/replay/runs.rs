@@ -94,7 +94,7 @@ fn build(
     core: Core,
     is_wanted: impl Fn(&str) -> bool,
 ) -> Result<Core, ReplayError> {
-    let mut problem = None;
+    let (mut problem, interfaces) = (None, &file.catalog.interfaces);
     let built = file.build_modules(core, |module, core| {
         if !is_wanted(&module.name) {
             return Some(Ok(()));
@@ -103,7 +103,7 @@ fn build(
         let options = module.options();
         let answers = reader.topic(&replayed.topic_of(&options)).map(|id| extract.of(reader, id));
         match answers.unwrap_or(Ok(&[])) {
-            Ok(answers) => match replayed.add_to(core, &module.name, options, answers) {
+            Ok(answers) => match replayed.add_to(core, &module.name, options, answers, interfaces) {
                 Ok(added) => Some(added),
                 Err(error) => {
                     problem = Some(ReplayError::Device { module: module.name.clone(), problem: error });

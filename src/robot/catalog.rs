@@ -54,9 +54,11 @@ impl Catalog {
     #[must_use]
     pub fn built_in() -> Self {
         let kinds = super::kind::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
-        let interfaces = Interfaces::carried().with(downbeat_state_machine::INTERFACES);
+        let own = downbeat_state_machine::INTERFACES;
+        #[cfg(feature = "network")]
+        let own = (own, downbeat_football::INTERFACES);
         // No carried interface has these names.
-        let interfaces = interfaces.unwrap_or_default();
+        let interfaces = Interfaces::carried().with(own).unwrap_or_default();
         Self { kinds: kinds.collect(), interfaces, ..Self::default() }
     }
 

@@ -113,8 +113,9 @@ type Add = dyn Fn(&mut Core, &str, ModuleOptions, &ModuleSource, &Interfaces) ->
     + Send
     + Sync;
 /// The outer error reports invalid recorded answers.
-type AddReplayed =
-    dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes]) -> Result<Result<(), SetupError>, String> + Send + Sync;
+type AddReplayed = dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes], &Interfaces) -> Result<Result<(), SetupError>, String>
+    + Send
+    + Sync;
 
 /// The default number of batches that wait for a detached module: two seconds of commands at 125 Hz.
 pub(super) const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
@@ -238,13 +239,43 @@ impl Kind {
         topic: &str,
         make: impl Fn(Vec<E>) -> Result<M, String> + Send + Sync + 'static,
     ) -> Self {
-        let add = move |core: &mut Core, name: &str, options: ModuleOptions, answers: &[Bytes]| {
+        self.replayed_with(topic, move |exchanges, _| make(exchanges))
+    }
+
+    fn replayed_with<E: Message, M: Module>(
+        self,
+        topic: &str,
+        make: impl Fn(Vec<E>, &Interfaces) -> Result<M, String> + Send + Sync + 'static,
+    ) -> Self {
+        let add: Arc<AddReplayed> = Arc::new(move |core, name, options, answers, interfaces| {
             let exchange = |bytes: &Bytes| cdr::from_slice::<E>(bytes).map_err(|error| error.to_string());
             let exchanges = answers.iter().map(exchange).collect::<Result<Vec<_>, String>>()?;
-            Ok(core.add_with(name, make(exchanges)?, options))
-        };
-        let replayed = ReplayedDevice { topic: topic.into(), add: Arc::new(add) };
-        Self { replayed: Some(replayed), ..self }
+            Ok(core.add_with(name, make(exchanges, interfaces)?, options))
+        });
+        Self { replayed: Some(ReplayedDevice { topic: topic.into(), add }), ..self }
+    }
+
+    /// Like [`Kind::device`], for modules that find types of messages by their names: `make` is also given the interfaces of the
+    /// robot.
+    pub fn device_with_interfaces<D: Device, M: Module>(
+        name: impl Into<Arc<str>>,
+        about: impl Into<Arc<str>>,
+        connect: impl Fn() -> D + Send + Sync + 'static,
+        make: impl Fn(DeviceLink<D>, Interfaces) -> M + Send + Sync + 'static,
+    ) -> Self {
+        let parts = Arc::new((connect, make));
+        let of_recorded = Arc::clone(&parts);
+        let add: Arc<Add> = Arc::new(move |core, name, options, _, interfaces| {
+            let (parts, interfaces) = (Arc::clone(&parts), interfaces.clone());
+            let make = move || parts.1(DeviceLink::new(parts.0()), interfaces.clone());
+            core.add_restartable(name, make, options)
+        });
+        Self::with_add(name, about, add).drives_device().detached().replayed_with(
+            D::TOPIC,
+            move |exchanges, interfaces| {
+                Ok(of_recorded.1(DeviceLink::recorded(exchanges), interfaces.clone()))
+            },
+        )
     }
 
     /// Brings a panel to the page of the robot: a JavaScript module whose default export has `create(root, robot, view)`
@@ -356,8 +387,9 @@ impl ReplayedDevice {
         name: &str,
         options: ModuleOptions,
         answers: &[Bytes],
+        interfaces: &Interfaces,
     ) -> Result<Result<(), SetupError>, String> {
-        (self.add)(core, name, options, answers)
+        (self.add)(core, name, options, answers, interfaces)
     }
 }
 
@@ -462,7 +494,42 @@ pub(super) fn built_in() -> Vec<Kind> {
         ),
     ];
     kinds.extend(simulator(ports));
+    #[cfg(feature = "network")]
+    kinds.extend(network());
+    #[cfg(feature = "mqtt")]
+    kinds.push(
+        Kind::device_with_interfaces(
+            "mqtt",
+            "topics of the robot on an MQTT broker, both ways, in JSON or CBOR",
+            downbeat_network::mqtt::broker::Broker::default,
+            downbeat_network::mqtt::Mqtt::new,
+        )
+        .with_files(&["password_file"]),
+    );
     kinds
+}
+
+#[cfg(feature = "network")]
+fn network() -> [Kind; 3] {
+    use downbeat_network::game_controller::GameController;
+    use downbeat_network::team::TeamCommunication;
+    use downbeat_network::udp::Udp;
+    use downbeat_network::udp_lines::UdpLines;
+    [
+        Kind::device(
+            "game_controller",
+            "listens to the referee's program of a football league, and answers it",
+            Udp::default,
+            GameController::new,
+        ),
+        Kind::device(
+            "team_communication",
+            "team messages of the humanoid football league",
+            Udp::default,
+            TeamCommunication::new,
+        ),
+        Kind::device("udp_lines", "lines of text on UDP, as topics", Udp::default, UdpLines::new),
+    ]
 }
 
 /// Reads the keys of a module in a shared library.
