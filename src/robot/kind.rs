@@ -510,8 +510,10 @@ pub(super) fn built_in() -> Vec<Kind> {
 }
 
 #[cfg(feature = "network")]
-fn network() -> [Kind; 3] {
+fn network() -> [Kind; 4] {
     use downbeat_network::game_controller::GameController;
+    use downbeat_network::tcp::Tcp;
+    use downbeat_network::tcp_lines::TcpLines;
     use downbeat_network::team::TeamCommunication;
     use downbeat_network::udp::Udp;
     use downbeat_network::udp_lines::UdpLines;
@@ -528,6 +530,7 @@ fn network() -> [Kind; 3] {
             Udp::default,
             TeamCommunication::new,
         ),
+        Kind::device("tcp_lines", "lines of text on TCP, as topics", Tcp::default, TcpLines::new),
         Kind::device("udp_lines", "lines of text on UDP, as topics", Udp::default, UdpLines::new),
     ]
 }

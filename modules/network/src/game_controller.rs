@@ -19,8 +19,9 @@ use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::Header;
 
+use crate::mailbox::Mailbox;
 use crate::packets::{ANSWER_PORT, Answer, CONTROL_PORT, ControlPacket, Phase, SetPlay, State, Version};
-use crate::udp::{Mailbox, Target, Udp};
+use crate::udp::{Target, Udp};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -29,7 +30,7 @@ const LOST_AFTER: Duration = Duration::from_secs(5);
 
 /// The module.
 pub struct GameController {
-    mailbox: Mailbox,
+    mailbox: Mailbox<Udp>,
     team: u8,
     player: u8,
     is_answering: bool,
@@ -75,7 +76,9 @@ impl Module for GameController {
         let answer_port = number(setup, answer_port, 0..=65535)? as u16;
         self.is_answering = answer_port != 0;
         let target = Target::LastSender { port: answer_port, prefix: *b"RGme" };
-        self.mailbox.configure(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port), target);
+        if let Some(udp) = self.mailbox.device() {
+            udp.configure(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port), target);
+        }
         setup.subscribe("team_status", |module, status: Received<'_, TeamMessage>, _| {
             module.status = Some(status.clone());
         })?;

@@ -26,7 +26,8 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::{Point, Quaternion, Vector3};
 use thiserror::Error;
 
-use crate::udp::{Mailbox, Target, Udp};
+use crate::mailbox::Mailbox;
+use crate::udp::{Target, Udp};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -306,7 +307,7 @@ fn put_matrix(out: &mut Vec<u8>, field: u64, rows: [[f64; 3]; 3]) {
 
 /// The module. Run it detached.
 pub struct TeamCommunication {
-    mailbox: Mailbox,
+    mailbox: Mailbox<Udp>,
     team: u8,
     player: u8,
     waiting: Option<TeamMessage>,
@@ -360,7 +361,9 @@ impl Module for TeamCommunication {
             return Err(setup.refuse_value(to, "it is no IPv4 address, such as 192.168.1.255"));
         };
         let target = Target::Address(SocketAddr::from((address, port)));
-        self.mailbox.configure(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port), target);
+        if let Some(udp) = self.mailbox.device() {
+            udp.configure(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port), target);
+        }
         setup.subscribe("team_status", |module, status: Received<'_, TeamMessage>, _| {
             module.waiting = Some(status.clone());
         })?;

@@ -2,29 +2,17 @@
 
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
-use std::time::Duration;
 
-use downbeat_executor::{Context, Publication, Time};
-use downbeat_modules::device::{Device, DeviceLink};
-use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
+use downbeat_executor::Time;
+use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
 
+pub use crate::mailbox::Request;
+use crate::mailbox::{exchange_of, outcome_of};
+
 /// Longer datagrams are cut off, and thereby refused by those who read them.
 pub const LONGEST: usize = 2048;
-/// The most datagrams that are taken in one run of a module: more is a flood, which waits and overflows in the socket.
-const MOST_IN_ONE_RUN: usize = 32;
-/// How long a module waits before it opens a socket again.
-const RETRY: Duration = Duration::from_secs(1);
-
-/// What a module wants of its socket.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Request {
-    /// Take the next datagram, if there is one.
-    Receive,
-    /// Send this to the target.
-    Send(Vec<u8>),
-}
 
 /// Where datagrams go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,92 +98,14 @@ impl Device for Udp {
     const TOPIC: &'static str = "datagrams";
 
     fn exchange(&mut self, request: &Request, now: Time) -> BusExchange {
-        let outcome = match self.attempt(request) {
-            Ok(reply) => return BusExchange { reply, ..exchange_of(request, now) },
-            Err(error) if error.kind() == ErrorKind::WouldBlock => (BusExchange::TIMEOUT, String::new()),
-            Err(error) => (BusExchange::FAILED, error.to_string()),
-        };
-        BusExchange { outcome: outcome.0, error: outcome.1, ..exchange_of(request, now) }
+        outcome_of(self.attempt(request), request, now)
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        exchange.kind == expected.kind && exchange.instruction == expected.instruction
+        exchange.instruction == exchange_of(request, Time::ZERO).instruction
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
         BusExchange { outcome: BusExchange::FAILED, error: reason.to_owned(), ..exchange_of(request, now) }
-    }
-}
-
-fn exchange_of(request: &Request, now: Time) -> BusExchange {
-    let instruction = match request {
-        Request::Receive => Vec::new(),
-        Request::Send(bytes) => bytes.clone(),
-    };
-    let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange { stamp, kind: BusExchange::TRANSFER, instruction, ..BusExchange::default() }
-}
-
-/// A module's socket: receives what has come, and reports failures once.
-pub(crate) struct Mailbox {
-    link: DeviceLink<Udp>,
-    failure: String,
-    not_before: Time,
-}
-
-impl Mailbox {
-    pub(crate) fn new(link: DeviceLink<Udp>) -> Self {
-        Self { link, failure: String::new(), not_before: Time::ZERO }
-    }
-
-    pub(crate) fn configure(&mut self, receives_on: SocketAddrV4, target: Target) {
-        if let Some(udp) = self.link.device() {
-            udp.configure(receives_on, target);
-        }
-    }
-
-    /// The datagrams that have come since the last run.
-    pub(crate) fn receive<P>(
-        &mut self,
-        topic: Publication<BusExchange>,
-        ctx: &mut Context<'_, P>,
-    ) -> Vec<Vec<u8>> {
-        let mut datagrams = Vec::new();
-        if ctx.now() < self.not_before {
-            return datagrams;
-        }
-        while datagrams.len() < MOST_IN_ONE_RUN {
-            let exchange = self.link.exchange(&Request::Receive, topic, ctx);
-            match exchange.outcome {
-                BusExchange::OK => datagrams.push(exchange.reply.to_vec()),
-                BusExchange::TIMEOUT => break,
-                _ => {
-                    self.report("receive", exchange.error, ctx.now());
-                    break;
-                }
-            }
-        }
-        datagrams
-    }
-
-    pub(crate) fn send<P>(
-        &mut self,
-        bytes: Vec<u8>,
-        topic: Publication<BusExchange>,
-        ctx: &mut Context<'_, P>,
-    ) {
-        let exchange = self.link.exchange(&Request::Send(bytes), topic, ctx);
-        if exchange.outcome == BusExchange::FAILED {
-            self.report("send", exchange.error, ctx.now());
-        }
-    }
-
-    fn report(&mut self, attempted: &str, failure: String, now: Time) {
-        self.not_before = now + RETRY;
-        if self.failure != failure {
-            tracing::warn!("cannot {attempted} datagrams: {failure}; this is tried again every second");
-            self.failure = failure;
-        }
     }
 }

@@ -8,7 +8,6 @@
 //!
 //! By default it receives from this machine only. Run the module detached.
 
-use std::collections::VecDeque;
 use std::net::{SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
@@ -17,18 +16,16 @@ use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::String as Line;
 
-use crate::udp::{LONGEST, Mailbox, Target, Udp};
+use crate::mailbox::{Mailbox, Waiting};
+use crate::udp::{Target, Udp};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);
-/// How many lines wait to be sent; older ones are dropped.
-const MOST_WAITING: usize = 256;
 
 /// The module.
 pub struct UdpLines {
-    mailbox: Mailbox,
-    waiting: VecDeque<Vec<u8>>,
-    dropped: u64,
+    mailbox: Mailbox<Udp>,
+    waiting: Waiting,
 }
 
 /// The ports of [`UdpLines`].
@@ -57,8 +54,11 @@ impl Module for UdpLines {
             parsed.ok_or_else(|| setup.refuse_value(setting, refusal))
         };
         let (listen, to) = (address(setup, listen)?, address(setup, to)?);
-        self.mailbox.configure(listen, Target::Address(SocketAddr::V4(to)));
-        setup.subscribe("lines/send", |module, line: Received<'_, Line>, _| module.keep(&line.data))?;
+        if let Some(udp) = self.mailbox.device() {
+            udp.configure(listen, Target::Address(SocketAddr::V4(to)));
+        }
+        setup
+            .subscribe("lines/send", |module, line: Received<'_, Line>, _| module.waiting.keep(&line.data))?;
         setup.every(PERIOD, Self::run)?;
         Ok(Ports { received: setup.publish("lines/received")?, datagrams: setup.publish(Udp::TOPIC)? })
     }
@@ -68,25 +68,7 @@ impl UdpLines {
     /// A module that uses this link.
     #[must_use]
     pub fn new(link: DeviceLink<Udp>) -> Self {
-        Self { mailbox: Mailbox::new(link), waiting: VecDeque::new(), dropped: 0 }
-    }
-
-    fn keep(&mut self, line: &str) {
-        if line.len() >= LONGEST || self.waiting.len() == MOST_WAITING {
-            self.dropped += 1;
-            if self.dropped.is_power_of_two() {
-                tracing::warn!(
-                    "{} lines were not sent: at most {MOST_WAITING} wait, each shorter than {LONGEST} bytes",
-                    self.dropped
-                );
-            }
-        }
-        if line.len() < LONGEST {
-            if self.waiting.len() == MOST_WAITING {
-                self.waiting.pop_front();
-            }
-            self.waiting.push_back([line.as_bytes(), b"\n"].concat());
-        }
+        Self { mailbox: Mailbox::new(link), waiting: Waiting::default() }
     }
 
     fn run(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -95,7 +77,7 @@ impl UdpLines {
                 ctx.publish(ctx.ports.received, Line { data: line.to_owned() });
             }
         }
-        while let Some(line) = self.waiting.pop_front() {
+        while let Some(line) = self.waiting.next() {
             self.mailbox.send(line, ctx.ports.datagrams, ctx);
         }
     }
