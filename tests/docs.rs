@@ -15,7 +15,7 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 18] = [
+const PAGES: [&str; 19] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
