@@ -81,10 +81,13 @@ fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
+/// Topic, payload, and whether it was retained.
+type Heard = (String, Vec<u8>, bool);
+
 /// Another client of the broker.
 struct Peer {
     client: Client,
-    heard: Arc<Mutex<Vec<(String, Vec<u8>, bool)>>>,
+    heard: Arc<Mutex<Vec<Heard>>>,
 }
 
 impl Peer {
@@ -112,7 +115,7 @@ impl Peer {
         Self { client, heard }
     }
 
-    fn heard(&self) -> Vec<(String, Vec<u8>, bool)> {
+    fn heard(&self) -> Vec<Heard> {
         self.heard.lock().unwrap().clone()
     }
 
@@ -299,9 +302,7 @@ fn a_broker_that_is_away_or_restarts_is_found_again_and_nothing_that_waited_is_l
             robot.until("connected", || is_connected(&connected));
             count.publish(Float64 { data: 1000.0 + f64::from(round) }).unwrap();
             let newest = format!("{}", 1000 + round);
-            let is_newest = |(_, payload, _): &(String, Vec<u8>, bool)| {
-                String::from_utf8_lossy(payload).contains(&newest)
-            };
+            let is_newest = |(_, payload, _): &Heard| String::from_utf8_lossy(payload).contains(&newest);
             robot.until("the newest message", || peer.heard().iter().any(is_newest));
             peer.say("orders", br#"{"data": "go"}"#);
             robot.until("subscribed again", || received.lock().unwrap().len() == round as usize + 1);
