@@ -314,6 +314,8 @@ impl Place {
         let file = if walks { walking } else { "robots/darwin_op.toml" };
         let robot = Running::start_by(self.command().args(["run", file]));
         robot.wait_for_output("exposed to ROS 2: /joint_states");
+        let is_seen = || self.command().args(["top", "--once"]).output().unwrap().status.success();
+        common::wait_until("the robot can be inspected", is_seen);
         robot
     }
 
