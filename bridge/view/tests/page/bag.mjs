@@ -31,6 +31,7 @@ before(async () => {
 after(() => browser?.close());
 
 const now = async () => BigInt(await page.evaluate(() => String(window.robot.playback.timeNs)));
+const start = async () => BigInt(await page.evaluate(() => String(window.robot.playback.startNs)));
 const length = () => page.evaluate(() => Number(window.robot.playback.endNs - window.robot.playback.startNs) / 1e9);
 const bar = () => page.getByTestId('seek');
 const seek = async (part) => bar().fill(String(Math.round(Number(await bar().getAttribute('max')) * part)));
@@ -39,13 +40,12 @@ const stamp = async () => /(\d{10}\.\d{9})/.exec(await page.getByTestId('message
 test('the seek bar leads every panel to the messages of that time', async () => {
   await look(page, 'topics');
   await page.getByTestId('topics').getByRole('button', { name: TOPIC, exact: true }).click();
-  const start = BigInt(await page.evaluate(() => String(window.robot.playback.startNs)));
   for (const part of [0.25, 0.8, 0.5, 0.99]) {
     await seek(part);
     const wanted = (await length()) * part;
     const time = await until(`${part} of the bag is shown`, async () => {
       const at = await now();
-      return Math.abs(Number(at - start) / 1e9 - wanted) < 0.05 && at;
+      return Math.abs(Number(at - (await start())) / 1e9 - wanted) < 0.05 && at;
     });
     const expected = messages.filter((message) => message.time <= time).at(-1);
     await until(`the message of ${expected.stamp} is shown, not ${await stamp()}`, async () => (await stamp()) === expected.stamp);
@@ -56,7 +56,11 @@ test('the seek bar leads every panel to the messages of that time', async () => 
 
 test('it plays, and pauses', async () => {
   await seek(0.1);
-  const begin = await now();
+  const wanted = (await length()) * 0.1;
+  const begin = await until('the beginning is shown', async () => {
+    const at = await now();
+    return Math.abs(Number(at - (await start())) / 1e9 - wanted) < 0.05 && at;
+  });
   await page.getByTestId('play').click();
   await until('time goes on', async () => (await now()) > begin + 50_000_000n);
   await page.getByTestId('play').click();
