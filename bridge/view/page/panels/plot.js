@@ -129,6 +129,8 @@ export default {
     function chooseFirst() {
       const topic = ['/joint_states', '/odom', '/imu/data', '/imu/data_raw', '/cmd_vel'].find((name) => robot.channels.has(name));
       if (!topic) { say('Choose fields with the plus.'); return; }
+      // A bag may have none before the time that is shown.
+      if (bag()) say(`Waits for a message of ${topic}; go on in the bag, or choose fields with the plus.`);
       const end = robot.subscribe(topic, (message) => {
         end();
         if (lines.length > 0) return;
