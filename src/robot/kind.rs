@@ -73,6 +73,7 @@ pub struct Kind {
 #[derive(Clone)]
 pub(crate) struct KindPanel {
     pub(crate) title: &'static str,
+    #[cfg_attr(not(feature = "view"), allow(dead_code))]
     pub(crate) script: &'static str,
     /// Before remapping.
     pub(crate) topics: &'static [&'static str],
@@ -342,7 +343,6 @@ impl Kind {
         (self.add)(core, name, options, source, interfaces)
     }
 
-    #[cfg(feature = "view")]
     pub(crate) fn panel(&self) -> Option<&KindPanel> {
         self.panel.as_ref()
     }

@@ -253,17 +253,11 @@ impl Draft {
     }
 }
 
-#[cfg(feature = "view")]
 fn panel(kind: &Kind) -> Option<PanelProfile> {
     kind.panel().map(|panel| PanelProfile {
         title: panel.title.to_owned(),
         topics: panel.topics.iter().map(|&topic| topic.to_owned()).collect(),
     })
-}
-
-#[cfg(not(feature = "view"))]
-fn panel(_kind: &Kind) -> Option<PanelProfile> {
-    None
 }
 
 /// The ports of the only module of a core, without those of the executor and the parts of actions.

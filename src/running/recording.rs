@@ -43,7 +43,8 @@ pub(crate) const SIMULATED_TIME: &str = "simulated_time";
 /// What of a robot can be recorded, from the start or while it runs.
 pub(super) struct Recordable {
     robot: String,
-    /// Of `[record]` in the robot file.
+    /// Of `[record]` in the robot file; for recordings that the page starts.
+    #[cfg_attr(not(feature = "view"), allow(dead_code))]
     pub(super) options: RecordOptions,
     /// What the bag says of the robot.
     custom_data: Vec<(&'static str, String)>,
