@@ -88,6 +88,9 @@ impl Cli {
 pub(crate) enum Command {
     /// Run a robot until Ctrl-C or for a time.
     Run(RunArguments),
+    /// Let simulated robots play football, drawn in the terminal; ends with the match. All data is simulated.
+    #[cfg(feature = "football")]
+    Match(super::football::MatchArguments),
     /// Check a robot file and print its contents, without running it.
     Check(CheckArguments),
     /// Describe kinds of modules: what they are for, their settings, topics, services and actions.

@@ -14,6 +14,8 @@ mod describe;
 mod description;
 mod emulate;
 mod expose;
+#[cfg(feature = "football")]
+mod football;
 mod graph;
 mod interface;
 mod logging;
@@ -65,6 +67,8 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
     let environment = Environment { catalog, ros: &ros };
     let result = match command {
         Command::Run(arguments) => run::run(&arguments, catalog, &ros, &screen, &log),
+        #[cfg(feature = "football")]
+        Command::Match(arguments) => football::play(&arguments, catalog, &ros, &screen, &log),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]

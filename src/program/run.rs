@@ -15,7 +15,7 @@ use crate::bags::{Recording, RecordingSummary};
 use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use crate::bridge::ros::{Node, NodeName, Participant};
 use crate::robot::{Catalog, RobotFile, RosArgs};
-use crate::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
+use crate::running::{PreparedRobot, RecordPlan, RobotNode, RunningRobot, StopError};
 
 pub(crate) fn run(
     arguments: &RunArguments,
@@ -99,15 +99,7 @@ impl WatchedRobot {
         let Self { prepared, statistics, faults } = self;
         let robot = prepared.start()?;
         #[cfg(feature = "view")]
-        if let Some(view) = robot.view() {
-            // Not into the log: that is published on /rosout, and the URLs hold the token.
-            if let Some(url) = view.page_url() {
-                eprintln!("open in a browser: {url}");
-            }
-            if let Some(url) = view.foxglove_url() {
-                eprintln!("open in Foxglove, Lichtblick or PlotJuggler, as Foxglove WebSocket: {url}");
-            }
-        }
+        print_urls(&robot);
         let name = |node: &RobotNode| format!("{}   domain {}", node.node().name(), node.domain());
         let title = robot.node().map_or_else(|| robot.file().name.clone(), name);
         let status = robot.node().map(|node| node.bridge().status());
@@ -150,12 +142,30 @@ impl WatchedRobot {
     }
 }
 
+/// Prints where viewers find the robot.
+#[cfg(feature = "view")]
+pub(super) fn print_urls(robot: &RunningRobot) {
+    let Some(view) = robot.view() else { return };
+    // Not into the log: that is published on /rosout, and the URLs hold the token.
+    if let Some(url) = view.page_url() {
+        eprintln!("open in a browser: {url}");
+    }
+    if let Some(url) = view.foxglove_url() {
+        eprintln!("open in Foxglove, Lichtblick or PlotJuggler, as Foxglove WebSocket: {url}");
+    }
+}
+
 fn report(statistics: &Statistics, summary: Option<&RecordingSummary>) {
     let collected = statistics.collected();
     tracing::info!("{} cycles: {}", collected.cycles, Times(collected.cycle));
     for known in &collected.loops {
         tracing::info!("{}: period {}; busy {}", known.module, Times(known.period), Times(known.busy));
     }
+    report_recording(summary);
+}
+
+/// Says what was recorded.
+pub(super) fn report_recording(summary: Option<&RecordingSummary>) {
     let Some(summary) = summary else { return };
     let (messages, lost) = (summary.message_count(), summary.lost_count());
     tracing::info!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());

@@ -7,7 +7,7 @@ use downbeat_executor::{
 
 use super::LauncherChoice;
 use super::expose::canonical;
-use super::file::{LauncherEntry, ModuleEntry, Place, RobotFile, RobotFileError, suggestion};
+use super::file::{LauncherEntry, ModuleEntry, RobotFile, RobotFileError, suggestion};
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
 
@@ -105,13 +105,13 @@ impl RobotFile {
 
     fn check_thread(&self, module: &ModuleEntry) -> Result<()> {
         check(&module.name, &module.running.thread)
-            .map_err(|error| self.source.error(module.thread_line, error.to_string()))
+            .map_err(|error| self.error_at(&module.at(module.thread_line), error.to_string()))
     }
 
     /// Converts the error of a module's setup to an error at the line that caused it.
     fn located(&self, module: &ModuleEntry, error: &SetupError) -> RobotFileError {
         let of_setting = |name: &String| module.settings.get(name).map(|setting| setting.place.clone());
-        let of_remap = |name: &String| module.remaps.get(name).map(|remap| Place::Line(remap.line));
+        let of_remap = |name: &String| module.remaps.get(name).map(|remap| module.at(remap.line));
         let (place, hint) = match error {
             SetupError::UnknownSetting { setting, known, .. } => {
                 (of_setting(setting), suggestion(setting, known.iter().map(String::as_str)))
@@ -127,11 +127,11 @@ impl RobotFile {
             | SetupError::DuplicateServer { service: name, .. } => {
                 let is_meant = |remap: &str| remap.trim_start_matches('/') == name.trim_start_matches('/');
                 let remap = module.remaps.values().find(|remap| is_meant(&remap.value));
-                (remap.map(|remap| Place::Line(remap.line)), String::new())
+                (remap.map(|remap| module.at(remap.line)), String::new())
             }
             _ => (None, String::new()),
         };
-        self.error_at(&place.unwrap_or(Place::Line(module.line)), format!("{error}{hint}"))
+        self.error_at(&place.unwrap_or_else(|| module.at(module.line)), format!("{error}{hint}"))
     }
 }
 
@@ -164,12 +164,12 @@ impl RobotFile {
         let Some(module) = self.modules.iter().find(|module| module.kind.uses_device()) else {
             return Ok(());
         };
-        let ModuleEntry { name, kind, line, .. } = module;
+        let ModuleEntry { name, kind, .. } = module;
         let problem = format!(
             "\"{name}\" is of kind \"{}\", which drives a device; play the bag into a robot file without it",
             kind.name()
         );
-        Err(self.source.error(*line, problem))
+        Err(self.error_at(&module.at(module.line), problem))
     }
 }
 

@@ -376,8 +376,7 @@ impl fmt::Debug for Kind {
 impl ReplayedDevice {
     /// The name of the topic in a bag.
     pub(crate) fn topic_of(&self, options: &ModuleOptions) -> String {
-        let name = options.remaps.get(&*self.topic).map_or(&*self.topic, String::as_str);
-        format!("/{}", name.trim_start_matches('/'))
+        format!("/{}", options.resolved(&self.topic).trim_start_matches('/'))
     }
 
     /// Adds the module with these answers, the messages of the topic in CDR. The outer error reports invalid answers.
@@ -493,6 +492,8 @@ pub(super) fn built_in() -> Vec<Kind> {
             TransformServer::default,
         ),
     ];
+    #[cfg(feature = "football")]
+    kinds.extend(football(ports.clone()));
     kinds.extend(simulator(ports));
     #[cfg(feature = "network")]
     kinds.extend(network());
@@ -507,6 +508,39 @@ pub(super) fn built_in() -> Vec<Kind> {
         .with_files(&["password_file"]),
     );
     kinds
+}
+
+#[cfg(feature = "football")]
+fn football(ports: MemoryPorts) -> [Kind; 4] {
+    [
+        Kind::new(
+            "football_match",
+            "a football field with a ball, simulated robots and a referee (docs/football.md)",
+            move || downbeat_match::FootballMatch::new(ports.clone()),
+        )
+        .drives_device()
+        .emulated()
+        .with_panel(
+            "Football",
+            downbeat_match::PANEL,
+            &["match/state", "match/field", "match/event"],
+        ),
+        Kind::new(
+            "head",
+            "turns the head of a football player: searches, looks at the ball, looks ahead",
+            downbeat_player::head::Head::default,
+        ),
+        Kind::new(
+            "truth_beliefs",
+            "what a simulated player believes without eyes: the truth with noise",
+            downbeat_player::truth::TruthBeliefs::default,
+        ),
+        Kind::new(
+            "walk_to",
+            "walks to a place on the field, or lines up behind the ball for a kick",
+            downbeat_player::walk_to::WalkTo::default,
+        ),
+    ]
 }
 
 #[cfg(feature = "network")]

@@ -132,6 +132,8 @@ pub const SIMULATION_START: Time = Time::from_nanos(1_000_000_000);
 struct SimulatedTime {
     clock: ManualClock,
     end: Option<Time>,
+    /// At most, as a factor of real time.
+    speed: Option<f64>,
 }
 
 /// A robot ready to run.
@@ -172,7 +174,16 @@ impl PreparedRobot {
         let clock = ManualClock::new(SIMULATION_START);
         let prepared = Self::on(Core::new().with_clock(clock.clone()), file, NodeClock::default())?;
         let end = duration.map(|duration| SIMULATION_START + duration);
-        Ok(Self { simulated: Some(SimulatedTime { clock, end }), ..prepared })
+        Ok(Self { simulated: Some(SimulatedTime { clock, end, speed: None }), ..prepared })
+    }
+
+    /// Lets simulated time pass at most so many times as fast as real time, for those who watch.
+    #[must_use]
+    pub fn at_speed(mut self, speed: f64) -> Self {
+        if let Some(simulated) = &mut self.simulated {
+            simulated.speed = Some(speed);
+        }
+        self
     }
 
     fn on(mut core: Core, file: RobotFile, clock: NodeClock) -> Result<Self, StartError> {
@@ -253,7 +264,7 @@ impl PreparedRobot {
         let thread = std::thread::Builder::new().name("core".into());
         let thread = thread.spawn(move || match simulated {
             None => core.run(),
-            Some(SimulatedTime { clock, end }) => core.run_simulated(&clock, end),
+            Some(SimulatedTime { clock, end, speed }) => core.run_simulated_at(&clock, end, speed),
         });
         let thread = thread.map_err(|source| StartError::Thread { what: "the core", source })?;
         let file = Arc::new(file);

@@ -149,12 +149,13 @@ fn page(file: &RobotFile, host: Arc<PageHost>) -> PageOptions {
 /// The panel that a module brings: that of its kind, or one beside its file.
 fn panel(module: &ModuleEntry) -> Option<Panel> {
     let (title, script, topics) = if let Some(panel) = module.kind.panel() {
+        let options = module.options();
         let renamed = |topic: &&str| {
             let topic = match topic.strip_prefix("~/") {
                 Some(own) => format!("{}/{own}", module.name),
                 None => (*topic).to_owned(),
             };
-            module.remaps.get(&topic).map_or(topic, |to| to.value.clone())
+            options.resolved(&topic)
         };
         (
             panel.title.to_owned(),

@@ -2,7 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam::sync::Parker;
 
@@ -67,6 +67,40 @@ pub struct Core {
     last_now: Time,
     /// True if the core slept before the cycle.
     has_slept: bool,
+}
+
+/// How fast simulated time may pass.
+struct Pace {
+    speed: f64,
+    /// A time, and when it was reached.
+    reached: Option<(Time, Instant)>,
+}
+
+impl Pace {
+    /// What is later than this by the machine's clock is late for good.
+    const LATE: Duration = Duration::from_millis(100);
+
+    fn new(speed: f64) -> Self {
+        Self { speed, reached: None }
+    }
+
+    /// How long it is until this time; `None` if it has come.
+    fn early(&mut self, at: Time) -> Option<Duration> {
+        let now = Instant::now();
+        let &mut (from, since) = self.reached.get_or_insert((at, now));
+        let passed = Duration::try_from_secs_f64(at.saturating_since(from).as_secs_f64() / self.speed);
+        let due = since.checked_add(passed.unwrap_or(Duration::MAX));
+        match due.map(|due| (due.saturating_duration_since(now), now.saturating_duration_since(due))) {
+            Some((Duration::ZERO, late)) => {
+                if late > Self::LATE {
+                    self.reached = Some((at, now));
+                }
+                None
+            }
+            Some((early, _)) => Some(early),
+            None => Some(Duration::from_secs(1)),
+        }
+    }
 }
 
 impl Core {
@@ -176,14 +210,38 @@ impl Core {
     /// # Errors
     /// If a thread cannot be started, or the core was stopped before.
     pub fn run_simulated(&mut self, clock: &crate::ManualClock, end: Option<Time>) -> Result<(), RunError> {
+        self.run_simulated_at(clock, end, None)
+    }
+
+    /// Runs as [`Core::run_simulated`], but not faster than at this speed: 1 is that of real time, 2 is twice as fast. What is
+    /// computed is the same. Where the machine is too slow, time that is lost is not made up for.
+    ///
+    /// # Errors
+    /// As of [`Core::run_simulated`].
+    pub fn run_simulated_at(
+        &mut self,
+        clock: &crate::ManualClock,
+        end: Option<Time>,
+        speed: Option<f64>,
+    ) -> Result<(), RunError> {
+        let mut pace = speed.map(Pace::new);
         while !self.state.link.stop_is_requested() {
             match &mut self.state.pause {
                 Pause::Paused { steps: 0 } => {
                     self.attend();
+                    pace = speed.map(Pace::new);
                     continue;
                 }
                 Pause::Paused { steps } => *steps -= 1,
-                Pause::Running => {}
+                Pause::Running => {
+                    let next = self.next_event().filter(|at| end.is_none_or(|end| *at < end));
+                    if let (Some(pace), Some(at)) = (&mut pace, next)
+                        && let Some(early) = pace.early(at)
+                    {
+                        self.parker.park_timeout(early);
+                        continue;
+                    }
+                }
             }
             match self.next_event() {
                 Some(at) if end.is_none_or(|end| at < end) => {

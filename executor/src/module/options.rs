@@ -144,6 +144,9 @@ pub struct ModuleOptions {
     pub settings: BTreeMap<String, SettingValue>,
     /// Other names for its topics and services: from the module's name to the one to use.
     pub remaps: BTreeMap<String, String>,
+    /// What comes before the names of its topics and services, such as `blue_1`; see [`ModuleOptions::resolved`]. Empty for
+    /// nothing.
+    pub namespace: String,
     /// The state to which it is brought when it has joined.
     pub initial_state: LifecycleState,
     /// What happens when it panicked.
@@ -152,4 +155,37 @@ pub struct ModuleOptions {
     pub deadline: Option<Duration>,
     /// Where its thread runs, if it is detached.
     pub thread: ThreadOptions,
+}
+
+impl ModuleOptions {
+    /// The name in the core that stands for one of the module's own: remapped, then in the namespace. Names that are absolute, as
+    /// `/clock`, or that begin with the namespace stay as they are.
+    ///
+    /// ```
+    /// use downbeat_executor::ModuleOptions;
+    ///
+    /// let options = ModuleOptions {
+    ///     namespace: "blue_1".to_owned(),
+    ///     remaps: [("state".to_owned(), "/match/state".to_owned())].into(),
+    ///     ..ModuleOptions::default()
+    /// };
+    /// assert_eq!(options.resolved("imu/data"), "blue_1/imu/data");
+    /// assert_eq!(options.resolved("blue_1/imu/data"), "blue_1/imu/data");
+    /// assert_eq!(options.resolved("state"), "/match/state");
+    /// assert_eq!(options.resolved("/clock"), "/clock");
+    /// ```
+    #[must_use]
+    pub fn resolved(&self, name: &str) -> String {
+        resolved(name, &self.remaps, &self.namespace)
+    }
+}
+
+/// See [`ModuleOptions::resolved`].
+pub(crate) fn resolved(name: &str, remaps: &BTreeMap<String, String>, namespace: &str) -> String {
+    let name = remaps.get(name.strip_prefix('/').unwrap_or(name)).map_or(name, String::as_str);
+    let is_inside = || name.strip_prefix(namespace).is_some_and(|rest| rest.starts_with('/'));
+    if namespace.is_empty() || name.starts_with('/') || is_inside() {
+        return name.to_owned();
+    }
+    format!("{namespace}/{name}")
 }

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use super::behaviour::Steps;
 use super::causes::Causes;
 use super::id::Use;
+use super::options;
 use super::port::ModuleIo;
 use crate::{Context, Module, SettingValue, SetupError, Version};
 
@@ -45,6 +46,7 @@ pub(crate) struct Offer {
 pub(crate) struct Given {
     pub(crate) settings: BTreeMap<String, SettingValue>,
     pub(crate) remaps: BTreeMap<String, String>,
+    pub(crate) namespace: String,
 }
 
 impl<'a, M: Module> Setup<'a, M> {
@@ -62,7 +64,7 @@ impl<'a, M: Module> Setup<'a, M> {
     /// Checks that nothing was given that the module did not ask for.
     pub(crate) fn finish(self) -> Result<Steps<M>, SetupError> {
         let module = self.io.name.to_string();
-        let Given { settings, remaps } = self.given;
+        let Given { settings, remaps, .. } = self.given;
         if let Some((setting, _)) = settings.into_iter().next() {
             return Err(SetupError::UnknownSetting { module, setting, known: self.setting_names });
         }
@@ -78,12 +80,11 @@ impl<'a, M: Module> Setup<'a, M> {
         &self.io.name
     }
 
-    /// What stands for a name of the module's own where it was added, by the [remaps](crate::ModuleOptions::remaps) it was
-    /// given: for code that makes several names of one. Topics and services are remapped by themselves.
+    /// What stands for a name of the module's own where it was added, by its [remaps and namespace](crate::ModuleOptions::resolved):
+    /// for code that makes several names of one. Topics and services are remapped by themselves.
     pub fn remapped(&mut self, name: &str) -> String {
-        let name = name.strip_prefix('/').unwrap_or(name);
-        self.own_names.push(name.to_owned());
-        self.given.remaps.get(name).map_or(name, String::as_str).to_owned()
+        self.own_names.push(name.strip_prefix('/').unwrap_or(name).to_owned());
+        options::resolved(name, &self.given.remaps, &self.given.namespace)
     }
 
     /// An error with a reason of the module's own.

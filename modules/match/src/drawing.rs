@@ -1,8 +1,7 @@
 //! A field in text.
 
-use crate::referee::{Seat, Team};
 use downbeat_football::Field;
-use downbeat_physics::ArenaSnapshot;
+use downbeat_football::football_interfaces::msg::MatchState;
 use glam::DVec2;
 
 /// Columns and rows of a drawing, without its border.
@@ -11,7 +10,7 @@ const SIZE: [usize; 2] = [60, 20];
 /// The field from above, +x to the right, with `o` as the ball, and each player as its number: in lower case letters from `a` for
 /// blue, in upper case ones for red. Lines end with `\n`.
 #[must_use]
-pub fn draw(field: &Field, seats: &[Seat], snapshot: &ArenaSnapshot) -> String {
+pub fn draw(field: &Field, state: &MatchState) -> String {
     let half = DVec2::new(field.length, field.width) / 2.0 + field.margin;
     let cell = |at: DVec2| {
         let share = (at / half).clamp(DVec2::NEG_ONE, DVec2::ONE) * 0.5 + 0.5;
@@ -29,18 +28,15 @@ pub fn draw(field: &Field, seats: &[Seat], snapshot: &ArenaSnapshot) -> String {
         let [x, y] = cell(post);
         rows[y][x] = '#';
     }
-    for (seat, robot) in seats.iter().zip(&snapshot.robots) {
-        let [x, y] = cell(robot.root.world_from_body.translation.truncate());
-        let first = match seat.team {
-            Team::Blue => b'a',
-            Team::Red => b'A',
-        };
-        rows[y][x] = char::from(first + seat.number.saturating_sub(1).min(25));
+    for (name, pose) in state.robots.iter().zip(&state.poses) {
+        let [x, y] = cell(DVec2::new(pose.position.x, pose.position.y));
+        let (team, number) = name.rsplit_once('_').unwrap_or((name, "1"));
+        let letter = b'a' + number.parse::<u8>().unwrap_or(1).clamp(1, 26) - 1;
+        let letter = char::from(letter);
+        rows[y][x] = if team == "red" { letter.to_ascii_uppercase() } else { letter };
     }
-    if let Some(ball) = &snapshot.ball {
-        let [x, y] = cell(ball.world_from_body.translation.truncate());
-        rows[y][x] = 'o';
-    }
+    let [x, y] = cell(DVec2::new(state.ball.x, state.ball.y));
+    rows[y][x] = 'o';
     let border = format!("+{}+\n", "-".repeat(SIZE[0]));
     let rows: String =
         rows.into_iter().map(|row| format!("|{}|\n", row.into_iter().collect::<String>())).collect();
@@ -50,27 +46,18 @@ pub fn draw(field: &Field, seats: &[Seat], snapshot: &ArenaSnapshot) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use downbeat_physics::{Motion, RobotTruth};
-    use downbeat_transforms::Isometry;
-    use glam::DVec3;
-    use std::time::Duration;
+    use downbeat_msgs::geometry_msgs::msg::{Point, Pose};
 
     #[test]
     fn players_and_ball_are_where_they_are_seen_from_above() {
-        let motion = |x, y| Motion {
-            world_from_body: Isometry::from_translation(x, y, 0.0),
-            linear: DVec3::ZERO,
-            angular: DVec3::ZERO,
+        let pose = |x, y| Pose { position: Point { x, y, z: 0.0 }, ..Pose::default() };
+        let state = MatchState {
+            robots: ["blue_1", "red_2"].map(str::to_owned).to_vec(),
+            poses: vec![pose(-5.2, 3.7), pose(2.0, -3.7)],
+            ball: Point { x: 100.0, y: 0.0, z: 0.0 },
+            ..MatchState::default()
         };
-        let robot = |x, y| RobotTruth { root: motion(x, y), camera: None };
-        let snapshot = ArenaSnapshot {
-            elapsed: Duration::ZERO,
-            robots: vec![robot(-5.2, 3.7), robot(2.0, -3.7)],
-            ball: Some(motion(100.0, 0.0)),
-            last_touch: None,
-        };
-        let seats = [(Team::Blue, 1), (Team::Red, 2)].map(|(team, number)| Seat { team, number });
-        let drawing = draw(&Field::default(), &seats, &snapshot);
+        let drawing = draw(&Field::default(), &state);
         let rows: Vec<&str> = drawing.lines().collect();
         assert_eq!((rows.len(), rows[0].len()), (22, 62));
         assert!(rows[1].starts_with("|a") && rows[20].contains('B'), "{drawing}");

@@ -1,20 +1,26 @@
 //! Football matches of simulated robots.
 //!
-//! - [`Pitch`] is a field with a ball and robots, each in a core of its own behind the bytes of its own bus, all in lock-step on
-//!   one clock: as fast as it can be computed, and with the same result in each run;
-//! - [`Game`] is a match on it;
+//! - [`FootballMatch`] is the module: a field with a ball and robots behind the bytes of their buses, and the referee;
 //! - [`Referee`] decides what the game is: a deterministic state machine over what is true on the field;
-//! - [`player`] builds the core of a robot that can walk, kick and get up.
+//! - [`Drill`] lets one robot shoot at an empty goal;
+//! - [`player`] adds the modules of a robot that can walk, kick and get up to a core.
+//!
+//! `docs/football.md` explains matches and players.
 
 mod drawing;
+mod drill;
 mod field_world;
-mod game;
-mod pitch;
+mod module;
+mod official;
 pub mod player;
 mod referee;
 
+/// The panel of a match for the robot's page.
+pub const PANEL: &str = include_str!("football.panel.js");
+
 pub use drawing::draw;
+pub use drill::{Drill, Placement};
 pub use field_world::world_of;
-pub use game::{Game, GameOptions};
-pub use pitch::{Entrant, Pitch, PitchError, START};
+pub use module::FootballMatch;
+pub use official::Official;
 pub use referee::{Event, Order, Penalty, Phase, Referee, Rules, Seat, SetPlay, Team, Truth};

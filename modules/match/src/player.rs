@@ -1,8 +1,8 @@
-//! The core of a football player: a robot that walks, kicks, gets up, turns its head and knows where it is.
+//! The modules of a football player: a robot that walks, kicks, gets up, turns its head and knows where it is.
 
-use downbeat_executor::{Core, ModuleOptions, SettingValue, SetupError};
+use downbeat_executor::{Core, Module, ModuleOptions, SettingValue, SetupError};
 use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op_emulator::MemoryBus;
+use downbeat_modules::darwin_op_emulator::MemoryPorts;
 use downbeat_modules::falls::Falls;
 use downbeat_modules::gait::Gait;
 use downbeat_modules::imu_filter::ImuFilter;
@@ -16,26 +16,57 @@ use downbeat_player::walk_to::WalkTo;
 const SOURCES: [&str; 4] =
     ["falls/joint_commands", "motions/joint_commands", "gait/joint_commands", "head/joint_commands"];
 
-/// Adds the modules of a player with all skills to a core, without what decides. The seed is that of the noise of what it believes.
+/// Adds the modules of a player with all skills, without what decides: as `robots/football/player.toml` does, in the namespace of its
+/// name, at the port `memory:NAME`. The seed is that of the noise of what it believes.
 ///
 /// # Errors
 /// If a module cannot join.
-pub fn with_skills(mut core: Core, bus: MemoryBus, seed: i64) -> Result<Core, SetupError> {
-    let with = |setting: &str, value: SettingValue| ModuleOptions {
-        settings: [(setting.to_owned(), value)].into(),
-        ..ModuleOptions::default()
-    };
-    let mut hardware = ModuleOptions::default();
+pub fn add_skills(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> Result<(), SetupError> {
+    let mut player = Player { core, name };
+    let port = ("port", format!("memory:{name}").into());
+    let mut hardware = player.options([port]);
     hardware.remaps.insert("joint_commands".to_owned(), "joint_goals".to_owned());
-    core.add_with("hardware", DarwinOp::new(Box::new(bus)), hardware)?;
-    core.add("imu_filter", ImuFilter::default())?;
-    core.add_with("gait", Gait::default(), with("start", true.into()))?;
-    core.add("motions", MotionPlayer::default())?;
-    core.add("falls", Falls::default())?;
-    core.add_with("beliefs", TruthBeliefs::default(), with("seed", seed.into()))?;
-    core.add("head", Head::default())?;
-    core.add("walk_to", WalkTo::default())?;
+    player.add_with("hardware", DarwinOp::new(Box::new(ports.bus())), hardware)?;
+    player.add("imu_filter", ImuFilter::default(), [])?;
+    player.add("gait", Gait::default(), [("start", true.into())])?;
+    player.add("motions", MotionPlayer::default(), [])?;
+    player.add("falls", Falls::default(), [])?;
+    player.add("beliefs", TruthBeliefs::default(), [("seed", seed.into())])?;
+    player.add("head", Head::default(), [])?;
+    player.add("walk_to", WalkTo::default(), [])?;
     let sources = SOURCES.map(str::to_owned).to_vec();
-    core.add_with("mux", JointCommandMux::default(), with("sources", sources.into()))?;
-    Ok(core)
+    player.add("mux", JointCommandMux::default(), [("sources", sources.into())])
+}
+
+struct Player<'a> {
+    core: &'a mut Core,
+    name: &'a str,
+}
+
+impl Player<'_> {
+    fn options<const N: usize>(&self, settings: [(&str, SettingValue); N]) -> ModuleOptions {
+        ModuleOptions {
+            namespace: self.name.to_owned(),
+            settings: settings.map(|(name, value)| (name.to_owned(), value)).into(),
+            ..ModuleOptions::default()
+        }
+    }
+
+    fn add<const N: usize>(
+        &mut self,
+        name: &str,
+        module: impl Module,
+        settings: [(&str, SettingValue); N],
+    ) -> Result<(), SetupError> {
+        self.add_with(name, module, self.options(settings))
+    }
+
+    fn add_with(
+        &mut self,
+        name: &str,
+        module: impl Module,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        self.core.add_with(&format!("{}/{name}", self.name), module, options)
+    }
 }

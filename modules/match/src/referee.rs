@@ -90,6 +90,8 @@ pub enum Event {
     SetPlay(SetPlay, Team),
     /// The ball did not move: it is dropped in the centre.
     Stuck,
+    /// The time of a try at the empty goal is up.
+    TimeUp,
     /// A player is off the field.
     Penalised(Seat, Penalty),
     /// It is back.
@@ -561,6 +563,7 @@ impl fmt::Display for Event {
             Self::SetPlay(SetPlay::ThrowIn, team) => write!(f, "throw-in for {team}"),
             Self::SetPlay(SetPlay::GoalKick, team) => write!(f, "goal kick for {team}"),
             Self::SetPlay(SetPlay::CornerKick, team) => write!(f, "corner kick for {team}"),
+            Self::TimeUp => f.write_str("time is up"),
             Self::Stuck => f.write_str("the ball is dropped in the centre"),
             Self::Penalised(seat, Penalty::Fallen) => write!(f, "{seat} does not get up and is picked up"),
             Self::Penalised(seat, Penalty::LeftField) => write!(f, "{seat} left the field"),

@@ -1,95 +1,140 @@
-//! Players on a pitch with a referee.
+//! Players on a field with a referee.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use downbeat_executor::{Inbox, Received};
-use downbeat_football::Field;
-use downbeat_football::football_interfaces::msg::GameState;
-use downbeat_match::{Event, Game, GameOptions, Phase, Rules, Seat, Team, player};
-use downbeat_msgs::geometry_msgs::msg::{PoseStamped, PoseWithCovarianceStamped};
+use downbeat_executor::{
+    Core, Inbox, Launcher, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
+};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_match::{FootballMatch, player};
+use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseWithCovarianceStamped};
+use downbeat_msgs::std_msgs::msg::String as Text;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-fn options(seed: u64) -> GameOptions {
-    GameOptions {
-        field: Field::named("kid_size_2013").unwrap(),
-        rules: Rules { ready: Duration::from_secs(3), set: Duration::from_secs(1), ..Rules::default() },
-        seats: [Team::Blue, Team::Red].map(|team| Seat { team, number: 2 }).to_vec(),
-        seed,
+const START: Time = Time::from_nanos(1_000_000_000);
+
+struct Game {
+    core: Core,
+    clock: ManualClock,
+    states: Arc<Mutex<Vec<MatchState>>>,
+    events: Arc<Mutex<Vec<String>>>,
+}
+
+impl Game {
+    fn new(seed: i64, launcher: impl Launcher + 'static) -> Self {
+        let clock = ManualClock::new(START);
+        let mut core = Core::new().with_clock(clock.clone()).with_launcher(launcher);
+        let ports = MemoryPorts::default();
+        let robots = ["blue_2", "red_2"].map(str::to_owned);
+        let settings: [(&str, SettingValue); 3] =
+            [("robots", robots.to_vec().into()), ("seed", seed.into()), ("ready_s", 3.0.into())];
+        let settings = settings.map(|(name, value)| (name.to_owned(), value)).into();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        core.add_with("match", FootballMatch::new(ports.clone()), options).unwrap();
+        for name in &robots {
+            player::add_skills(&mut core, &ports, name, seed).unwrap();
+        }
+        let (states, events) = (Arc::<Mutex<Vec<_>>>::default(), Arc::<Mutex<Vec<_>>>::default());
+        let seen = Arc::clone(&states);
+        let see = move |state: Received<'_, MatchState>| seen.lock().unwrap().push(state.clone());
+        core.outlet("match/state", Inbox::KeepAll, see).unwrap().keep();
+        let heard = Arc::clone(&events);
+        let hear = move |event: Received<'_, Text>| heard.lock().unwrap().push(event.data.clone());
+        core.outlet("match/event", Inbox::KeepAll, hear).unwrap().keep();
+        Self { core, clock, states, events }
+    }
+
+    /// Runs all that is due in this time.
+    fn run(&mut self, seconds: u64) {
+        let end = START + (self.clock.now().saturating_since(START) + Duration::from_secs(seconds));
+        while let Some(next) = self.core.next_event().filter(|next| *next < end) {
+            self.clock.set(next);
+            self.core.cycle().unwrap();
+        }
+        self.clock.set(end);
+    }
+
+    /// The end of a match: outlets are drained when the core is dropped.
+    fn end(self) -> (Vec<MatchState>, Vec<String>) {
+        let Self { core, states, events, .. } = self;
+        drop(core);
+        let states = std::mem::take(&mut *states.lock().unwrap());
+        let events = std::mem::take(&mut *events.lock().unwrap());
+        (states, events)
     }
 }
 
-fn game(seed: u64) -> Game {
-    Game::new(options(seed), |_, core, bus, seed| player::with_skills(core, bus, seed.cast_signed())).unwrap()
-}
-
-/// What happens in this time.
-fn run(game: &mut Game, seconds: u32) -> Vec<Event> {
-    (0..seconds * 10).flat_map(|_| game.step().unwrap()).collect()
-}
-
 #[test]
-fn a_match_is_the_same_in_each_run_and_another_with_another_seed() {
-    let hash = |seed| {
-        let mut game = game(seed);
-        run(&mut game, 6);
-        game.pitch().arena().hash()
+fn a_match_is_the_same_under_every_launcher_and_another_with_another_seed() {
+    let played = |mut game: Game| {
+        game.run(6);
+        game.end().0
     };
-    let first = hash(1);
-    assert_eq!(first, hash(1));
-    assert_ne!(first, hash(2));
+    let first = played(Game::new(1, Linear));
+    assert!(first.len() >= 59, "{} states", first.len());
+    assert_eq!(first, played(Game::new(1, Pool::new(2).unwrap())));
+    assert_ne!(first, played(Game::new(2, Linear)));
 }
 
 #[test]
 fn both_teams_hear_the_referee_and_see_the_field_from_their_own_side() {
-    let mut game = game(1);
-    let heard = Arc::<Mutex<Vec<(usize, GameState)>>>::default();
-    let poses = Arc::<Mutex<Vec<(usize, f64)>>>::default();
-    for robot in 0..2 {
+    let mut game = Game::new(1, Linear);
+    let heard = Arc::<Mutex<Vec<(&str, u8)>>>::default();
+    let poses = Arc::<Mutex<Vec<(&str, f64)>>>::default();
+    for name in ["blue_2", "red_2"] {
         let (heard, poses) = (Arc::clone(&heard), Arc::clone(&poses));
-        let core = game.pitch().core(robot).unwrap();
-        let hear = move |state: Received<'_, GameState>| heard.lock().unwrap().push((robot, state.clone()));
-        core.outlet("game_state", Inbox::KeepAll, hear).unwrap().keep();
+        let hear = move |state: Received<'_, GameState>| heard.lock().unwrap().push((name, state.state));
+        game.core.outlet(&format!("{name}/game_state"), Inbox::KeepAll, hear).unwrap().keep();
         let see = move |pose: Received<'_, PoseWithCovarianceStamped>| {
-            poses.lock().unwrap().push((robot, pose.pose.pose.position.x));
+            poses.lock().unwrap().push((name, pose.pose.pose.position.x));
         };
-        core.outlet("pose", Inbox::KeepAll, see).unwrap().keep();
+        game.core.outlet(&format!("{name}/pose"), Inbox::KeepAll, see).unwrap().keep();
     }
-    let events = run(&mut game, 5);
-    assert_eq!(events, [Phase::Ready, Phase::Set, Phase::Playing].map(Event::Phase));
-    let heard = heard.lock().unwrap();
-    for robot in 0..2 {
-        let states: Vec<u8> =
-            heard.iter().filter(|(of, _)| *of == robot).map(|(_, state)| state.state).collect();
-        assert!(
-            states.starts_with(&[GameState::READY]) && states.ends_with(&[GameState::PLAYING]),
-            "{states:?}"
-        );
-        assert!(poses.lock().unwrap().iter().filter(|(of, _)| *of == robot).all(|(_, x)| *x < -0.5));
+    game.run(10);
+    let (states, events) = game.end();
+    let ends: Vec<&str> = events.iter().map(|event| event.rsplit("  ").next().unwrap()).collect();
+    assert_eq!(ends, ["ready", "set", "playing"]);
+    assert_eq!(states.last().unwrap().phase, GameState::PLAYING);
+    for name in ["blue_2", "red_2"] {
+        let mut states: Vec<u8> =
+            heard.lock().unwrap().iter().filter(|(of, _)| *of == name).map(|(_, state)| *state).collect();
+        states.dedup();
+        assert_eq!(states, [GameState::READY, GameState::SET, GameState::PLAYING]);
+        let poses = poses.lock().unwrap();
+        let x = poses.iter().filter(|(of, _)| *of == name).map(|(_, x)| *x).next_back().unwrap();
+        assert!((-1.5..-0.5).contains(&x), "{name} stands at {x} in the frame of its team");
     }
-}
-
-#[test]
-fn a_player_walks_where_it_is_sent() {
-    let mut game = game(1);
-    let goal = game.pitch().core(0).unwrap().inlet::<PoseStamped>("walk_to/pose").unwrap();
-    let mut place = PoseStamped::default();
-    place.header.frame_id = "map".into();
-    (place.pose.position.x, place.pose.position.y) = (-0.6, 0.5);
-    place.pose.orientation.w = 1.0;
-    goal.publish(place).unwrap();
-    run(&mut game, 25);
-    let at = game.pitch().snapshot().robots[0].root.world_from_body.translation;
-    assert!((at.truncate() - glam::DVec2::new(-0.6, 0.5)).length() < 0.2, "{at}");
 }
 
 #[test]
 fn a_ball_in_the_goal_counts_and_comes_back_to_the_centre() {
-    let mut game = game(1);
-    run(&mut game, 5);
-    game.pitch().arena().place_ball([3.2, 0.3]);
-    let events = run(&mut game, 1);
-    assert_eq!(events, [Event::Goal(Team::Blue), Event::Phase(Phase::Ready)]);
-    assert_eq!(game.referee().score(), [1, 0]);
-    let ball = game.pitch().snapshot().ball.unwrap().world_from_body.translation;
-    assert!(ball.truncate().length() < 0.02, "{ball}");
+    let mut game = Game::new(1, Linear);
+    game.run(9);
+    let place = game.core.inlet("match/place_ball").unwrap();
+    let mut at = PointStamped::default();
+    (at.point.x, at.point.y) = (3.2, 0.3);
+    place.publish(at).unwrap();
+    game.run(1);
+    let (states, events) = game.end();
+    assert!(events.iter().any(|event| event.ends_with("1:0  goal for blue")), "{events:?}");
+    let last = states.last().unwrap();
+    assert_eq!((last.blue_score, last.phase), (1, GameState::READY));
+    assert!(last.ball.x.hypot(last.ball.y) < 0.02, "{:?}", last.ball);
+}
+
+#[test]
+fn names_of_robots_say_which_player_they_are() {
+    for (robots, problem) in [
+        (vec!["green_1"], "names are blue_1 to blue_11 and red_1 to red_11"),
+        (vec!["blue_1", "blue_1"], "is there twice"),
+        (vec![], "1 to 22 can play"),
+    ] {
+        let robots: Vec<String> = robots.into_iter().map(str::to_owned).collect();
+        let settings = [("robots".to_owned(), robots.into())].into();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        let refused = Core::new().add_with("match", FootballMatch::new(MemoryPorts::default()), options);
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains(problem), "{refused}");
+    }
 }

@@ -27,7 +27,7 @@ use crate::world::{Motion, Posture, RapierWorld, RobotBodies, Start, Variation, 
 use crate::world_file::WorldFile;
 use downbeat_executor::Time;
 use downbeat_kinematics::Robot;
-use downbeat_modules::darwin_op::tables::joints::COUNT;
+use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
 use downbeat_modules::darwin_op_emulator::{
     Body, Emulator, EmulatorOptions, FootForces, ImuMotion, JointMotion, ServoCommand, Timing,
 };
@@ -35,6 +35,7 @@ use downbeat_transforms::Isometry;
 use glam::DVec3;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -64,14 +65,21 @@ pub struct ArenaRobot {
     pub seed: u64,
     /// What it wears in pictures: red, green, blue.
     pub colour: [u8; 3],
+    /// The path of its port; `None` for a bus in memory.
+    pub link: Option<PathBuf>,
 }
 
-/// A world with robots and their emulated devices. Only rapier moves it.
+/// A world with robots and their emulated devices. Only rapier moves it. Clones share it.
+#[derive(Clone)]
 pub struct Arena {
     shared: Arc<Mutex<State>>,
+    devices: Arc<Devices>,
+}
+
+struct Devices {
     emulators: Vec<Emulator>,
-    /// When the arena was first advanced, and until when.
-    times: Option<[Time; 2]>,
+    /// Until when the arena was advanced.
+    advanced: Mutex<Option<Time>>,
 }
 
 /// The world of an arena.
@@ -110,6 +118,13 @@ struct State {
     elapsed: Duration,
     since_step: Duration,
     last_touch: Option<usize>,
+    /// What is placed when the world moves next.
+    placed: Vec<Placed>,
+}
+
+enum Placed {
+    Ball([f64; 2]),
+    Robot { robot: usize, position: [f64; 2], yaw: f64 },
 }
 
 struct RobotState {
@@ -117,6 +132,15 @@ struct RobotState {
     /// What the devices commanded for each coming millisecond, oldest first.
     ahead: VecDeque<[ServoCommand; COUNT]>,
     last: [ServoCommand; COUNT],
+    held: Option<Held>,
+}
+
+/// A robot that somebody holds upright, until its servos hold it.
+struct Held {
+    start: Start,
+    held_for: Duration,
+    /// For how long its servos have been driven to about the stand.
+    stood_for: Duration,
 }
 
 /// A robot of an arena as the body of its devices.
@@ -140,6 +164,7 @@ impl ArenaRobot {
             variation: Variation::default(),
             seed: 1,
             colour: [90, 90, 90],
+            link: None,
         }
     }
 }
@@ -164,8 +189,10 @@ impl ArenaOptions {
 impl Arena {
     /// Builds the world, with all robots at their starts. It is held until each robot has had torque for half a second.
     ///
+    /// The steps of any robot's bus in memory advance the arena, as [`Arena::advance_to`] does.
+    ///
     /// # Errors
-    /// If a robot lacks the joint of a servo or starts inside something, or the step is not possible.
+    /// If a robot lacks the joint of a servo or starts inside something, the step is not possible, or a port cannot be opened.
     pub fn new(options: ArenaOptions) -> Result<Self, SimulationError> {
         let ArenaOptions { model, world: file, step, robots } = &options;
         if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
@@ -182,10 +209,11 @@ impl Arena {
         for (index, robot) in robots.iter().enumerate() {
             let mut machine = Machine::new(model, robot.variation)?;
             machine.measure_at_rest(&world.robot(index));
-            machines.push(RobotState { machine, ahead: VecDeque::new(), last: [ServoCommand::OFF; COUNT] });
+            let last = [ServoCommand::OFF; COUNT];
+            machines.push(RobotState { machine, ahead: VecDeque::new(), last, held: None });
         }
         let camera = model.frames.get("camera_optical_frame").copied();
-        let seeds: Vec<u64> = robots.iter().map(|robot| robot.seed).collect();
+        let entrants: Vec<_> = robots.iter().map(|robot| (robot.seed, robot.link.clone())).collect();
         let state = State {
             options,
             world,
@@ -194,34 +222,52 @@ impl Arena {
             elapsed: Duration::ZERO,
             since_step: Duration::ZERO,
             last_touch: None,
+            placed: Vec::new(),
         };
         let shared = Arc::new(Mutex::new(state));
-        let emulators = seeds.into_iter().enumerate().map(|(robot, seed)| {
-            let options = EmulatorOptions { seed, timing: Timing::Stepped, ..EmulatorOptions::default() };
-            let body = ArenaBody { shared: Arc::clone(&shared), robot };
-            Emulator::in_memory(&options, Some(Box::new(body)))
+        let emulators = entrants.into_iter().enumerate().map(|(robot, (seed, link))| {
+            let body = Box::new(ArenaBody { shared: Arc::clone(&shared), robot });
+            let timing = if link.is_some() { Timing::Measured } else { Timing::Stepped };
+            let options = EmulatorOptions { seed, timing, link, ..EmulatorOptions::default() };
+            match timing {
+                Timing::Measured => Emulator::start_with(options, body),
+                _ => Ok(Emulator::in_memory(&options, Some(body))),
+            }
         });
-        Ok(Self { emulators: emulators.collect(), shared, times: None })
+        let devices = Devices { emulators: emulators.collect::<Result<_, _>>()?, advanced: Mutex::new(None) };
+        let arena = Self { devices: Arc::new(devices), shared };
+        for emulator in arena.emulators() {
+            let (shared, devices) = (Arc::clone(&arena.shared), Arc::downgrade(&arena.devices));
+            emulator.lead_by(move |now| {
+                if let Some(devices) = devices.upgrade() {
+                    Self { shared: Arc::clone(&shared), devices }.advance_to(now);
+                }
+            });
+        }
+        Ok(arena)
     }
 
     /// The devices of each robot, in the order of the options.
     #[must_use]
     pub fn emulators(&self) -> &[Emulator] {
-        &self.emulators
+        &self.devices.emulators
     }
 
-    /// Advances devices and world to this time of the cores, which were at the time of the first call when they started.
-    pub fn advance_to(&mut self, now: Time) {
-        let [first, mut last] = self.times.unwrap_or([now, now]);
-        if self.times.is_none() {
-            self.emulators.iter().for_each(|emulator| emulator.begin_step(now));
-        }
+    /// Advances devices and world to this time of the cores, which were at the time of the first call when they started. It does not
+    /// matter who comes first with a later time.
+    pub fn advance_to(&self, now: Time) {
+        let mut advanced = self.devices.advanced.lock();
+        let begin = |at| self.emulators().iter().for_each(|emulator| emulator.begin_step(at));
+        let mut last = *advanced.get_or_insert_with(|| {
+            begin(now);
+            now
+        });
         while last + TICK <= now {
             last = last + TICK;
-            self.emulators.iter().for_each(|emulator| emulator.begin_step(last));
+            begin(last);
             self.shared.lock().tick();
         }
-        self.times = Some([first, last]);
+        *advanced = Some(last);
     }
 
     /// The world now.
@@ -245,24 +291,16 @@ impl Arena {
         }
     }
 
-    /// Puts the ball on the floor, at rest, as if nobody had touched it.
+    /// Puts the ball on the floor, at rest, as if nobody had touched it, when the world moves next: so it does not matter which robots
+    /// were driven before.
     pub fn place_ball(&self, position: [f64; 2]) {
-        let mut state = self.shared.lock();
-        let Some(radius) = state.options.world.ball.map(|ball| ball.radius) else { return };
-        let world_from_body = Isometry::from_translation(position[0], position[1], radius);
-        let motion = Motion { world_from_body, linear: DVec3::ZERO, angular: DVec3::ZERO };
-        state.world.set_motion_of_thing("ball", &motion);
-        state.last_touch = None;
+        self.shared.lock().placed.push(Placed::Ball(position));
     }
 
-    /// Puts a robot on its feet in the walking-ready stand, at rest; the heading is in rad.
+    /// Puts a robot on its feet in the walking-ready stand, at rest, when the world moves next; the heading is in rad. It is held there
+    /// until its servos hold it: for a second, or for up to 15 s if it was about to get up.
     pub fn place_robot(&self, robot: usize, position: [f64; 2], yaw: f64) {
-        let mut state = self.shared.lock();
-        let State { options, world, robots, .. } = &mut *state;
-        let Some(placed) = robots.get_mut(robot) else { return };
-        let start = Start { posture: Posture::Standing, position, yaw, ..Start::walking_ready() };
-        world.place(robot, &options.model, &start);
-        placed.machine.measure_at_rest(&world.robot(robot));
+        self.shared.lock().placed.push(Placed::Robot { robot, position, yaw });
     }
 
     /// What the camera of a robot sees now: field, ball and the other robots.
@@ -296,9 +334,49 @@ impl Picture {
     }
 }
 
+impl Held {
+    const SHORTEST: Duration = Duration::from_secs(1);
+    const LONGEST: Duration = Duration::from_secs(15);
+    /// How far servos may be driven from the stand by a robot that stands or walks, in rad.
+    const ABOUT: f64 = 0.6;
+
+    /// After a step more with these commands.
+    fn is_over(&mut self, step: Duration, commands: &[ServoCommand; COUNT]) -> bool {
+        self.held_for += step;
+        let is_leg = |joint: &str| ["hip", "knee", "ank"].iter().any(|part| joint.contains(part));
+        let stands =
+            JOINTS.iter().zip(commands).filter(|(joint, _)| is_leg(joint.name)).all(|(joint, command)| {
+                let angle = self.start.angles.iter().find(|(name, _)| name == joint.name);
+                let angle = angle.map_or(0.0, |(_, angle)| *angle);
+                command.max_drive > 0.0 && (command.goal - angle).abs() < Self::ABOUT
+            });
+        self.stood_for = if stands { self.stood_for + step } else { Duration::ZERO };
+        self.stood_for >= Self::SHORTEST || self.held_for >= Self::LONGEST
+    }
+}
+
 impl State {
+    fn place(&mut self, placed: &Placed) {
+        match *placed {
+            Placed::Ball([x, y]) => {
+                let Some(radius) = self.options.world.ball.map(|ball| ball.radius) else { return };
+                let world_from_body = Isometry::from_translation(x, y, radius);
+                let motion = Motion { world_from_body, linear: DVec3::ZERO, angular: DVec3::ZERO };
+                self.world.set_motion_of_thing("ball", &motion);
+                self.last_touch = None;
+            }
+            Placed::Robot { robot, position, yaw } => {
+                let Some(placed) = self.robots.get_mut(robot) else { return };
+                let start = Start { posture: Posture::Standing, position, yaw, ..Start::walking_ready() };
+                let (held_for, stood_for) = (Duration::ZERO, Duration::ZERO);
+                placed.held = Some(Held { start, held_for, stood_for });
+            }
+        }
+    }
+
     /// A millisecond passes.
     fn tick(&mut self) {
+        std::mem::take(&mut self.placed).iter().for_each(|placed| self.place(placed));
         let step = self.options.step;
         self.since_step += TICK;
         let is_step = self.since_step >= step;
@@ -321,7 +399,15 @@ impl State {
         self.elapsed += step;
         self.world.step_all(self.robots.iter().map(|robot| robot.machine.drives()));
         for (index, robot) in self.robots.iter_mut().enumerate() {
-            robot.machine.measure(&self.world.robot(index), step);
+            if let Some(held) = &mut robot.held {
+                self.world.place(index, &self.options.model, &held.start);
+                robot.machine.measure_at_rest(&self.world.robot(index));
+                if held.is_over(step, &robot.last) {
+                    robot.held = None;
+                }
+            } else {
+                robot.machine.measure(&self.world.robot(index), step);
+            }
         }
         self.last_touch = self.world.robot_that_touches("ball").or(self.last_touch);
     }

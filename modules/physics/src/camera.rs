@@ -6,6 +6,8 @@
 use crate::model::{Model, Shape};
 use crate::spawned::{Spawned, SpawnedShape};
 use crate::world_file::{Field, WorldFile};
+use downbeat_msgs::sensor_msgs::msg::CameraInfo;
+use downbeat_msgs::std_msgs::msg::Header;
 use downbeat_transforms::Isometry;
 use glam::{Vec2, Vec3};
 
@@ -25,6 +27,24 @@ impl Camera {
     #[must_use]
     pub const fn darwin_op() -> Self {
         Self { width: 320, height: 240, focal: [288.6, 282.7] }
+    }
+
+    /// Its calibration.
+    #[must_use]
+    pub fn info(&self, header: Header) -> CameraInfo {
+        let Self { width, height, focal: [fx, fy] } = *self;
+        let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
+        CameraInfo {
+            header,
+            height,
+            width,
+            distortion_model: "plumb_bob".to_owned(),
+            d: vec![0.0; 5],
+            k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+            ..CameraInfo::default()
+        }
     }
 }
 

@@ -15,7 +15,9 @@ use crate::spawned::Spawned;
 use crate::world::{Engine, EngineError, Motion, Plan, Start, Variation, World};
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op::tables::joints::COUNT;
-use downbeat_modules::darwin_op_emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
+use downbeat_modules::darwin_op_emulator::{
+    Body, EmulatorError, FootForces, ImuMotion, JointMotion, ServoCommand,
+};
 use downbeat_transforms::Isometry;
 use glam::DVec3;
 use parking_lot::Mutex;
@@ -61,6 +63,9 @@ pub enum SimulationError {
     /// The engine cannot be used.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// The port of the robot cannot be opened.
+    #[error(transparent)]
+    Port(#[from] EmulatorError),
     /// The robot starts inside something.
     #[error("the robot starts {depth:.3} m inside \"{other}\" of the world \"{world}\"; move one of them")]
     Overlap {

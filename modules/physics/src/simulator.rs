@@ -129,7 +129,7 @@ impl DarwinOpSimulator {
             Ok((at, data)) => {
                 let Camera { width, height, .. } = Camera::darwin_op();
                 let header = header(at, OPTICAL_FRAME);
-                ctx.publish(info, camera_info(header.clone()));
+                ctx.publish(info, Camera::darwin_op().info(header.clone()));
                 let encoding = "rgb8".to_owned();
                 ctx.publish(
                     image,
@@ -430,22 +430,6 @@ fn odometry(now: Time, root: &str, motion: &Motion) -> Odometry {
     message.pose.pose = pose_message(&motion.world_from_body);
     message.twist.twist = twist_message(root_from_world * motion.linear, root_from_world * motion.angular);
     message
-}
-
-fn camera_info(header: Header) -> CameraInfo {
-    let Camera { width, height, focal: [fx, fy] } = Camera::darwin_op();
-    let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
-    CameraInfo {
-        header,
-        height,
-        width,
-        distortion_model: "plumb_bob".to_owned(),
-        d: vec![0.0; 5],
-        k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        p: [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-        ..CameraInfo::default()
-    }
 }
 
 fn pose_message(of: &Isometry) -> Pose {

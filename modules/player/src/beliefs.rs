@@ -1,7 +1,7 @@
 //! What a player believes: where it is and where the ball is.
 
 use downbeat_executor::Time;
-use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{PoseWithCovarianceStamped, Quaternion};
 use glam::DVec2;
@@ -19,10 +19,13 @@ pub(crate) struct Place {
 pub(crate) struct Beliefs {
     place: Option<(Time, Place)>,
     ball: Option<(Time, DVec2)>,
+    robots: Option<(Time, Vec<DVec2>)>,
 }
 
 /// Beyond this age a belief does not count.
 const FRESH: Duration = Duration::from_secs(1);
+/// More are not considered.
+const MOST_ROBOTS: usize = 32;
 
 impl Place {
     /// As it is seen from another place.
@@ -53,6 +56,19 @@ impl Beliefs {
         if position.is_finite() {
             self.ball = Some((now, position));
         }
+    }
+
+    /// Takes the other robots in `map`; those that are nowhere finite are ignored.
+    pub(crate) fn take_robots(&mut self, robots: &RobotArray, now: Time) {
+        let places = robots.robots.iter().map(|robot| &robot.pose.pose.position);
+        let places = places.map(|at| DVec2::new(at.x, at.y)).filter(|at| at.is_finite());
+        self.robots = Some((now, places.take(MOST_ROBOTS).collect()));
+    }
+
+    /// The other robots on the field.
+    pub(crate) fn robots(&self, now: Time) -> &[DVec2] {
+        let fresh = self.robots.as_ref().filter(|(at, _)| now.saturating_since(*at) <= FRESH);
+        fresh.map_or(&[], |(_, robots)| robots)
     }
 
     pub(crate) fn place(&self, now: Time) -> Option<Place> {

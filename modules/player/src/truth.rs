@@ -4,19 +4,21 @@
 //! | --- | --- | --- |
 //! | `ground_truth/odom` (in) | `nav_msgs/Odometry` | of the root link on the field |
 //! | `ground_truth/ball` (in) | `geometry_msgs/PoseStamped` | on the field |
+//! | `ground_truth/robots` (in) | `soccer_model_msgs/RobotArray` | the others on the field |
 //! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | in `map`, for each truth |
 //! | `ball` | `soccer_model_msgs/Ball` | in `map`, if it is within `range` |
+//! | `robots` | `soccer_model_msgs/RobotArray` | in `map`, those within `range` |
 //!
 //! | setting | |
 //! | --- | --- |
 //! | `seed` | same seed, same noise |
 //! | `position_noise`, `heading_noise` | standard deviations, m and rad; errors change within a second |
-//! | `ball_noise` | standard deviation as a share of the distance |
-//! | `range` | within which the ball is seen, m |
+//! | `ball_noise` | standard deviation of ball and robots as a share of the distance |
+//! | `range` | within which they are seen, m |
 
 use crate::beliefs::{Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
-use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
 use downbeat_modules::servo_emulator::Random;
 use downbeat_msgs::geometry_msgs::msg::{PoseStamped, PoseWithCovarianceStamped, Quaternion};
 use downbeat_msgs::nav_msgs::msg::Odometry;
@@ -34,6 +36,7 @@ pub struct TruthBeliefs {
 pub struct Ports {
     pose: Publication<PoseWithCovarianceStamped>,
     ball: Publication<Ball>,
+    robots: Publication<RobotArray>,
     position_noise: Setting<f64>,
     heading_noise: Setting<f64>,
     ball_noise: Setting<f64>,
@@ -80,10 +83,7 @@ impl TruthBeliefs {
             return;
         }
         let deviation = *ctx.get(ctx.ports.ball_noise) * distance;
-        // Seen from where the robot believes to be.
-        let seen = place.point(ball) + DVec2::new(random.normal(deviation), random.normal(deviation));
-        let heading = place.heading + self.error.heading;
-        let believed = place.position + self.error.position + DVec2::from_angle(heading).rotate(seen);
+        let believed = believed(ball, place, self.error, deviation, random);
         let mut message = Ball { header: truth.header.clone(), ..Ball::default() };
         message.header.frame_id = MAP.to_owned();
         (message.point.point.x, message.point.point.y) = (believed.x, believed.y);
@@ -91,6 +91,29 @@ impl TruthBeliefs {
         (message.point.covariance[0], message.point.covariance[4]) = (deviation.powi(2), deviation.powi(2));
         ctx.publish(ctx.ports.ball, message);
     }
+}
+
+impl TruthBeliefs {
+    fn on_robots(&mut self, truth: Received<'_, RobotArray>, ctx: &mut Context<'_, Ports>) {
+        let (Some(random), Some(place)) = (&mut self.random, self.place) else { return };
+        let (range, noise) = (*ctx.get(ctx.ports.range), *ctx.get(ctx.ports.ball_noise));
+        let mut message = truth.clone();
+        message.header.frame_id = MAP.to_owned();
+        message.robots.retain_mut(|robot| {
+            let at = &mut robot.pose.pose.position;
+            let position = DVec2::new(at.x, at.y);
+            let distance = (position - place.position).length();
+            (at.x, at.y) = believed(position, place, self.error, noise * distance, random).into();
+            distance <= range
+        });
+        ctx.publish(ctx.ports.robots, message);
+    }
+}
+
+/// What is at this point of the field, seen from a place where the robot believes to be with an error.
+fn believed(at: DVec2, place: Place, error: Place, deviation: f64, random: &mut Random) -> DVec2 {
+    let seen = place.point(at) + DVec2::new(random.normal(deviation), random.normal(deviation));
+    place.position + error.position + DVec2::from_angle(place.heading + error.heading).rotate(seen)
 }
 
 impl Module for TruthBeliefs {
@@ -103,10 +126,12 @@ impl Module for TruthBeliefs {
         self.random = Some(Random::new(seed.cast_unsigned(), 3));
         setup.subscribe("ground_truth/odom", Self::on_odometry)?;
         setup.subscribe("ground_truth/ball", Self::on_ball)?;
+        setup.subscribe("ground_truth/robots", Self::on_robots)?;
         let about = "m; standard deviation of the position";
         Ok(Ports {
             pose: setup.publish("pose")?,
             ball: setup.publish("ball")?,
+            robots: setup.publish("robots")?,
             position_noise: setup.setting_in("position_noise", 0.03, 0.0..=10.0, about)?,
             heading_noise: setup.setting_in(
                 "heading_noise",

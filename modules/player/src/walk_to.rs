@@ -4,9 +4,11 @@
 //! | --- | --- | --- |
 //! | `walk_to/pose` (in) | `geometry_msgs/PoseStamped` | walk there: in `map`, or with `base_link` as frame from where the robot is now |
 //! | `walk_to/kick` (in) | `geometry_msgs/PointStamped` | line up for a kick of the ball towards this point in `map` |
+//! | `walk_to/dribble` (in) | `geometry_msgs/PointStamped` | push the ball towards this point in `map`, walking |
 //! | `walk_to/stop` (in) | `std_msgs/Empty` | stop |
 //! | `pose` (in) | `geometry_msgs/PoseWithCovarianceStamped` | of `base_link` in `map` |
 //! | `ball` (in) | `soccer_model_msgs/Ball` | in `map` |
+//! | `robots` (in) | `soccer_model_msgs/RobotArray` | the others in `map`: it walks around them, and pushes the ball past them |
 //! | `walking` (in) | `std_msgs/Bool` | of the gait |
 //! | `cmd_vel` | `geometry_msgs/Twist` | every 40 ms while there is something to walk to |
 //! | `walk_to/state` | `std_msgs/String` | see below; when it changes and once a second |
@@ -27,7 +29,7 @@
 
 use crate::beliefs::{Beliefs, Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
-use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseStamped, PoseWithCovarianceStamped, Twist};
 use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
@@ -63,6 +65,7 @@ enum Goal {
     /// As seen from where the robot is when it is next believed to be somewhere.
     FromHere(Place),
     Kick(DVec2),
+    Dribble(DVec2),
 }
 
 /// Ahead and to the left, in m/s, and to the left, in rad/s.
@@ -84,8 +87,13 @@ const NEAR: f64 = 0.25;
 const BEHIND: f64 = 0.12;
 /// The distance that the robot keeps from a ball that it goes around, in m.
 const CLEARANCE: f64 = 0.3;
+/// The distance that the robot keeps from others, in m, and how fast it backs off from who is much nearer, in m/s.
+const KEEP_OFF: f64 = 0.36;
+const BACK_OFF: f64 = 0.03;
 /// By how much the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
+/// By how much the ball is pushed past somebody, in rad.
+const PAST: f64 = 0.9;
 /// Velocity by distance, turn rate by angle, in 1/s.
 const GAIN: f64 = 1.0;
 const TURN_GAIN: f64 = 1.2;
@@ -138,16 +146,25 @@ impl WalkTo {
             let position = here.position + DVec2::from_angle(here.heading).rotate(goal.position);
             self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
         }
+        let others = here.map_or_else(Vec::new, |here| {
+            self.beliefs.robots(now).iter().map(|other| here.point(*other)).collect::<Vec<_>>()
+        });
         let (velocity, state) = match (self.goal, here) {
             (Goal::Nothing, _) => (None, "idle"),
             (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
-            (Goal::Place(goal), Some(here)) => walk_to_place(goal.seen_from(here), &settings),
-            (Goal::Kick(target), Some(here)) => match self.beliefs.ball(now) {
-                Some(ball) => self.line_up(here.point(ball), here.point(target), now, &settings),
+            (Goal::Place(goal), Some(here)) => walk_to_place(goal.seen_from(here), &others, &settings),
+            (Goal::Kick(target) | Goal::Dribble(target), Some(here)) => match self.beliefs.ball(now) {
+                Some(ball) if matches!(self.goal, Goal::Kick(_)) => {
+                    self.line_up(here.point(ball), here.point(target), &others, now, &settings)
+                }
+                Some(ball) => {
+                    let target = past(&others, here.point(ball), here.point(target));
+                    (Some(self.dribble(here.point(ball), target, &others, &settings)), "walking")
+                }
                 None => (None, "blind"),
             },
         };
-        if let Some(Velocity { linear, turn }) = velocity {
+        if let Some(Velocity { linear, turn }) = velocity.map(|velocity| keeping_off(velocity, &others)) {
             let mut twist = Twist::default();
             (twist.linear.x, twist.linear.y, twist.angular.z) = (linear.x, linear.y, turn);
             ctx.publish(ctx.ports.cmd_vel, twist);
@@ -163,6 +180,7 @@ impl WalkTo {
         &mut self,
         ball: DVec2,
         target: DVec2,
+        others: &[DVec2],
         now: Time,
         settings: &Settings,
     ) -> (Option<Velocity>, &'static str) {
@@ -201,21 +219,88 @@ impl WalkTo {
         } else {
             let place = off - DVec2::new(BEHIND, 0.0);
             let way = around(DVec2::from_angle(heading).rotate(place), ball);
-            if way.length() > NEAR { far(way, settings) } else { near(way, heading, settings) }
+            if way.length() > NEAR {
+                far(avoiding(way, others), settings)
+            } else {
+                near(way, heading, settings)
+            }
         };
         (Some(velocity), "walking")
     }
 }
 
+impl WalkTo {
+    /// Ball and target as seen from here: behind the ball on the way to the target it walks on, through the ball.
+    fn dribble(&mut self, ball: DVec2, target: DVec2, others: &[DVec2], settings: &Settings) -> Velocity {
+        let direction = target - ball;
+        let heading = if direction.length() > 1e-3 { direction.to_angle() } else { 0.0 };
+        let straight = DVec2::from_angle(-heading).rotate(ball);
+        // Once it pushes, it goes on until the ball is clearly beside it.
+        let [aside, turned] = if self.is_closing_in { [0.1, 0.5] } else { [0.05, 0.25] };
+        let is_ahead = straight.x > 0.0 && straight.x < 2.0 * CLEARANCE;
+        self.is_closing_in = is_ahead && straight.y.abs() < aside && heading.abs() < turned;
+        if self.is_closing_in {
+            let side = (GAIN * straight.y).clamp(-settings.side, settings.side);
+            let turn = (TURN_GAIN * heading).clamp(-settings.turn, settings.turn);
+            return Velocity { linear: DVec2::new(settings.forward, side), turn };
+        }
+        let place = straight - DVec2::new(settings.kick_ahead + BEHIND, 0.0);
+        let way = around(DVec2::from_angle(heading).rotate(place), ball);
+        if way.length() > NEAR { far(avoiding(way, others), settings) } else { near(way, heading, settings) }
+    }
+}
+
+/// Not nearer to those who are near, and away from who is very near: robots that touch fall.
+fn keeping_off(mut velocity: Velocity, others: &[DVec2]) -> Velocity {
+    for other in others {
+        let distance = other.length();
+        if distance > KEEP_OFF || distance < 1e-3 {
+            continue;
+        }
+        let towards = *other / distance;
+        velocity.linear -= towards * velocity.linear.dot(towards).max(0.0);
+        if distance < 0.75 * KEEP_OFF {
+            velocity.linear -= towards * BACK_OFF;
+        }
+    }
+    velocity
+}
+
+/// Where to push a ball that is to go to a target: past who stands on its way.
+fn past(others: &[DVec2], ball: DVec2, target: DVec2) -> DVec2 {
+    let way = target - ball;
+    let is_on_way = |other: &&DVec2| {
+        let off = **other - ball;
+        off.length() < 2.0 * CLEARANCE && way.angle_to(off).abs() < 0.8
+    };
+    let nearest = others
+        .iter()
+        .filter(is_on_way)
+        .min_by(|one, other| one.distance_squared(ball).total_cmp(&other.distance_squared(ball)));
+    let Some(other) = nearest else { return target };
+    // Away from the other one; to the right of who comes straight on, who then has it on the other side.
+    let side = if way.angle_to(*other - ball) >= -0.05 { -1.0 } else { 1.0 };
+    ball + DVec2::from_angle(side * PAST).rotate(way)
+}
+
+/// Where to go first on the way to a point, so as not to walk into others.
+fn avoiding(to: DVec2, others: &[DVec2]) -> DVec2 {
+    let in_the_way = others.iter().filter(|other| other.distance(to) > CLEARANCE);
+    in_the_way.fold(to, |to, other| around(to, *other))
+}
+
 /// A goal as seen from here.
-fn walk_to_place(goal: Place, settings: &Settings) -> (Option<Velocity>, &'static str) {
+fn walk_to_place(goal: Place, others: &[DVec2], settings: &Settings) -> (Option<Velocity>, &'static str) {
     let distance = goal.position.length();
     if distance < settings.there_distance && goal.heading.abs() < settings.there_angle {
         return (Some(Velocity::default()), "there");
     }
     let is_near = distance < NEAR;
-    let velocity =
-        if is_near { near(goal.position, goal.heading, settings) } else { far(goal.position, settings) };
+    let velocity = if is_near {
+        near(goal.position, goal.heading, settings)
+    } else {
+        far(avoiding(goal.position, others), settings)
+    };
     (Some(velocity), "walking")
 }
 
@@ -268,6 +353,12 @@ impl Module for WalkTo {
                 walk.goal = Goal::Kick(target);
             }
         })?;
+        setup.subscribe("walk_to/dribble", |walk: &mut Self, target: Received<'_, PointStamped>, _| {
+            let target = DVec2::new(target.point.x, target.point.y);
+            if target.is_finite() {
+                walk.goal = Goal::Dribble(target);
+            }
+        })?;
         setup.subscribe("walk_to/stop", |walk: &mut Self, _: Received<'_, Empty>, _| {
             walk.goal = Goal::Nothing;
         })?;
@@ -276,6 +367,9 @@ impl Module for WalkTo {
         })?;
         setup.subscribe("ball", |walk: &mut Self, ball: Received<'_, Ball>, ctx| {
             walk.beliefs.take_ball(&ball, ctx.now());
+        })?;
+        setup.subscribe("robots", |walk: &mut Self, robots: Received<'_, RobotArray>, ctx| {
+            walk.beliefs.take_robots(&robots, ctx.now());
         })?;
         setup.subscribe("walking", |walk: &mut Self, walking: Received<'_, Bool>, ctx| {
             walk.stands_since = (!walking.data).then(|| walk.stands_since.unwrap_or(ctx.now()));
@@ -306,7 +400,7 @@ mod tests {
     fn only_a_robot_that_stands_behind_the_ball_kicks_and_with_the_nearer_foot() {
         let settings = Settings::default();
         let target = DVec2::new(5.0, 0.0);
-        let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, Time::ZERO + REST, &settings).1;
+        let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, &[], Time::ZERO + REST, &settings).1;
         let mut walk = WalkTo { stands_since: Some(Time::ZERO), ..WalkTo::default() };
         assert_eq!(state(&mut walk, DVec2::new(0.1, 0.045)), "kick_left");
         // It keeps its foot where both would do.
@@ -316,6 +410,35 @@ mod tests {
         assert_eq!(state(&mut walk, DVec2::new(0.1, -0.045)), "walking");
         walk.stands_since = None;
         assert_eq!(state(&mut walk, DVec2::new(0.1, -0.045)), "walking");
+    }
+
+    #[test]
+    fn the_ball_is_pushed_past_who_stands_on_its_way() {
+        let (ball, target) = (DVec2::new(0.2, 0.0), DVec2::new(3.0, 0.0));
+        assert_eq!(past(&[DVec2::new(-0.3, 0.0), DVec2::new(1.5, 0.0)], ball, target), target);
+        assert!(past(&[DVec2::new(0.6, 0.1)], ball, target).y < -1.0);
+        assert!(past(&[DVec2::new(0.6, -0.1)], ball, target).y > 1.0);
+        let way = avoiding(DVec2::new(2.0, 0.0), &[DVec2::new(1.0, 0.1)]);
+        assert!(way.y < -0.1, "{way}");
+    }
+
+    #[test]
+    fn nobody_walks_into_others() {
+        let ahead = Velocity { linear: DVec2::new(0.1, 0.02), turn: 0.3 };
+        let stopped = keeping_off(ahead, &[DVec2::new(0.3, 0.0), DVec2::new(2.0, 0.0)]);
+        assert_eq!(stopped, Velocity { linear: DVec2::new(0.0, 0.02), turn: 0.3 });
+        assert!(keeping_off(ahead, &[DVec2::new(0.2, 0.0)]).linear.x < 0.0);
+        assert_eq!(keeping_off(ahead, &[DVec2::new(-0.3, 0.0)]), ahead);
+    }
+
+    #[test]
+    fn who_dribbles_walks_through_a_ball_ahead_and_around_one_behind() {
+        let settings = Settings::default();
+        let mut walk = WalkTo::default();
+        let push = walk.dribble(DVec2::new(0.15, 0.01), DVec2::new(3.0, 0.0), &[], &settings);
+        assert_eq!(push.linear.x, settings.forward);
+        let turn = walk.dribble(DVec2::new(-0.5, 0.0), DVec2::new(3.0, 0.0), &[], &settings);
+        assert!(turn.linear.x < settings.forward && turn.turn != 0.0, "{turn:?}");
     }
 
     #[test]

@@ -9,8 +9,8 @@ use downbeat_executor::Time;
 use parking_lot::{Mutex, MutexGuard};
 use std::io;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -163,6 +163,12 @@ impl Emulator {
         self.shared.world().begin_step(now);
     }
 
+    /// Calls this before each step of a [`MemoryBus`] of this emulator, with the time of the step: for several emulators that share a
+    /// world and have to be brought to that time together. Only the first call counts.
+    pub fn lead_by(&self, lead: impl Fn(Time) + Send + Sync + 'static) {
+        let _ = self.shared.lead.set(Box::new(lead));
+    }
+
     /// The time inside the emulator.
     #[must_use]
     pub fn elapsed(&self) -> Duration {
@@ -208,8 +214,11 @@ const LOOK: Duration = Duration::from_millis(10);
 /// State shared between the thread and the handles of the emulator.
 pub(super) struct Shared {
     pub(super) is_stopping: AtomicBool,
+    lead: OnceLock<Box<Lead>>,
     world: Mutex<World>,
 }
+
+type Lead = dyn Fn(Time) + Send + Sync;
 
 /// The mutable state.
 pub(super) struct World {
@@ -238,7 +247,14 @@ impl Shared {
             steps: None,
             closed_for: Duration::ZERO,
         };
-        Self { is_stopping: AtomicBool::new(false), world: Mutex::new(world) }
+        Self { is_stopping: AtomicBool::new(false), lead: OnceLock::new(), world: Mutex::new(world) }
+    }
+
+    /// Brings the world that others share to this time. Not while the own part of it is locked.
+    pub(super) fn lead(&self, now: Time) {
+        if let Some(lead) = self.lead.get() {
+            lead(now);
+        }
     }
 
     pub(super) fn world(&self) -> MutexGuard<'_, World> {

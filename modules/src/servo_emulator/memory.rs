@@ -169,6 +169,7 @@ impl MemoryBus {
 
 impl Bus for MemoryBus {
     fn begin_step(&mut self, now: Time) {
+        self.shared.lead(now);
         let mut world = self.shared.world();
         world.begin_step(now);
         self.step = (now, world.now());

@@ -2,6 +2,7 @@
 
 mod expose;
 mod features;
+mod include;
 mod launcher;
 mod module;
 mod record;
@@ -9,7 +10,7 @@ mod source;
 mod table;
 mod view;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use downbeat_bags::{FieldRule, FieldRuleError};
 use downbeat_bridge::expose::TopicPattern;
@@ -110,6 +111,16 @@ impl RobotFile {
 
     /// Parses the text without the parameter files that it names.
     pub(crate) fn parse(source: Source, catalog: &Catalog) -> Result<(Self, Vec<Located<String>>)> {
+        Self::parse_inside(source, catalog, &[])
+    }
+
+    /// Parses the text of a file that these files include, from the outside in.
+    fn parse_inside(
+        source: Source,
+        catalog: &Catalog,
+        outside: &[PathBuf],
+    ) -> Result<(Self, Vec<Located<String>>)> {
+        let inside: Vec<PathBuf> = outside.iter().cloned().chain([source.path().to_owned()]).collect();
         let text = source.text().to_owned();
         let document = DeTable::parse(&text).map_err(|error| {
             let line = source.line_of(&error.span().unwrap_or_default());
@@ -128,9 +139,15 @@ impl RobotFile {
             .map(|value| Ok(Located { line: value.line(), value: value.text()?.to_owned() }))
             .collect::<Result<_>>()?;
         robot.finish()?;
-        let modules = root.require("module")?.list()?;
-        let modules =
+        let modules = match root.peek("include") {
+            None => root.require("module")?.list()?,
+            Some(_) => root.take("module").map_or(Ok(Vec::new()), |value| value.list())?,
+        };
+        let mut modules =
             modules.into_iter().map(|value| module::module(value, catalog)).collect::<Result<Vec<_>>>()?;
+        for value in root.take("include").map_or(Ok(Vec::new()), |value| value.list())? {
+            modules.extend(include::include(value, catalog, &inside)?);
+        }
         let expose = root.take("expose").map(|value| expose::expose(value, &catalog.interfaces));
         let expose = expose.transpose()?.unwrap_or_default();
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_executor::{
@@ -10,7 +11,7 @@ use downbeat_executor::{
 };
 
 use super::table::{Table, Value};
-use super::{Given, Located, Place, RobotFileError, choice, identifier, launcher, suggestion};
+use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, launcher, suggestion};
 use crate::journal;
 use crate::robot::Catalog;
 use crate::robot::kind::{INBOX, Kind, ModuleSource};
@@ -20,6 +21,8 @@ type Result<T> = std::result::Result<T, RobotFileError>;
 /// A module of a robot file.
 pub struct ModuleEntry {
     pub(crate) line: usize,
+    /// The file that has it, if that is not the robot file itself.
+    pub(super) included: Option<Arc<Source>>,
     /// The name, unique in the robot.
     pub name: String,
     /// The kind of module.
@@ -56,6 +59,14 @@ impl ModuleEntry {
         let remaps = self.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
         ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..self.running.clone() }
     }
+
+    /// A line of the file that has the module.
+    pub(crate) fn at(&self, line: usize) -> Place {
+        match &self.included {
+            None => Place::Line(line),
+            Some(source) => Place::Included(Arc::clone(source), line),
+        }
+    }
 }
 
 pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry> {
@@ -75,18 +86,7 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let name_value = table.take("name");
     let line = name_value.map_or(kind_value.line(), |value| value.line());
     let name = name_value.map_or(Ok(kind.name().to_owned()), module_name)?;
-    let mut settings = entries(table.take("settings"), "settings", |value| {
-        Ok(Given { place: Place::Line(value.line()), value: value.setting()? })
-    })?;
-    for name in kind.files() {
-        if let Some(Given { value: SettingValue::Text(file), .. }) = settings.get_mut(name)
-            && !file.is_empty()
-            && !file.contains('\n')
-            && let Some(folder) = value.path().parent()
-        {
-            *file = folder.join(&*file).display().to_string();
-        }
-    }
+    let settings = settings(table.take("settings"), &kind)?;
     let remaps = entries(table.take("remap"), "remap", |value| {
         Ok(Located { line: value.line(), value: value.text()?.to_owned() })
     })?;
@@ -98,13 +98,47 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         initial_state: table.take("initial_state").map_or(Ok(LifecycleState::default()), initial_state)?,
         restart: table.take("restart").map_or(Ok(Restart::default()), restart)?,
         deadline: table.take("deadline").map(|value| value.duration()).transpose()?,
+        namespace: table.take("namespace").map_or(Ok(String::new()), namespace)?,
         thread,
         ..ModuleOptions::default()
     };
     table.finish()?;
     let folder = value.path().parent().map(Path::to_owned).unwrap_or_default();
     let source = ModuleSource { module: name.clone(), folder, keys, deadline: running.deadline };
-    Ok(ModuleEntry { line, name, kind, settings, remaps, source, thread_line, running })
+    Ok(ModuleEntry { line, included: None, name, kind, settings, remaps, source, thread_line, running })
+}
+
+/// Reads the settings of a module; files are relative to the file that names them.
+pub(super) fn settings(value: Option<Value<'_>>, kind: &Kind) -> Result<BTreeMap<String, Given>> {
+    let folder = value.and_then(|value| value.path().parent());
+    let mut settings = entries(value, "settings", |value| {
+        Ok(Given { place: Place::Line(value.line()), value: value.setting()? })
+    })?;
+    for name in kind.files() {
+        if let Some(Given { value: SettingValue::Text(file), .. }) = settings.get_mut(name)
+            && !file.is_empty()
+            && !file.contains('\n')
+            && let Some(folder) = folder
+        {
+            *file = folder.join(&*file).display().to_string();
+        }
+    }
+    Ok(settings)
+}
+
+/// Reads what comes before names of topics: names with slashes between them.
+pub(super) fn namespace(value: Value<'_>) -> Result<String> {
+    let text = value.text()?.trim_matches('/');
+    let is_part = |part: &str| {
+        part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+            && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
+    if text.split('/').all(is_part) {
+        return Ok(text.to_owned());
+    }
+    Err(value.error(format!(
+        "\"{text}\" is not a namespace; use letters, digits and _, with / between parts, such as \"blue_1\""
+    )))
 }
 
 /// Reads the keys that only modules of this kind have.

@@ -100,6 +100,8 @@ pub(crate) struct Given {
 pub(crate) enum Place {
     /// On a line of the robot file.
     Line(usize),
+    /// On a line of a file that it includes.
+    Included(Arc<Source>, usize),
     /// In a parameter file.
     Parameter(ParameterPlace),
     /// In this argument of the command line.
@@ -118,6 +120,7 @@ impl RobotFile {
     pub(crate) fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {
         match place {
             Place::Line(line) => self.source.error(*line, problem),
+            Place::Included(source, line) => source.error(*line, problem),
             Place::Parameter(place) => place.error(problem),
             Place::Argument(argument) => {
                 RobotFileError::Argument { argument: argument.clone(), problem: problem.into() }

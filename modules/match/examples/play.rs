@@ -1,0 +1,202 @@
+//! Plays seeded matches, or shots at an empty goal, as fast as it can, and checks what players do: goals, how long anybody who may
+//! move stands still, falls, and how fast penalised players stop.
+#![allow(missing_docs)]
+
+use clap::Parser;
+use downbeat_edge::Interfaces;
+use downbeat_edge::foreign::ForeignModule;
+use downbeat_executor::{
+    Core, Inbox, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
+};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_match::{FootballMatch, player};
+use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_msgs::std_msgs::msg::String as Text;
+use downbeat_state_machine::StateMachineOptions;
+use glam::DVec2;
+use parking_lot::Mutex;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+#[derive(Parser)]
+struct Arguments {
+    /// match or empty_goal
+    #[arg(long, default_value = "match")]
+    game: String,
+    /// Who plays
+    #[arg(long, value_delimiter = ',', default_value = "blue_1,blue_2,red_1,red_2")]
+    robots: Vec<String>,
+    /// The first seed of a match, or of the tries
+    #[arg(long, default_value_t = 1)]
+    seed: i64,
+    /// How many matches, or tries
+    #[arg(long, default_value_t = 1)]
+    count: i64,
+    /// The length of a half, in s
+    #[arg(long, default_value_t = 300.0)]
+    half: f64,
+    /// The chart of every player
+    #[arg(long, default_value = "robots/football/player.scxml")]
+    chart: PathBuf,
+    /// On this many threads
+    #[arg(long, default_value_t = 1)]
+    threads: usize,
+    /// Prints where robots and ball are every second
+    #[arg(long)]
+    trace: bool,
+}
+
+/// What is known of a player.
+#[derive(Default)]
+struct Watched {
+    /// Where it last was when it had moved, and when.
+    moved: Option<(DVec2, f64)>,
+    stillness: f64,
+    falls: u32,
+    get_ups: u32,
+    is_down: bool,
+    /// Where it was half a second after it was penalised, and when that was.
+    penalised: Option<(f64, Option<DVec2>)>,
+    /// How far a penalised player went after half a second, in m.
+    strayed: f64,
+}
+
+#[derive(Default)]
+struct Watch {
+    players: Vec<Watched>,
+    walking: Vec<String>,
+    traced: f64,
+    is_over: bool,
+    last: MatchState,
+}
+
+/// What moves less in this way stands still, in m.
+const STILL: f64 = 0.05;
+
+fn main() -> anyhow::Result<()> {
+    let arguments = Arguments::parse();
+    let is_drill = arguments.game == "empty_goal";
+    let matches = if is_drill { 1 } else { arguments.count };
+    for seed in arguments.seed..arguments.seed + matches {
+        let started = Instant::now();
+        let watch = play(&arguments, seed)?;
+        let MatchState { blue_score, red_score, header, .. } = &watch.last;
+        let simulated = header.stamp.as_nanos() as f64 / 1e9 - 1.0;
+        let speed = simulated / started.elapsed().as_secs_f64();
+        println!("seed {seed}: {blue_score}:{red_score} in {simulated:.0} s, {speed:.1} times real time");
+        for (name, player) in arguments.robots.iter().zip(&watch.players) {
+            println!(
+                "  {name}: still for up to {:.0} s, {} falls, {} times up again, {:.3} m when penalised",
+                player.stillness, player.falls, player.get_ups, player.strayed
+            );
+        }
+    }
+    Ok(())
+}
+
+fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
+    let clock = ManualClock::new(Time::from_nanos(1_000_000_000));
+    let mut core = Core::new().with_clock(clock.clone());
+    core = match arguments.threads {
+        1 => core.with_launcher(Linear),
+        threads => core.with_launcher(Pool::new(threads)?),
+    };
+    let ports = MemoryPorts::default();
+    let settings: [(&str, SettingValue); 5] = [
+        ("game", arguments.game.clone().into()),
+        ("robots", arguments.robots.clone().into()),
+        ("seed", seed.into()),
+        ("tries", arguments.count.into()),
+        ("half_s", arguments.half.into()),
+    ];
+    let options = ModuleOptions {
+        settings: settings.map(|(name, value)| (name.to_owned(), value)).into(),
+        ..ModuleOptions::default()
+    };
+    core.add_with("match", FootballMatch::new(ports.clone()), options)?;
+    let interfaces = Interfaces::carried()
+        .with(downbeat_football::INTERFACES)?
+        .with(downbeat_state_machine::INTERFACES)?;
+    for (number, name) in (1..).zip(&arguments.robots) {
+        player::add_skills(&mut core, &ports, name, seed * 100 + number)?;
+        let chart = StateMachineOptions { path: arguments.chart.clone(), is_reloaded: false };
+        let make = Arc::new(move || downbeat_state_machine::load(&chart));
+        let options = ModuleOptions { namespace: name.clone(), ..ModuleOptions::default() };
+        let (interfaces, of_module) = (interfaces.clone(), options.clone());
+        let make = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
+        core.add_restartable(&format!("{name}/player"), make, options)?;
+    }
+    let watch = Arc::new(Mutex::new(Watch::default()));
+    watch.lock().players.resize_with(arguments.robots.len(), Watched::default);
+    watch.lock().walking.resize(arguments.robots.len(), String::new());
+    for (robot, name) in arguments.robots.iter().enumerate() {
+        let seen = Arc::clone(&watch);
+        let see = move |state: Received<'_, Text>| seen.lock().walking[robot].clone_from(&state.data);
+        core.outlet(&format!("{name}/walk_to/state"), Inbox::KeepAll, see)?.keep();
+    }
+    let (seen, handle, trace) = (Arc::clone(&watch), core.handle(), arguments.trace);
+    let see = move |state: Received<'_, MatchState>| {
+        let mut watch = seen.lock();
+        watch.see(&state, trace);
+        if state.phase == GameState::FINISHED && !watch.is_over {
+            watch.is_over = true;
+            handle.stop();
+        }
+    };
+    core.outlet("match/state", Inbox::KeepAll, see)?.keep();
+    let tell = |event: Received<'_, Text>| println!("{}", event.data);
+    core.outlet("match/event", Inbox::KeepAll, tell)?.keep();
+    let end = Time::from_nanos(1_000_000_000) + Duration::from_secs(36_000);
+    core.run_simulated(&clock, Some(end))?;
+    drop(core);
+    Ok(std::mem::take(&mut *watch.lock()))
+}
+
+impl Watch {
+    fn see(&mut self, state: &MatchState, trace: bool) {
+        let now = state.header.stamp.as_nanos() as f64 / 1e9;
+        for (robot, player) in self.players.iter_mut().enumerate() {
+            let pose = &state.poses[robot];
+            let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);
+            let is_down = 1.0 - 2.0 * (q.x * q.x + q.y * q.y) < 0.5;
+            player.falls += u32::from(is_down && !player.is_down);
+            player.get_ups += u32::from(!is_down && player.is_down && !state.is_penalised[robot]);
+            player.is_down = is_down;
+            let is_able = state.phase == GameState::PLAYING && !is_down && !state.is_penalised[robot];
+            let (from, since) = *player.moved.get_or_insert((place, now));
+            if !is_able || place.distance(from) > STILL {
+                player.moved = Some((place, now));
+            } else {
+                player.stillness = player.stillness.max(now - since);
+            }
+            player.penalised = match (state.is_penalised[robot], player.penalised) {
+                (false, _) => None,
+                (true, None) => Some((now, None)),
+                (true, Some((since, None))) if now - since >= 0.5 => Some((since, Some(place))),
+                (true, known) => known,
+            };
+            if let Some((_, Some(from))) = player.penalised {
+                player.strayed = player.strayed.max(place.distance(from));
+            }
+        }
+        if trace && now - self.traced >= 1.0 {
+            self.traced = now;
+            let ball = DVec2::new(state.ball.x, state.ball.y);
+            print!("{now:6.0} ball {:.2} {:.2}", ball.x, ball.y);
+            for (robot, pose) in state.poses.iter().enumerate() {
+                let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);
+                let yaw = 2.0 * q.z.atan2(q.w);
+                let seen = DVec2::from_angle(-yaw).rotate(ball - place);
+                let down = if self.players[robot].is_down { " down" } else { "" };
+                let walking = &self.walking[robot];
+                print!(
+                    " | {:.2} {:.2} {yaw:.1} seen {:.2} {:.2} {walking}{down}",
+                    place.x, place.y, seen.x, seen.y
+                );
+            }
+            println!();
+        }
+        self.last = state.clone();
+    }
+}

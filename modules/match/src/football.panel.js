@@ -1,0 +1,175 @@
+// A football match from above: who is where, what each robot believes beside it, and the states of its automaton.
+import { h, replace, setText } from '/panel.js';
+
+const PHASES = ['initial', 'ready', 'set', 'playing', 'finished', 'standby'];
+const TEAM_COLORS = { blue: '#2f6fe0', red: '#d23b3b' };
+const CARPET = '#2e7d43';
+const LINE = 'rgba(255, 255, 255, 0.85)';
+const BALL = '#ff8c1a';
+/** m */
+const ROBOT_RADIUS = 0.13;
+const SHOWN_EVENTS = 12;
+/** A belief that is older than this is drawn faintly, in s. */
+const OLD_S = 2;
+
+/** @param {{ x: number, y: number, z: number, w: number }} q */
+const headingOf = ({ x, y, z, w }) => Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
+/** @param {{ x: number, y: number, z: number, w: number }} q The z axis of the trunk points up. */
+const isUpright = ({ x, y }) => 1 - 2 * (x * x + y * y) > 0.5;
+/** @param {{ sec: number, nanosec: number }} stamp */
+const secondsOf = (stamp) => stamp.sec + stamp.nanosec / 1e9;
+const teamOf = (name) => (name.startsWith('red') ? 'red' : 'blue');
+
+export default {
+  create(root, robot, view) {
+    const own = import.meta.url.split('/').at(-2);
+    const [stateTopic, fieldTopic, eventTopic] = robot.info?.panels?.find((panel) => panel.name === own)?.topics ?? [];
+    const options = { beliefs: true, ...view.get() };
+    let field = null;
+    let state = null;
+    /** What each robot believes: pose and ball in the frame of its team, with the times of the messages. */
+    const beliefs = new Map();
+    const rows = new Map();
+
+    const score = h('output', { role: 'status', 'data-testid': 'match-score', style: { fontSize: '1.4em', fontWeight: '600' } });
+    const canvas = h('canvas', { role: 'img', 'aria-label': 'The field from above', 'data-testid': 'match-field', style: { width: '100%', display: 'block' } });
+    const shows = h('input', { type: 'checkbox', checked: options.beliefs, onchange: () => { options.beliefs = shows.checked; view.set(options); draw(); } });
+    const body = h('tbody');
+    const events = h('ol', { 'aria-label': 'What happened', 'data-testid': 'match-events' });
+    root.append(
+      score,
+      canvas,
+      h('label', null, shows, ' what each robot believes (rings: itself; dots: the ball)'),
+      h('div', { style: { overflowX: 'auto' } }, h('table', { 'data-testid': 'match-robots' },
+        h('thead', null, h('tr', null, ['Robot', 'Automaton', 'Off by', 'Ball off by', ''].map((title) => h('th', { scope: 'col' }, title)))), body)),
+      events,
+    );
+    const ink = canvas.getContext('2d');
+
+    /** From the frame of a robot's team to that of the world. */
+    const toWorld = (name, { x, y }) => ((teamOf(name) === 'blue') === state.blue_defends_right ? { x: -x, y: -y } : { x, y });
+
+    function follow(name) {
+      const belief = { pose: null, ball: null, poseAt: 0, ballAt: 0, heading: 0 };
+      beliefs.set(name, belief);
+      robot.subscribe(`/${name}/pose`, ({ header, pose }) => {
+        belief.pose = pose.pose.position;
+        belief.heading = headingOf(pose.pose.orientation);
+        belief.poseAt = secondsOf(header.stamp);
+      });
+      robot.subscribe(`/${name}/ball`, ({ header, point }) => { belief.ball = point.point; belief.ballAt = secondsOf(header.stamp); });
+      const cells = Array.from({ length: 5 }, () => h('td'));
+      rows.set(name, cells);
+      const key = h('span', { 'aria-hidden': 'true', style: { color: TEAM_COLORS[teamOf(name)] } }, '● ');
+      cells[0].append(key, name);
+      body.append(h('tr', null, cells));
+      const chart = [...robot.channels.values()].find(({ topic, schemaName }) => topic.startsWith(`/${name}/`) && schemaName.endsWith('/StateMachineState'));
+      if (chart) robot.subscribe(chart.topic, ({ active }) => setText(cells[1], active.join(' · ')));
+    }
+
+    function show() {
+      if (!state) return;
+      const minutes = Math.floor(Math.max(0, state.seconds_remaining) / 60);
+      const seconds = String(Math.floor(Math.max(0, state.seconds_remaining) % 60)).padStart(2, '0');
+      setText(score, `blue ${state.blue_score} : ${state.red_score} red   ${PHASES[state.phase] ?? ''}, ${state.is_first_half ? 'first' : 'second'} half, ${minutes}:${seconds} left`);
+      const now = secondsOf(state.header.stamp);
+      state.robots.forEach((name, index) => {
+        if (!beliefs.has(name)) follow(name);
+        const [, , off, ballOff, note] = rows.get(name);
+        const { pose, ball, poseAt, ballAt } = beliefs.get(name);
+        const distance = (from, to) => Math.hypot(from.x - to.x, from.y - to.y);
+        const metres = (belief, at, truth) => (belief && now - at < OLD_S ? `${(distance(toWorld(name, belief), truth) * 100).toFixed(0)} cm` : '–');
+        setText(off, metres(pose, poseAt, state.poses[index].position));
+        setText(ballOff, metres(ball, ballAt, state.ball));
+        setText(note, state.is_penalised[index] ? 'penalised' : isUpright(state.poses[index].orientation) ? '' : 'lies');
+      });
+      draw();
+    }
+
+    function draw() {
+      if (!field || !state) return;
+      const [length, width] = [field.length + 2 * field.margin, field.width + 2 * field.margin];
+      const density = globalThis.devicePixelRatio || 1;
+      const across = canvas.clientWidth || 600;
+      const scale = across / length;
+      const pixels = [Math.round(across * density), Math.round(width * scale * density)];
+      if (canvas.width !== pixels[0] || canvas.height !== pixels[1]) [canvas.width, canvas.height] = pixels;
+      // x to the right, y up, in m, from the centre.
+      ink.setTransform(scale * density, 0, 0, -scale * density, pixels[0] / 2, pixels[1] / 2);
+      ink.fillStyle = CARPET;
+      ink.fillRect(-length / 2, -width / 2, length, width);
+      ink.strokeStyle = LINE;
+      ink.lineWidth = Math.max(field.line_width, 1.5 / scale);
+      ink.beginPath();
+      for (const [[x, y], [toX, toY]] of field.lines) { ink.moveTo(x, y); ink.lineTo(toX, toY); }
+      ink.stroke();
+      if (field.circle_diameter > 0) circle(0, 0, field.circle_diameter / 2);
+      for (const [x, y] of field.marks) disc(x, y, field.line_width, LINE);
+      for (const side of [1, -1]) {
+        const posts = field.posts.filter(([x]) => x * side > 0);
+        const [[x, y], [, otherY]] = posts;
+        ink.strokeRect(Math.min(x, x + side * field.goal_depth), Math.min(y, otherY), field.goal_depth, Math.abs(y - otherY));
+      }
+      for (const [x, y] of field.posts) disc(x, y, 0.06, '#ffe14d');
+      const now = secondsOf(state.header.stamp);
+      if (options.beliefs) for (const [name, belief] of beliefs) drawBelief(name, belief, now);
+      state.robots.forEach((name, index) => {
+        const { position: { x, y }, orientation } = state.poses[index];
+        ink.globalAlpha = state.is_penalised[index] ? 0.45 : 1;
+        disc(x, y, ROBOT_RADIUS, TEAM_COLORS[teamOf(name)]);
+        ink.strokeStyle = isUpright(orientation) ? 'white' : 'black';
+        ink.lineWidth = 0.04;
+        const heading = headingOf(orientation);
+        ink.beginPath(); ink.moveTo(x, y); ink.lineTo(x + 1.6 * ROBOT_RADIUS * Math.cos(heading), y + 1.6 * ROBOT_RADIUS * Math.sin(heading)); ink.stroke();
+        label(name.split('_').at(-1), x, y);
+        ink.globalAlpha = 1;
+      });
+      disc(state.ball.x, state.ball.y, Math.max(field.ball_diameter / 2, 3.5 / scale), BALL);
+
+      function circle(x, y, radius) { ink.beginPath(); ink.arc(x, y, radius, 0, 2 * Math.PI); ink.stroke(); }
+      function disc(x, y, radius, color) { ink.fillStyle = color; ink.beginPath(); ink.arc(x, y, radius, 0, 2 * Math.PI); ink.fill(); }
+      function label(text, x, y) {
+        ink.save();
+        ink.translate(x, y);
+        ink.scale(1, -1);
+        ink.font = `700 ${Math.max(0.17, 11 / scale)}px system-ui, sans-serif`;
+        ink.fillStyle = 'white';
+        ink.textAlign = 'center';
+        ink.textBaseline = 'middle';
+        ink.fillText(text, 0, 0);
+        ink.restore();
+      }
+      function drawBelief(name, { pose, ball, poseAt, ballAt, heading }, time) {
+        ink.strokeStyle = TEAM_COLORS[teamOf(name)];
+        ink.lineWidth = 2 / scale;
+        if (pose) {
+          const { x, y } = toWorld(name, pose);
+          const turned = heading + (toWorld(name, { x: 1, y: 0 }).x < 0 ? Math.PI : 0);
+          ink.globalAlpha = time - poseAt > OLD_S ? 0.35 : 1;
+          circle(x, y, 1.7 * ROBOT_RADIUS);
+          ink.beginPath(); ink.moveTo(x, y); ink.lineTo(x + 2.4 * ROBOT_RADIUS * Math.cos(turned), y + 2.4 * ROBOT_RADIUS * Math.sin(turned)); ink.stroke();
+        }
+        if (ball) {
+          const { x, y } = toWorld(name, ball);
+          ink.globalAlpha = time - ballAt > OLD_S ? 0.35 : 1;
+          disc(x, y, 3 / scale, TEAM_COLORS[teamOf(name)]);
+          ink.lineWidth = 1 / scale;
+          circle(x, y, 6 / scale);
+        }
+        ink.globalAlpha = 1;
+      }
+    }
+
+    if (fieldTopic) robot.subscribe(fieldTopic, ({ data }) => { field = JSON.parse(data); draw(); });
+    if (stateTopic) robot.subscribe(stateTopic, (message) => { state = message; show(); });
+    if (eventTopic) {
+      robot.subscribe(eventTopic, ({ data }) => {
+        events.prepend(h('li', null, data));
+        while (events.childElementCount > SHOWN_EVENTS) events.lastElementChild?.remove();
+      });
+    }
+    const resized = new ResizeObserver(draw);
+    resized.observe(canvas);
+    return { destroy() { resized.disconnect(); }, seeked() { replace(events); } };
+  },
+};

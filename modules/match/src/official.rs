@@ -1,0 +1,91 @@
+//! Who decides what the game is.
+
+use crate::drill::Drill;
+use crate::referee::{Event, Order, Phase, Referee, Seat, Team, Truth};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use glam::DVec2;
+use std::time::Duration;
+
+/// The referee of a match, or who counts shots at an empty goal.
+pub enum Official {
+    /// Of a match.
+    Referee(Box<Referee>),
+    /// Of shots at an empty goal.
+    Drill(Drill),
+}
+
+impl Official {
+    /// Where a robot starts: position and heading in the world.
+    #[must_use]
+    pub fn place_of(&self, robot: usize) -> (DVec2, f64) {
+        match self {
+            Self::Referee(referee) => referee.place_of(robot),
+            Self::Drill(drill) => {
+                let placement = drill.placement();
+                (placement.robot, placement.heading)
+            }
+        }
+    }
+
+    /// Sees what is true at this time since the start, and returns what happened and what has to be done.
+    pub fn step(&mut self, now: Duration, truth: &Truth) -> (Vec<Event>, Vec<Order>) {
+        match self {
+            Self::Referee(referee) => referee.step(now, truth),
+            Self::Drill(drill) => drill.step(now, truth),
+        }
+    }
+
+    /// What the game is in.
+    #[must_use]
+    pub fn phase(&self) -> Phase {
+        match self {
+            Self::Referee(referee) => referee.phase(),
+            Self::Drill(drill) => drill.phase(),
+        }
+    }
+
+    /// What a player may know of the game. The header is empty.
+    #[must_use]
+    pub fn game_state(&self, robot: usize, now: Duration) -> GameState {
+        match self {
+            Self::Referee(referee) => referee.game_state(robot, now),
+            Self::Drill(drill) => drill.game_state(now),
+        }
+    }
+
+    /// Whether a team defends the goal at +x now.
+    #[must_use]
+    pub fn defends_right(&self, team: Team) -> bool {
+        match self {
+            Self::Referee(referee) => referee.defends_right(team),
+            Self::Drill(_) => team == Team::Red,
+        }
+    }
+
+    /// What watchers see, without the header, the robots and the ball.
+    #[must_use]
+    pub fn match_state(&self, seats: &[Seat], now: Duration) -> MatchState {
+        // The game as the first player of blue knows it, or of red from the other side.
+        let blue = seats.iter().position(|seat| seat.team == Team::Blue);
+        let state = self.game_state(blue.unwrap_or_default(), now);
+        let (own, opponent) = (state.own_score, state.opponent_score);
+        let [blue_score, red_score] = if blue.is_some() { [own, opponent] } else { [opponent, own] };
+        let kick_team = match (blue, state.kick_team) {
+            (None, GameState::OWN) => GameState::OPPONENT,
+            (None, GameState::OPPONENT) => GameState::OWN,
+            (_, team) => team,
+        };
+        MatchState {
+            phase: state.state,
+            set_play: state.set_play,
+            kick_team,
+            is_first_half: state.is_first_half,
+            seconds_remaining: state.seconds_remaining,
+            blue_score,
+            red_score,
+            blue_defends_right: self.defends_right(Team::Blue),
+            is_penalised: (0..seats.len()).map(|robot| self.game_state(robot, now).is_penalised).collect(),
+            ..MatchState::default()
+        }
+    }
+}
