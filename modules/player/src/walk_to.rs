@@ -324,11 +324,13 @@ fn around(to: DVec2, ball: DVec2) -> DVec2 {
     let Some(along) = to.try_normalize() else { return to };
     let passes = ball.dot(along);
     let aside = along.perp().dot(ball);
-    if passes <= 0.0 || passes >= to.length() || aside.abs() >= CLEARANCE {
+    // A place beside the ball is reached without keeping farther off than the place is.
+    let clearance = CLEARANCE.min(0.8 * to.distance(ball));
+    if passes <= 0.0 || passes >= to.length() || aside.abs() >= clearance {
         return to;
     }
     let side = -1.0_f64.copysign(aside);
-    ball + along.perp() * side * CLEARANCE
+    ball + along.perp() * side * clearance
 }
 
 impl Module for WalkTo {
