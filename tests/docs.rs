@@ -15,11 +15,12 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 19] = [
+const PAGES: [&str; 20] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
     "docs/darwin_op.md",
+    "docs/football.md",
     "docs/foxglove.md",
     "docs/libraries.md",
     "docs/look.md",
@@ -38,12 +39,13 @@ const PAGES: [&str; 19] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 16] = [
+const ELSEWHERE: [&str; 17] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
     "cargo run -- run robot.toml",
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
+    "cargo run --release --features football", // tests/football.rs
     "downbeat servo scan",                    // tests/servos.rs
     "echo 1 | sudo",
     "c++ ", // tests/library.rs, as the next two
@@ -179,6 +181,10 @@ fn every_robot_file_on_a_page_is_read() {
             file.push_str("\n[[module]]\nkind = \"stand_nod_wave\"\n");
         }
         std::fs::write(folder.path().join("params.yaml"), "/**:\n  ros__parameters: {}\n").unwrap();
+        // What `[[include]]` names.
+        let included = "[robot]\nname = \"player\"\n[[module]]\nname = \"hardware\"\nkind = \"darwin_op\"\n";
+        std::fs::create_dir(folder.path().join("football")).unwrap();
+        std::fs::write(folder.path().join("football/player.toml"), included).unwrap();
         let path = folder.path().join("robot.toml");
         std::fs::write(&path, file).unwrap();
         RobotFile::read(&path).map_err(|error| format!("{page}:{line}: {error}")).unwrap();

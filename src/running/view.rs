@@ -157,11 +157,11 @@ fn panel(module: &ModuleEntry) -> Option<Panel> {
             };
             options.resolved(&topic)
         };
-        (
-            panel.title.to_owned(),
-            PanelScript::Text(panel.script.into()),
-            panel.topics.iter().map(renamed).collect(),
-        )
+        let title = match options.namespace.as_str() {
+            "" => panel.title.to_owned(),
+            namespace => format!("{} {namespace}", panel.title),
+        };
+        (title, PanelScript::Text(panel.script.into()), panel.topics.iter().map(renamed).collect())
     } else {
         let source = module.kind.source_files(&module.source).into_iter().next()?;
         let script = source.with_extension("panel.js");

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_executor::{
-    Core, Inbox, Launcher, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
+    Clock, Core, Inbox, Launcher, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
 };
 use downbeat_football::football_interfaces::msg::{GameState, MatchState};
 use downbeat_match::{FootballMatch, player};

@@ -12,7 +12,7 @@
 //! let mut options = ArenaOptions::darwin_op(["blue_1", "red_1"].map(ArenaRobot::named));
 //! options.robots[1].start.position = [1.0, 0.0];
 //! options.world.ball = Some(Ball { position: [0.5, 0.0], ..Ball::default() });
-//! let mut arena = Arena::new(options)?;
+//! let arena = Arena::new(options)?;
 //! arena.advance_to(Time::from_nanos(1_000_000));
 //! assert_eq!(arena.snapshot().robots.len(), 2);
 //! # Ok::<(), Box<dyn std::error::Error>>(())

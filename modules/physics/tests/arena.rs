@@ -35,7 +35,7 @@ fn meet(order: [usize; 2], seconds: u64) -> Arena {
     options.robots[1].start.position = [0.35, 0.0];
     options.robots[1].start.yaw = std::f64::consts::PI;
     options.world.ball = Some(Ball { position: [0.0, 0.0], ..Ball::default() });
-    let mut arena = Arena::new(options).unwrap();
+    let arena = Arena::new(options).unwrap();
     let clock = ManualClock::new(START);
     let mut cores: Vec<Core> = (0..2).map(|robot| walker(&arena, robot, &clock)).collect();
     let inlets: Vec<_> = cores.iter_mut().map(|core| core.inlet::<Twist>("cmd_vel").unwrap()).collect();
@@ -73,7 +73,7 @@ fn robots_touch_ball_and_each_other_and_the_order_of_their_cores_does_not_matter
 
 #[test]
 fn ball_and_robots_are_put_where_the_referee_says() {
-    let mut arena = meet([0, 1], 3);
+    let arena = meet([0, 1], 3);
     arena.place_ball([2.0, 1.0]);
     arena.place_robot(1, [0.0, 3.0], 1.0);
     arena.advance_to(START + Duration::from_secs(3) + Duration::from_millis(40));

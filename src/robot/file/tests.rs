@@ -296,3 +296,76 @@ fn errors_contain_file_line_and_the_nearest_name() {
         ":5: expected a list of numbers only, of texts only, or of booleans only, found [1, \"a\"]"
     ));
 }
+
+/// A folder with these files.
+fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in files {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    folder
+}
+
+const INCLUDED: &str = "[robot]\nname = \"player\"\n\n[[module]]\nname = \"mux\"\nkind = \"joint_command_mux\"\n\n\
+     [[module]]\nname = \"hardware\"\nkind = \"darwin_op\"\nremap = { joint_states = \"/states\" }\nsettings = { port = \"unused\", board = \"cm740\" }\n";
+
+#[test]
+fn an_included_robot_is_in_its_namespace_with_settings_of_its_own() {
+    let robot = "[robot]\nname = \"two\"\n\
+         [[include]]\nrobot = \"player.toml\"\nnamespace = \"blue_1\"\nsettings = { hardware = { port = \"memory:blue_1\" } }\n\
+         [[include]]\nrobot = \"player.toml\"\nnamespace = \"red/2\"\n";
+    let folder = folder(&[("robot.toml", robot), ("player.toml", INCLUDED)]);
+    let file = RobotFile::read(&folder.path().join("robot.toml")).unwrap();
+    let names: Vec<_> = file.modules.iter().map(|module| module.name.as_str()).collect();
+    assert_eq!(names, ["blue_1/mux", "blue_1/hardware", "red/2/mux", "red/2/hardware"]);
+    let [_, blue, _, red] = file.modules.as_slice() else { panic!("four modules") };
+    let port = |module: &ModuleEntry| module.options().settings["port"].clone();
+    assert_eq!(port(blue), SettingValue::Text("memory:blue_1".to_owned()));
+    assert_eq!(port(red), SettingValue::Text("unused".to_owned()));
+    assert_eq!(blue.options().settings["board"], SettingValue::Text("cm740".to_owned()));
+    assert_eq!(red.options().resolved("imu/data_raw"), "red/2/imu/data_raw");
+    assert_eq!(red.options().resolved("joint_states"), "/states");
+    let robot = file.build(downbeat_executor::Core::new()).unwrap();
+    let topics: Vec<_> = robot.core.topics().map(|topic| topic.name.to_string()).collect();
+    for topic in ["blue_1/joint_goals", "red/2/joint_goals", "states", "red/2/imu/data_raw"] {
+        assert!(topics.iter().any(|known| known == topic), "{topic}: {topics:?}");
+    }
+}
+
+#[test]
+fn errors_of_an_included_robot_name_the_file_and_the_line_that_cause_them() {
+    let include = |more: &str| {
+        format!("[robot]\nname = \"two\"\n[[include]]\nrobot = \"player.toml\"\nnamespace = \"a\"\n{more}")
+    };
+    let problem = |robot: &str, included: &str| {
+        let folder = folder(&[("robot.toml", robot), ("player.toml", included)]);
+        let file = RobotFile::read(&folder.path().join("robot.toml"));
+        let error = match file {
+            Ok(file) => file.build(downbeat_executor::Core::new()).err().unwrap(),
+            Err(error) => error,
+        };
+        error.to_string().replace(&format!("{}/", folder.path().display()), "")
+    };
+    let wrong = INCLUDED.replace("board = \"cm740\"", "bord = 1");
+    assert!(
+        problem(&include(""), &wrong).starts_with("player.toml:12: "),
+        "{}",
+        problem(&include(""), &wrong)
+    );
+    let given = "settings = { hardware = { bord = 1 } }";
+    assert!(problem(&include(given), INCLUDED).starts_with("robot.toml:6: "));
+    let unknown = "settings = { hardwear = { port = \"p\" } }";
+    let unknown = problem(&include(unknown), INCLUDED);
+    assert!(
+        unknown.starts_with("robot.toml:6: ") && unknown.contains("did you mean \"hardware\"?"),
+        "{unknown}"
+    );
+    let missing = problem(&include("").replace("player.toml", "nobody.toml"), INCLUDED);
+    assert!(missing.starts_with("robot.toml:4: cannot read the robot file nobody.toml"), "{missing}");
+    assert_eq!(
+        problem(&include("").replace("\"a\"", "\"1 a\""), INCLUDED),
+        "robot.toml:5: \"1 a\" is not a namespace; use letters, digits and _, with / between parts, such as \"blue_1\""
+    );
+    let itself = problem(&include("").replace("player.toml", "robot.toml"), INCLUDED);
+    assert!(itself.ends_with("robot.toml includes itself"), "{itself}");
+}

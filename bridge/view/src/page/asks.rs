@@ -81,6 +81,9 @@ fn robot(shared: &Shared, page: &PageOptions, may_change: bool) -> Value {
     };
     let panel = |panel: &Panel| {
         let Panel { name, title, module, topics, .. } = panel;
+        // As the page names them.
+        let topics: Vec<String> =
+            topics.iter().map(|topic| format!("/{}", topic.trim_start_matches('/'))).collect();
         json!({ "name": name, "title": title, "module": module, "topics": topics, "script": format!("/panels/{name}/panel.js") })
     };
     json!({
