@@ -39,13 +39,14 @@ const PAGES: [&str; 20] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 17] = [
+const ELSEWHERE: [&str; 18] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
     "cargo run -- run robot.toml",
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
     "cargo run --release --features football", // tests/football.rs
+    "downbeat top --plot",                    // tests/top.rs
     "downbeat servo scan",                    // tests/servos.rs
     "echo 1 | sudo",
     "c++ ", // tests/library.rs, as the next two
@@ -296,7 +297,7 @@ impl Place {
         let exposed = "[expose]\nexpose_service = true\nservices = [\"torque\"]\n";
         let demo = robot_file(&folder, |text| text.replace("[expose]\n", exposed));
         std::fs::create_dir(folder.join("robots/servos")).unwrap();
-        for name in ["so101.toml", "servos/so101.toml"] {
+        for name in ["player.scxml", "player.toml", "so101.toml", "servos/so101.toml"] {
             let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(name);
             std::fs::copy(from, folder.join("robots").join(name)).unwrap();
         }

@@ -313,21 +313,21 @@ const INCLUDED: &str = "[robot]\nname = \"player\"\n\n[[module]]\nname = \"mux\"
 fn an_included_robot_is_in_its_namespace_with_settings_of_its_own() {
     let robot = "[robot]\nname = \"two\"\n\
          [[include]]\nrobot = \"player.toml\"\nnamespace = \"blue_1\"\nsettings = { hardware = { port = \"memory:blue_1\" } }\n\
-         [[include]]\nrobot = \"player.toml\"\nnamespace = \"red/2\"\n";
+         [[include]]\nrobot = \"player.toml\"\nnamespace = \"red/two\"\n";
     let folder = folder(&[("robot.toml", robot), ("player.toml", INCLUDED)]);
     let file = RobotFile::read(&folder.path().join("robot.toml")).unwrap();
     let names: Vec<_> = file.modules.iter().map(|module| module.name.as_str()).collect();
-    assert_eq!(names, ["blue_1/mux", "blue_1/hardware", "red/2/mux", "red/2/hardware"]);
+    assert_eq!(names, ["blue_1/mux", "blue_1/hardware", "red/two/mux", "red/two/hardware"]);
     let [_, blue, _, red] = file.modules.as_slice() else { panic!("four modules") };
     let port = |module: &ModuleEntry| module.options().settings["port"].clone();
     assert_eq!(port(blue), SettingValue::Text("memory:blue_1".to_owned()));
     assert_eq!(port(red), SettingValue::Text("unused".to_owned()));
     assert_eq!(blue.options().settings["board"], SettingValue::Text("cm740".to_owned()));
-    assert_eq!(red.options().resolved("imu/data_raw"), "red/2/imu/data_raw");
+    assert_eq!(red.options().resolved("imu/data_raw"), "red/two/imu/data_raw");
     assert_eq!(red.options().resolved("joint_states"), "/states");
     let robot = file.build(downbeat_executor::Core::new()).unwrap();
     let topics: Vec<_> = robot.core.topics().map(|topic| topic.name.to_string()).collect();
-    for topic in ["blue_1/joint_goals", "red/2/joint_goals", "states", "red/2/imu/data_raw"] {
+    for topic in ["blue_1/joint_goals", "red/two/joint_goals", "states", "red/two/imu/data_raw"] {
         assert!(topics.iter().any(|known| known == topic), "{topic}: {topics:?}");
     }
 }

@@ -36,7 +36,7 @@ test('the field shows score and time, and each robot believes to be about where 
 });
 
 test('the field is drawn: carpet, lines, robots and the ball', async () => {
-  const colors = await page.getByTestId('match-field').evaluate((canvas) => {
+  const counted = () => page.getByTestId('match-field').evaluate((canvas) => {
     const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
     const near = (i, [r, g, b]) => Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b) < 12;
     const wanted = { carpet: [46, 125, 67], blue: [47, 111, 224], red: [210, 59, 59], ball: [255, 140, 26] };
@@ -45,6 +45,10 @@ test('the field is drawn: carpet, lines, robots and the ball', async () => {
       for (let i = 0; i < data.length; i += 4) count += near(i, color) ? 1 : 0;
       return [name, count];
     }));
+  });
+  const colors = await until('the carpet is drawn', async () => {
+    const found = await counted();
+    return found.carpet > 0 && found;
   });
   assert(colors.carpet > 20 * (colors.blue + colors.red) && colors.blue > 50 && colors.red > 50 && colors.ball > 10, JSON.stringify(colors));
 });
