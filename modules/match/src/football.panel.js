@@ -32,18 +32,18 @@ export default {
     const rows = new Map();
 
     const score = h('output', { role: 'status', 'data-testid': 'match-score', style: { fontSize: '1.4em', fontWeight: '600' } });
-    const canvas = h('canvas', { role: 'img', 'aria-label': 'The field from above', 'data-testid': 'match-field', style: { width: '100%', display: 'block' } });
+    const canvas = h('canvas', { role: 'img', 'aria-label': 'The field from above', 'data-testid': 'match-field', style: { display: 'block', margin: '0.4rem auto', borderRadius: '0.4rem' } });
     const shows = h('input', { type: 'checkbox', checked: options.beliefs, onchange: () => { options.beliefs = shows.checked; view.set(options); draw(); } });
     const body = h('tbody');
     const events = h('ol', { 'aria-label': 'What happened', 'data-testid': 'match-events' });
-    root.append(
+    root.append(h('div', { style: { padding: '0.6rem 0.8rem' } },
       score,
       canvas,
       h('label', null, shows, ' what each robot believes (rings: itself; dots: the ball)'),
       h('div', { style: { overflowX: 'auto' } }, h('table', { 'data-testid': 'match-robots' },
         h('thead', null, h('tr', null, ['Robot', 'Automaton', 'Off by', 'Ball off by', ''].map((title) => h('th', { scope: 'col' }, title)))), body)),
       events,
-    );
+    ));
     const ink = canvas.getContext('2d');
 
     /** From the frame of a robot's team to that of the world. */
@@ -89,6 +89,10 @@ export default {
     function draw() {
       if (!field || !state) return;
       const [length, width] = [field.length + 2 * field.margin, field.width + 2 * field.margin];
+      const ratio = length / width;
+      canvas.style.aspectRatio = String(ratio);
+      // With room for the table below.
+      canvas.style.width = `min(100%, ${60 * ratio}vh)`;
       const density = globalThis.devicePixelRatio || 1;
       const across = canvas.clientWidth || 600;
       const scale = across / length;
@@ -169,7 +173,7 @@ export default {
       });
     }
     const resized = new ResizeObserver(draw);
-    resized.observe(canvas);
+    resized.observe(root);
     return { destroy() { resized.disconnect(); }, seeked() { replace(events); } };
   },
 };

@@ -183,12 +183,20 @@ impl Evaluator {
         }
     }
 
-    /// Runs a script. Its variables stay.
+    /// Runs a script. Its variables stay; one that is made again takes the place of the one before.
     pub(crate) fn run(&self, program: &Program, scope: &mut Scope<'static>) -> Result<(), Problem> {
         let variables = scope.len();
         let result = self.engine.run_ast_with_scope(scope, &program.ast);
-        if scope.len() > variables + MOST_NAMES {
-            scope.rewind(variables);
+        let made: Vec<(String, Dynamic)> = scope
+            .iter_raw()
+            .skip(variables)
+            .map(|(name, _, value)| (name.to_owned(), value.clone()))
+            .collect();
+        scope.rewind(variables);
+        if made.len() <= MOST_NAMES {
+            for (name, value) in made {
+                scope.set_value(name, value);
+            }
         }
         result.map_err(|error| problem(program, &error))
     }
@@ -339,6 +347,18 @@ mod tests {
             let problem = Evaluator::new().run(&program, &mut Scope::new()).unwrap_err();
             assert!((10..=11).contains(&problem.line), "{problem}");
         }
+    }
+
+    #[test]
+    fn a_script_that_runs_again_makes_its_variables_again() {
+        let program =
+            Program::new("let x = 1;\nlet y = x + 1;\nlet x = y + 1;", 1, Syntax::Statements).unwrap();
+        let (evaluator, mut scope) = (Evaluator::new(), Scope::new());
+        for _ in 0..1000 {
+            evaluator.run(&program, &mut scope).unwrap();
+        }
+        assert_eq!(scope.len(), 2);
+        assert_eq!(scope.get_value::<i64>("x"), Some(3));
     }
 
     #[test]
