@@ -264,7 +264,7 @@ impl Module for FootballMatch {
                 let tries = tries.filter(|tries| (1..=100_000).contains(tries));
                 let tries =
                     tries.ok_or_else(|| setup.refuse_value(settings.tries, "it has to be 1 to 100000"))?;
-                Official::Drill(Drill::new(field.clone(), seed, tries))
+                Official::Drill(Box::new(Drill::new(field.clone(), seed, tries)))
             }
             _ => {
                 let half = Duration::from_secs_f64(within(setup, settings.half_s, [1.0, 36_000.0])?);

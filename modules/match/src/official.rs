@@ -11,7 +11,7 @@ pub enum Official {
     /// Of a match.
     Referee(Box<Referee>),
     /// Of shots at an empty goal.
-    Drill(Drill),
+    Drill(Box<Drill>),
 }
 
 impl Official {

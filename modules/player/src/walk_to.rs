@@ -254,7 +254,7 @@ impl WalkTo {
 fn keeping_off(mut velocity: Velocity, others: &[DVec2]) -> Velocity {
     for other in others {
         let distance = other.length();
-        if distance > KEEP_OFF || distance < 1e-3 {
+        if !(1e-3..=KEEP_OFF).contains(&distance) {
             continue;
         }
         let towards = *other / distance;
