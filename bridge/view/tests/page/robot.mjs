@@ -67,7 +67,8 @@ test('a module of the graph shows true counts and its settings', async () => {
   });
   const later = runs(await snapshot());
   assert(shown <= later, `${earlier} < ${shown} <= ${later}`);
-  assert.equal(await page.getByTestId('graph-state').innerText(), 'active');
+  // Late where the machine is too busy for a loop of 8 ms.
+  assert.match(await page.getByTestId('graph-state').innerText(), /^(active|late)$/);
   const settings = await facts(page.getByTestId('graph-settings').locator('dl'));
   const hold = await downbeat('param', 'get', '/darwin_op', 'mux.hold_s', '--hide-type', '--spin-time', '40');
   assert.equal(Number(settings.hold_s), Number(hold));

@@ -91,7 +91,7 @@ pub(crate) struct PlayArguments {
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) qos_profile_overrides_path: Option<PathBuf>,
     /// At the end, wait up to this many milliseconds until reliable subscribers have received everything; 0
-    /// waits without limit, a negative number does not wait.
+    /// waits without limit, a negative number waits up to two seconds.
     #[arg(long, default_value_t = -1, allow_negative_numbers = true, value_name = "MS")]
     pub(crate) wait_for_all_acked: i64,
     /// Disable the keys: space pauses and resumes, right plays the next message while paused, up and down

@@ -28,6 +28,8 @@ use crate::ros_recorder::QosOverrides;
 
 /// The maximum time to wait for discovery: earlier samples would not be received.
 const DISCOVERY: Duration = Duration::from_secs(3);
+/// How long delivery to reliable subscribers may go on after the last message: some have only begun to listen.
+const DELIVERY: Duration = Duration::from_secs(2);
 /// The wait that is not logged, and the number of topics that the log names.
 const PATIENCE: Duration = Duration::from_millis(200);
 const MOST_NAMED: usize = 3;
@@ -318,8 +320,12 @@ impl Run<'_> {
 
     /// Implements `--wait-for-all-acked`, in milliseconds.
     fn wait_for_all_acked(&self, timeout: i64, stop: &Stop) {
-        let Ok(milliseconds) = u64::try_from(timeout) else { return };
-        let limit = (milliseconds > 0).then(|| Instant::now() + Duration::from_millis(milliseconds));
+        let limit = match u64::try_from(timeout) {
+            Ok(0) => None,
+            Ok(milliseconds) => Some(Duration::from_millis(milliseconds)),
+            Err(_) => Some(DELIVERY),
+        };
+        let limit = limit.map(|limit| Instant::now() + limit);
         for target in self.targets.iter().flatten() {
             let Target::Topic(publisher, _) = target else { continue };
             while !publisher.wait_for_all_acked(POLL) {
