@@ -188,13 +188,13 @@ impl Evaluator {
         let variables = scope.len();
         let result = self.engine.run_ast_with_scope(scope, &program.ast);
         let made: Vec<(String, Dynamic)> = scope
-            .iter_raw()
-            .skip(variables)
+            .iter_raw() // from the newest
+            .take(scope.len() - variables)
             .map(|(name, _, value)| (name.to_owned(), value.clone()))
             .collect();
         scope.rewind(variables);
         if made.len() <= MOST_NAMES {
-            for (name, value) in made {
+            for (name, value) in made.into_iter().rev() {
                 scope.set_value(name, value);
             }
         }
@@ -352,13 +352,16 @@ mod tests {
     #[test]
     fn a_script_that_runs_again_makes_its_variables_again() {
         let program =
-            Program::new("let x = 1;\nlet y = x + 1;\nlet x = y + 1;", 1, Syntax::Statements).unwrap();
+            Program::new("let x = 1;\nconst y = x + 1;\nlet x = y + 1;", 1, Syntax::Statements).unwrap();
         let (evaluator, mut scope) = (Evaluator::new(), Scope::new());
+        scope.push("before", 7_i64);
         for _ in 0..1000 {
             evaluator.run(&program, &mut scope).unwrap();
         }
-        assert_eq!(scope.len(), 2);
-        assert_eq!(scope.get_value::<i64>("x"), Some(3));
+        assert_eq!(scope.len(), 3);
+        for (name, value) in [("before", 7), ("x", 3), ("y", 2)] {
+            assert_eq!(scope.get_value::<i64>(name), Some(value));
+        }
     }
 
     #[test]

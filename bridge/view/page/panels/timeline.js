@@ -201,11 +201,9 @@ class TimelinePanel {
       if (!this.hasGraph) this.publishers = publishersOf(await this.robot.ask('graph'));
       this.hasGraph = true;
       this.stepButton.disabled = true;
-      // The trace begins before the cycle does.
-      const trace = this.robot.ask('trace', { cycles: 1 });
-      await this.robot.ask('step');
+      const trace = await this.robot.ask('step', { trace: true });
       this.range = null;
-      this.show(await trace);
+      this.show(trace);
       const cycle = this.timeline ? Math.max(...this.timeline.cycles.keys()) : 0;
       this.stepped = Number.isFinite(cycle) ? `The robot is paused. This is cycle ${cycle}.` : '';
       this.say(this.stepped);

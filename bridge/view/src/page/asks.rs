@@ -4,7 +4,7 @@ use super::{Ask, ModuleProfile, PageOptions, Panel};
 use crate::options::ViewTime;
 use crate::parameters::{settings, typed};
 use crate::server::Shared;
-use downbeat_executor::{CoreHandle, CycleTrace, Transition};
+use downbeat_executor::{CoreHandle, CycleTrace, Receipt, Transition};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -38,21 +38,28 @@ pub(crate) fn answer(shared: &Shared, page: &PageOptions, ask: Ask<'_>) -> Resul
         "trace" => {
             let cycles =
                 ask.arguments.get("cycles").and_then(Value::as_u64).unwrap_or(100).clamp(1, MOST_CYCLES);
-            trace(core, u32::try_from(cycles).unwrap_or(1))
+            finish(core, &core.trace(u32::try_from(cycles).unwrap_or(1)))
         }
         "settings" => Ok(all_settings(core)?.into()),
         "set" => {
             ask.check_access()?;
             set(core, ask)
         }
-        "pause" | "resume" | "step" => {
+        "pause" | "resume" => {
             ask.check_access()?;
-            match ask.name {
-                "pause" => core.pause(),
-                "resume" => core.resume(),
-                _ => core.step(),
+            if ask.name == "pause" {
+                core.pause()
+            } else {
+                core.resume()
             }
             Ok(Value::Null)
+        }
+        "step" => {
+            ask.check_access()?;
+            // The trace begins before the cycle does.
+            let trace = ask.arguments["trace"].as_bool().unwrap_or(false).then(|| core.trace(1));
+            core.step();
+            trace.map_or(Ok(Value::Null), |trace| finish(core, &trace))
         }
         "lifecycle" => {
             let snapshot = core.snapshot().wait(PATIENCE).ok_or(NO_ANSWER)?;
@@ -98,8 +105,8 @@ fn robot(shared: &Shared, page: &PageOptions, may_change: bool) -> Value {
     })
 }
 
-fn trace(core: &CoreHandle, cycles: u32) -> Result<Value, String> {
-    let receipt = core.trace(cycles);
+/// The trace when its cycles are over, or what it has after a while.
+fn finish(core: &CoreHandle, receipt: &Receipt<CycleTrace>) -> Result<Value, String> {
     let cut = || {
         core.finish_trace();
         receipt.wait(PATIENCE)

@@ -176,6 +176,24 @@ fn a_trace_names_the_messages_that_caused_runs() {
 }
 
 #[test]
+fn a_step_answers_with_its_cycle() {
+    let robot = page(|_| ());
+    let mut viewer = Viewer::of(open(address(&robot), &format!("/ws?token={TOKEN}"), PROTOCOL).unwrap());
+    ask(&mut viewer, json!({ "ask": "pause" })).unwrap();
+    for _ in 0..20 {
+        let trace = ask(&mut viewer, json!({ "ask": "step", "trace": true })).unwrap();
+        let mut cycles: Vec<_> = trace["events"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|event| event["cycle"].as_u64().unwrap())
+            .collect();
+        cycles.dedup();
+        assert_eq!(cycles.len(), 1, "{trace}");
+    }
+}
+
+#[test]
 fn without_the_token_a_page_only_looks() {
     let robot = page(|_| ());
     let mut viewer = Viewer::of(open(address(&robot), "/ws?token=wrong-token", PROTOCOL).unwrap());
