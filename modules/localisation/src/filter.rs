@@ -98,8 +98,23 @@ impl Pose {
         Self { position: -self.position, heading: wrapped(self.heading + PI) }
     }
 
-    fn place(self, seen: DVec2) -> DVec2 {
+    /// A point that is seen from this pose, on the field.
+    #[must_use]
+    pub fn place(self, seen: DVec2) -> DVec2 {
         self.position + DVec2::from_angle(self.heading).rotate(seen)
+    }
+
+    /// A pose that is known with respect to this one, on the field.
+    #[must_use]
+    pub fn then(self, step: Self) -> Self {
+        Self { position: self.place(step.position), heading: wrapped(self.heading + step.heading) }
+    }
+
+    /// The inverse of [`Pose::then`]: another pose with respect to this one.
+    #[must_use]
+    pub fn step_to(self, other: Self) -> Self {
+        let position = DVec2::from_angle(-self.heading).rotate(other.position - self.position);
+        Self { position, heading: wrapped(other.heading - self.heading) }
     }
 }
 
@@ -181,6 +196,13 @@ impl Filter {
         }
         self.draw(landmarks, reset);
         believed
+    }
+
+    /// How well what was seen of late fits: the short mean of equation (3), 0 before anything was seen. Filters that saw the same can be
+    /// compared by it.
+    #[must_use]
+    pub fn fit(&self) -> f64 {
+        self.means.map_or(0.0, |[fast, _]| fast)
     }
 
     /// The mean and the covariance of the particles around the best one.
@@ -360,6 +382,6 @@ impl Filter {
 }
 
 /// From -π to π.
-fn wrapped(angle: f64) -> f64 {
+pub(crate) fn wrapped(angle: f64) -> f64 {
     (angle + PI).rem_euclid(2.0 * PI) - PI
 }
