@@ -89,6 +89,7 @@ pub struct Filter {
     means: Option<[f64; 2]>,
     /// The heading that odometry alone would give, corrected slowly.
     heading: f64,
+    evidence: f64,
 }
 
 impl Pose {
@@ -131,6 +132,7 @@ impl Filter {
             half: DVec2::new(field.length, field.width) / 2.0 + field.margin,
             means: None,
             heading: 0.0,
+            evidence: 0.0,
         };
         filter.start(starts, deviations);
         filter
@@ -142,6 +144,7 @@ impl Filter {
         let starts = if starts.is_empty() { &fallback[..] } else { starts };
         self.heading = starts[0].heading;
         self.means = None;
+        self.evidence = 0.0;
         let poses: Vec<Pose> = (0..PARTICLES)
             .map(|index| self.scattered(starts[index % starts.len()], metres, radians))
             .collect();
@@ -179,6 +182,7 @@ impl Filter {
             particle.weight *= likelihood;
             sum += particle.weight;
         }
+        self.evidence += sum.max(1e-300).ln();
         // The geometric mean for one landmark, so that pictures with many and with few are comparable.
         let mean = (sum.max(1e-300)).powf(1.0 / count as f64);
         let [fast, slow] = self.means.unwrap_or([mean, mean]);
@@ -198,11 +202,11 @@ impl Filter {
         believed
     }
 
-    /// How well what was seen of late fits: the short mean of equation (3), 0 before anything was seen. Filters that saw the same can be
-    /// compared by it.
+    /// The logarithm of how likely all that was seen is, given the start. Filters that saw the same are compared by its difference: the
+    /// logarithm of their Bayes factor.
     #[must_use]
-    pub fn fit(&self) -> f64 {
-        self.means.map_or(0.0, |[fast, _]| fast)
+    pub fn evidence(&self) -> f64 {
+        self.evidence
     }
 
     /// The mean and the covariance of the particles around the best one.

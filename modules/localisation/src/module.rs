@@ -45,8 +45,7 @@ use std::time::Duration;
 /// | `ball_timeout` | after which an unseen ball is forgotten, s |
 ///
 /// The robot starts at one of `starts` when the module starts, when the game returns to its initial state, and when the teams change
-/// sides; at one of `returns` after a penalty. With several places all are followed until twenty pictures with landmarks tell which
-/// is right. When the referee sets the robots up, it may have been put back to a start: that is followed beside what was believed before.
+/// sides; at one of `returns` after a penalty. With several places all are followed until what is seen tells which is right. When the referee sets the robots up, it may have been put back to a start: that is followed beside what was believed before.
 /// Landmarks are not used while the robot is penalised.
 #[derive(Default)]
 pub struct Localisation {
@@ -195,12 +194,12 @@ impl Localisation {
 
     fn on_ball(&mut self, message: Received<'_, Ball>, _: &mut Context<'_, Ports>) {
         let Some(at) = self.time_of_picture(&message.header) else { return };
-        let (Some(position), Some(robot)) = (point(&message.point.point), self.odometry_at(at)) else { return };
+        let (Some(position), Some(robot)) = (point(&message.point.point), self.odometry_at(at)) else {
+            return;
+        };
         let [xx, xy, _, _, yy, ..] = message.point.covariance;
-        let is_covariance = [xx, xy, yy].iter().all(|part| part.is_finite())
-            && xx > 0.0
-            && yy > 0.0
-            && xy * xy < xx * yy;
+        let is_covariance =
+            [xx, xy, yy].iter().all(|part| part.is_finite()) && xx > 0.0 && yy > 0.0 && xy * xy < xx * yy;
         if !is_covariance {
             self.refused = Some(
                 "vision/ball has no covariance of its position; publish it with one (xx, xy, yy)".to_owned(),
@@ -242,8 +241,9 @@ impl Localisation {
     fn time_of_picture(&mut self, header: &Header) -> Option<Time> {
         if header.frame_id != FOOTPRINT {
             let frame: String = header.frame_id.chars().take(64).collect();
-            self.refused =
-                Some(format!("what is seen has to be in {FOOTPRINT}, as vision publishes it, not in \"{frame}\""));
+            self.refused = Some(format!(
+                "what is seen has to be in {FOOTPRINT}, as vision publishes it, not in \"{frame}\""
+            ));
             return None;
         }
         let (oldest, newest) = (self.odometry.front()?.0, self.odometry.back()?.0);
@@ -251,7 +251,8 @@ impl Localisation {
         if at < oldest || at > newest + AHEAD {
             self.refused = Some(format!(
                 "a picture is {:.1} s {} the odometry; let both have stamps of one clock, and pictures arrive within 2 s",
-                if at < oldest { oldest.saturating_since(at) } else { at.saturating_since(newest) }.as_secs_f64(),
+                if at < oldest { oldest.saturating_since(at) } else { at.saturating_since(newest) }
+                    .as_secs_f64(),
                 if at < oldest { "before" } else { "ahead of" },
             ));
             return None;
@@ -324,7 +325,8 @@ impl Localisation {
         let Some((before, earlier)) = next.checked_sub(1).and_then(|index| self.odometry.get(index)) else {
             return Some(*later);
         };
-        let share = at.saturating_since(*before).as_secs_f64() / after.saturating_since(*before).as_secs_f64();
+        let share =
+            at.saturating_since(*before).as_secs_f64() / after.saturating_since(*before).as_secs_f64();
         let step = earlier.step_to(*later);
         Some(earlier.then(Pose { position: step.position * share, heading: step.heading * share }))
     }
@@ -434,11 +436,8 @@ impl Module for Localisation {
         let seed = setup.value(seed).copied().unwrap_or_default();
         let about = "where the robot enters: x, y, heading in map (m, rad), up to four times; empty: the touch lines of its own half";
         let starts = places(setup, "starts", about)?;
-        let returns = places(
-            setup,
-            "returns",
-            "where it returns after a penalty, as starts; empty: as starts",
-        )?;
+        let returns =
+            places(setup, "returns", "where it returns after a penalty, as starts; empty: as starts")?;
         self.starts = if starts.is_empty() { touch_lines(&found) } else { starts };
         self.returns = if returns.is_empty() { self.starts.clone() } else { returns };
         // Negative seeds are valid.
