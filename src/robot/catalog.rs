@@ -55,7 +55,7 @@ impl Catalog {
     pub fn built_in() -> Self {
         let kinds = super::kind::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
         let own = downbeat_state_machine::INTERFACES;
-        #[cfg(feature = "network")]
+        #[cfg(any(feature = "football", feature = "network"))]
         let own = (own, downbeat_football::INTERFACES);
         // No carried interface has these names.
         let interfaces = Interfaces::carried().with(own).unwrap_or_default();

@@ -506,7 +506,28 @@ pub(super) fn built_in() -> Vec<Kind> {
         )
         .with_files(&["password_file"]),
     );
+    #[cfg(feature = "football")]
+    kinds.extend(senses());
     kinds
+}
+
+/// How a football player sees, and knows where it is.
+#[cfg(feature = "football")]
+fn senses() -> [Kind; 2] {
+    [
+        Kind::new(
+            "localisation",
+            "where a football player and the ball are on the field, from what vision sees and odometry",
+            downbeat_localisation::Localisation::default,
+        ),
+        Kind::new(
+            "vision",
+            "lines, ball, goal posts and robots in the pictures of a football player's camera",
+            downbeat_vision::Vision::default,
+        )
+        .with_files(&["colours"])
+        .detached(),
+    ]
 }
 
 #[cfg(feature = "network")]
