@@ -73,6 +73,11 @@ impl Hypotheses {
         self.filters.get(self.best()).map(|(filter, _)| filter.believed()).unwrap_or_default()
     }
 
+    /// The believed error of the camera's pitch, in rad.
+    pub(crate) fn pitch(&self) -> f64 {
+        self.filters.get(self.best()).map_or(0.0, |(filter, _)| filter.pitch())
+    }
+
     /// Whether it is decided where the robot is.
     pub(crate) fn is_decided(&self) -> bool {
         self.filters.len() == 1

@@ -1,7 +1,7 @@
 //! The filters as a module.
 
 use crate::ball::{BallFilter, Track};
-use crate::filter::{Believed, Landmarks, Pose};
+use crate::filter::{Believed, Landmarks, Pose, pitched};
 use crate::hypotheses::Hypotheses;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::football_interfaces::msg::GameState;
@@ -113,6 +113,8 @@ const LONGEST_STEP: f64 = 0.5;
 const FARTHEST: f64 = 15.0;
 /// The most landmarks of a sort that are used.
 const MOST_LANDMARKS: usize = 24;
+/// How much of the round of a circle has to be seen. Of simulated circles below it two of three are lines.
+const CIRCLE_CONFIDENCE: f32 = 0.6;
 /// After which silence is reported.
 const SILENCE: Duration = Duration::from_secs(5);
 /// The least deviation of a ball's position, in m.
@@ -179,7 +181,9 @@ impl Localisation {
             message.intersections.iter().filter_map(intersection).take(MOST_LANDMARKS).collect();
         let lines = message.segments.iter().filter_map(|line| Some([point(&line.start)?, point(&line.end)?]));
         landmarks.lines = lines.take(MOST_LANDMARKS).collect();
-        landmarks.circle = message.ellipses.first().and_then(|circle| point(&circle.center.position));
+        let circles =
+            message.ellipses.iter().filter(|circle| circle.confidence.confidence >= CIRCLE_CONFIDENCE);
+        landmarks.circle = circles.filter_map(|circle| point(&circle.center.position)).next();
         self.look(ctx);
     }
 
@@ -192,7 +196,7 @@ impl Localisation {
         self.look(ctx);
     }
 
-    fn on_ball(&mut self, message: Received<'_, Ball>, _: &mut Context<'_, Ports>) {
+    fn on_ball(&mut self, message: Received<'_, Ball>, ctx: &mut Context<'_, Ports>) {
         let Some(at) = self.time_of_picture(&message.header) else { return };
         let (Some(position), Some(robot)) = (point(&message.point.point), self.odometry_at(at)) else {
             return;
@@ -210,6 +214,8 @@ impl Localisation {
         let noise = DMat2::from_cols(DVec2::new(xx, xy), DVec2::new(xy, yy)) + least;
         let turn = DMat2::from_angle(robot.heading);
         self.ball_height = if message.point.point.z.is_finite() { message.point.point.z } else { 0.0 };
+        let pitch = self.hypotheses.as_ref().map_or(0.0, Hypotheses::pitch);
+        let position = pitched(position, *ctx.get(ctx.ports.camera_height), pitch);
         self.ball.see(robot.place(position), turn * noise * turn.transpose(), at);
     }
 
@@ -455,7 +461,7 @@ impl Module for Localisation {
             transforms: TransformBroadcaster::declare(setup)?,
             camera_height: setup.setting_in(
                 "camera_height",
-                0.42,
+                0.33,
                 0.1..=3.0,
                 "m; of the camera above the floor",
             )?,

@@ -184,6 +184,7 @@ fn markings(landmarks: &Landmarks, at: Time) -> seen::MarkingArray {
     if let Some(centre) = landmarks.circle {
         let mut ellipse = seen::MarkingEllipse::default();
         ellipse.center.position = on_floor(centre);
+        ellipse.confidence.confidence = 1.0;
         message.ellipses.push(ellipse);
     }
     message

@@ -208,7 +208,8 @@ fn a_player_with_eyes_walks_over_the_field_and_knows_where_it_and_the_ball_are()
             }
         }
         let heard = player.heard.lock().unwrap();
-        let told: Vec<&String> = heard.diagnostics.iter().filter(|told| !told.starts_with("darwin_op")).collect();
+        let told: Vec<&String> =
+            heard.diagnostics.iter().filter(|told| !told.starts_with("darwin_op")).collect();
         println!("{told:?}");
         drop(heard);
         assert!(player.robot.is_upright());
