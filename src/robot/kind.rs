@@ -511,7 +511,7 @@ pub(super) fn built_in() -> Vec<Kind> {
 }
 
 #[cfg(feature = "football")]
-fn football(ports: MemoryPorts) -> [Kind; 4] {
+fn football(ports: MemoryPorts) -> [Kind; 6] {
     [
         Kind::new(
             "football_match",
@@ -540,6 +540,18 @@ fn football(ports: MemoryPorts) -> [Kind; 4] {
             "walks to a place on the field, or lines up behind the ball for a kick",
             downbeat_player::walk_to::WalkTo::default,
         ),
+        Kind::new(
+            "localisation",
+            "where a football player and the ball are on the field, from what vision sees and odometry",
+            downbeat_localisation::Localisation::default,
+        ),
+        Kind::new(
+            "vision",
+            "lines, ball, goal posts and robots in the pictures of a football player's camera",
+            downbeat_vision::Vision::default,
+        )
+        .with_files(&["colours"])
+        .detached(),
     ]
 }
 

@@ -6,6 +6,8 @@
 //! - (3) if the mean weight of late falls below that of long, that share of particles is drawn anew from poses that landmarks imply;
 //! - (4) a field looks the same when turned by half: of the two, particles are drawn on the side on which the heading agrees with the
 //!   odometry, whose gyroscope keeps turning with the robot also while it is carried.
+//! - (5) while it walks, a robot does not know its pitch to two degrees, and all landmarks of a picture seem nearer or farther together: the
+//!   pitch error is that of a few values around the last one with which they fit best, seen from the believed pose.
 //!
 //! # References
 //! - S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005: table 8.3 (augmented Monte Carlo localisation), section 6.4, and table 4.4
@@ -57,7 +59,11 @@ const WAY_NOISE: f64 = 0.15;
 const TURN_NOISE: f64 = 0.1;
 const DRIFT_NOISE: f64 = 0.03;
 /// Of the direction of what is seen, in rad.
-const ANGLE_DEVIATION: f64 = 0.02;
+const ANGLE_DEVIATION: f64 = 0.035;
+/// All landmarks of a picture share the error of the camera's pitch: more than this many count as so many.
+const INDEPENDENT: f64 = 3.0;
+/// Equation (3): how far the mean of late may fall before anything is drawn anew.
+const PATIENCE: f64 = 1.3;
 /// ε of equation (2): how often something is seen that is not there.
 const OUTLIER: f64 = 0.05;
 /// How fast the means of equation (3) follow.
@@ -65,6 +71,12 @@ const FAST: f64 = 0.1;
 const SLOW: f64 = 0.02;
 /// The largest share of particles that are drawn anew at once.
 const MOST_RESET: f64 = 0.1;
+/// The values of (5) on either side of the last one, and their distance, in rad.
+const PITCHES: i32 = 4;
+const PITCH_STEP: f64 = 0.004;
+/// Standard deviations of the error's change between pictures, and of the error, in rad.
+const PITCH_CHANGE: f64 = 0.008;
+const PITCH_DEVIATION: f64 = 0.015;
 /// How certain the heading by odometry is, in rad.
 const HEADING_DEVIATION: f64 = 0.2;
 /// How far particles may be from the best one to belong to it: m, rad.
@@ -84,11 +96,41 @@ pub struct Filter {
     intersections: Vec<Intersection>,
     lines: Vec<Line>,
     posts: [DVec2; 4],
+    /// 0 if there is no circle.
+    circle_radius: f64,
     half: DVec2,
     /// The mean weights of equation (3): of late, and of long.
     means: Option<[f64; 2]>,
     /// The heading that odometry alone would give, corrected slowly.
     heading: f64,
+    evidence: f64,
+    pitch: f64,
+}
+
+impl Landmarks {
+    /// As if the camera looked up by this angle more, in rad.
+    fn pitched(&self, angle: f64) -> Self {
+        let moved = |point: &DVec2| pitched(*point, self.camera_height, angle);
+        Self {
+            camera_height: self.camera_height,
+            intersections: self
+                .intersections
+                .iter()
+                .map(|(at, kind, heading)| (moved(at), *kind, *heading))
+                .collect(),
+            lines: self.lines.iter().map(|ends| ends.each_ref().map(moved)).collect(),
+            posts: self.posts.iter().map(moved).collect(),
+            circle: self.circle.as_ref().map(moved),
+        }
+    }
+}
+
+/// Where a point of the floor is if the camera looks up by this angle (rad) more than was thought: (d² + h²) / h for each rad.
+pub(crate) fn pitched(point: DVec2, height: f64, angle: f64) -> DVec2 {
+    let (distance, height) = (point.length(), height.max(0.05));
+    let farther = angle * (distance * distance + height * height) / height;
+    // Far away the linear step is too long.
+    point + point.normalize_or_zero() * farther.clamp(-0.5 * distance, distance)
 }
 
 impl Pose {
@@ -98,8 +140,23 @@ impl Pose {
         Self { position: -self.position, heading: wrapped(self.heading + PI) }
     }
 
-    fn place(self, seen: DVec2) -> DVec2 {
+    /// A point that is seen from this pose, on the field.
+    #[must_use]
+    pub fn place(self, seen: DVec2) -> DVec2 {
         self.position + DVec2::from_angle(self.heading).rotate(seen)
+    }
+
+    /// A pose that is known with respect to this one, on the field.
+    #[must_use]
+    pub fn then(self, step: Self) -> Self {
+        Self { position: self.place(step.position), heading: wrapped(self.heading + step.heading) }
+    }
+
+    /// The inverse of [`Pose::then`]: another pose with respect to this one.
+    #[must_use]
+    pub fn step_to(self, other: Self) -> Self {
+        let position = DVec2::from_angle(-self.heading).rotate(other.position - self.position);
+        Self { position, heading: wrapped(other.heading - self.heading) }
     }
 }
 
@@ -113,9 +170,12 @@ impl Filter {
             intersections: field.intersections(),
             lines: field.lines(),
             posts: field.posts(),
+            circle_radius: field.circle_diameter / 2.0,
             half: DVec2::new(field.length, field.width) / 2.0 + field.margin,
             means: None,
             heading: 0.0,
+            evidence: 0.0,
+            pitch: 0.0,
         };
         filter.start(starts, deviations);
         filter
@@ -127,6 +187,7 @@ impl Filter {
         let starts = if starts.is_empty() { &fallback[..] } else { starts };
         self.heading = starts[0].heading;
         self.means = None;
+        self.evidence = 0.0;
         let poses: Vec<Pose> = (0..PARTICLES)
             .map(|index| self.scattered(starts[index % starts.len()], metres, radians))
             .collect();
@@ -157,23 +218,27 @@ impl Filter {
         if count == 0 {
             return self.believed();
         }
+        let landmarks = &landmarks.pitched(self.pitch);
+        let temper = (INDEPENDENT / count as f64).min(1.0);
         let mut sum = 0.0;
         for index in 0..self.particles.len() {
-            let likelihood = self.likelihood(landmarks, self.particles[index].pose);
+            let likelihood = self.likelihood(landmarks, self.particles[index].pose).powf(temper);
             let particle = &mut self.particles[index];
             particle.weight *= likelihood;
             sum += particle.weight;
         }
+        self.evidence += sum.max(1e-300).ln();
         // The geometric mean for one landmark, so that pictures with many and with few are comparable.
-        let mean = (sum.max(1e-300)).powf(1.0 / count as f64);
+        let mean = (sum.max(1e-300)).powf(1.0 / (count as f64 * temper));
         let [fast, slow] = self.means.unwrap_or([mean, mean]);
         let [fast, slow] = [fast + FAST * (mean - fast), slow + SLOW * (mean - slow)];
         self.means = Some([fast, slow]);
-        let reset = (1.0 - fast / slow).clamp(0.0, MOST_RESET);
+        let reset = (1.0 - PATIENCE * fast / slow).clamp(0.0, MOST_RESET);
         for particle in &mut self.particles {
             particle.weight = if sum > 1e-300 { particle.weight / sum } else { 1.0 / PARTICLES as f64 };
         }
         let believed = self.believed();
+        self.correct_pitch(landmarks, temper, believed.pose);
         let error = wrapped(believed.pose.heading - self.heading);
         // Drift of the gyroscope, not a turn by half.
         if error.abs() < 0.5 {
@@ -181,6 +246,13 @@ impl Filter {
         }
         self.draw(landmarks, reset);
         believed
+    }
+
+    /// The logarithm of how likely all that was seen is, given the start. Filters that saw the same are compared by its difference: the
+    /// logarithm of their Bayes factor.
+    #[must_use]
+    pub fn evidence(&self) -> f64 {
+        self.evidence
     }
 
     /// The mean and the covariance of the particles around the best one.
@@ -222,6 +294,25 @@ impl Filter {
             }
         }
         Believed { pose, covariance }
+    }
+
+    /// The believed error of the camera's pitch, in rad: what is seen is so much farther up.
+    #[must_use]
+    pub fn pitch(&self) -> f64 {
+        self.pitch
+    }
+
+    /// Point (5), for landmarks that are corrected by the last error already.
+    fn correct_pitch(&mut self, landmarks: &Landmarks, temper: f64, pose: Pose) {
+        let fit = |index: i32| {
+            let off = f64::from(index) * PITCH_STEP;
+            let likelihood = self.likelihood(&landmarks.pitched(off), pose).max(1e-300).ln();
+            let [change, size] = [off / PITCH_CHANGE, (self.pitch + off) / PITCH_DEVIATION];
+            (temper * likelihood - 0.5 * (change * change + size * size), off)
+        };
+        let best = (-PITCHES..=PITCHES).map(fit).max_by(|one, other| one.0.total_cmp(&other.0));
+        let off = best.map_or(0.0, |(_, off)| off);
+        self.pitch += 0.5 * off;
     }
 
     /// Equation (2).
@@ -274,13 +365,22 @@ impl Filter {
                 let way = (at - line.from).dot(direction).clamp(0.0, line.from.distance(line.to));
                 Some(line.from + direction * way)
             });
-            product *= nearest(at, &mut candidates).map_or(OUTLIER, |off| fit(middle, off));
+            let mut candidates_off = nearest(at, &mut candidates);
             let sharpness = 1.0 / (0.06 + 0.05 / ends[0].distance(ends[1]).max(0.1));
+            // An arc of the circle looks like a short line.
+            let is_short = ends[0].distance(ends[1]) < 0.8 * self.circle_radius;
+            let off_circle = off_circle(at, along, self.circle_radius).filter(|_| is_short);
+            if let Some(off) = off_circle {
+                candidates_off = Some(candidates_off.map_or(off, |other: DVec2| {
+                    if other.length_squared() < off.length_squared() { other } else { off }
+                }));
+            }
+            product *= candidates_off.map_or(OUTLIER, |off| fit(middle, off));
             let angle = self
                 .lines
                 .iter()
                 .map(|line| (line.to - line.from).normalize().perp_dot(along).abs())
-                .fold(1.0, f64::min);
+                .fold(if off_circle.is_some() { 0.0 } else { 1.0 }, f64::min);
             product *= OUTLIER + (-0.5 * (angle * sharpness).powi(2)).exp();
         }
         product
@@ -359,7 +459,14 @@ impl Filter {
     }
 }
 
+/// From the nearest point of the circle to one on a line in this direction, if the circle runs that way there.
+fn off_circle(at: DVec2, along: DVec2, radius: f64) -> Option<DVec2> {
+    let outwards = at.normalize_or_zero();
+    (radius > 0.0 && at.length() < 2.0 * radius && outwards.dot(along).abs() < 0.5)
+        .then(|| at - outwards * radius)
+}
+
 /// From -π to π.
-fn wrapped(angle: f64) -> f64 {
+pub(crate) fn wrapped(angle: f64) -> f64 {
     (angle + PI).rem_euclid(2.0 * PI) - PI
 }

@@ -1,7 +1,12 @@
-//! Where a football player is on the field.
+//! Where a football player and the ball are on the field.
 //!
-//! [`Filter`] is the engine, without messages: steps of odometry and [`Landmarks`] in, a [`Believed`] pose out.
+//! - [`Filter`] is the engine, without messages: steps of odometry and [`Landmarks`] in, a [`Believed`] pose out;
+//! - [`Localisation`] is the module for robot files.
 
+mod ball;
 mod filter;
+mod hypotheses;
+mod module;
 
 pub use filter::{Believed, Filter, Landmarks, Pose};
+pub use module::Localisation;

@@ -2,6 +2,7 @@
 //! the ball, goal posts and other robots, in pixels and on the field.
 //!
 //! - [`Detector`] is the engine, without messages: a [`Picture`], a [`View`] and the classes of [`Colours`] in, [`Seen`] out;
+//! - [`Samples`] learns such classes from marks in pictures;
 //! - [`Vision`] is the module for robot files.
 //!
 //! The order is the classical one of robot football: colour classes by a table, scan lines, field boundary, candidates below it, each
@@ -16,6 +17,7 @@
 mod colours;
 mod detector;
 mod labels;
+mod learn;
 mod markings;
 mod module;
 mod picture;
@@ -27,6 +29,7 @@ pub use colours::{Class, ClassRange, Colours, ColoursError, Table};
 pub use detector::{
     Detector, Exposure, Seen, SeenBall, SeenCircle, SeenIntersection, SeenLine, SeenPost, SeenRobot,
 };
+pub use learn::{LearnError, Samples};
 pub use module::Vision;
 pub use picture::{Encoding, Picture, PictureError};
 pub use view::{Camera, CameraError, View};

@@ -1,0 +1,185 @@
+//! Where the ball is and how it rolls: a Kalman filter of position and velocity, in a frame that stands still for seconds.
+//!
+//! The state is x = (p, v), with p' = v and v' = -k v + noise: a ball that rolls out. Measurements that do not fit are outliers, until several
+//! of them agree with each other: then the ball is there (it was kicked, or placed).
+//!
+//! # References
+//! - Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001: section 6.2.2 (white noise
+//!   acceleration), section 5.4 (gates).
+
+use downbeat_executor::Time;
+use glam::{DMat2, DVec2};
+
+/// A ball.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Track {
+    /// In m.
+    pub(crate) position: DVec2,
+    /// In m/s.
+    pub(crate) velocity: DVec2,
+    /// Of the position, of position and velocity, of the velocity.
+    pub(crate) covariance: [DMat2; 3],
+    at: Time,
+    /// How many measurements it has.
+    count: u32,
+}
+
+/// A ball, and one that may be instead.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct BallFilter {
+    track: Option<Track>,
+    rival: Option<Track>,
+    seen_at: Time,
+}
+
+/// The share of its velocity that a ball loses, per s.
+const ROLL_OUT: f64 = 0.4;
+/// Of the acceleration, in m²/s³.
+const ACCELERATION: f64 = 0.3;
+/// Of an unknown velocity, in m²/s².
+const UNKNOWN_VELOCITY: f64 = 0.5;
+/// Measurements beyond this squared Mahalanobis distance are outliers: 1 in 3000 of those that are none.
+const GATE: f64 = 16.0;
+/// How many measurements make a ball.
+const CONFIRMED: u32 = 2;
+/// How many measurements in a row make outliers the ball.
+const REPLACED: u32 = 3;
+
+impl Track {
+    fn new(position: DVec2, covariance: DMat2, at: Time) -> Self {
+        let unknown = DMat2::from_diagonal(DVec2::splat(UNKNOWN_VELOCITY));
+        let velocity = DVec2::ZERO;
+        Self { position, velocity, covariance: [covariance, DMat2::ZERO, unknown], at, count: 1 }
+    }
+
+    /// As it is later.
+    pub(crate) fn at(mut self, time: Time) -> Self {
+        let dt = time.saturating_since(self.at).as_secs_f64().min(10.0);
+        if dt <= 0.0 {
+            return self;
+        }
+        self.at = time;
+        let kept = (-ROLL_OUT * dt).exp();
+        let [a, b, c] = self.covariance;
+        let noise = |power: f64| DMat2::from_diagonal(DVec2::splat(ACCELERATION * power));
+        self.position += self.velocity * dt;
+        self.velocity *= kept;
+        self.covariance = [
+            a + (b + b.transpose()) * dt + c * (dt * dt) + noise(dt * dt * dt / 3.0),
+            (b + c * dt) * kept + noise(dt * dt / 2.0),
+            c * (kept * kept) + noise(dt),
+        ];
+        self
+    }
+
+    /// Whether a measurement belongs to it, at its time.
+    fn fits(&self, position: DVec2, noise: DMat2) -> bool {
+        let off = position - self.position;
+        off.dot((self.covariance[0] + noise).inverse() * off) <= GATE
+    }
+
+    fn corrected(mut self, position: DVec2, noise: DMat2) -> Self {
+        let [a, b, c] = self.covariance;
+        let inverse = (a + noise).inverse();
+        let (gain, gain_of_velocity) = (a * inverse, b.transpose() * inverse);
+        let off = position - self.position;
+        self.position += gain * off;
+        self.velocity += gain_of_velocity * off;
+        self.covariance = [a - gain * a, b - gain * b, c - gain_of_velocity * b];
+        self.count = self.count.saturating_add(1);
+        self
+    }
+}
+
+impl BallFilter {
+    /// Takes a measurement; an older one than the last is ignored.
+    pub(crate) fn see(&mut self, position: DVec2, noise: DMat2, at: Time) {
+        let Some(track) = self.track else {
+            (self.track, self.seen_at) = (Some(Track::new(position, noise, at)), at);
+            return;
+        };
+        if at < track.at {
+            return;
+        }
+        let track = track.at(at);
+        if track.fits(position, noise) {
+            (self.track, self.rival, self.seen_at) = (Some(track.corrected(position, noise)), None, at);
+            return;
+        }
+        let rival = match self.rival.map(|rival| rival.at(at)) {
+            Some(rival) if rival.fits(position, noise) => rival.corrected(position, noise),
+            _ => Track::new(position, noise, at),
+        };
+        self.rival = Some(rival);
+        // A ball that was seen once only is not worth more than its rival.
+        if rival.count >= if track.count < CONFIRMED { CONFIRMED } else { REPLACED } {
+            (self.track, self.rival, self.seen_at) = (Some(rival), None, at);
+        }
+    }
+
+    /// The ball, if it was seen at least twice, and not long ago.
+    pub(crate) fn ball(&self, now: Time, timeout: std::time::Duration) -> Option<Track> {
+        let track = self.track.filter(|track| track.count >= CONFIRMED)?;
+        (now.saturating_since(self.seen_at) <= timeout).then(|| track.at(now))
+    }
+
+    /// Forgets a ball that was not seen for this long.
+    pub(crate) fn forget_after(&mut self, now: Time, timeout: std::time::Duration) {
+        if now.saturating_since(self.seen_at) > timeout {
+            *self = Self::default();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::time::Duration;
+
+    const NOISE: DMat2 = DMat2::from_cols(DVec2::new(4e-4, 0.0), DVec2::new(0.0, 4e-4));
+
+    fn time(seconds: f64) -> Time {
+        Time::from_nanos((1e9 * seconds) as i64)
+    }
+
+    fn ball(filter: &BallFilter, seconds: f64) -> Option<Track> {
+        filter.ball(time(seconds), Duration::from_secs(1))
+    }
+
+    #[test]
+    fn a_rolling_ball_has_a_velocity() {
+        let mut filter = BallFilter::default();
+        for step in 0..30 {
+            let seconds = 0.1 * f64::from(step);
+            // Alternating errors of 1 cm.
+            let error = DVec2::splat(if step % 2 == 0 { 0.01 } else { -0.01 });
+            filter.see(DVec2::new(0.5 * seconds, 1.0) + error, NOISE, time(1.0 + seconds));
+        }
+        let found = ball(&filter, 4.0).unwrap();
+        assert!(found.velocity.distance(DVec2::new(0.5, 0.0)) < 0.1, "{found:?}");
+        assert!(found.position.distance(DVec2::new(1.5, 1.0)) < 0.05, "{found:?}");
+    }
+
+    #[test]
+    fn one_false_ball_changes_nothing_and_three_move_it() {
+        let mut filter = BallFilter::default();
+        let (true_ball, other) = (DVec2::new(1.0, 0.0), DVec2::new(-1.0, 2.0));
+        (0..10).for_each(|step| filter.see(true_ball, NOISE, time(1.0 + 0.1 * f64::from(step))));
+        filter.see(other, NOISE, time(2.0));
+        assert!(ball(&filter, 2.0).unwrap().position.distance(true_ball) < 0.03);
+        filter.see(true_ball, NOISE, time(2.1));
+        (0..3).for_each(|step| filter.see(other, NOISE, time(2.2 + 0.1 * f64::from(step))));
+        assert!(ball(&filter, 2.5).unwrap().position.distance(other) < 0.05);
+    }
+
+    #[test]
+    fn a_ball_seen_once_or_long_ago_is_none() {
+        let mut filter = BallFilter::default();
+        filter.see(DVec2::X, NOISE, time(1.0));
+        assert_eq!(ball(&filter, 1.0), None);
+        filter.see(DVec2::X, NOISE, time(1.1));
+        assert!(ball(&filter, 2.0).is_some());
+        assert_eq!(ball(&filter, 2.2), None);
+    }
+}
