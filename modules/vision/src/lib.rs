@@ -16,6 +16,7 @@
 
 mod colours;
 mod detector;
+mod drawing;
 mod labels;
 mod learn;
 mod markings;

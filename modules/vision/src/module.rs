@@ -31,12 +31,14 @@ use std::time::Duration;
 /// | `vision/pixels/{field_boundary,markings,balls,goalposts,robots}` | soccer_vision_2d_msgs | in the picture |
 /// | `vision/{field_boundary,markings,balls,goalposts,robots}` | soccer_vision_3d_msgs | on the floor, in `base_footprint` |
 /// | `vision/ball` | soccer_model_msgs/Ball | the most certain ball with its covariance, in `base_footprint`; no velocity |
+/// | `vision/annotated` | sensor_msgs/Image | with the setting `annotated`: the picture with what was seen ([`Picture::annotated`]) |
 /// | `diagnostics` | diagnostic_msgs/DiagnosticArray | when the state changes: what is wrong with pictures, and the remedy |
 ///
 /// All have the stamp of the picture. `base_footprint` is on the floor below the base of the robot, with x where the base faces.
 ///
 /// Settings: `field` (a name or a file), `colours` (a file; empty for the built-in ones), `floor_frame` (`odom`), `base_frame`
-/// (`base_link`), `angle_deviation` (rad: how certain directions are, for covariances).
+/// (`base_link`), `angle_deviation` (rad: how certain directions are, for covariances), `annotated` (false; a setting and not a matter of
+/// who listens, so that a recorded run repeats).
 #[derive(Default)]
 pub struct Vision {
     detector: Option<Detector>,
@@ -60,7 +62,9 @@ pub struct Ports {
     posts: Publication<solid::GoalpostArray>,
     robots: Publication<solid::RobotArray>,
     ball: Publication<BallEstimate>,
+    annotated: Publication<Image>,
     diagnostics: Publication<DiagnosticArray>,
+    annotate: Setting<bool>,
     floor_frame: Setting<String>,
     base_frame: Setting<String>,
     angle_deviation: Setting<f64>,
@@ -116,10 +120,24 @@ impl Vision {
         };
         let Some(detector) = &mut self.detector else { return };
         let view = View { camera, ground_from_camera };
-        let seen = match Picture::of(&image) {
-            Ok(picture) => detector.see(&picture, &view),
+        let picture = match Picture::of(&image) {
+            Ok(picture) => picture,
             Err(problem) => return self.report(&problem.to_string(), ctx),
         };
+        let header = &image.header;
+        let seen = detector.see(&picture, &view);
+        if *ctx.get(ctx.ports.annotate) {
+            let annotated = Image {
+                header: header.clone(),
+                encoding: "rgb8".to_owned(),
+                is_bigendian: 0,
+                step: 3 * image.width,
+                data: picture.annotated(&seen),
+                width: image.width,
+                height: image.height,
+            };
+            ctx.publish(ctx.ports.annotated, annotated);
+        }
         let field = detector.field().clone();
         let state = match seen.exposure {
             Exposure::Good => "",
@@ -128,7 +146,7 @@ impl Vision {
             Exposure::NoCarpet => "no carpet in the picture; calibrate the colours if there is some",
         };
         self.report(state, ctx);
-        publish(&seen, &view, &field, &image.header, ctx);
+        publish(&seen, &view, &field, header, ctx);
     }
 
     /// The camera over the floor below the base.
@@ -211,7 +229,13 @@ impl Module for Vision {
             posts: setup.publish("vision/goalposts")?,
             robots: setup.publish("vision/robots")?,
             ball: setup.publish("vision/ball")?,
+            annotated: setup.publish("vision/annotated")?,
             diagnostics: setup.publish("diagnostics")?,
+            annotate: setup.setting(
+                "annotated",
+                false,
+                "publish pictures with what was seen drawn into them",
+            )?,
             floor_frame: setup.setting(
                 "floor_frame",
                 "odom".to_owned(),
