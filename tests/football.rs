@@ -5,6 +5,9 @@
 mod common;
 
 use common::{downbeat, text_of};
+use downbeat::bags::Selection;
+use downbeat::msgs::cdr;
+use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
 use std::path::Path;
 
 /// Plays a part of the match and returns what was printed.
@@ -36,6 +39,76 @@ fn a_match_is_played_recorded_and_replayed_bit_for_bit() {
         for topic in ["/blue_1/joint_goals", "/red_2/player/state", "/red_1/pose"] {
             assert!(replay.contains(topic), "{topic}: {replay}");
         }
+    }
+}
+
+#[test]
+fn a_player_that_sees_is_replayed_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let line =
+        ["match", "robots/seeing_match.toml", "--fast", "--duration", "4s", "--domain", "219", "--record"];
+    let output = downbeat(&line).arg(&bag).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bag_name = bag.to_str().unwrap();
+    for launcher in ["linear", "pool:2"] {
+        let replay =
+            text_of(&["bag", "replay", "robots/seeing_match.toml", bag_name, "--launcher", launcher]);
+        for topic in ["/blue_2/vision/markings", "/blue_2/vision/annotated", "/blue_2/pose"] {
+            assert!(replay.contains(topic), "{topic}: {replay}");
+        }
+    }
+    // It knows where it is, and it stands still until play begins.
+    let reader = downbeat::bags::Reader::open(&bag).unwrap();
+    let topic = reader.topic("/blue_2/pose").unwrap();
+    let last = reader.messages(Selection::all().topics([topic])).unwrap().last().unwrap().unwrap();
+    let pose: PoseWithCovarianceStamped = cdr::from_slice(&last.data).unwrap();
+    let at = pose.pose.pose.position;
+    assert!((at.x + 0.9).abs() < 0.2 && at.y.abs() < 0.2, "{at:?}");
+
+    // A picture of the bag teaches the carpet's colour.
+    let marks = folder.path().join("marks.toml");
+    let text = "[[picture]]\nbag = \"bag\"\ntopic = \"blue_2/camera/image_raw\"\nat = 1.0\ngreen = [[160, 200, 6]]\n";
+    std::fs::write(&marks, text).unwrap();
+    let learned = folder.path().join("colours.toml");
+    text_of(&["vision", "calibrate", marks.to_str().unwrap(), "-o", learned.to_str().unwrap()]);
+    let colours = downbeat_vision::Colours::read(&learned).unwrap();
+    assert_ne!(colours.green, downbeat_vision::Colours::default().green);
+    assert_eq!(colours.white, downbeat_vision::Colours::default().white);
+}
+
+#[test]
+fn colours_are_learned_from_the_marks_of_the_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = include_str!("../docs/vision.md");
+    let start = page.find("# marks.toml").unwrap();
+    let marks = &page[start..start + page[start..].find("```").unwrap()];
+    const FRAME: &str = "modules/vision/tests/data/darwin_op_frame.png";
+    let frame = Path::new(env!("CARGO_MANIFEST_DIR")).join(FRAME);
+    std::fs::copy(frame, folder.path().join("darwin_op_frame.png")).unwrap();
+    let calibrate = |marks: &str, more: &[&str]| {
+        std::fs::write(folder.path().join("marks.toml"), marks).unwrap();
+        let mut command = downbeat(&["vision", "calibrate", "marks.toml", "--output", "colours.toml"]);
+        command.args(more).current_dir(folder.path()).output().unwrap()
+    };
+    let output = calibrate(marks, &["--pictures", "seen"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let colours = downbeat_vision::Colours::read(&folder.path().join("colours.toml")).unwrap();
+    // Of the carpet, and of the ball.
+    assert_eq!(colours.class_of([20, 140, 80]), downbeat_vision::Class::Green);
+    assert!(std::fs::read(folder.path().join("seen/classes_1.png")).unwrap().starts_with(b"\x89PNG"));
+    for (changed, problem) in [
+        (marks.to_owned(), "exists already"),
+        (marks.replace("[338, 160, 6]", "[900, 160, 6]"), "picture 1: orange at [900, 160, 6]"),
+        (marks.replace("[338, 160, 6]", "[320, 300, 6]"), "same hue"),
+        (marks.replace("orange", "pink"), "marks.toml:4: unknown field `pink`"),
+        (marks.replace("frame.png", "other.png"), "darwin_op_other.png"),
+        ("picture = []".to_owned(), "no [[picture]]"),
+    ] {
+        let more: &[&str] = if problem == "exists already" { &[] } else { &["--force"] };
+        let output = calibrate(&changed, more);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && error.contains(problem), "{problem}: {error}");
     }
 }
 

@@ -141,6 +141,10 @@ pub(crate) enum Command {
     /// Find serial servos, read and write their registers, change ids.
     #[command(subcommand)]
     Servo(ServoCommand),
+    /// Calibrate the vision of football players.
+    #[cfg(feature = "football")]
+    #[command(subcommand)]
+    Vision(super::vision::VisionCommand),
     /// Create your own project: a robot, or with --template a package of messages or a module.
     New(NewArguments),
     /// Convert robot descriptions.

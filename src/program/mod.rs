@@ -34,6 +34,8 @@ mod topic_field;
 mod trace;
 #[cfg(feature = "view")]
 mod view;
+#[cfg(feature = "football")]
+mod vision;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -109,6 +111,8 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::New(arguments) => new::new(&arguments),
         Command::Description(DescriptionCommand::Mjcf { urdf, fixed }) => description::mjcf(&urdf, fixed),
         Command::Servo(command) => servo::run(command),
+        #[cfg(feature = "football")]
+        Command::Vision(command) => vision::run(&command),
         Command::Emulate(EmulateCommand::Servos { description, bus, link, seed, fault }) => {
             emulate::servos(&description, &bus, link, seed, &fault)
         }

@@ -5,8 +5,10 @@ use crate::filter::{Believed, Landmarks, Pose, pitched};
 use crate::hypotheses::Hypotheses;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::football_interfaces::msg::GameState;
-use downbeat_football::soccer_model_msgs::msg::Ball;
-use downbeat_football::soccer_vision_3d_msgs::msg::{GoalpostArray, MarkingArray, MarkingIntersection};
+use downbeat_football::soccer_model_msgs::msg::{Ball, Robot, RobotArray};
+use downbeat_football::soccer_vision_3d_msgs::msg::{
+    GoalpostArray, MarkingArray, MarkingIntersection, RobotArray as SeenRobots,
+};
 use downbeat_football::{Field, IntersectionKind};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
@@ -29,10 +31,12 @@ use std::time::Duration;
 /// | `vision/markings` (in) | soccer_vision_3d_msgs/MarkingArray | in `base_footprint` |
 /// | `vision/goalposts` (in) | soccer_vision_3d_msgs/GoalpostArray | in `base_footprint`, with the stamp of the markings |
 /// | `vision/ball` (in) | soccer_model_msgs/Ball | in `base_footprint`, with covariance |
+/// | `vision/robots` (in) | soccer_vision_3d_msgs/RobotArray | in `base_footprint` |
 /// | `game_state` (in) | football_interfaces/GameState | when the robot is put somewhere; works without |
 /// | `pose` | geometry_msgs/PoseWithCovarianceStamped | of `base_link` in `map`, at most 50 times a second |
 /// | `tf` | tf2_msgs/TFMessage | `map` to `odom`, with each pose |
 /// | `ball` | soccer_model_msgs/Ball | in `map`, with each pose, until `ball_timeout` after it was last seen; covariances with respect to the robot |
+/// | `robots` | soccer_model_msgs/RobotArray | in `map`, those of each picture, unfiltered |
 /// | `diagnostics` | diagnostic_msgs/DiagnosticArray | when the state changes: what is missing, and the remedy |
 ///
 /// | setting | |
@@ -73,6 +77,7 @@ pub struct Localisation {
 pub struct Ports {
     pose: Publication<PoseWithCovarianceStamped>,
     ball: Publication<Ball>,
+    robots: Publication<RobotArray>,
     diagnostics: Publication<DiagnosticArray>,
     transforms: TransformBroadcaster,
     camera_height: Setting<f64>,
@@ -217,6 +222,22 @@ impl Localisation {
         let pitch = self.hypotheses.as_ref().map_or(0.0, Hypotheses::pitch);
         let position = pitched(position, *ctx.get(ctx.ports.camera_height), pitch);
         self.ball.see(robot.place(position), turn * noise * turn.transpose(), at);
+    }
+
+    fn on_robots(&mut self, message: Received<'_, SeenRobots>, ctx: &mut Context<'_, Ports>) {
+        let Some(at) = self.time_of_picture(&message.header) else { return };
+        let Some(odometry) = self.odometry_at(at) else { return };
+        let place = self.map_from_odom.then(odometry);
+        let robots = message.robots.iter().filter_map(|seen| {
+            let position = place.place(point(&seen.bb.center.position)?);
+            let mut robot = Robot { attributes: seen.attributes, ..Robot::default() };
+            robot.pose.pose.position = Point { x: position.x, y: position.y, z: 0.0 };
+            robot.pose.pose.orientation.w = 1.0;
+            Some(robot)
+        });
+        let robots = robots.take(MOST_LANDMARKS).collect();
+        let header = Header { frame_id: MAP.to_owned(), ..message.header.clone() };
+        ctx.publish(ctx.ports.robots, RobotArray { header, robots });
     }
 
     fn on_game(&mut self, message: Received<'_, GameState>, _: &mut Context<'_, Ports>) {
@@ -453,10 +474,12 @@ impl Module for Localisation {
         setup.subscribe("vision/markings", Self::on_markings)?;
         setup.subscribe("vision/goalposts", Self::on_posts)?;
         setup.subscribe("vision/ball", Self::on_ball)?;
+        setup.subscribe("vision/robots", Self::on_robots)?;
         setup.every(Duration::from_secs(1), Self::report)?;
         Ok(Ports {
             pose: setup.publish("pose")?,
             ball: setup.publish("ball")?,
+            robots: setup.publish("robots")?,
             diagnostics: setup.publish("diagnostics")?,
             transforms: TransformBroadcaster::declare(setup)?,
             camera_height: setup.setting_in(

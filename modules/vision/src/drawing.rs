@@ -90,7 +90,8 @@ impl Canvas {
     }
 
     fn ellipse(&mut self, centre: DVec2, radii: DVec2, colour: [u8; 3]) {
-        let corner = |part: i32| centre + radii * DVec2::from_angle(f64::from(part) * std::f64::consts::PI / 24.0);
+        let corner =
+            |part: i32| centre + radii * DVec2::from_angle(f64::from(part) * std::f64::consts::PI / 24.0);
         (0..48).for_each(|part| self.line(corner(part), corner(part + 1), colour));
     }
 
@@ -115,7 +116,8 @@ mod tests {
     fn what_is_seen_is_drawn_where_it_is() {
         let data = [40, 130, 50].repeat(32 * 32);
         let picture = Picture::new([32, 32], 96, Encoding::Rgb8, &data).unwrap();
-        let ball = SeenBall { centre: DVec2::new(10.0, 20.0), radius: 3.0, place: DVec2::ZERO, confidence: 1.0 };
+        let ball =
+            SeenBall { centre: DVec2::new(10.0, 20.0), radius: 3.0, place: DVec2::ZERO, confidence: 1.0 };
         // Half of it is outside.
         let post = SeenPost {
             foot: DVec2::new(31.0, 16.0),

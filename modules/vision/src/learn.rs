@@ -11,12 +11,11 @@ use glam::DVec2;
 ///
 /// ```
 /// use downbeat_vision::{Class, Colours, Encoding, Picture, Samples};
-/// use glam::DVec2;
 ///
 /// let blue_green = [20_u8, 140, 110].repeat(32 * 32);
 /// let picture = Picture::new([32, 32], 32 * 3, Encoding::Rgb8, &blue_green)?;
 /// let mut samples = Samples::default();
-/// samples.add(&picture, Class::Green, DVec2::splat(16.0), 4.0);
+/// samples.add(&picture, Class::Green, [16.0, 16.0], 4.0);
 /// let colours = samples.learn(Colours::default())?;
 /// assert_eq!(colours.class_of([20, 140, 110]), Class::Green);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -91,7 +90,8 @@ const MOST: usize = 1 << 20;
 
 impl Samples {
     /// Adds the pixels of a disc. [`Class::Other`] has no colours, and is ignored.
-    pub fn add(&mut self, picture: &Picture<'_>, class: Class, centre: DVec2, radius: f64) {
+    pub fn add(&mut self, picture: &Picture<'_>, class: Class, centre: impl Into<DVec2>, radius: f64) {
+        let centre = centre.into();
         let pixels = match class {
             Class::Other => return,
             Class::Orange => &mut self.orange,

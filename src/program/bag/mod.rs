@@ -25,7 +25,7 @@ use std::path::Path;
 use crate::bags::Reader;
 
 /// Opens a bag, and prints what is lost.
-fn open(bag: &Path) -> anyhow::Result<Reader> {
+pub(super) fn open(bag: &Path) -> anyhow::Result<Reader> {
     let reader = Reader::open(bag)?;
     for truncation in reader.truncation() {
         tracing::warn!("{truncation}");
