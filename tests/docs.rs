@@ -47,7 +47,7 @@ const ELSEWHERE: [&str; 19] = [
     "cargo run -- run robot.toml",
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
     "cargo run --release --features football", // tests/football.rs
-    "downbeat vision calibrate",               // tests/football.rs
+    "downbeat vision calibrate",              // tests/football.rs
     "downbeat top --plot",                    // tests/top.rs
     "downbeat servo scan",                    // tests/servos.rs
     "echo 1 | sudo",

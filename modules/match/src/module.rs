@@ -23,6 +23,7 @@ use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Motion, R
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec3};
 use serde_json::json;
+use std::collections::VecDeque;
 use std::f64::consts::PI;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -41,7 +42,7 @@ use std::time::Duration;
 /// | `NAME/ground_truth/odom` | nav_msgs/Odometry | its pose in `map`, in which its own goal is at -x; 50 times a second |
 /// | `NAME/ground_truth/ball` | geometry_msgs/PoseStamped | the same of the ball |
 /// | `NAME/ground_truth/robots` | soccer_model_msgs/RobotArray | the same of the other robots; 10 times a second |
-/// | `NAME/camera/image_raw`, `NAME/camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0 |
+/// | `NAME/camera/image_raw`, `NAME/camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0; 30 ms after the exposure, which the stamp tells |
 ///
 /// | `match/place_ball` (in) | geometry_msgs/PointStamped | puts the ball there, in the frame of the world |
 ///
@@ -69,6 +70,8 @@ struct Game {
     names: Vec<String>,
     began: Option<Time>,
     tell_at: Time,
+    /// Pictures that nobody has yet, in the order of their times: robot, time, pixels.
+    pictures: VecDeque<(usize, Time, Vec<u8>)>,
 }
 
 /// The keys of [`FootballMatch`].
@@ -93,6 +96,9 @@ const LOOK: Duration = Duration::from_millis(100);
 /// How often players hear the referee at least.
 const TELL: Duration = Duration::from_millis(500);
 const TRUTH: Duration = Duration::from_millis(20);
+/// From exposure until the robot has the picture, as in a camera on USB.
+const LATENCY: Duration = Duration::from_millis(30);
+const DELIVER: Duration = Duration::from_millis(10);
 const FIELD: Duration = Duration::from_secs(2);
 const MOST_ROBOTS: usize = 22;
 
@@ -196,21 +202,30 @@ impl FootballMatch {
         }
     }
 
-    fn show(&mut self, picture: Result<(usize, Time, Vec<u8>), JobError>, ctx: &mut Context<'_, Ports>) {
-        match picture {
-            Ok((robot, at, data)) => {
-                let Some((image, info)) = ctx.ports.robots.get(robot).and_then(|robot| robot.camera) else {
-                    return;
-                };
-                let Camera { width, height, .. } = Camera::darwin_op();
-                let header = header(at, "camera_optical_frame");
-                ctx.publish(info, Camera::darwin_op().info(header.clone()));
-                let encoding = "rgb8".to_owned();
-                let picture =
-                    Image { header, height, width, encoding, is_bigendian: 0, step: width * 3, data };
-                ctx.publish(image, picture);
-            }
-            Err(error) => tracing::error!("a picture was not rendered: {error}"),
+    fn keep(&mut self, picture: Result<(usize, Time, Vec<u8>), JobError>, _: &mut Context<'_, Ports>) {
+        match (picture, &mut self.game) {
+            (Ok(picture), Some(game)) => game.pictures.push_back(picture),
+            (Err(error), _) => tracing::error!("a picture was not rendered: {error}"),
+            (Ok(_), None) => {}
+        }
+    }
+
+    fn deliver(&mut self, ctx: &mut Context<'_, Ports>) {
+        let Some(game) = &mut self.game else { return };
+        let now = ctx.now();
+        let is_due = |(_, at, _): &(usize, Time, Vec<u8>)| now.saturating_since(*at) >= LATENCY;
+        while game.pictures.front().is_some_and(is_due)
+            && let Some((robot, at, data)) = game.pictures.pop_front()
+        {
+            let Some((image, info)) = ctx.ports.robots.get(robot).and_then(|robot| robot.camera) else {
+                continue;
+            };
+            let Camera { width, height, .. } = Camera::darwin_op();
+            let header = header(at, "camera_optical_frame");
+            ctx.publish(info, Camera::darwin_op().info(header.clone()));
+            let encoding = "rgb8".to_owned();
+            let picture = Image { header, height, width, encoding, is_bigendian: 0, step: width * 3, data };
+            ctx.publish(image, picture);
         }
     }
 }
@@ -303,6 +318,7 @@ impl Module for FootballMatch {
         setup.every(FIELD, Self::tell_field)?;
         if camera_hz > 0.0 {
             setup.every(Duration::from_secs_f64(1.0 / camera_hz), Self::take_pictures)?;
+            setup.every(DELIVER, Self::deliver)?;
         }
         setup.subscribe("match/place_ball", Self::place_ball)?;
         let robots = names.iter().map(|name| {
@@ -322,13 +338,22 @@ impl Module for FootballMatch {
             })
         });
         let robots = robots.collect::<Result<_, SetupError>>()?;
-        self.game = Some(Game { arena, official, field, seats, names, began: None, tell_at: Time::ZERO });
+        self.game = Some(Game {
+            arena,
+            official,
+            field,
+            seats,
+            names,
+            began: None,
+            tell_at: Time::ZERO,
+            pictures: VecDeque::new(),
+        });
         Ok(Ports {
             state: setup.publish("match/state")?,
             field: setup.publish("match/field")?,
             event: setup.publish("match/event")?,
             robots,
-            pictures: setup.job(Self::show),
+            pictures: setup.job(Self::keep),
         })
     }
 
