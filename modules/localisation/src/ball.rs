@@ -85,7 +85,9 @@ impl Track {
         let off = position - self.position;
         self.position += gain * off;
         self.velocity += gain_of_velocity * off;
-        self.covariance = [a - gain * a, b - gain * b, c - gain_of_velocity * b];
+        // Rounding errors that are not symmetric would grow from measurement to measurement.
+        let symmetric = |matrix: DMat2| (matrix + matrix.transpose()) * 0.5;
+        self.covariance = [symmetric(a - gain * a), b - gain * b, symmetric(c - gain_of_velocity * b)];
         self.count = self.count.saturating_add(1);
         self
     }
@@ -159,6 +161,22 @@ mod tests {
         let found = ball(&filter, 4.0).unwrap();
         assert!(found.velocity.distance(DVec2::new(0.5, 0.0)) < 0.1, "{found:?}");
         assert!(found.position.distance(DVec2::new(1.5, 1.0)) < 0.05, "{found:?}");
+    }
+
+    #[test]
+    fn a_ball_that_is_seen_for_long_stays_where_it_is() {
+        let mut filter = BallFilter::default();
+        for step in 0..20_000 {
+            // Of a robot that turns and sees distances worse than directions.
+            let turn = DMat2::from_angle(0.3 + 1e-4 * f64::from(step));
+            let noise = turn * DMat2::from_diagonal(DVec2::new(4.7e-4, 8.6e-5)) * turn.transpose();
+            let error = DVec2::splat(if step % 2 == 0 { 0.003 } else { -0.003 });
+            filter.see(DVec2::new(0.9, 0.02) + error, noise, time(1.0 + 0.1 * f64::from(step)));
+        }
+        let found = ball(&filter, 2001.0).unwrap();
+        assert!(found.position.distance(DVec2::new(0.9, 0.02)) < 0.02, "{found:?}");
+        let [position, _, velocity] = found.covariance;
+        assert!(position.determinant() > 0.0 && velocity.determinant() > 0.0, "{found:?}");
     }
 
     #[test]
