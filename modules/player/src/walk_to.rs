@@ -47,6 +47,8 @@ pub struct WalkTo {
     foot: Option<f64>,
     /// Whether it is close behind the ball.
     is_closing_in: bool,
+    /// The side on which it pushes the ball past somebody: 1 for the left one, -1 for the right one.
+    passing: Option<f64>,
     reported: Option<(Time, &'static str)>,
 }
 
@@ -93,7 +95,9 @@ const BACK_OFF: f64 = 0.03;
 /// By how much the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
 /// By how much the ball is pushed past somebody, in rad.
-const PAST: f64 = 0.9;
+const PAST: f64 = 0.8;
+/// How much farther somebody has to be before the ball is no longer pushed past.
+const STILL_PASSING: f64 = 1.3;
 /// Velocity by distance, turn rate by angle, in 1/s.
 const GAIN: f64 = 1.0;
 const TURN_GAIN: f64 = 1.2;
@@ -158,7 +162,7 @@ impl WalkTo {
                     self.line_up(here.point(ball), here.point(target), &others, now, &settings)
                 }
                 Some(ball) => {
-                    let target = past(&others, here.point(ball), here.point(target));
+                    let target = past(&others, here.point(ball), here.point(target), &mut self.passing);
                     (Some(self.dribble(here.point(ball), target, &others, &settings)), "walking")
                 }
                 None => (None, "blind"),
@@ -266,21 +270,29 @@ fn keeping_off(mut velocity: Velocity, others: &[DVec2]) -> Velocity {
     velocity
 }
 
-/// Where to push a ball that is to go to a target: past who stands on its way.
-fn past(others: &[DVec2], ball: DVec2, target: DVec2) -> DVec2 {
+/// Where to push a ball that is to go to a target: past who stands on its way, on the side on which it already does.
+fn past(others: &[DVec2], ball: DVec2, target: DVec2, passing: &mut Option<f64>) -> DVec2 {
     let way = target - ball;
+    let widened = if passing.is_some() { STILL_PASSING } else { 1.0 };
     let is_on_way = |other: &&DVec2| {
         let off = **other - ball;
-        off.length() < 2.0 * CLEARANCE && way.angle_to(off).abs() < 0.8
+        off.length() < 2.0 * CLEARANCE * widened && way.angle_to(off).abs() < 0.8 * widened
     };
     let nearest = others
         .iter()
         .filter(is_on_way)
         .min_by(|one, other| one.distance_squared(ball).total_cmp(&other.distance_squared(ball)));
-    let Some(other) = nearest else { return target };
-    // Away from the other one; to the right of who comes straight on, who then has it on the other side.
-    let side = if way.angle_to(*other - ball) >= -0.05 { -1.0 } else { 1.0 };
-    ball + DVec2::from_angle(side * PAST).rotate(way)
+    let Some(other) = nearest else {
+        *passing = None;
+        return target;
+    };
+    // On the side for which it has to turn the ball and to walk around it least; to the right of who comes straight on, who then
+    // has it on the other side.
+    let (of_other, of_push) = (way.angle_to(*other - ball), way.angle_to(ball));
+    let direction = |side: f64| of_other + side * PAST;
+    let effort = |side: f64| direction(side).abs() + wrapped(direction(side) - of_push).abs() / 2.0;
+    let easier = if effort(1.0) + 0.05 < effort(-1.0) { 1.0 } else { -1.0 };
+    ball + DVec2::from_angle(direction(*passing.get_or_insert(easier))).rotate(way)
 }
 
 /// Where to go first on the way to a point, so as not to walk into others.
@@ -417,9 +429,14 @@ mod tests {
     #[test]
     fn the_ball_is_pushed_past_who_stands_on_its_way() {
         let (ball, target) = (DVec2::new(0.2, 0.0), DVec2::new(3.0, 0.0));
-        assert_eq!(past(&[DVec2::new(-0.3, 0.0), DVec2::new(1.5, 0.0)], ball, target), target);
-        assert!(past(&[DVec2::new(0.6, 0.1)], ball, target).y < -1.0);
-        assert!(past(&[DVec2::new(0.6, -0.1)], ball, target).y > 1.0);
+        let aside = |others: &[DVec2], passing: &mut _| past(others, ball, target, passing).y;
+        assert_eq!(aside(&[DVec2::new(-0.3, 0.0), DVec2::new(1.5, 0.0)], &mut None), 0.0);
+        let mut passing = None;
+        assert!(aside(&[DVec2::new(0.6, 0.1)], &mut passing) < -1.0);
+        assert!(aside(&[DVec2::new(0.6, -0.1)], &mut passing) < -1.0, "it keeps its side");
+        assert!(aside(&[DVec2::new(0.6, -0.1)], &mut None) > 1.0);
+        assert_eq!(aside(&[DVec2::new(1.5, 0.0)], &mut passing), 0.0);
+        assert_eq!(passing, None);
         let way = avoiding(DVec2::new(2.0, 0.0), &[DVec2::new(1.0, 0.1)]);
         assert!(way.y < -0.1, "{way}");
     }
