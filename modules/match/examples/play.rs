@@ -11,6 +11,7 @@ use downbeat_executor::{
 use downbeat_football::football_interfaces::msg::{GameState, MatchState};
 use downbeat_match::{FootballMatch, player};
 use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_state_machine::StateMachineOptions;
 use glam::DVec2;
@@ -66,6 +67,7 @@ struct Watched {
 struct Watch {
     players: Vec<Watched>,
     walking: Vec<String>,
+    commands: Vec<[f64; 3]>,
     traced: f64,
     is_over: bool,
     last: MatchState,
@@ -130,10 +132,16 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
     let watch = Arc::new(Mutex::new(Watch::default()));
     watch.lock().players.resize_with(arguments.robots.len(), Watched::default);
     watch.lock().walking.resize(arguments.robots.len(), String::new());
+    watch.lock().commands.resize(arguments.robots.len(), [0.0; 3]);
     for (robot, name) in arguments.robots.iter().enumerate() {
         let seen = Arc::clone(&watch);
         let see = move |state: Received<'_, Text>| seen.lock().walking[robot].clone_from(&state.data);
         core.outlet(&format!("{name}/walk_to/state"), Inbox::KeepAll, see)?.keep();
+        let seen = Arc::clone(&watch);
+        let see = move |twist: Received<'_, Twist>| {
+            seen.lock().commands[robot] = [twist.linear.x, twist.linear.y, twist.angular.z];
+        };
+        core.outlet(&format!("{name}/cmd_vel"), Inbox::KeepAll, see)?.keep();
     }
     let (seen, handle, trace) = (Arc::clone(&watch), core.handle(), arguments.trace);
     let see = move |state: Received<'_, MatchState>| {
@@ -189,9 +197,9 @@ impl Watch {
                 let yaw = 2.0 * q.z.atan2(q.w);
                 let seen = DVec2::from_angle(-yaw).rotate(ball - place);
                 let down = if self.players[robot].is_down { " down" } else { "" };
-                let walking = &self.walking[robot];
+                let (walking, [ahead, left, turn]) = (&self.walking[robot], self.commands[robot]);
                 print!(
-                    " | {:.2} {:.2} {yaw:.1} seen {:.2} {:.2} {walking}{down}",
+                    " | {:.2} {:.2} {yaw:.1} seen {:.2} {:.2} {walking} {ahead:.2} {left:.2} {turn:.2}{down}",
                     place.x, place.y, seen.x, seen.y
                 );
             }

@@ -43,6 +43,8 @@ pub struct WalkTo {
     beliefs: Beliefs,
     /// Since when it stands; `None` while it walks.
     stands_since: Option<Time>,
+    /// Since when it has been stopping for a kick.
+    stops_since: Option<Time>,
     /// The foot of the next kick: 1 for the left one, -1 for the right one.
     foot: Option<f64>,
     /// Whether it is close behind the ball.
@@ -80,13 +82,17 @@ struct Velocity {
 const PERIOD: Duration = Duration::from_millis(40);
 const REPORT: Duration = Duration::from_secs(1);
 /// How much wider the window of a kick is for a robot that stands: it swayed while it walked.
-const STANDING_WINDOW: f64 = 1.5;
+const STANDING_WINDOW: f64 = 1.4;
+/// How long it takes at most to stop for a kick.
+const PATIENCE: Duration = Duration::from_secs(3);
 /// How long a robot that has stopped sways.
 const REST: Duration = Duration::from_secs(1);
 /// Within this distance the robot steps in all directions, in m.
 const NEAR: f64 = 0.25;
 /// How far behind the place of a kick the approach ends, in m.
-const BEHIND: f64 = 0.12;
+const BEHIND: f64 = 0.1;
+/// How far behind the ball a push begins, in m.
+const PUSH_FROM: f64 = 0.225;
 /// The distance that the robot keeps from a ball that it goes around, in m.
 const CLEARANCE: f64 = 0.3;
 /// The distance that the robot keeps from others, in m, and how fast it backs off from who is much nearer, in m/s.
@@ -133,10 +139,10 @@ settings! {
     forward = 0.12 in 0.01..=0.5, "m/s; largest velocity forward";
     side = 0.05 in 0.01..=0.3, "m/s; largest velocity to the side";
     turn = 0.6 in 0.05..=3.0, "rad/s; largest turn rate";
-    kick_ahead = 0.105 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
+    kick_ahead = 0.12 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
     kick_aside = 0.045 in 0.0..=0.2, "m; the ball to the side of the foot for a kick";
-    kick_reach = 0.03 in 0.001..=0.2, "m; how far the ball may be off ahead";
-    kick_width = 0.025 in 0.001..=0.2, "m; how far the ball may be off to the side";
+    kick_reach = 0.035 in 0.001..=0.2, "m; how far the ball may be off ahead";
+    kick_width = 0.03 in 0.001..=0.2, "m; how far the ball may be off to the side";
     kick_angle = 0.2 in 0.01..=1.0, "rad; how far the direction of a kick may be off";
     there_distance = 0.1 in 0.01..=2.0, "m; how far the robot may be off at a place";
     there_angle = 0.2 in 0.01..=3.2, "rad; how far its heading may be off at a place";
@@ -198,26 +204,26 @@ impl WalkTo {
         };
         self.foot = Some(foot);
         let off = straight - DVec2::new(settings.kick_ahead, foot * settings.kick_aside);
-        let widened = if self.stands_since.is_none() { 1.0 } else { STANDING_WINDOW };
-        let can_kick = off.x.abs() < settings.kick_reach * widened
-            && off.y.abs() < settings.kick_width * widened
-            && heading.abs() < settings.kick_angle * widened;
-        if can_kick {
-            // It kicks from the stand, on which it has to come to rest.
-            let is_at_rest = self.stands_since.is_some_and(|since| since + REST <= now);
-            let state = match (is_at_rest, foot > 0.0) {
-                (false, _) => "walking",
-                (true, true) => "kick_left",
-                (true, false) => "kick_right",
-            };
-            return (Some(Velocity::default()), state);
+        let is_beside = |share: f64| {
+            off.y.abs() < settings.kick_width * share && heading.abs() < settings.kick_angle * share
+        };
+        let is_in_window = |share: f64| off.x.abs() < settings.kick_reach * share && is_beside(share);
+        // It kicks from the stand, on which it has to come to rest; where the ball is to its feet shows only then.
+        let is_at_rest = self.stands_since.is_some_and(|since| since + REST <= now);
+        if is_at_rest && is_in_window(STANDING_WINDOW) {
+            return (Some(Velocity::default()), if foot > 0.0 { "kick_left" } else { "kick_right" });
+        }
+        let stops = self.stops_since.filter(|since| !is_at_rest && now < *since + PATIENCE && is_in_window(2.0));
+        self.stops_since = stops.or_else(|| (!is_at_rest && is_in_window(1.0)).then_some(now));
+        if self.stops_since.is_some() {
+            return (Some(Velocity::default()), "walking");
         }
         let limit = if self.is_closing_in { 0.35 } else { 0.2 };
         let is_behind = off.x > -0.05 && off.x < BEHIND + 0.15 && off.y.abs() < limit / 2.0;
         self.is_closing_in = is_behind && heading.abs() < limit;
         let velocity = if self.is_closing_in {
-            // First to the side, then ahead: the toes must not push the ball.
-            let ahead = if off.y.abs() < 2.0 * settings.kick_width { off.x } else { off.x - BEHIND };
+            // First to the side and around, then ahead: toes that step beside the place of the kick push the ball.
+            let ahead = if is_beside(0.8) { off.x } else { off.x - BEHIND };
             let step = DVec2::from_angle(heading).rotate(DVec2::new(ahead, off.y));
             near(step, heading, settings)
         } else {
@@ -248,7 +254,7 @@ impl WalkTo {
             let turn = (TURN_GAIN * heading).clamp(-settings.turn, settings.turn);
             return Velocity { linear: DVec2::new(settings.forward, side), turn };
         }
-        let place = straight - DVec2::new(settings.kick_ahead + BEHIND, 0.0);
+        let place = straight - DVec2::new(PUSH_FROM, 0.0);
         let way = around(DVec2::from_angle(heading).rotate(place), ball);
         if way.length() > NEAR { far(avoiding(way, others), settings) } else { near(way, heading, settings) }
     }

@@ -3,6 +3,7 @@
 use super::engine::{Foot, Targets};
 use super::settings::Settings;
 use crate::darwin_op::tables::joints::COUNT;
+use crate::leg_joints::{ANKLE_PITCH, ANKLE_ROLL, HIP_PITCH, HIP_ROLL, KNEE, place};
 use crate::present_pose::stand;
 use crate::transforms::Isometry;
 use downbeat_kinematics::darwin_op::{Leg, Side};
@@ -10,18 +11,6 @@ use glam::{DQuat, DVec3};
 
 /// The distance from the hip to the sole of a straight leg, in m.
 const LEG_LENGTH: f64 = 0.2195;
-
-/// Joints of a leg.
-const HIP_ROLL: usize = 1;
-const HIP_PITCH: usize = 2;
-const KNEE: usize = 3;
-const ANKLE_PITCH: usize = 4;
-const ANKLE_ROLL: usize = 5;
-
-/// The place of a joint of a leg in the order of the ids: six joints of the arms, then pairs, first the right one.
-const fn place(side: Side, joint: usize) -> usize {
-    6 + 2 * joint + matches!(side, Side::Left) as usize
-}
 
 /// Returns true for the joints that the gait commands: all but those of the head.
 pub(super) fn is_moved(joint: usize) -> bool {
@@ -79,16 +68,6 @@ fn hip_from_sole(foot: &Foot) -> Isometry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::darwin_op::tables::joints::JOINTS;
-
-    #[test]
-    fn joints_of_legs_are_where_they_belong() {
-        for side in [Side::Right, Side::Left] {
-            for (joint, name) in Leg::joint_names(side).into_iter().enumerate() {
-                assert_eq!(JOINTS[place(side, joint)].name, name);
-            }
-        }
-    }
 
     #[test]
     fn the_soles_of_a_pose_are_those_that_were_wanted() {

@@ -5,6 +5,7 @@
 //! about = "waves with the right arm"
 //! interpolation = "smooth"    # the default; "through" and "linear" do not stop at each frame
 //! stiffness = 1.0             # the default; 2 holds the joints as with twice the P gain
+//! balance = { tilt = 0.5, rate = 0.1 } # the default is none: see below
 //!
 //! [[wave.frame]]
 //! duration_s = 1.0            # from the frame before, or from the present pose
@@ -22,6 +23,9 @@
 //! A name without `r_` or `l_` stands for both joints: the right one gets this angle, the left one its mirror
 //! image. A joint keeps the angle of the frame before if a frame does not name it. The first frame must name all
 //! joints of its motion, so that the motion is the same from wherever it starts.
+//!
+//! With `balance` the ankles turn against a trunk that tilts other than it would with a flat sole: by `tilt` rad for each rad that
+//! it is off, and by `rate` rad for each rad/s.
 
 use crate::darwin_op::tables::joints::{COUNT, JOINTS, index_of};
 use downbeat_msgs::definitions::suggestion;
@@ -35,6 +39,9 @@ pub const MAX_SPEED: f64 = 5.76;
 
 /// The largest stiffness: beyond it, joints oscillate.
 pub const MAX_STIFFNESS: f64 = 4.0;
+
+/// The largest gains against a fall: beyond them, ankles oscillate.
+pub const MAX_BALANCE: Balance = Balance { tilt: 2.0, rate: 0.5 };
 
 /// The largest file, in bytes.
 pub const MAX_BYTES: u64 = 1 << 20;
@@ -54,8 +61,20 @@ pub struct Motion {
     pub interpolation: Interpolation,
     /// How stiff the joints are, in terms of the P gain of their servos: 1 to 4.
     pub stiffness: f64,
+    /// How the ankles keep the robot on its feet; `None` if they do not, as for a motion of a robot that lies.
+    pub balance: Option<Balance>,
     /// At least one.
     pub frames: Vec<Frame>,
+}
+
+/// By how much the ankles turn against a fall.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Balance {
+    /// By how much the trunk is off, in rad/rad, from 0 to 2.
+    pub tilt: f64,
+    /// By how fast it turns, in s, from 0 to 0.5.
+    pub rate: f64,
 }
 
 /// A pose and how long the way to it takes.
@@ -201,6 +220,7 @@ struct MotionEntry {
     #[serde(default)]
     interpolation: Interpolation,
     stiffness: Option<Spanned<f64>>,
+    balance: Option<Spanned<Balance>>,
     mirror_of: Option<Spanned<String>>,
     #[serde(default)]
     frame: Vec<Spanned<FrameEntry>>,
@@ -241,6 +261,7 @@ impl MotionEntry {
             about: self.about.clone().unwrap_or_default(),
             interpolation: self.interpolation,
             stiffness: self.stiffness(source)?,
+            balance: self.balance(source)?,
             frames,
         };
         self.check_speeds(&motion, source)?;
@@ -255,6 +276,19 @@ impl MotionEntry {
         }
         let problem = format!("stiffness = {value} is out of range, 1 to {MAX_STIFFNESS} is allowed");
         Err(source.error(stiffness.span().start, problem))
+    }
+
+    fn balance(&self, source: &Source<'_>) -> Result<Option<Balance>, MotionFileError> {
+        let Some(balance) = &self.balance else { return Ok(None) };
+        let Balance { tilt, rate } = *balance.get_ref();
+        if (0.0..=MAX_BALANCE.tilt).contains(&tilt) && (0.0..=MAX_BALANCE.rate).contains(&rate) {
+            return Ok(Some(Balance { tilt, rate }));
+        }
+        let problem = format!(
+            "balance is out of range, tilt from 0 to {} and rate from 0 to {} are allowed",
+            MAX_BALANCE.tilt, MAX_BALANCE.rate
+        );
+        Err(source.error(balance.span().start, problem))
     }
 
     fn frame_error_at(&self, name: &str, source: &Source<'_>) -> usize {

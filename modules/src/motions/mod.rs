@@ -8,6 +8,7 @@
 //! | `motions/playing` | `std_msgs/String` | the motion that plays, or an empty name; when it changes and once a second |
 //! | `motions/joint_commands` | `sensor_msgs/JointState` | positions of the joints that the motion moves, every 8 ms |
 //! | `joint_states`, `joint_goals` (in) | `sensor_msgs/JointState` | where a motion starts |
+//! | `imu/data` (in) | `sensor_msgs/Imu` | with orientation: for motions that keep their balance |
 //! | `walking` (in) | `std_msgs/Bool` | a motion waits until the robot has stopped |
 //!
 //! | setting | |
@@ -18,9 +19,12 @@
 //! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind or give way: they
 //! act as with s times the P gain.
 //!
+//! In a motion with `balance` the ankles turn against a fall: see [`mod@file`].
+//!
 //! A motion starts at the present pose. A new motion interrupts the one that plays and starts where it was. After
 //! its last frame the joints keep their goals.
 
+mod balance;
 pub mod file;
 mod path;
 
@@ -33,8 +37,9 @@ use crate::darwin_op::tables::joints::JOINTS;
 use crate::present_pose::{PresentPose, command, stand};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
-use downbeat_msgs::sensor_msgs::msg::JointState;
+use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
+use balance::Attitude;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -47,6 +52,7 @@ pub struct MotionPlayer {
     motions: Motions,
     server: ActionServer<PlayMotion>,
     pose: PresentPose,
+    attitude: Option<Attitude>,
     is_walking: bool,
     playing: Option<Playing>,
     /// When the topic of the motion that plays is published next.
@@ -167,11 +173,14 @@ impl MotionPlayer {
         let ramp = (playing.time.min(path.duration() - playing.time) / RAMP_S).clamp(0.0, 1.0);
         let excess = (playing.motion.stiffness - 1.0) * ramp;
         let measured = self.pose.measured(&pose);
-        let goals = std::array::from_fn(|index| {
+        let mut goals = std::array::from_fn(|index| {
             let joint = &JOINTS[index];
             let goal = pose[index] + (pose[index] - measured[index]) * excess;
             if excess > 0.0 { goal.clamp(joint.min_rad(), joint.max_rad()) } else { goal }
         });
+        if let (Some(gains), Some(attitude)) = (playing.motion.balance, self.attitude) {
+            balance::balance(&mut goals, &pose, attitude, gains);
+        }
         ctx.publish(ctx.ports.commands, command(now, &goals, |index| path.moves()[index]));
         let is_over = playing.time >= path.duration();
         if let Some(id) = playing.goal.filter(|_| is_over || playing.time >= playing.feedback_at) {
@@ -227,6 +236,9 @@ impl Module for MotionPlayer {
         })?;
         setup.subscribe("joint_goals", |player: &mut Self, goals: Received<'_, JointState>, ctx| {
             player.pose.take_goals(&goals, ctx.now());
+        })?;
+        setup.subscribe("imu/data", |player: &mut Self, imu: Received<'_, Imu>, _| {
+            player.attitude = Attitude::of(&imu);
         })?;
         setup.subscribe("walking", |player: &mut Self, walking: Received<'_, Bool>, _| {
             player.is_walking = walking.data;

@@ -44,6 +44,8 @@ pub enum Task {
     GetUpFront,
     /// Gets up from its back and walks.
     GetUpBack,
+    /// Is pushed over while it walks, from a side that the seed tells, gets up and walks.
+    Fall,
     /// Kicks a ball 1 m far and stays on its feet.
     Kick,
 }
@@ -130,7 +132,7 @@ const PATIENCE: f64 = 60.0;
 
 impl Task {
     /// All tasks.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Stand,
         Self::Walk,
         Self::Turn,
@@ -139,6 +141,7 @@ impl Task {
         Self::Push,
         Self::GetUpFront,
         Self::GetUpBack,
+        Self::Fall,
         Self::Kick,
     ];
 
@@ -154,6 +157,7 @@ impl Task {
             Self::Push => "push",
             Self::GetUpFront => "get_up_front",
             Self::GetUpBack => "get_up_back",
+            Self::Fall => "fall",
             Self::Kick => "kick",
         }
     }
@@ -167,7 +171,7 @@ impl Task {
             Self::Turn => "rad/s",
             Self::Stop => "m to stop",
             Self::Push => "rad tilted",
-            Self::GetUpFront | Self::GetUpBack => "s",
+            Self::GetUpFront | Self::GetUpBack | Self::Fall => "s",
             Self::Kick => "m",
         }
     }
@@ -188,6 +192,7 @@ impl Task {
             }
             _ => {}
         }
+        let seed = conditions.seed;
         let mut robot = WalkingRobot::new(conditions)?;
         let (figure, attempts) = match self {
             Self::Stand => (stand(&mut robot)?, 0),
@@ -197,6 +202,10 @@ impl Task {
             Self::Stop => (stop(&mut robot)?, 0),
             Self::Push => (push(&mut robot, 0.5)?, 0),
             Self::GetUpFront | Self::GetUpBack => get_up(&mut robot)?,
+            Self::Fall => {
+                fall(&mut robot, seed)?;
+                get_up(&mut robot)?
+            }
             Self::Kick => (kick(&mut robot, side)?, 0),
         };
         Ok(Success { figure, attempts })
@@ -354,6 +363,16 @@ fn push_once(robot: &mut WalkingRobot, [x, y]: [f64; 2]) -> Result<f64, Failure>
     }
     robot.stands_still()?;
     Ok(worst)
+}
+
+/// The sides of successive seeds are a golden angle apart, which covers all of them evenly.
+fn fall(robot: &mut WalkingRobot, seed: u64) -> Result<(), Failure> {
+    const GOLDEN_ANGLE: f64 = 2.399_963;
+    const IMPULSE: f64 = 3.0;
+    let (y, x) = (seed as f64 * GOLDEN_ANGLE).sin_cos();
+    robot.walk_until([0.1, 0.0, 0.0], 3.0, |_| false)?;
+    robot.simulated().push("torso", [x * IMPULSE, y * IMPULSE, 0.0]);
+    robot.run(1.5)
 }
 
 fn get_up(robot: &mut WalkingRobot) -> Result<(f64, usize), Failure> {
