@@ -136,9 +136,9 @@ macro_rules! settings {
 }
 
 settings! {
-    forward = 0.12 in 0.01..=0.5, "m/s; largest velocity forward";
+    forward = 0.14 in 0.01..=0.5, "m/s; largest velocity forward";
     side = 0.05 in 0.01..=0.3, "m/s; largest velocity to the side";
-    turn = 0.6 in 0.05..=3.0, "rad/s; largest turn rate";
+    turn = 0.75 in 0.05..=3.0, "rad/s; largest turn rate";
     kick_ahead = 0.12 in 0.02..=0.4, "m; the ball ahead of base_link for a kick";
     kick_aside = 0.045 in 0.0..=0.2, "m; the ball to the side of the foot for a kick";
     kick_reach = 0.035 in 0.001..=0.2, "m; how far the ball may be off ahead";
