@@ -98,6 +98,9 @@ impl Plan {
             coverage::not_compared(&mut plan, &graph, reader, options, &file.catalog.interfaces);
         let mut extract =
             Extract::read(reader, &plan.read_before(file, reader, &graph), &file.catalog.interfaces)?;
+        if was_in_simulated_time(reader) && !plan.inputs.is_empty() && !is_in_bag(journal::MESSAGES) {
+            plan.missing_inputs.insert(journal::MESSAGES.to_owned());
+        }
         plan.cycles = Cycles::read(reader, &mut extract)?;
         Ok((plan, extract))
     }
@@ -126,7 +129,10 @@ impl Plan {
         });
         let mut topics: Vec<String> = received.map(|(topic, _)| format!("/{topic}")).collect();
         topics.extend(answers);
-        topics.extend([journal::CYCLES, journal::SETTINGS, journal::EVENTS].map(|topic| format!("/{topic}")));
+        topics.extend(
+            [journal::CYCLES, journal::MESSAGES, journal::SETTINGS, journal::EVENTS]
+                .map(|topic| format!("/{topic}")),
+        );
         if !self.detached.is_empty() {
             topics.push(format!("/{}", journal::STEPS));
         }

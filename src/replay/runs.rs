@@ -38,8 +38,8 @@ pub(super) fn attached(
     core = build(file, reader, extract, core, is_replayed)?;
     let interfaces = &file.catalog.interfaces;
     let captured = Captured::add(&mut core, interfaces, |topic| plan.outputs.contains_key(topic))?;
-    let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), interfaces)?;
-    let settings = SettingsChanges::read(reader, extract, is_replayed)?;
+    let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), extract)?;
+    let settings = SettingsChanges::read(reader, extract, &plan.cycles, is_replayed)?;
     let end = plan.cycles.end();
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let events = Events::of_core(&mut core, recorded.as_deref(), interfaces)?;
