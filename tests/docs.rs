@@ -40,7 +40,7 @@ const PAGES: [&str; 21] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 19] = [
+const ELSEWHERE: [&str; 20] = [
     "cargo xtask",
     "cargo test",
     "cargo run -- new",
@@ -48,6 +48,7 @@ const ELSEWHERE: [&str; 19] = [
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
     "cargo run --release --features football", // tests/football.rs
     "downbeat vision calibrate",              // tests/football.rs
+    "downbeat bag replay robots/seeing_match.toml", // tests/football.rs
     "downbeat top --plot",                    // tests/top.rs
     "downbeat servo scan",                    // tests/servos.rs
     "echo 1 | sudo",

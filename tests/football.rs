@@ -5,18 +5,40 @@
 mod common;
 
 use common::{downbeat, text_of};
-use downbeat::bags::Selection;
+use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 use std::path::Path;
 
 /// Plays a part of the match and returns what was printed.
 fn play(bag: &Path, more: &[&str]) -> String {
-    let line = ["match", "robots/match.toml", "--fast", "--duration", "3s", "--domain", "219", "--record"];
+    play_file("robots/match.toml", "3s", "219", bag, more)
+}
+
+/// Tests run at the same time: each has a domain of its own.
+fn play_file(file: &str, duration: &str, domain: &str, bag: &Path, more: &[&str]) -> String {
+    let line = ["match", file, "--fast", "--duration", duration, "--domain", domain, "--record"];
     let mut command = downbeat(&line);
     let output = command.arg(bag).args(more).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
+}
+
+/// Whether two bags have the same messages, but for what the process says of itself.
+fn are_same(one: &Path, other: &Path) -> bool {
+    let diff = ["bag", "diff", "--ignore", "diagnostics", one.to_str().unwrap(), other.to_str().unwrap()];
+    downbeat(&diff).output().unwrap().status.success()
+}
+
+/// The SHA-256 of each picture in a bag.
+fn pictures(bag: &Path) -> Vec<String> {
+    let reader = Reader::open(bag).unwrap();
+    let topic = reader.topic("/blue_2/camera/image_raw").unwrap();
+    let messages = reader.messages(Selection::all().topics([topic])).unwrap();
+    let hash = |data: &[u8]| Sha256::digest(data).iter().map(|byte| format!("{byte:02x}")).collect();
+    messages.map(|message| hash(&message.unwrap().data)).collect()
 }
 
 #[test]
@@ -27,12 +49,7 @@ fn a_match_is_played_recorded_and_replayed_bit_for_bit() {
     assert!(printed.contains("0.0 s  0:0  ready") && printed.contains("blue 0:0 red after 3 s"), "{printed}");
     play(&bags[1], &[]);
     play(&bags[2], &["-p", "match.seed:=2"]);
-    let same = |one: &Path, other: &Path| {
-        // Of the process.
-        let diff = ["bag", "diff", "--ignore", "diagnostics", one.to_str().unwrap(), other.to_str().unwrap()];
-        downbeat(&diff).output().unwrap().status.success()
-    };
-    assert!(same(&bags[0], &bags[1]) && !same(&bags[0], &bags[2]));
+    assert!(are_same(&bags[0], &bags[1]) && !are_same(&bags[0], &bags[2]));
     for launcher in ["linear", "pool:2"] {
         let bag = bags[0].to_str().unwrap();
         let replay = text_of(&["bag", "replay", "robots/match.toml", bag, "--launcher", launcher]);
@@ -43,13 +60,61 @@ fn a_match_is_played_recorded_and_replayed_bit_for_bit() {
 }
 
 #[test]
+fn a_match_runs_again_with_world_referee_and_camera_picture_for_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let robots = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/");
+    let text = std::fs::read_to_string(format!("{robots}seeing_match.toml")).unwrap();
+    let text = text.replace("\"football/", &format!("\"{robots}football/"));
+    let of_launcher = |name: &str, launcher: &str| {
+        let file = folder.path().join(name);
+        let changed = text.replace("kind = \"pool\"\nthreads = 2\n", launcher);
+        assert_eq!(changed.contains("threads"), launcher.contains("threads"), "{changed}");
+        std::fs::write(&file, changed).unwrap();
+        file.to_str().unwrap().to_owned()
+    };
+    let files = [
+        of_launcher("linear.toml", "kind = \"linear\"\n"),
+        of_launcher("pool.toml", "kind = \"pool\"\nthreads = 2\n"),
+    ];
+    let bags = ["linear", "pool", "other"].map(|name| folder.path().join(name));
+    play_file(&files[0], "2s", "221", &bags[0], &[]);
+    play_file(&files[1], "2s", "221", &bags[1], &[]);
+    play_file(&files[1], "2s", "221", &bags[2], &["-p", "match.seed:=2"]);
+    let seen = bags.each_ref().map(|bag| pictures(bag));
+    assert!(seen[0].len() > 15, "{seen:?}");
+    assert_eq!(seen[0], seen[1]);
+    assert_ne!(seen[0], seen[2]);
+    assert!(are_same(&bags[0], &bags[1]) && !are_same(&bags[0], &bags[2]));
+
+    let replay = |bag: &Path, launcher: &str, more: &[&str]| {
+        let line =
+            ["bag", "replay", &files[0], bag.to_str().unwrap(), "--simulators", "--json", "--launcher"];
+        let output = downbeat(&line).arg(launcher).args(more).output().unwrap();
+        let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{printed}"));
+        (output.status.success(), report)
+    };
+    for (bag, launcher) in
+        [(&bags[0], "linear"), (&bags[0], "pool:2"), (&bags[1], "linear"), (&bags[1], "pool:2")]
+    {
+        let (is_same, report) = replay(bag, launcher, &["--strict"]);
+        assert!(is_same && report["left_out"] == json!([]), "{launcher}: {report}");
+        let compared = |topic: &str| {
+            let topics = report["topics"].as_array().unwrap();
+            topics.iter().find(|known| known["topic"] == topic).unwrap()["compared"].as_u64().unwrap()
+        };
+        assert!(compared("/blue_2/camera/image_raw") > 15, "{report}");
+        assert!(compared("/match/state") > 15 && compared("/blue_2/bus/exchanges") > 200, "{report}");
+    }
+    let (is_same, report) = replay(&bags[0], "linear", &["-p", "match.seed:=2"]);
+    assert!(!is_same && report["different"].as_u64().unwrap() > 0, "{report}");
+}
+
+#[test]
 fn a_player_that_sees_is_replayed_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
-    let line =
-        ["match", "robots/seeing_match.toml", "--fast", "--duration", "4s", "--domain", "219", "--record"];
-    let output = downbeat(&line).arg(&bag).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    play_file("robots/seeing_match.toml", "4s", "220", &bag, &[]);
     let bag_name = bag.to_str().unwrap();
     for launcher in ["linear", "pool:2"] {
         let replay =
@@ -59,7 +124,7 @@ fn a_player_that_sees_is_replayed_bit_for_bit() {
         }
     }
     // It knows where it is, and it stands still until play begins.
-    let reader = downbeat::bags::Reader::open(&bag).unwrap();
+    let reader = Reader::open(&bag).unwrap();
     let topic = reader.topic("/blue_2/pose").unwrap();
     let last = reader.messages(Selection::all().topics([topic])).unwrap().last().unwrap().unwrap();
     let pose: PoseWithCovarianceStamped = cdr::from_slice(&last.data).unwrap();
@@ -75,6 +140,49 @@ fn a_player_that_sees_is_replayed_bit_for_bit() {
     let colours = downbeat_vision::Colours::read(&learned).unwrap();
     assert_ne!(colours.green, downbeat_vision::Colours::default().green);
     assert_eq!(colours.white, downbeat_vision::Colours::default().white);
+}
+
+/// Eyes in a world without a referee, whose pictures come from a job of the simulator.
+const EYES: &str = r#"
+[robot]
+name = "eyes"
+[[module]]
+name = "simulator"
+kind = "darwin_op_simulator"
+settings = { link = "memory:eyes", world = "ROBOTS/worlds/field.toml", camera_hz = 10.0 }
+[[module]]
+name = "hardware"
+kind = "darwin_op"
+settings = { port = "memory:eyes" }
+remap = { joint_commands = "motion/joint_commands" }
+[[module]]
+name = "motion"
+kind = "stand_nod_wave"
+[[module]]
+name = "robot_state_publisher"
+kind = "robot_state_publisher"
+settings = { robot_description = "ROBOTS/darwin_op.urdf", publish_frequency = 50.0 }
+[[module]]
+name = "vision"
+kind = "vision"
+[expose]
+diagnostics = false
+"#;
+
+#[test]
+fn vision_is_replayed_bit_for_bit_on_the_pictures_of_a_simulator_that_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
+    let text = EYES.replace("ROBOTS", concat!(env!("CARGO_MANIFEST_DIR"), "/robots"));
+    std::fs::write(&robot, text).unwrap();
+    let (robot, bag) = (robot.to_str().unwrap(), bag.to_str().unwrap());
+    let run = ["run", robot, "--fast", "--duration", "2s", "--domain", "217", "--record", bag];
+    let output = downbeat(&run).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for launcher in ["linear", "pool:2"] {
+        let replay = text_of(&["bag", "replay", robot, bag, "--launcher", launcher]);
+        assert!(replay.contains("not simulator") && replay.contains("/vision/markings"), "{replay}");
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use common::rclpy::Peer;
 use downbeat::App;
 use downbeat::bags::{Reader, Selection};
 use downbeat::bridge::expose::TopicPattern;
-use downbeat::replay::{ReplayOptions, replay};
+use downbeat::replay::{ReplayOptions, Simulators, replay};
 use downbeat::running::{PreparedRobot, RecordPlan};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -93,6 +93,35 @@ fn a_run_in_simulated_time_replays_bit_for_bit_with_the_hardware_inside_the_cycl
     let compared = |topic: &str| report.topics.iter().find(|known| known.topic == topic).unwrap().compared;
     assert!(compared("/bus/exchanges") > 250 && compared("/joint_states") > 250, "{report}");
     report.assert_same().unwrap();
+}
+
+#[test]
+fn a_simulator_runs_again_in_a_replay_and_renders_the_same_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    run(folder.path(), "");
+    let reader = Reader::open(folder.path().join("bag")).unwrap();
+    for launcher in ["linear", "pool:2"] {
+        let app = App::with_built_in_kinds();
+        let mut file = app.robot_file(folder.path().join("robot.toml")).unwrap();
+        file.launcher.choice = launcher.parse().unwrap();
+        let options = ReplayOptions { simulators: Simulators::RunAgain, ..ReplayOptions::default() };
+        let report = replay(file, &reader, &options).unwrap();
+        assert_eq!(report.modules, ["simulator", "hardware", "motion"]);
+        let compared =
+            |topic: &str| report.topics.iter().find(|known| known.topic == topic).unwrap().compared;
+        assert!(compared("/camera/image_raw") >= 14 && compared("/joint_states") > 250, "{report}");
+        report.assert_same().unwrap();
+    }
+}
+
+#[test]
+fn a_simulator_does_not_run_again_on_a_bag_of_real_time() {
+    let recordings = Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/recordings");
+    let file = App::with_built_in_kinds().robot_file(recordings.join("darwin_op_emulated.toml")).unwrap();
+    let reader = Reader::open(recordings.join("darwin_op_emulated")).unwrap();
+    let options = ReplayOptions { simulators: Simulators::RunAgain, ..ReplayOptions::default() };
+    let error = replay(file, &reader, &options).unwrap_err().to_string();
+    assert!(error.contains("recorded in real time") && error.contains("--fast"), "{error}");
 }
 
 #[test]

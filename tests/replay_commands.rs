@@ -528,7 +528,7 @@ fn assert_commanded_from_ros_2(recorded: &Recorded) {
     assert_eq!(gains.filter(|gain| *gain == -7).count(), 1, "{settings:?}");
     let report = recorded.app.replay(&recorded.robot, &recorded.bag).unwrap();
     let not_compared: Vec<_> = report.not_compared.iter().map(|topic| &*topic.topic).collect();
-    let process = ["/bridge/qos_events", "/cycle_times", "/diagnostics"];
+    let process = ["/bridge/qos_events", "/cycle_messages", "/cycle_times", "/diagnostics"];
     let journals = ["/module_events", "/module_settings", "/module_steps"];
     // The worker was not called.
     assert_eq!(not_compared, [&process[..], &journals, &["/results"]].concat());

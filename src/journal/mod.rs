@@ -6,6 +6,8 @@
 
 pub(crate) mod events;
 
+use std::collections::HashMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_edge::{Interfaces, parameter_value};
@@ -14,11 +16,13 @@ use downbeat_executor::{
     SettingsChange, Setup, SetupError, Synchrony, Time,
 };
 use downbeat_msgs::builtin_interfaces::msg::Time as TimeMessage;
-use downbeat_msgs::downbeat_interfaces::msg::{CycleTimes, ModuleSettings, ModuleStep};
+use downbeat_msgs::downbeat_interfaces::msg::{CycleMessages, CycleTimes, ModuleSettings, ModuleStep};
 use downbeat_msgs::rcl_interfaces::msg::Parameter;
 
 /// The topic with the times of cycles.
 pub const CYCLES: &str = "cycle_times";
+/// The topic with the cycles of messages, where several cycles run at one time.
+pub const MESSAGES: &str = "cycle_messages";
 /// The topic with the runs of detached modules.
 pub const STEPS: &str = "module_steps";
 /// The topic with the changes of settings.
@@ -27,7 +31,7 @@ pub const SETTINGS: &str = "module_settings";
 pub const EVENTS: &str = "module_events";
 
 /// The topics of all journals.
-pub(crate) const TOPICS: [&str; 4] = [CYCLES, STEPS, SETTINGS, EVENTS];
+pub(crate) const TOPICS: [&str; 5] = [CYCLES, MESSAGES, STEPS, SETTINGS, EVENTS];
 
 const CYCLE_JOURNAL: &str = "cycle_journal";
 const STEP_JOURNAL: &str = "step_journal";
@@ -109,7 +113,8 @@ fn settings_message(change: &SettingsChange) -> ModuleSettings {
     }
 }
 
-/// Publishes the times of all cycles on [`CYCLES`], many at once.
+/// Publishes the times of all cycles on [`CYCLES`], many at once, and on [`MESSAGES`] which messages joined in cycles that are not
+/// the first at their time.
 ///
 /// It must be the last module that joins a core: then it is the first to stop, and its last message contains the cycles before the
 /// end began.
@@ -117,6 +122,27 @@ fn settings_message(change: &SettingsChange) -> ModuleSettings {
 pub struct CycleJournal {
     first: u64,
     times: Vec<i64>,
+    last: Last,
+    messages: CycleMessages,
+    /// The positions of topics in `messages`.
+    positions: HashMap<Arc<str>, u16>,
+}
+
+/// The last cycle, whose messages the next one sees.
+#[derive(Clone, Copy, Default)]
+enum Last {
+    #[default]
+    None,
+    /// The first one at this time.
+    FirstAt(Time),
+    AnotherAt(Time),
+}
+
+/// The keys of [`CycleJournal`].
+#[derive(Clone, Copy)]
+pub struct CyclePorts {
+    times: Publication<CycleTimes>,
+    messages: Publication<CycleMessages>,
 }
 
 /// Times are published when there are this many, or the first of them is this old.
@@ -133,8 +159,13 @@ impl CycleJournal {
         core.add_with(CYCLE_JOURNAL, Self::default(), options)
     }
 
-    fn on_cycle(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
+    fn on_cycle(&mut self, ctx: &mut Context<'_, CyclePorts>) {
         let now = ctx.now();
+        self.note_messages(ctx);
+        self.last = match self.last {
+            Last::FirstAt(time) | Last::AnotherAt(time) if time == now => Last::AnotherAt(now),
+            _ => Last::FirstAt(now),
+        };
         let since = self.times.first().map_or(now, |&first| Time::from_nanos(first));
         self.times.push(now.as_nanos());
         if self.times.len() >= MOST || now.saturating_since(since) >= OLDEST {
@@ -142,23 +173,59 @@ impl CycleJournal {
         }
     }
 
-    fn publish(&mut self, is_end: bool, ctx: &mut Context<'_, Publication<CycleTimes>>) {
+    /// Notes what the last cycle published.
+    fn note_messages(&mut self, ctx: &Context<'_, CyclePorts>) {
+        let before = self.messages.positions.len();
+        if let Last::AnotherAt(_) = self.last {
+            let robot_topics = ctx.carried().filter(|(topic, _)| !topic.starts_with("executor/"));
+            for (topic, count) in robot_topics {
+                if let Some(position) = self.position_of(topic) {
+                    self.messages.positions.extend(std::iter::repeat_n(position, count));
+                }
+            }
+        }
+        if !matches!(self.last, Last::None) {
+            let size = self.messages.positions.len() - before;
+            self.messages.sizes.push(u32::try_from(size).unwrap_or(u32::MAX));
+        }
+    }
+
+    /// `None` for topics beyond the first 65536 of a message: theirs join in the first cycle of their time.
+    fn position_of(&mut self, topic: &Arc<str>) -> Option<u16> {
+        if let Some(&position) = self.positions.get(topic) {
+            return Some(position);
+        }
+        let position = u16::try_from(self.messages.topics.len()).ok()?;
+        self.messages.topics.push(topic.to_string());
+        self.positions.insert(Arc::clone(topic), position);
+        Some(position)
+    }
+
+    fn publish(&mut self, is_end: bool, ctx: &mut Context<'_, CyclePorts>) {
         let times = std::mem::replace(&mut self.times, Vec::with_capacity(MOST));
         let first = self.first;
         self.first += times.len() as u64;
-        ctx.publish(*ctx.ports, CycleTimes { first, is_end, times });
+        ctx.publish(ctx.ports.times, CycleTimes { first, is_end, times });
+        let next = self.messages.first + self.messages.sizes.len() as u64;
+        let next = CycleMessages { first: next, ..CycleMessages::default() };
+        let messages = std::mem::replace(&mut self.messages, next);
+        self.positions.clear();
+        if !messages.positions.is_empty() {
+            ctx.publish(ctx.ports.messages, messages);
+        }
     }
 }
 
 impl Module for CycleJournal {
-    type Ports = Publication<CycleTimes>;
+    type Ports = CyclePorts;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError> {
         setup.each_run(Self::on_cycle);
-        setup.publish(CYCLES)
+        Ok(CyclePorts { times: setup.publish(CYCLES)?, messages: setup.publish(MESSAGES)? })
     }
 
-    fn shutdown(&mut self, ctx: &mut Context<'_, Publication<CycleTimes>>) {
+    fn shutdown(&mut self, ctx: &mut Context<'_, CyclePorts>) {
+        self.note_messages(ctx);
         self.publish(true, ctx);
     }
 }

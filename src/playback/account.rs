@@ -7,7 +7,7 @@ use downbeat_bags::{Reader, Selection, TopicId};
 use downbeat_edge::Interfaces;
 use downbeat_edge::setting_value;
 use downbeat_executor::Core;
-use downbeat_msgs::downbeat_interfaces::msg::{CycleTimes, ModuleSettings};
+use downbeat_msgs::downbeat_interfaces::msg::{CycleMessages, CycleTimes, ModuleSettings};
 use downbeat_msgs::{Message, cdr};
 
 use super::PlaybackError;
@@ -138,29 +138,133 @@ impl Cycles {
     }
 }
 
+/// Where the cycle of an input is in the recorded run.
+#[derive(Clone, Copy)]
+pub(crate) struct Moment {
+    /// Counts the cycles from 0.
+    pub(crate) cycle: u64,
+    pub(crate) time: i64,
+    /// The last cycle at that time.
+    pub(crate) last: u64,
+}
+
+/// In which cycles the messages of each topic joined that did not join in the first cycle at their time.
+pub(crate) struct MessageCycles(BTreeMap<String, LaterMessages>);
+
+/// Those of one topic, in order: cycle and number of messages.
+#[derive(Default)]
+pub(crate) struct LaterMessages(VecDeque<(u64, usize)>);
+
+impl MessageCycles {
+    /// Reads those of the wanted topics, named without the leading slash; none if the bag lacks them.
+    pub(crate) fn read(
+        reader: &Reader,
+        extract: &mut Extract,
+        is_wanted: impl Fn(&str) -> bool,
+    ) -> Result<Self, PlaybackError> {
+        let mut by_topic = BTreeMap::<String, LaterMessages>::new();
+        for message in extract.messages::<CycleMessages>(reader, journal::MESSAGES)?.unwrap_or_default() {
+            let mut positions = message.positions.iter();
+            for (cycle, &size) in (message.first..).zip(&message.sizes) {
+                for &position in positions.by_ref().take(size as usize) {
+                    let topic = message.topics.get(usize::from(position)).ok_or_else(|| {
+                        let count = message.topics.len();
+                        PlaybackError::account(
+                            journal::MESSAGES,
+                            format!("topic {position} of {count} in cycle {cycle}"),
+                        )
+                    })?;
+                    if is_wanted(topic) {
+                        by_topic.entry(topic.clone()).or_default().add(cycle);
+                    }
+                }
+            }
+        }
+        Ok(Self(by_topic))
+    }
+
+    pub(crate) fn take(&mut self, topic: &str) -> LaterMessages {
+        self.0.remove(topic).unwrap_or_default()
+    }
+}
+
+impl LaterMessages {
+    fn add(&mut self, cycle: u64) {
+        match self.0.back_mut() {
+            Some((last, count)) if *last == cycle => *count += 1,
+            _ => self.0.push_back((cycle, 1)),
+        }
+    }
+
+    /// How many of the messages that wait join in this cycle: all but those that join in later cycles at the same time.
+    pub(crate) fn due(&mut self, waiting: usize, moment: Moment) -> usize {
+        while self.0.front().is_some_and(|(cycle, _)| *cycle <= moment.cycle) {
+            self.0.pop_front();
+        }
+        let later = self.0.iter().take_while(|(cycle, _)| *cycle <= moment.last).map(|(_, count)| count);
+        waiting.saturating_sub(later.sum())
+    }
+
+    fn cycles(&self) -> impl Iterator<Item = u64> {
+        self.0.iter().flat_map(|&(cycle, count)| std::iter::repeat_n(cycle, count))
+    }
+}
+
 /// The changes of settings of several modules, in their recorded order.
 #[derive(Default)]
-pub(crate) struct SettingsChanges(VecDeque<ModuleSettings>);
+pub(crate) struct SettingsChanges(VecDeque<SettingsChange>);
+
+/// A change of a module's settings.
+pub(crate) struct SettingsChange {
+    /// The cycle in which it took effect, if the bag says so.
+    cycle: Option<u64>,
+    pub(crate) message: ModuleSettings,
+}
+
+impl SettingsChange {
+    /// True if it takes effect in this cycle or did so in an earlier one.
+    pub(crate) fn is_due(&self, moment: Moment) -> bool {
+        let is_due_by_time = || self.message.stamp.as_nanos() <= moment.time;
+        self.cycle.map_or_else(is_due_by_time, |cycle| cycle <= moment.cycle)
+    }
+}
 
 impl SettingsChanges {
     /// Reads the changes of the wanted modules; empty if the bag lacks the topic.
     pub(crate) fn read(
         reader: &Reader,
         extract: &mut Extract,
+        cycles: &Cycles,
         is_wanted: impl Fn(&str) -> bool,
     ) -> Result<Self, PlaybackError> {
-        let changes = extract.messages::<ModuleSettings>(reader, journal::SETTINGS)?.unwrap_or_default();
-        Ok(Self(changes.into_iter().filter(|change| is_wanted(&change.module)).collect()))
+        let messages = extract.messages::<ModuleSettings>(reader, journal::SETTINGS)?.unwrap_or_default();
+        let times: &[i64] = match cycles {
+            Cycles::Recorded { times, .. } => times,
+            Cycles::OfMessages | Cycles::Unknown => &[],
+        };
+        let later =
+            MessageCycles::read(reader, extract, |topic| topic == journal::SETTINGS)?.take(journal::SETTINGS);
+        // The journal reports a change in the cycle after it.
+        let reported = later.cycles().filter_map(|cycle| cycle.checked_sub(1));
+        let mut changed =
+            reported.filter_map(|cycle| Some((*times.get(usize::try_from(cycle).ok()?)?, cycle))).peekable();
+        let changes = messages.into_iter().map(|message| {
+            let stamp = message.stamp.as_nanos();
+            while changed.next_if(|(time, _)| *time < stamp).is_some() {}
+            let cycle = changed.next_if(|(time, _)| *time == stamp).map(|(_, cycle)| cycle);
+            SettingsChange { cycle, message }
+        });
+        Ok(Self(changes.filter(|change| is_wanted(&change.message.module)).collect()))
     }
 
     /// Applies the changes that are due in the next sync phase of the core.
     pub(crate) fn give(
         &mut self,
         core: &Core,
-        is_due: impl Fn(&ModuleSettings) -> bool,
+        is_due: impl Fn(&SettingsChange) -> bool,
     ) -> Result<(), PlaybackError> {
         while self.0.front().is_some_and(&is_due) {
-            let Some(change) = self.0.pop_front() else { break };
+            let Some(SettingsChange { message: change, .. }) = self.0.pop_front() else { break };
             for parameter in change.settings {
                 let setting = format!("{}.{}", change.module, parameter.name);
                 let value = setting_value(parameter.value).map_err(|problem| {

@@ -1,13 +1,14 @@
 //! A core whose cycles follow a bag.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::iter::Peekable;
 
+use bytes::Bytes;
 use downbeat_bags::{Messages, Reader, Selection, TopicId};
-use downbeat_edge::{EncodedInlet, Interfaces};
+use downbeat_edge::EncodedInlet;
 use downbeat_executor::{Clock, Core, ManualClock, Time};
 
-use super::account::{Cycles, SettingsChanges};
+use super::account::{Cycles, Extract, LaterMessages, MessageCycles, Moment, SettingsChanges};
 use super::events::Events;
 use super::{MOST_CYCLES, PlaybackError};
 use crate::encoding::RecordedType;
@@ -37,11 +38,17 @@ impl Follower<'_> {
         let mut count = 0;
         match cycles {
             Cycles::Recorded { times, .. } => {
-                for (number, &time) in (0..).zip(times) {
-                    self.events.give(self.core, |event| event.cycle <= number)?;
-                    self.cycle(time)?;
-                    count += 1;
-                    after_cycle();
+                for at_one_time in times.chunk_by(|one, other| one == other) {
+                    let last = count + at_one_time.len() as u64 - 1;
+                    for &time in at_one_time {
+                        let moment = Moment { cycle: count, time, last };
+                        self.events.give(self.core, |event| event.cycle <= count)?;
+                        self.inputs.give_in(moment)?;
+                        self.settings.give(self.core, |change| change.is_due(moment))?;
+                        self.cycle(time)?;
+                        count += 1;
+                        after_cycle();
+                    }
                 }
                 self.clock.set(Time::from_nanos(cycles.end()));
             }
@@ -51,6 +58,7 @@ impl Follower<'_> {
                     let time = message?.log_time;
                     if last.replace(time) != Some(time) {
                         self.events.give(self.core, |event| event.stamp.as_nanos() <= time)?;
+                        self.give(time)?;
                         self.cycle(time)?;
                         count += 1;
                         after_cycle();
@@ -71,10 +79,8 @@ impl Follower<'_> {
         Ok(count)
     }
 
-    /// Applies the inputs of a cycle before it runs, so that they join in its sync phase as they did when
-    /// they were recorded.
+    /// Runs a cycle. Its inputs were applied before, so that they join in its sync phase as they did when they were recorded.
     fn cycle(&mut self, time: i64) -> Result<(), PlaybackError> {
-        self.give(time)?;
         self.clock.set(Time::from_nanos(time));
         Ok(self.core.cycle()?)
     }
@@ -82,7 +88,7 @@ impl Follower<'_> {
     /// Applies all messages and settings up to that time.
     fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
         self.inputs.give(time)?;
-        self.settings.give(self.core, |change| change.stamp.as_nanos() <= time)
+        self.settings.give(self.core, |change| change.message.stamp.as_nanos() <= time)
     }
 
     /// Runs what is due before `end`, then advances the clock to `end`.
@@ -106,9 +112,17 @@ impl Follower<'_> {
 
 /// Messages of several topics, published in the order of the bag.
 pub(crate) struct Inputs {
-    inlets: BTreeMap<TopicId, (EncodedInlet, RecordedType)>,
+    topics: BTreeMap<TopicId, Input>,
     messages: Option<Peekable<Messages>>,
     given: u64,
+}
+
+/// A topic, and those of its messages whose time has come and that have not joined.
+struct Input {
+    inlet: EncodedInlet,
+    recorded: RecordedType,
+    later: LaterMessages,
+    waiting: VecDeque<Bytes>,
 }
 
 impl Inputs {
@@ -116,20 +130,23 @@ impl Inputs {
     pub(crate) fn open<'a>(
         core: &mut Core,
         reader: &Reader,
-        topics: impl IntoIterator<Item = &'a str>,
-        interfaces: &Interfaces,
+        names: impl IntoIterator<Item = &'a str>,
+        extract: &mut Extract,
     ) -> Result<Self, PlaybackError> {
-        let mut inlets = BTreeMap::new();
-        for name in topics {
+        let names: Vec<&str> = names.into_iter().collect();
+        let mut later = MessageCycles::read(reader, extract, |topic| names.contains(&topic))?;
+        let (interfaces, mut topics) = (extract.interfaces(), BTreeMap::new());
+        for name in names {
             let Some(id) = reader.topic(&format!("/{name}")) else { continue };
             let recorded = RecordedType::of(&reader.topics()[id.index()], interfaces)?;
-            inlets.insert(id, (interfaces.inlet(core, name, recorded.message_type())?, recorded));
+            let inlet = interfaces.inlet(core, name, recorded.message_type())?;
+            topics.insert(id, Input { inlet, recorded, later: later.take(name), waiting: VecDeque::new() });
         }
-        if inlets.is_empty() {
-            return Ok(Self { inlets, messages: None, given: 0 });
+        if topics.is_empty() {
+            return Ok(Self { topics, messages: None, given: 0 });
         }
-        let messages = reader.messages(Selection::all().topics(inlets.keys().copied()))?;
-        Ok(Self { inlets, messages: Some(messages.peekable()), given: 0 })
+        let messages = reader.messages(Selection::all().topics(topics.keys().copied()))?;
+        Ok(Self { topics, messages: Some(messages.peekable()), given: 0 })
     }
 
     pub(crate) fn next_time(&mut self) -> Result<Option<i64>, PlaybackError> {
@@ -142,11 +159,34 @@ impl Inputs {
 
     /// Publishes all messages up to that time.
     pub(crate) fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
+        self.read(time)?;
+        self.publish(|input| input.waiting.len())
+    }
+
+    /// Publishes the messages that joined in this cycle.
+    fn give_in(&mut self, moment: Moment) -> Result<(), PlaybackError> {
+        self.read(moment.time)?;
+        self.publish(|input| input.later.due(input.waiting.len(), moment))
+    }
+
+    /// Reads all messages up to that time.
+    fn read(&mut self, time: i64) -> Result<(), PlaybackError> {
         while self.next_time()?.is_some_and(|next| next <= time) {
             let message = self.messages.as_mut().and_then(Iterator::next);
             let Some(message) = message.transpose()? else { break };
-            if let Some((inlet, recorded)) = self.inlets.get(&message.topic) {
-                inlet.publish(&recorded.to_cdr(message.data)?)?;
+            if let Some(input) = self.topics.get_mut(&message.topic) {
+                input.waiting.push_back(input.recorded.to_cdr(message.data)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// Publishes so many of the messages that wait.
+    fn publish(&mut self, count: impl Fn(&mut Input) -> usize) -> Result<(), PlaybackError> {
+        for input in self.topics.values_mut().filter(|input| !input.waiting.is_empty()) {
+            let due = count(input);
+            for message in input.waiting.drain(..due) {
+                input.inlet.publish(&message)?;
                 self.given += 1;
             }
         }

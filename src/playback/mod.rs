@@ -119,8 +119,8 @@ pub fn play_into(
     interfaces: &Interfaces,
 ) -> Result<u64, PlaybackError> {
     let topics = played_topics(core, reader, topics)?;
-    let inputs = Inputs::open(core, reader, topics.iter().map(String::as_str), interfaces)?;
     let mut extract = Extract::new(interfaces);
+    let inputs = Inputs::open(core, reader, topics.iter().map(String::as_str), &mut extract)?;
     let cycles = match Cycles::read(reader, &mut extract)? {
         Cycles::OfMessages => Cycles::Unknown,
         cycles => cycles,
@@ -129,7 +129,7 @@ pub fn play_into(
     if cycles.is_recorded() {
         let modules = core.modules();
         let is_there = |name: &str| modules.iter().any(|module| *module.name == *name);
-        settings = SettingsChanges::read(reader, &mut extract, is_there)?;
+        settings = SettingsChanges::read(reader, &mut extract, &cycles, is_there)?;
         let recorded = extract.messages(reader, journal::EVENTS)?;
         events = Events::of_core(core, recorded.as_deref(), interfaces)?;
     }

@@ -9,7 +9,7 @@ use downbeat_executor::{Core, ManualClock, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
 use super::PlaybackError;
-use super::account::{Extract, SettingsChanges};
+use super::account::{Cycles, Extract, SettingsChanges};
 use super::events::Events;
 use crate::encoding::RecordedType;
 use crate::journal;
@@ -53,7 +53,7 @@ pub(crate) fn replay_steps(
 ) -> Result<ReplayedSteps, PlaybackError> {
     let steps = steps_of(module, reader, extract)?;
     let mut inputs = Inputs::open(core, reader, extract, &steps)?;
-    let mut settings = SettingsChanges::read(reader, extract, |name| name == module)?;
+    let mut settings = SettingsChanges::read(reader, extract, &Cycles::Unknown, |name| name == module)?;
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module)?;
     // A message or setting that is applied before a cycle joins in its sync phase and is received in the next
@@ -63,7 +63,7 @@ pub(crate) fn replay_steps(
             inputs.give(next)?;
             // The run counter restarts when the module is restarted.
             let run = (next.stamp.as_nanos(), next.step);
-            settings.give(core, |change| (change.stamp.as_nanos(), change.step) <= run)?;
+            settings.give(core, |change| (change.message.stamp.as_nanos(), change.message.step) <= run)?;
             events.take(core, next.step)?;
         }
         clock.set(Time::from_nanos(step.stamp.as_nanos()));

@@ -7,7 +7,9 @@
 //! simulated time, detached modules ran inside the cycle, and are replayed there. Modules see nothing of
 //! each other but messages, so if every part of a robot repeats bit for bit, the whole robot does. Modules
 //! that drive a device run with the recorded answers of the device if their kind records them. Otherwise they
-//! are left out, and the messages that they published become input.
+//! are left out, and the messages that they published become input. If a simulation was recorded in simulated
+//! time, its simulated devices can run again as well ([`Simulators::RunAgain`]): nothing but what came from
+//! outside the robot is then taken from the bag.
 //!
 //! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
 //!
@@ -48,6 +50,19 @@ pub struct ReplayOptions {
     pub rules: Vec<FieldRule>,
     /// Topics that are not compared.
     pub except: Vec<TopicPattern>,
+    /// What happens to the simulated devices of the robot.
+    pub simulators: Simulators,
+}
+
+/// What a replay does with simulated devices: emulators and simulators, and modules whose device is behind a port in memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Simulators {
+    /// Simulators are left out, and modules that drive a simulated device run with its recorded answers.
+    #[default]
+    LeftOut,
+    /// Simulators run again from their seeds, modules drive them again, and all that they publish is compared, pictures too. Only for
+    /// bags that were recorded in simulated time.
+    RunAgain,
 }
 
 impl ReplayOptions {
@@ -55,7 +70,7 @@ impl ReplayOptions {
     #[must_use]
     pub fn of(file: &RobotFile) -> Self {
         let ReplaySection { modules, rules, except } = file.replay.clone();
-        Self { modules, rules, except }
+        Self { modules, rules, except, simulators: Simulators::default() }
     }
 
     fn excludes(&self, topic: &str) -> bool {
@@ -80,6 +95,12 @@ pub enum ReplayError {
     /// A requested module cannot be replayed from this bag.
     #[error("module \"{0}\" cannot be replayed: {1}")]
     NotReplayable(String, String),
+    /// Simulators are to run again, but the bag was recorded in real time.
+    #[error(
+        "the bag was recorded in real time, in which simulators do not repeat; record with `--fast` to run them again, or \
+         replay without them"
+    )]
+    RealTime,
     /// No module can be replayed, or none publishes a topic of the bag.
     #[error("there is nothing to replay: {0}")]
     Nothing(String),

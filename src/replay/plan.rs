@@ -8,7 +8,7 @@ use downbeat_bridge::middleware::Direction;
 use downbeat_executor::{Core, Graph, GraphEdge, Synchrony, TopicInfo};
 
 use super::coverage::{self, NotCompared};
-use super::{LeftOut, ReplayError, ReplayOptions};
+use super::{LeftOut, ReplayError, ReplayOptions, Simulators};
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
 use crate::playback::account::{Cycles, Extract, was_in_simulated_time};
@@ -33,6 +33,7 @@ pub(super) struct Plan {
     /// The type name of each service.
     pub(super) service_types: BTreeMap<String, &'static str>,
     pub(super) cycles: Cycles,
+    pub(super) simulators: Simulators,
 }
 
 /// A topic that replayed modules publish.
@@ -51,6 +52,9 @@ impl Plan {
         options: &ReplayOptions,
     ) -> Result<(Self, Extract), ReplayError> {
         check_names(file, options)?;
+        if options.simulators == Simulators::RunAgain && !was_in_simulated_time(reader) {
+            return Err(ReplayError::RealTime);
+        }
         let graph = Wiring::of(file)?;
         let is_in_bag = |topic: &str| reader.topic(&format!("/{topic}")).is_some();
         let mut plan = Self {
@@ -64,13 +68,14 @@ impl Plan {
             servers: graph.servers.clone(),
             service_types: graph.service_types.clone(),
             cycles: Cycles::Unknown,
+            simulators: options.simulators,
         };
         let runs_detached = |module: &ModuleEntry| {
             !was_in_simulated_time(reader) && matches!(module.options().synchrony, Synchrony::Detached(_))
         };
         for module in &file.modules {
             let is_asked_for = options.modules.contains(&module.name);
-            match replayability(module, runs_detached(module), reader) {
+            match plan.replayability(module, runs_detached(module), reader) {
                 _ if !options.modules.is_empty() && !is_asked_for => {}
                 Ok(()) if runs_detached(module) => plan.detached.push(module.name.clone()),
                 Ok(()) => plan.attached.push(module.name.clone()),
@@ -92,6 +97,9 @@ impl Plan {
         if reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key("robot")) {
             let accounts = [journal::SETTINGS, journal::EVENTS].into_iter().filter(|topic| !is_in_bag(topic));
             plan.missing_inputs.extend(accounts.map(str::to_owned));
+        }
+        if was_in_simulated_time(reader) && !plan.inputs.is_empty() && !is_in_bag(journal::MESSAGES) {
+            plan.missing_inputs.insert(journal::MESSAGES.to_owned());
         }
         plan.check()?;
         plan.not_compared =
@@ -116,17 +124,51 @@ impl Plan {
         graph.publishers.get(topic).into_iter().flatten().any(|name| self.replays(name))
     }
 
+    /// True for a simulator that runs again, and for a module that drives one.
+    pub(super) fn runs_live(&self, module: &ModuleEntry) -> bool {
+        self.simulators == Simulators::RunAgain && module.has_simulated_device()
+    }
+
+    /// Checks whether the module can be replayed; the error is a message with the reason.
+    fn replayability(
+        &self,
+        module: &ModuleEntry,
+        runs_detached: bool,
+        reader: &Reader,
+    ) -> Result<(), String> {
+        if module.kind.uses_device() && !self.runs_live(module) {
+            let Some(replayed) = module.kind.replayed() else {
+                return Err("it drives a device, whose answers are not recorded".to_owned());
+            };
+            let topic = replayed.topic_of(&module.options());
+            if reader.topic(&topic).is_none() {
+                return Err(format!(
+                    "it drives a device, and the bag has no {topic} with the device's answers"
+                ));
+            }
+        }
+        let steps = format!("/{}", journal::STEPS);
+        if runs_detached && reader.topic(&steps).is_none() {
+            return Err(format!("it is detached, and the bag has no {steps} with its runs"));
+        }
+        Ok(())
+    }
+
     /// The topics that are read in advance: times of cycles and runs, answers of devices, and messages that
     /// detached modules received.
     fn read_before(&self, file: &RobotFile, reader: &Reader, graph: &Wiring) -> BTreeSet<TopicId> {
-        let devices = file.modules.iter().filter(|module| self.replays(&module.name));
+        let devices =
+            file.modules.iter().filter(|module| self.replays(&module.name) && !self.runs_live(module));
         let answers = devices.filter_map(|module| Some(module.kind.replayed()?.topic_of(&module.options())));
         let received = graph.subscribers.iter().filter(|(topic, subscribers)| {
             !topic.starts_with("executor/") && self.detached.iter().any(|name| subscribers.contains(name))
         });
         let mut topics: Vec<String> = received.map(|(topic, _)| format!("/{topic}")).collect();
         topics.extend(answers);
-        topics.extend([journal::CYCLES, journal::SETTINGS, journal::EVENTS].map(|topic| format!("/{topic}")));
+        topics.extend(
+            [journal::CYCLES, journal::MESSAGES, journal::SETTINGS, journal::EVENTS]
+                .map(|topic| format!("/{topic}")),
+        );
         if !self.detached.is_empty() {
             topics.push(format!("/{}", journal::STEPS));
         }
@@ -175,24 +217,6 @@ fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayEr
         Some(unknown) => Err(ReplayError::NoSuchModule { module: unknown.clone(), known: known() }),
         None => Ok(()),
     }
-}
-
-/// Checks whether the module can be replayed; the error is a message with the reason.
-fn replayability(module: &ModuleEntry, runs_detached: bool, reader: &Reader) -> Result<(), String> {
-    if module.kind.uses_device() {
-        let Some(replayed) = module.kind.replayed() else {
-            return Err("it drives a device, whose answers are not recorded".to_owned());
-        };
-        let topic = replayed.topic_of(&module.options());
-        if reader.topic(&topic).is_none() {
-            return Err(format!("it drives a device, and the bag has no {topic} with the device's answers"));
-        }
-    }
-    let steps = format!("/{}", journal::STEPS);
-    if runs_detached && reader.topic(&steps).is_none() {
-        return Err(format!("it is detached, and the bag has no {steps} with its runs"));
-    }
-    Ok(())
 }
 
 /// The publishers and receivers of each topic.

@@ -30,7 +30,8 @@ pub struct ReplayReport {
     pub inputs: Vec<String>,
     /// The topics that they received during the recording and that are not in the bag. Includes
     /// `module_settings` and `module_events` if the bag lacks them: changed settings, requests, commands and
-    /// results of jobs are then not repeated.
+    /// results of jobs are then not repeated; and `cycle_messages` if the bag was recorded in simulated time without it: messages
+    /// then join in the first cycle at their time.
     pub missing_inputs: Vec<String>,
     /// The topics that were compared.
     pub topics: Vec<TopicReport>,
@@ -246,6 +247,7 @@ impl fmt::Display for ReplayReport {
                 journal::EVENTS => {
                     ": requests from outside, transitions and results of jobs are not repeated"
                 }
+                journal::MESSAGES => ": messages join in the first cycle at their time",
                 _ => "",
             };
             writeln!(f, "  without /{topic}, which is not in the bag{lost}")?;

@@ -35,11 +35,11 @@ pub(super) fn attached(
     let clock = ManualClock::new(Time::from_nanos(start));
     let mut core = file.launch(Core::new().with_clock(clock.clone()))?;
     let is_replayed = |module: &str| plan.attached.iter().any(|name| name == module);
-    core = build(file, reader, extract, core, is_replayed)?;
+    core = build(file, reader, plan, extract, core, is_replayed)?;
     let interfaces = &file.catalog.interfaces;
     let captured = Captured::add(&mut core, interfaces, |topic| plan.outputs.contains_key(topic))?;
-    let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), interfaces)?;
-    let settings = SettingsChanges::read(reader, extract, is_replayed)?;
+    let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), extract)?;
+    let settings = SettingsChanges::read(reader, extract, &plan.cycles, is_replayed)?;
     let end = plan.cycles.end();
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let events = Events::of_core(&mut core, recorded.as_deref(), interfaces)?;
@@ -65,7 +65,7 @@ pub(super) fn detached(
 ) -> Result<usize, ReplayError> {
     let clock = ManualClock::new(Time::ZERO);
     let core = Core::new().with_clock(clock.clone());
-    let mut core = build(file, reader, extract, core, |module| module == name)?;
+    let mut core = build(file, reader, plan, extract, core, |module| module == name)?;
     let captured =
         Captured::add(&mut core, &file.catalog.interfaces, |topic| plan.outputs.contains_key(topic))?;
     let steps = replay_steps(&mut core, &clock, reader, extract, name);
@@ -86,10 +86,11 @@ pub(super) fn detached(
     Ok(steps.count)
 }
 
-/// Adds the wanted modules to a core. Modules that drive a device get its recorded answers.
+/// Adds the wanted modules to a core. Modules that drive a device get its recorded answers, unless the device is simulated again.
 fn build(
     file: &RobotFile,
     reader: &Reader,
+    plan: &Plan,
     extract: &mut Extract,
     core: Core,
     is_wanted: impl Fn(&str) -> bool,
@@ -98,6 +99,9 @@ fn build(
     let built = file.build_modules(core, |module, core| {
         if !is_wanted(&module.name) {
             return Some(Ok(()));
+        }
+        if plan.runs_live(module) {
+            return None;
         }
         let replayed = module.kind.replayed()?;
         let options = module.options();

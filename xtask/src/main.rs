@@ -1,5 +1,6 @@
 //! Developer commands. `cargo xtask test` runs all checks that a change must pass.
 
+mod football;
 mod matrix;
 mod node;
 mod physics;
@@ -41,6 +42,9 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// The long proofs of the football player, about an hour: vision, localisation, an empty goal, matches, recorded matches. Prints
+    /// each figure beside its goal, and fails if one misses it.
+    Football(football::FootballArguments),
     /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the falls or
     /// the physics; then runs the tests that replay it.
     RecordWalk,
@@ -58,6 +62,7 @@ fn main() -> ExitCode {
         Command::Wheel { test: true } => wheel::test(),
         Command::Wheel { test: false } => wheel::build("release").map(|path| println!("{}", path.display())),
         Command::Physics { arguments } => physics::physics(&arguments),
+        Command::Football(arguments) => football::football(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
         Command::Node => {
             node::modules().map(|path| path.iter().for_each(|path| println!("{}", path.display())))

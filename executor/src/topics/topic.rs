@@ -63,6 +63,8 @@ pub(crate) trait AnyTopic: Any + Send + Sync {
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize;
     /// The batch, to be taken to another thread, and the number of messages in it.
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
+    /// The number of messages in the batch.
+    fn messages(&self) -> usize;
 }
 
 /// The batch, empty: the one there is, unless somebody keeps it.
@@ -107,6 +109,10 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
         let messages = u32::try_from(self.batch.len()).unwrap_or(u32::MAX);
         (Arc::clone(&self.batch) as Arc<dyn Any + Send + Sync>, messages)
+    }
+
+    fn messages(&self) -> usize {
+        self.batch.len()
     }
 }
 
@@ -173,6 +179,10 @@ impl AnyTopic for Forgotten {
 
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
         (Arc::new(()), 0)
+    }
+
+    fn messages(&self) -> usize {
+        0
     }
 }
 
@@ -467,8 +477,16 @@ impl Topics {
 
     /// The modules inside the cycle, by slot, that are given messages in the next process phase, and of which topics.
     pub(crate) fn fresh(&self) -> impl Iterator<Item = (usize, &Arc<str>)> {
-        let carrying = self.entries.iter().filter(|entry| entry.users > 0 && entry.epoch == self.epoch);
-        carrying.flat_map(|entry| entry.attached.iter().map(|&slot| (slot, &entry.info.name)))
+        self.carrying().flat_map(|entry| entry.attached.iter().map(|&slot| (slot, &entry.info.name)))
+    }
+
+    /// The topics with messages of the last sync phase, and how many these are.
+    pub(crate) fn carried(&self) -> impl Iterator<Item = (&Arc<str>, usize)> {
+        self.carrying().map(|entry| (&entry.info.name, entry.topic.messages()))
+    }
+
+    fn carrying(&self) -> impl Iterator<Item = &Entry> {
+        self.entries.iter().filter(|entry| entry.users > 0 && entry.epoch == self.epoch)
     }
 
     /// The topics that carry messages to detached modules and outlets after the last sync phase, in the order in which these

@@ -6,7 +6,8 @@ use clap::Parser;
 use downbeat_edge::Interfaces;
 use downbeat_edge::foreign::ForeignModule;
 use downbeat_executor::{
-    Core, Inbox, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
+    Core, Inbox, Linear, ManualClock, ModuleOptions, ModuleState, Pool, Receipt, Received, SettingValue,
+    Snapshot, Time,
 };
 use downbeat_football::football_interfaces::msg::{GameState, MatchState};
 use downbeat_match::{FootballMatch, player};
@@ -16,6 +17,7 @@ use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_state_machine::StateMachineOptions;
 use glam::DVec2;
 use parking_lot::Mutex;
+use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -46,6 +48,9 @@ struct Arguments {
     /// Prints where robots and ball are every second
     #[arg(long)]
     trace: bool,
+    /// Prints what was found as a line of JSON for each match, after its events
+    #[arg(long)]
+    json: bool,
 }
 
 /// What is known of a player.
@@ -71,6 +76,8 @@ struct Watch {
     traced: f64,
     is_over: bool,
     last: MatchState,
+    /// Of the core, at the end.
+    core: Option<Receipt<Snapshot>>,
 }
 
 /// What moves less in this way stands still, in m.
@@ -86,6 +93,10 @@ fn main() -> anyhow::Result<()> {
         let MatchState { blue_score, red_score, header, .. } = &watch.last;
         let simulated = header.stamp.as_nanos() as f64 / 1e9 - 1.0;
         let speed = simulated / started.elapsed().as_secs_f64();
+        if arguments.json {
+            println!("{}", watch.json(&arguments.robots, seed, simulated, speed));
+            continue;
+        }
         println!("seed {seed}: {blue_score}:{red_score} in {simulated:.0} s, {speed:.1} times real time");
         for (name, player) in arguments.robots.iter().zip(&watch.players) {
             println!(
@@ -149,6 +160,7 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
         watch.see(&state, trace);
         if state.phase == GameState::FINISHED && !watch.is_over {
             watch.is_over = true;
+            watch.core = Some(handle.snapshot());
             handle.stop();
         }
     };
@@ -162,6 +174,25 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
 }
 
 impl Watch {
+    fn json(&self, names: &[String], seed: i64, simulated: f64, speed: f64) -> serde_json::Value {
+        let players = names.iter().zip(&self.players).map(|(name, player)| {
+            let Watched { stillness, falls, get_ups, strayed, .. } = player;
+            json!({ "name": name, "still_s": stillness, "falls": falls, "get_ups": get_ups, "strayed_m": strayed })
+        });
+        // It was asked for in the last cycle.
+        let core = self.core.as_ref().and_then(Receipt::try_take);
+        let core = core.unwrap_or_default();
+        let stopped =
+            core.modules.iter().filter(|known| known.state != ModuleState::Active || known.panics > 0);
+        let dropped = core.modules.iter().map(|module| module.dropped);
+        let dropped = dropped.chain(core.outlets.iter().map(|outlet| outlet.dropped));
+        json!({
+            "seed": seed, "blue": self.last.blue_score, "red": self.last.red_score, "simulated_s": simulated,
+            "speed": speed, "players": players.collect::<Vec<_>>(), "modules": core.modules.len(),
+            "stopped_modules": stopped.map(|known| &known.name).collect::<Vec<_>>(), "dropped": dropped.sum::<u64>(),
+        })
+    }
+
     fn see(&mut self, state: &MatchState, trace: bool) {
         let now = state.header.stamp.as_nanos() as f64 / 1e9;
         for (robot, player) in self.players.iter_mut().enumerate() {

@@ -56,7 +56,7 @@ use std::time::Duration;
 /// | `camera_hz` | pictures per second; 0 for none |
 /// | `ports` | a folder for ports of robots that are other processes; empty: in memory |
 ///
-/// Leave it out of replays: its messages are in the bag.
+/// A replay leaves it out, as its messages are in the bag; with `--simulators` it runs again.
 pub struct FootballMatch {
     memory: MemoryPorts,
     game: Option<Game>,

@@ -9,7 +9,7 @@
 //! | `push` (in) | geometry_msgs/Vector3Stamped | an impulse in N s along the axes of the world, on the link in `frame_id` |
 //! | `simulator/...` | services and an action of simulation_interfaces | see `services` |
 //!
-//! Leave it out of replays, as the emulator.
+//! A replay leaves it out, as the emulator; of bags of simulated time it runs again with `--simulators`.
 
 mod services;
 

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use crate::bags::{FieldDifference, FieldRule, Reader};
 use crate::bridge::expose::TopicPattern;
 use crate::replay::{
-    Difference, ReplayOptions, ReplayReport, Strictness, TopicReport, What, replay as replay_robot,
+    Difference, ReplayOptions, ReplayReport, Simulators, Strictness, TopicReport, What,
+    replay as replay_robot,
 };
 use crate::robot::{Catalog, LauncherChoice, RosArgs};
 use anyhow::anyhow;
@@ -44,6 +45,10 @@ pub(crate) struct ReplayArguments {
     /// the robot file's launcher. The result is the same.
     #[arg(long)]
     pub(crate) launcher: Option<LauncherChoice>,
+    /// Run the simulators of the robot again too, from their seeds, and compare what they publish: the bag must be of simulated
+    /// time (`--fast`). Modules that drive a simulated device then drive it again, instead of running on its recorded answers.
+    #[arg(long, conflicts_with = "modules")]
+    pub(crate) simulators: bool,
     /// Print the report as JSON.
     #[arg(long)]
     pub(crate) json: bool,
@@ -68,7 +73,8 @@ pub(crate) fn replay(
     let (tolerances, ignored) = (&arguments.tolerance, &arguments.ignore);
     let rules = file.replay.rules.iter().chain(tolerances).chain(ignored).cloned().collect();
     let except = file.replay.except.iter().chain(&arguments.except).cloned().collect();
-    let options = ReplayOptions { modules: given.clone(), rules, except };
+    let simulators = if arguments.simulators { Simulators::RunAgain } else { Simulators::LeftOut };
+    let options = ReplayOptions { modules: given.clone(), rules, except, simulators };
     let report = replay_robot(file, &reader, &options)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&as_json(&report))?);

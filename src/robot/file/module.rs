@@ -10,6 +10,8 @@ use downbeat_executor::{
     Inbox, LifecycleState, ModuleOptions, Restart, SettingValue, Synchrony, ThreadOptions,
 };
 
+use downbeat_modules::darwin_op_emulator::MemoryPorts;
+
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, launcher, suggestion};
 use crate::journal;
@@ -58,6 +60,13 @@ impl ModuleEntry {
         let settings = self.settings.iter().map(|(name, given)| (name.clone(), given.value.clone()));
         let remaps = self.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
         ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..self.running.clone() }
+    }
+
+    /// Returns whether the module simulates devices, or drives one that is simulated in this process.
+    pub(crate) fn has_simulated_device(&self) -> bool {
+        let port = self.settings.get("port").map(|given| &given.value);
+        let is_in_memory = matches!(port, Some(SettingValue::Text(port)) if MemoryPorts::is_memory(port));
+        self.kind.is_emulated() || (self.kind.uses_device() && is_in_memory)
     }
 
     /// A line of the file that has the module.

@@ -92,7 +92,7 @@ impl RobotFile {
         let names = || self.modules.iter().map(|module| module.name.as_str());
         let (module, setting) = parameter.split_once('.').unwrap_or((parameter, ""));
         let Some(position) = names().position(|name| name == module) else {
-            let hint = suggestion(module, names());
+            let hint = with_slashes(parameter, names()).unwrap_or_else(|| suggestion(module, names()));
             return Err(self.error_at(&place, format!("the robot has no module \"{module}\"{hint}")));
         };
         if setting.is_empty() {
@@ -120,6 +120,20 @@ impl RobotFile {
         }
         Ok(())
     }
+}
+
+/// Suggests the name of a parameter in which dots were written for the slashes in the name of its module.
+fn with_slashes<'a>(parameter: &str, modules: impl Iterator<Item = &'a str>) -> Option<String> {
+    let spelled = modules.filter_map(|module| {
+        let rest = parameter.strip_prefix(&module.replace('/', "."))?;
+        let is_its = module.contains('/') && (rest.is_empty() || rest.starts_with('.'));
+        is_its.then_some((module, if rest.is_empty() { ".setting" } else { rest }))
+    });
+    let (module, rest) = spelled.max_by_key(|(module, _)| module.len())?;
+    let namespace = module.rsplit_once('/').map_or("", |(namespace, _)| namespace);
+    Some(format!(
+        ", did you mean \"{module}{rest}\"? Modules in the namespace {namespace} are named {namespace}/module"
+    ))
 }
 
 /// Converts a value to that of a setting. Errors contain what was expected and found.

@@ -186,3 +186,20 @@ fn values_that_no_setting_can_have_are_refused() {
         assert!(refusal.contains(problem), "{text}: {refusal}");
     }
 }
+
+#[test]
+fn dots_in_place_of_the_slashes_of_a_module_in_a_namespace_are_reported_with_the_right_spelling() {
+    let mut file = robot();
+    // As an `[[include]]` in an `[[include]]` names it.
+    file.modules[0].name = "blue_2/arm/mux".to_owned();
+    for (argument, expected) in [
+        ("blue_2.arm.mux.hold_s:=1.0", "no module \"blue_2\", did you mean \"blue_2/arm/mux.hold_s\"?"),
+        ("blue_2.arm.mux:=1.0", "did you mean \"blue_2/arm/mux.setting\"?"),
+        ("blue_2.arm.max.hold_s:=1.0", "no module \"blue_2\"; there is"),
+    ] {
+        let error = file.set_from_argument(argument).unwrap_err().to_string();
+        assert!(error.contains(expected), "{argument}: {error}");
+    }
+    file.set_from_argument("blue_2/arm/mux.hold_s:=1.0").unwrap();
+    assert_eq!(hold_s(&file), 1.0.into());
+}

@@ -514,6 +514,44 @@ impl<P> Context<'_, P> {
         }
     }
 
+    /// The topics that carry messages in this cycle, and how many: those that were published in the cycle before. A detached module
+    /// sees none.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Synchrony, Time};
+    /// /// Counts the messages of all topics.
+    /// #[derive(Default)]
+    /// struct Count(usize);
+    ///
+    /// impl Module for Count {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.each_run(|count, ctx| count.0 += ctx.carried().map(|(_topic, messages)| messages).sum::<usize>());
+    /// #       setup.each_run(|count, ctx| assert_eq!(count.0, if ctx.now() == Time::ZERO { 0 } else { 2 }));
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// # let clock = ManualClock::new(Time::ZERO);
+    /// # let mut core = Core::new().with_clock(clock.clone());
+    /// let options = ModuleOptions { synchrony: Synchrony::EveryCycle, ..ModuleOptions::default() };
+    /// core.add_with("count", Count::default(), options)?;
+    /// # let range = core.inlet("range")?;
+    /// # [1.0, 1.5].into_iter().try_for_each(|metres| range.publish(metres))?;
+    /// # core.cycle()?;
+    /// # clock.set(Time::from_nanos(1));
+    /// # core.cycle()?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn carried(&self) -> impl Iterator<Item = (&Arc<str>, usize)> {
+        let topics = match self.input() {
+            Input::Views(views) => Some(&views.topics),
+            Input::Batches(_) => None,
+        };
+        topics.into_iter().flat_map(Topics::carried)
+    }
+
     #[inline]
     fn publish_with<T: Send + Sync + 'static>(
         &mut self,
