@@ -104,7 +104,7 @@ const MOST_ROBOTS: usize = 32;
 impl Team {
     fn on_pose(&mut self, pose: Received<'_, PoseWithCovarianceStamped>, ctx: &mut Context<'_, Ports>) {
         self.beliefs.take_pose(&pose, ctx.now());
-        self.pose = pose.pose.clone();
+        self.pose = pose.pose;
     }
 
     fn on_ball(&mut self, ball: Received<'_, Ball>, ctx: &mut Context<'_, Ports>) {
@@ -211,7 +211,7 @@ impl Team {
             player: game.player,
             state,
             role: self.role,
-            pose: self.pose.clone(),
+            pose: self.pose,
             time_to_ball: f32::INFINITY,
             others: self.others(place.position, now),
             ..TeamMessage::default()
