@@ -8,6 +8,7 @@ use common::{downbeat, text_of};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
+use downbeat_football::football_interfaces::msg::TeamMessage;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -182,6 +183,34 @@ fn vision_is_replayed_bit_for_bit_on_the_pictures_of_a_simulator_that_is_left_ou
     for launcher in ["linear", "pool:2"] {
         let replay = text_of(&["bag", "replay", robot, bag, "--launcher", launcher]);
         assert!(replay.contains("not simulator") && replay.contains("/vision/markings"), "{replay}");
+    }
+}
+
+#[test]
+fn teams_that_see_are_replayed_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let line =
+        ["match", "robots/seeing_teams.toml", "--fast", "--duration", "3s", "--domain", "219", "--record"];
+    let output = downbeat(&line).arg(&bag).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bag_name = bag.to_str().unwrap();
+    for launcher in ["linear", "pool:2"] {
+        let replay =
+            text_of(&["bag", "replay", "robots/seeing_teams.toml", bag_name, "--launcher", launcher]);
+        for topic in ["/blue_1/vision/robots", "/blue_2/robots", "/red_1/team/robots", "/red_2/team_status"] {
+            assert!(replay.contains(topic), "{topic}: {replay}");
+        }
+    }
+    // Each hears its mate, under its number.
+    let reader = downbeat::bags::Reader::open(&bag).unwrap();
+    for (name, mate) in [("blue_1", 2), ("blue_2", 1), ("red_1", 2), ("red_2", 1)] {
+        let topic = reader.topic(&format!("/{name}/team_messages")).unwrap();
+        let messages = reader.messages(Selection::all().topics([topic])).unwrap();
+        let players: Vec<u8> = messages
+            .map(|message| cdr::from_slice::<TeamMessage>(&message.unwrap().data).unwrap().player)
+            .collect();
+        assert!(players.len() > 8 && players.iter().all(|player| *player == mate), "{name}: {players:?}");
     }
 }
 

@@ -16,14 +16,14 @@ use crate::msgs::sensor_msgs::msg::Image;
 
 #[derive(Subcommand)]
 pub(crate) enum VisionCommand {
-    /// Learn the colours of ball, goals, carpet and lines from marks in pictures (docs/vision.md).
+    /// Learn the colours of ball, goals, carpet, lines and teams from marks in pictures (docs/vision.md).
     Calibrate(CalibrateArguments),
 }
 
 #[derive(Args)]
 pub(crate) struct CalibrateArguments {
     /// What is where in which pictures: [[picture]] with file = "a.png", or bag, topic and at; and for each of orange, yellow,
-    /// green and white discs [x, y, radius] in pixels.
+    /// green, white, blue and red discs [x, y, radius] in pixels.
     #[arg(value_name = "MARKS.toml")]
     marks: PathBuf,
     /// The new file of colours, for the setting `colours` of modules of the kind vision.
@@ -65,6 +65,10 @@ struct MarkedPicture {
     green: Vec<[f64; 3]>,
     #[serde(default)]
     white: Vec<[f64; 3]>,
+    #[serde(default)]
+    blue: Vec<[f64; 3]>,
+    #[serde(default)]
+    red: Vec<[f64; 3]>,
 }
 
 /// Red, green and blue, row by row.
@@ -149,6 +153,8 @@ impl MarkedPicture {
             (Class::Yellow, "yellow", &self.yellow),
             (Class::Green, "green", &self.green),
             (Class::White, "white", &self.white),
+            (Class::Blue, "blue", &self.blue),
+            (Class::Red, "red", &self.red),
         ];
         for (class, name, discs) in classes {
             for [x, y, radius] in discs {
@@ -214,7 +220,7 @@ impl Pixels {
 
 /// How much of a picture belongs to each class.
 fn shares(picture: &Picture<'_>, table: &Table) -> String {
-    let mut counts = [0_u32; 5];
+    let mut counts = [0_u32; 7];
     picture.each_pixel(|_, rgb| counts[table.class_of(rgb) as usize] += 1);
     let all = f64::from(counts.iter().sum::<u32>());
     let share =
@@ -224,6 +230,8 @@ fn shares(picture: &Picture<'_>, table: &Table) -> String {
         share(Class::White, "white"),
         share(Class::Orange, "orange"),
         share(Class::Yellow, "yellow"),
+        share(Class::Blue, "blue"),
+        share(Class::Red, "red"),
         share(Class::Other, "nothing"),
     ]
     .join(", ")

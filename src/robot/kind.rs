@@ -511,7 +511,7 @@ pub(super) fn built_in() -> Vec<Kind> {
 }
 
 #[cfg(feature = "football")]
-fn football(ports: MemoryPorts) -> [Kind; 6] {
+fn football(ports: MemoryPorts) -> [Kind; 7] {
     [
         Kind::new(
             "football_match",
@@ -529,6 +529,11 @@ fn football(ports: MemoryPorts) -> [Kind; 6] {
             "head",
             "turns the head of a football player: searches, looks at the ball, looks ahead",
             downbeat_player::head::Head::default,
+        ),
+        Kind::new(
+            "team",
+            "tells the team what a football player knows, and joins what mates say with what it sees",
+            downbeat_player::team::Team::default,
         ),
         Kind::new(
             "truth_beliefs",

@@ -1,28 +1,9 @@
-//! Where the ball is and how it rolls: a Kalman filter of position and velocity, in a frame that stands still for seconds.
-//!
-//! The state is x = (p, v), with p' = v and v' = -k v + noise: a ball that rolls out. Measurements that do not fit are outliers, until several
-//! of them agree with each other: then the ball is there (it was kicked, or placed).
-//!
-//! # References
-//! - Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001: section 6.2.2 (white noise
-//!   acceleration), section 5.4 (gates).
+//! Where the ball is and how it rolls: a [`Track`]. Measurements that do not fit are outliers, until several of them agree with each other:
+//! then the ball is there (it was kicked, or placed).
 
+use crate::track::{Motion, Track};
 use downbeat_executor::Time;
 use glam::{DMat2, DVec2};
-
-/// A ball.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Track {
-    /// In m.
-    pub(crate) position: DVec2,
-    /// In m/s.
-    pub(crate) velocity: DVec2,
-    /// Of the position, of position and velocity, of the velocity.
-    pub(crate) covariance: [DMat2; 3],
-    at: Time,
-    /// How many measurements it has.
-    count: u32,
-}
 
 /// A ball, and one that may be instead.
 #[derive(Clone, Copy, Debug, Default)]
@@ -32,72 +13,18 @@ pub(crate) struct BallFilter {
     seen_at: Time,
 }
 
-/// The share of its velocity that a ball loses, per s.
-const ROLL_OUT: f64 = 0.4;
-/// Of the acceleration, in m²/s³.
-const ACCELERATION: f64 = 0.3;
-/// Of an unknown velocity, in m²/s².
-const UNKNOWN_VELOCITY: f64 = 0.5;
-/// Measurements beyond this squared Mahalanobis distance are outliers: 1 in 3000 of those that are none.
-const GATE: f64 = 16.0;
+/// A ball rolls out.
+const ROLLING: Motion = Motion { slows: 0.4, acceleration: 0.3, unknown_velocity: 0.5 };
 /// How many measurements make a ball.
 const CONFIRMED: u32 = 2;
 /// How many measurements in a row make outliers the ball.
 const REPLACED: u32 = 3;
 
-impl Track {
-    fn new(position: DVec2, covariance: DMat2, at: Time) -> Self {
-        let unknown = DMat2::from_diagonal(DVec2::splat(UNKNOWN_VELOCITY));
-        let velocity = DVec2::ZERO;
-        Self { position, velocity, covariance: [covariance, DMat2::ZERO, unknown], at, count: 1 }
-    }
-
-    /// As it is later.
-    pub(crate) fn at(mut self, time: Time) -> Self {
-        let dt = time.saturating_since(self.at).as_secs_f64().min(10.0);
-        if dt <= 0.0 {
-            return self;
-        }
-        self.at = time;
-        let kept = (-ROLL_OUT * dt).exp();
-        let [a, b, c] = self.covariance;
-        let noise = |power: f64| DMat2::from_diagonal(DVec2::splat(ACCELERATION * power));
-        self.position += self.velocity * dt;
-        self.velocity *= kept;
-        self.covariance = [
-            a + (b + b.transpose()) * dt + c * (dt * dt) + noise(dt * dt * dt / 3.0),
-            (b + c * dt) * kept + noise(dt * dt / 2.0),
-            c * (kept * kept) + noise(dt),
-        ];
-        self
-    }
-
-    /// Whether a measurement belongs to it, at its time.
-    fn fits(&self, position: DVec2, noise: DMat2) -> bool {
-        let off = position - self.position;
-        off.dot((self.covariance[0] + noise).inverse() * off) <= GATE
-    }
-
-    fn corrected(mut self, position: DVec2, noise: DMat2) -> Self {
-        let [a, b, c] = self.covariance;
-        let inverse = (a + noise).inverse();
-        let (gain, gain_of_velocity) = (a * inverse, b.transpose() * inverse);
-        let off = position - self.position;
-        self.position += gain * off;
-        self.velocity += gain_of_velocity * off;
-        // Rounding errors that are not symmetric would grow from measurement to measurement.
-        let symmetric = |matrix: DMat2| (matrix + matrix.transpose()) * 0.5;
-        self.covariance = [symmetric(a - gain * a), b - gain * b, symmetric(c - gain_of_velocity * b)];
-        self.count = self.count.saturating_add(1);
-        self
-    }
-}
-
 impl BallFilter {
     /// Takes a measurement; an older one than the last is ignored.
     pub(crate) fn see(&mut self, position: DVec2, noise: DMat2, at: Time) {
         let Some(track) = self.track else {
-            (self.track, self.seen_at) = (Some(Track::new(position, noise, at)), at);
+            (self.track, self.seen_at) = (Some(Track::new(position, noise, at, &ROLLING)), at);
             return;
         };
         if at < track.at {
@@ -110,7 +37,7 @@ impl BallFilter {
         }
         let rival = match self.rival.map(|rival| rival.at(at)) {
             Some(rival) if rival.fits(position, noise) => rival.corrected(position, noise),
-            _ => Track::new(position, noise, at),
+            _ => Track::new(position, noise, at, &ROLLING),
         };
         self.rival = Some(rival);
         // A ball that was seen once only is not worth more than its rival.

@@ -1,4 +1,4 @@
-//! Where a football player and the ball are on the field.
+//! Where a football player, the ball and other robots are on the field.
 //!
 //! - [`Filter`] is the engine, without messages: steps of odometry and [`Landmarks`] in, a [`Believed`] pose out;
 //! - [`Localisation`] is the module for robot files.
@@ -7,6 +7,8 @@ mod ball;
 mod filter;
 mod hypotheses;
 mod module;
+mod robots;
+mod track;
 
 pub use filter::{Believed, Filter, Landmarks, Pose};
 pub use module::Localisation;

@@ -1,15 +1,17 @@
 //! The filters as a module.
 
-use crate::ball::{BallFilter, Track};
+use crate::ball::BallFilter;
 use crate::filter::{Believed, Landmarks, Pose, pitched};
 use crate::hypotheses::Hypotheses;
+use crate::robots::{RobotTracks, Sighting};
+use crate::track::Track;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_football::soccer_model_msgs::msg::{Ball, Robot, RobotArray};
 use downbeat_football::soccer_vision_3d_msgs::msg::{
     GoalpostArray, MarkingArray, MarkingIntersection, RobotArray as SeenRobots,
 };
-use downbeat_football::{Field, IntersectionKind};
+use downbeat_football::{Field, IntersectionKind, floor_covariance};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::geometry_msgs::msg::{
@@ -20,7 +22,7 @@ use downbeat_msgs::std_msgs::msg::Header;
 use downbeat_transforms::TransformBroadcaster;
 use glam::{DMat2, DQuat, DVec2};
 use std::collections::VecDeque;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::time::Duration;
 
 /// Knows where the robot and the ball are, in `map`: the own goal at -x, the origin in the centre of the field.
@@ -36,7 +38,7 @@ use std::time::Duration;
 /// | `pose` | geometry_msgs/PoseWithCovarianceStamped | of `base_link` in `map`, at most 50 times a second |
 /// | `tf` | tf2_msgs/TFMessage | `map` to `odom`, with each pose |
 /// | `ball` | soccer_model_msgs/Ball | in `map`, with each pose, until `ball_timeout` after it was last seen; covariances with respect to the robot |
-/// | `robots` | soccer_model_msgs/RobotArray | in `map`, those of each picture, unfiltered |
+/// | `robots` | soccer_model_msgs/RobotArray | in `map`, ten times a second: those that are followed, until `robot_timeout` after they were last seen, with velocity, team and whether they lie; covariances with respect to the robot |
 /// | `diagnostics` | diagnostic_msgs/DiagnosticArray | when the state changes: what is missing, and the remedy |
 ///
 /// | setting | |
@@ -47,6 +49,7 @@ use std::time::Duration;
 /// | `returns` | the same for a robot that was penalised; empty: as `starts` |
 /// | `camera_height` | of the camera above the floor, m; for how certain landmarks are |
 /// | `ball_timeout` | after which an unseen ball is forgotten, s |
+/// | `robot_timeout` | the same of other robots, s |
 ///
 /// The robot starts at one of `starts` when the module starts, when the game returns to its initial state, and when the teams change
 /// sides; at one of `returns` after a penalty. With several places all are followed until what is seen tells which is right. When the referee sets the robots up, it may have been put back to a start: that is followed beside what was believed before.
@@ -65,6 +68,8 @@ pub struct Localisation {
     seeing: Option<Seeing>,
     ball: BallFilter,
     ball_height: f64,
+    robots: RobotTracks,
+    robots_published_at: Option<Time>,
     game: Option<Game>,
     published_at: Option<Time>,
     /// When something arrived last: odometry, and landmarks.
@@ -82,6 +87,7 @@ pub struct Ports {
     transforms: TransformBroadcaster,
     camera_height: Setting<f64>,
     ball_timeout: Setting<f64>,
+    robot_timeout: Setting<f64>,
 }
 
 struct Seeing {
@@ -104,6 +110,8 @@ const ODOM: &str = "odom";
 const FOOTPRINT: &str = "base_footprint";
 /// Between poses.
 const PERIOD: Duration = Duration::from_millis(20);
+/// Between arrays of robots.
+const ROBOTS_PERIOD: Duration = Duration::from_millis(100);
 /// For how long odometry is kept: pictures may be as late.
 const KEPT: Duration = Duration::from_secs(2);
 /// The most samples of it.
@@ -124,6 +132,11 @@ const CIRCLE_CONFIDENCE: f32 = 0.6;
 const SILENCE: Duration = Duration::from_secs(5);
 /// The least deviation of a ball's position, in m.
 const BALL_DEVIATION: f64 = 0.01;
+/// Of a robot's: it is wide, and its feet move. And of the direction to it, in rad.
+const ROBOT_DEVIATION: f64 = 0.06;
+const ROBOT_ANGLE_DEVIATION: f64 = 0.02;
+/// What is seen nearer than this is the robot itself, in m.
+const ITSELF: f64 = 0.12;
 
 impl Localisation {
     fn on_odometry(&mut self, message: Received<'_, Odometry>, ctx: &mut Context<'_, Ports>) {
@@ -175,6 +188,7 @@ impl Localisation {
         self.odometry.clear();
         self.walked = None;
         self.ball = BallFilter::default();
+        self.robots = RobotTracks::default();
     }
 
     fn on_markings(&mut self, message: Received<'_, MarkingArray>, ctx: &mut Context<'_, Ports>) {
@@ -226,18 +240,24 @@ impl Localisation {
 
     fn on_robots(&mut self, message: Received<'_, SeenRobots>, ctx: &mut Context<'_, Ports>) {
         let Some(at) = self.time_of_picture(&message.header) else { return };
-        let Some(odometry) = self.odometry_at(at) else { return };
-        let place = self.map_from_odom.then(odometry);
-        let robots = message.robots.iter().filter_map(|seen| {
-            let position = place.place(point(&seen.bb.center.position)?);
-            let mut robot = Robot { attributes: seen.attributes, ..Robot::default() };
-            robot.pose.pose.position = Point { x: position.x, y: position.y, z: 0.0 };
-            robot.pose.pose.orientation.w = 1.0;
-            Some(robot)
+        let Some(robot) = self.odometry_at(at) else { return };
+        let height = *ctx.get(ctx.ports.camera_height);
+        let pitch = self.hypotheses.as_ref().map_or(0.0, Hypotheses::pitch);
+        let turn = DMat2::from_angle(robot.heading);
+        let least = DMat2::from_diagonal(DVec2::splat(ROBOT_DEVIATION.powi(2)));
+        let sightings = message.robots.iter().filter_map(|seen| {
+            let position = point(&seen.bb.center.position).filter(|point| point.length() > ITSELF)?;
+            let [[xx, xy], [_, yy]] = floor_covariance(height, position, ROBOT_ANGLE_DEVIATION);
+            let noise = DMat2::from_cols(DVec2::new(xx, xy), DVec2::new(xy, yy)) + least;
+            Some(Sighting {
+                position: robot.place(pitched(position, height, pitch)),
+                noise: turn * noise * turn.transpose(),
+                team: seen.attributes.team,
+                state: seen.attributes.state,
+            })
         });
-        let robots = robots.take(MOST_LANDMARKS).collect();
-        let header = Header { frame_id: MAP.to_owned(), ..message.header.clone() };
-        ctx.publish(ctx.ports.robots, RobotArray { header, robots });
+        let sightings: Vec<Sighting> = sightings.take(MOST_LANDMARKS).collect();
+        self.robots.see(&sightings, at);
     }
 
     fn on_game(&mut self, message: Received<'_, GameState>, _: &mut Context<'_, Ports>) {
@@ -261,6 +281,7 @@ impl Localisation {
         }
         self.walked = self.odometry.back().copied();
         self.ball = BallFilter::default();
+        self.robots = RobotTracks::default();
         self.believe();
     }
 
@@ -392,9 +413,41 @@ impl Localisation {
         let now = time(odometry);
         self.ball.forget_after(now, timeout);
         if let Some(ball) = self.ball.ball(now, timeout) {
-            let message = self.ball_in_map(&ball, header);
+            let message = self.ball_in_map(&ball, header.clone());
             ctx.publish(ctx.ports.ball, message);
         }
+        let is_due = |last: Time| now < last || now.saturating_since(last) >= ROBOTS_PERIOD;
+        if self.robots_published_at.is_none_or(is_due) {
+            self.robots_published_at = Some(now);
+            let timeout = Duration::from_secs_f64(*ctx.get(ctx.ports.robot_timeout));
+            self.robots.forget_after(now, timeout);
+            let robots = self.robots_in_map(now, timeout);
+            ctx.publish(ctx.ports.robots, RobotArray { header, robots });
+        }
+    }
+
+    fn robots_in_map(&self, now: Time, timeout: Duration) -> Vec<Robot> {
+        let turn = DMat2::from_angle(self.map_from_odom.heading);
+        let in_map = |covariance: DMat2| (turn * covariance * turn.transpose()).to_cols_array_2d();
+        let robots = self.robots.robots(now, timeout).map(|follow| {
+            let position = self.map_from_odom.place(follow.track.position);
+            let velocity = turn * follow.track.velocity;
+            let [of_position, _, of_velocity] = follow.track.covariance.map(in_map);
+            let mut robot = Robot { attributes: follow.attributes(), ..Robot::default() };
+            robot.pose.pose.position = Point { x: position.x, y: position.y, z: 0.0 };
+            robot.pose.pose.orientation.w = 1.0;
+            robot.twist.twist.linear = Vector3 { x: velocity.x, y: velocity.y, z: 0.0 };
+            for row in 0..2 {
+                for column in 0..2 {
+                    robot.pose.covariance[6 * row + column] = of_position[column][row];
+                    robot.twist.covariance[6 * row + column] = of_velocity[column][row];
+                }
+            }
+            // Where it faces is not known.
+            robot.pose.covariance[35] = PI * PI;
+            robot
+        });
+        robots.collect()
     }
 
     fn ball_in_map(&self, ball: &Track, header: Header) -> Ball {
@@ -493,6 +546,12 @@ impl Module for Localisation {
                 1.0,
                 0.1..=60.0,
                 "s; after which an unseen ball is forgotten",
+            )?,
+            robot_timeout: setup.setting_in(
+                "robot_timeout",
+                3.0,
+                0.1..=60.0,
+                "s; after which an unseen robot is forgotten",
             )?,
         })
     }

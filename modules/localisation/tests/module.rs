@@ -5,8 +5,9 @@ mod walk;
 
 use downbeat_executor::{Core, Inbox, Inlet, ManualClock, ModuleOptions, Received, SettingValue, Time};
 use downbeat_football::football_interfaces::msg::GameState;
-use downbeat_football::soccer_model_msgs::msg::Ball;
+use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
 use downbeat_football::soccer_vision_3d_msgs::msg as seen;
+use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as Attributes;
 use downbeat_football::{IntersectionKind, floor_covariance};
 use downbeat_localisation::{Landmarks, Localisation, Pose};
 use downbeat_msgs::builtin_interfaces;
@@ -28,6 +29,7 @@ struct Heard {
     poses: Vec<PoseWithCovarianceStamped>,
     balls: Vec<Ball>,
     transforms: Vec<TFMessage>,
+    robots: Vec<RobotArray>,
     diagnostics: Vec<String>,
 }
 
@@ -42,6 +44,7 @@ struct Robot {
     markings: Inlet<seen::MarkingArray>,
     posts: Inlet<seen::GoalpostArray>,
     balls: Inlet<Ball>,
+    robots: Inlet<seen::RobotArray>,
     game: Inlet<GameState>,
     heard: Arc<Mutex<Heard>>,
     /// What arrives one picture later, as vision takes its time.
@@ -73,6 +76,9 @@ impl Robot {
         let hear = move |tf: Received<'_, TFMessage>| sink.lock().unwrap().transforms.push(tf.clone());
         core.outlet("tf", Inbox::KeepAll, hear).unwrap().keep();
         let sink = Arc::clone(&heard);
+        let hear = move |robots: Received<'_, RobotArray>| sink.lock().unwrap().robots.push(robots.clone());
+        core.outlet("robots", Inbox::KeepAll, hear).unwrap().keep();
+        let sink = Arc::clone(&heard);
         let hear = move |array: Received<'_, DiagnosticArray>| {
             sink.lock().unwrap().diagnostics.push(array.status[0].message.clone());
         };
@@ -82,6 +88,7 @@ impl Robot {
             markings: core.inlet("vision/markings").unwrap(),
             posts: core.inlet("vision/goalposts").unwrap(),
             balls: core.inlet("vision/ball").unwrap(),
+            robots: core.inlet("vision/robots").unwrap(),
             game: core.inlet("game_state").unwrap(),
             walk: Walk::new(seed),
             // Somewhere, as after a while of walking.
@@ -369,6 +376,64 @@ fn numbers_that_are_none_change_nothing() {
     (0..50).for_each(|_| robot.step());
     let (off, turned) = robot.error();
     assert!(off < 0.4 && turned < 0.2, "{off} {turned}");
+}
+
+#[test]
+fn other_robots_are_followed_on_the_field_while_the_head_looks_elsewhere() {
+    let mut robot = Robot::new(8, &AT_THE_TOUCH_LINE);
+    let others = [
+        (DVec2::new(-0.5, 1.0), Attributes::TEAM_OWN),
+        (DVec2::new(0.5, -0.8), Attributes::TEAM_OPPONENT),
+        (DVec2::new(-3.0, 0.5), Attributes::TEAM_OPPONENT),
+    ];
+    let (mut found, mut wrong_teams, mut errors) = (0, 0, Vec::new());
+    for step in 0..400 {
+        robot.step();
+        let now = robot.clock_now();
+        let mut message = seen::RobotArray { header: header("base_footprint", now), ..Default::default() };
+        for (at, team) in others {
+            let at = robot.walk.in_robot(at);
+            if robot.walk.is_visible(at) {
+                let mut one = seen::Robot::default();
+                one.bb.center.position = on_floor(robot.walk.noisy(at));
+                (one.attributes.team, one.attributes.state) = (team, Attributes::STATE_STANDING);
+                message.robots.push(one);
+            }
+        }
+        // What no robot can be.
+        let mut strange = seen::Robot::default();
+        strange.bb.center.position = on_floor(DVec2::splat(f64::NAN));
+        message.robots.push(strange);
+        robot.robots.publish(message).unwrap();
+        if step < 50 {
+            continue;
+        }
+        let heard = robot.heard.lock().unwrap();
+        let believed = heard.robots.last().unwrap();
+        assert_eq!(believed.header.frame_id, "map");
+        assert!(believed.robots.len() <= 2 * others.len(), "{believed:?}");
+        for one in &believed.robots {
+            let place = DVec2::new(one.pose.pose.position.x, one.pose.pose.position.y);
+            let (truth, team) = others
+                .into_iter()
+                .min_by(|(a, _), (b, _)| a.distance(place).total_cmp(&b.distance(place)))
+                .unwrap();
+            found += 1;
+            wrong_teams += usize::from(![0, team].contains(&one.attributes.team));
+            errors.push(truth.distance(place));
+            assert!(one.pose.covariance[0] > 0.0 && one.pose.covariance[7] > 0.0);
+        }
+    }
+    errors.sort_by(f64::total_cmp);
+    let median = errors[errors.len() / 2];
+    println!("{found} robots in 350 messages, {wrong_teams} in the wrong team, median error {median:.2} m");
+    assert!(found > 350 && wrong_teams == 0 && median < 0.25, "{found} {wrong_teams} {median}");
+    // Ten times a second, also without any picture.
+    let before = robot.heard.lock().unwrap().robots.len();
+    (0..50).for_each(|_| robot.step());
+    let heard = robot.heard.lock().unwrap();
+    assert!((48..=51).contains(&(heard.robots.len() - before)), "{}", heard.robots.len() - before);
+    assert!(heard.robots.last().unwrap().robots.is_empty(), "after the timeout");
 }
 
 #[test]

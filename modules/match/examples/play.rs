@@ -10,11 +10,14 @@ use downbeat_executor::{
     Snapshot, Time,
 };
 use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_localisation::Localisation;
 use downbeat_match::{FootballMatch, player};
 use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_modules::robot_state_publisher::RobotStatePublisher;
 use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_state_machine::StateMachineOptions;
+use downbeat_vision::Vision;
 use glam::DVec2;
 use parking_lot::Mutex;
 use serde_json::json;
@@ -42,6 +45,9 @@ struct Arguments {
     /// The chart of every player
     #[arg(long, default_value = "robots/football/player.scxml")]
     chart: PathBuf,
+    /// They know the field by what they see, not by the truth with noise
+    #[arg(long)]
+    eyes: bool,
     /// On this many threads
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -116,7 +122,8 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
         threads => core.with_launcher(Pool::new(threads)?),
     };
     let ports = MemoryPorts::default();
-    let settings: [(&str, SettingValue); 5] = [
+    let settings: [(&str, SettingValue); 6] = [
+        ("camera_hz", if arguments.eyes { 10.0 } else { 0.0 }.into()),
         ("game", arguments.game.clone().into()),
         ("robots", arguments.robots.clone().into()),
         ("seed", seed.into()),
@@ -132,10 +139,15 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
         .with(downbeat_football::INTERFACES)?
         .with(downbeat_state_machine::INTERFACES)?;
     for (number, name) in (1..).zip(&arguments.robots) {
-        player::add_skills(&mut core, &ports, name, seed * 100 + number)?;
+        if arguments.eyes {
+            add_eyes(&mut core, &ports, name, seed * 100 + number)?;
+        } else {
+            player::add_skills(&mut core, &ports, name, seed * 100 + number)?;
+        }
         let chart = StateMachineOptions { path: arguments.chart.clone(), is_reloaded: false };
         let make = Arc::new(move || downbeat_state_machine::load(&chart));
-        let options = ModuleOptions { namespace: name.clone(), ..ModuleOptions::default() };
+        let settings = arguments.eyes.then(|| ("glances".to_owned(), true.into())).into_iter().collect();
+        let options = ModuleOptions { namespace: name.clone(), settings, ..ModuleOptions::default() };
         let (interfaces, of_module) = (interfaces.clone(), options.clone());
         let make = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
         core.add_restartable(&format!("{name}/player"), make, options)?;
@@ -171,6 +183,39 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
     core.run_simulated(&clock, Some(end))?;
     drop(core);
     Ok(std::mem::take(&mut *watch.lock()))
+}
+
+/// A player that sees, as `robots/football/seeing_player.toml` has it, where the referee puts it.
+fn add_eyes(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> anyhow::Result<()> {
+    player::add_body(core, ports, name, 0.19)?;
+    let mut add = |module: &str, settings: Vec<(&str, SettingValue)>| {
+        let settings = settings.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+        let options = ModuleOptions { namespace: name.to_owned(), settings, ..ModuleOptions::default() };
+        let full = format!("{name}/{module}");
+        match module {
+            "vision" => core.add_with(&full, Vision::default(), options),
+            "localisation" => core.add_with(&full, Localisation::default(), options),
+            _ => core.add_with(&full, RobotStatePublisher::default(), options),
+        }
+    };
+    let urdf = downbeat_physics::DARWIN_OP.to_owned();
+    add(
+        "robot_state_publisher",
+        vec![("robot_description", urdf.into()), ("publish_frequency", 50.0.into())],
+    )?;
+    let field = || ("field", "kid_size_2013".to_owned().into());
+    add("vision", vec![field()])?;
+    let is_goalkeeper = name.ends_with("_1");
+    let [start, back] = if is_goalkeeper { [-2.7, -1.5] } else { [-0.9, -1.9] };
+    let settings = vec![
+        field(),
+        ("seed", seed.into()),
+        ("ball_timeout", 2.0.into()),
+        ("starts", vec![start, 0.0, 0.0].into()),
+        ("returns", vec![back, -2.0, std::f64::consts::FRAC_PI_2].into()),
+    ];
+    add("localisation", settings)?;
+    Ok(())
 }
 
 impl Watch {

@@ -103,6 +103,8 @@ impl Drill {
             seconds_remaining: left.as_secs_f32(),
             own_team: Team::Blue.number(),
             opponent_team: Team::Red.number(),
+            own_colour: Team::Blue.colour(),
+            opponent_colour: Team::Red.colour(),
             own_score: u8::try_from(self.goals).unwrap_or(u8::MAX),
             own_half_is_left: true,
             player: 2,

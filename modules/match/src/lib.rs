@@ -7,6 +7,7 @@
 //!
 //! `docs/football.md` explains matches and players.
 
+mod air;
 mod drawing;
 mod drill;
 mod field_world;

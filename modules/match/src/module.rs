@@ -1,5 +1,6 @@
 //! The match as a module.
 
+use crate::air::Air;
 use crate::drill::Drill;
 use crate::field_world::world_of;
 use crate::official::Official;
@@ -9,7 +10,7 @@ use downbeat_executor::{
     TransitionError,
 };
 use downbeat_football::Field;
-use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
 use downbeat_football::soccer_model_msgs::msg::{Robot as OtherRobot, RobotArray};
 use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as RobotAttributes;
 use downbeat_modules::darwin_op_emulator::MemoryPorts;
@@ -43,6 +44,7 @@ use std::time::Duration;
 /// | `NAME/ground_truth/ball` | geometry_msgs/PoseStamped | the same of the ball |
 /// | `NAME/ground_truth/robots` | soccer_model_msgs/RobotArray | the same of the other robots; 10 times a second |
 /// | `NAME/camera/image_raw`, `NAME/camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0; 30 ms after the exposure, which the stamp tells |
+/// | `NAME/team_status` (in), `NAME/team_messages` | football_interfaces/TeamMessage | what a player tells its team, 50 to 150 ms later at each mate that hears it; penalised players neither speak nor hear |
 ///
 /// | `match/place_ball` (in) | geometry_msgs/PointStamped | puts the ball there, in the frame of the world |
 ///
@@ -53,6 +55,7 @@ use std::time::Duration;
 /// | `field` | a built-in field, or a file |
 /// | `half_s`, `ready_s` | how long a half takes while the ball is in play, and how long players have for their positions, in s |
 /// | `seed` | of all noise, of how robots differ from their description, and of the tries |
+/// | `team_loss` | the share of team messages that do not arrive |
 /// | `camera_hz` | pictures per second; 0 for none |
 /// | `ports` | a folder for ports of robots that are other processes; empty: in memory |
 ///
@@ -70,6 +73,7 @@ struct Game {
     names: Vec<String>,
     began: Option<Time>,
     tell_at: Time,
+    air: Air,
     /// Pictures that nobody has yet, in the order of their times: robot, time, pixels.
     pictures: VecDeque<(usize, Time, Vec<u8>)>,
 }
@@ -88,6 +92,7 @@ struct RobotPorts {
     odometry: Publication<Odometry>,
     ball: Publication<PoseStamped>,
     others: Publication<RobotArray>,
+    team_messages: Publication<TeamMessage>,
     camera: Option<(Publication<Image>, Publication<CameraInfo>)>,
 }
 
@@ -190,6 +195,27 @@ impl FootballMatch {
     fn tell_field(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(game) = &self.game else { return };
         ctx.publish(ctx.ports.field, Text { data: field_json(&game.field) });
+    }
+
+    /// Everybody who plays in the team may hear it, under the number of who speaks.
+    fn relay(&mut self, robot: usize, message: &TeamMessage, ctx: &Context<'_, Ports>) {
+        let Some(game) = &mut self.game else { return };
+        let elapsed = ctx.now().saturating_since(game.began.unwrap_or(ctx.now()));
+        let plays = |robot| !game.official.game_state(robot, elapsed).is_penalised;
+        if !plays(robot) {
+            return;
+        }
+        let Seat { team, number } = game.seats[robot];
+        let message = TeamMessage { team: team.number(), player: number, ..message.clone() };
+        let is_mate = |mate: &usize| *mate != robot && game.seats[*mate].team == team && plays(*mate);
+        game.air.send(&message, (0..game.seats.len()).filter(is_mate), ctx.now());
+    }
+
+    fn deliver_messages(&mut self, ctx: &mut Context<'_, Ports>) {
+        let Some(game) = &mut self.game else { return };
+        for (robot, message) in game.air.arrived(ctx.now()) {
+            ctx.publish(ctx.ports.robots[robot].team_messages, message);
+        }
     }
 
     fn take_pictures(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -312,6 +338,14 @@ impl Module for FootballMatch {
                 offered.map_err(|error| setup.refuse_value(settings.robots, error.to_string()))?;
             }
         }
+        let air = Air::new(seed, within(setup, settings.team_loss, [0.0, 1.0])?);
+        setup.every(DELIVER, Self::deliver_messages)?;
+        for (robot, name) in names.iter().enumerate() {
+            let topic = format!("{name}/team_status");
+            setup.subscribe(&topic, move |game: &mut Self, message: Received<'_, TeamMessage>, ctx| {
+                game.relay(robot, &message, ctx);
+            })?;
+        }
         let camera_hz = within(setup, settings.camera_hz, [0.0, 100.0])?;
         setup.every(LOOK, Self::look)?;
         setup.every(TRUTH, Self::tell_truth)?;
@@ -334,6 +368,7 @@ impl Module for FootballMatch {
                 odometry: setup.publish(&format!("{name}/ground_truth/odom"))?,
                 ball: setup.publish(&format!("{name}/ground_truth/ball"))?,
                 others: setup.publish(&format!("{name}/ground_truth/robots"))?,
+                team_messages: setup.publish(&format!("{name}/team_messages"))?,
                 camera,
             })
         });
@@ -346,6 +381,7 @@ impl Module for FootballMatch {
             names,
             began: None,
             tell_at: Time::ZERO,
+            air,
             pictures: VecDeque::new(),
         });
         Ok(Ports {
@@ -371,6 +407,7 @@ struct Settings {
     half_s: Setting<f64>,
     ready_s: Setting<f64>,
     seed: Setting<i64>,
+    team_loss: Setting<f64>,
     camera_hz: Setting<f64>,
     ports: Setting<String>,
 }
@@ -399,6 +436,11 @@ impl Settings {
                 "s, 0 to 600; for players to walk to their positions",
             )?,
             seed: setup.read_only_setting("seed", 1, "same seed, same match")?,
+            team_loss: setup.read_only_setting(
+                "team_loss",
+                0.05,
+                "0 to 1; the share of team messages that do not arrive",
+            )?,
             camera_hz: setup.read_only_setting("camera_hz", 0.0, "pictures per s, up to 100; 0: none")?,
             ports: setup.read_only_setting(
                 "ports",

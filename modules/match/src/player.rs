@@ -9,6 +9,7 @@ use downbeat_modules::imu_filter::ImuFilter;
 use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_modules::motions::MotionPlayer;
 use downbeat_player::head::Head;
+use downbeat_player::team::Team;
 use downbeat_player::truth::TruthBeliefs;
 use downbeat_player::walk_to::WalkTo;
 
@@ -16,12 +17,29 @@ use downbeat_player::walk_to::WalkTo;
 const SOURCES: [&str; 4] =
     ["falls/joint_commands", "motions/joint_commands", "gait/joint_commands", "head/joint_commands"];
 
+/// How high `base_link` of a simulated Darwin OP is, in m: the setting of `head` in the robot files.
+const HEIGHT: f64 = 0.29;
+
 /// Adds the modules of a player with all skills, without what decides: as `robots/football/player.toml` does, in the namespace of its
 /// name, at the port `memory:NAME`. The seed is that of the noise of what it believes.
 ///
 /// # Errors
 /// If a module cannot join.
 pub fn add_skills(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> Result<(), SetupError> {
+    add_body(core, ports, name, HEIGHT)?;
+    Player { core, name }.add("beliefs", TruthBeliefs::default(), [("seed", seed.into())])
+}
+
+/// The same without `pose`, `ball` and `robots`: for a player that sees.
+///
+/// # Errors
+/// If a module cannot join.
+pub fn add_body(
+    core: &mut Core,
+    ports: &MemoryPorts,
+    name: &str,
+    head_height: f64,
+) -> Result<(), SetupError> {
     let mut player = Player { core, name };
     let port = ("port", format!("memory:{name}").into());
     let mut hardware = player.options([port]);
@@ -31,9 +49,14 @@ pub fn add_skills(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -
     player.add("gait", Gait::default(), [("start", true.into())])?;
     player.add("motions", MotionPlayer::default(), [])?;
     player.add("falls", Falls::default(), [])?;
-    player.add("beliefs", TruthBeliefs::default(), [("seed", seed.into())])?;
-    player.add("head", Head::default(), [])?;
-    player.add("walk_to", WalkTo::default(), [])?;
+    player.add("team", Team::default(), [])?;
+    // They follow what the team sees.
+    let joint = |topic: &str| (topic.to_owned(), format!("team/{topic}"));
+    let head = player.options([("height", head_height.into())]);
+    player.add_with("head", Head::default(), ModuleOptions { remaps: [joint("ball")].into(), ..head })?;
+    let remaps = [joint("ball"), joint("robots")].into();
+    let walk_to = ModuleOptions { remaps, ..player.options([]) };
+    player.add_with("walk_to", WalkTo::default(), walk_to)?;
     let sources = SOURCES.map(str::to_owned).to_vec();
     player.add("mux", JointCommandMux::default(), [("sources", sources.into())])
 }

@@ -205,6 +205,14 @@ impl Team {
             Self::Red => 2,
         }
     }
+
+    /// As `GameState` numbers what it wears.
+    pub(crate) fn colour(self) -> u8 {
+        match self {
+            Self::Blue => GameState::COLOUR_BLUE,
+            Self::Red => GameState::COLOUR_RED,
+        }
+    }
 }
 
 impl Default for Rules {
@@ -514,6 +522,8 @@ impl Referee {
             secondary_seconds: waits_until.saturating_sub(now).as_secs_f32(),
             own_team: own.number(),
             opponent_team: opponent.number(),
+            own_colour: own.colour(),
+            opponent_colour: opponent.colour(),
             own_score: self.score[own.index()],
             opponent_score: self.score[opponent.index()],
             own_half_is_left: !self.defends_right(own),

@@ -4,10 +4,10 @@
 use downbeat_executor::{
     Clock, Core, Inbox, Launcher, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
 };
-use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
 use downbeat_match::{FootballMatch, player};
 use downbeat_modules::darwin_op_emulator::MemoryPorts;
-use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseWithCovarianceStamped};
+use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseStamped, PoseWithCovarianceStamped};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -23,12 +23,16 @@ struct Game {
 
 impl Game {
     fn new(seed: i64, launcher: impl Launcher + 'static) -> Self {
+        Self::of(&["blue_2", "red_2"], seed, launcher)
+    }
+
+    fn of(robots: &[&str], seed: i64, launcher: impl Launcher + 'static) -> Self {
         let clock = ManualClock::new(START);
         let mut core = Core::new().with_clock(clock.clone()).with_launcher(launcher);
         let ports = MemoryPorts::default();
-        let robots = ["blue_2", "red_2"].map(str::to_owned);
+        let robots: Vec<String> = robots.iter().map(|name| (*name).to_owned()).collect();
         let settings: [(&str, SettingValue); 3] =
-            [("robots", robots.to_vec().into()), ("seed", seed.into()), ("ready_s", 3.0.into())];
+            [("robots", robots.clone().into()), ("seed", seed.into()), ("ready_s", 3.0.into())];
         let settings = settings.map(|(name, value)| (name.to_owned(), value)).into();
         let options = ModuleOptions { settings, ..ModuleOptions::default() };
         core.add_with("match", FootballMatch::new(ports.clone()), options).unwrap();
@@ -105,6 +109,69 @@ fn both_teams_hear_the_referee_and_see_the_field_from_their_own_side() {
         let x = poses.iter().filter(|(of, _)| *of == name).map(|(_, x)| *x).next_back().unwrap();
         assert!((-1.5..-0.5).contains(&x), "{name} stands at {x} in the frame of its team");
     }
+}
+
+#[test]
+fn mates_hear_each_other_late_and_not_always_and_opponents_do_not() {
+    let heard = |launcher: Box<dyn Fn(i64) -> Game>, seed| {
+        let mut game = launcher(seed);
+        let heard = Arc::<Mutex<Vec<(&str, i64, TeamMessage)>>>::default();
+        for name in ["blue_1", "blue_2", "red_2"] {
+            let sink = Arc::clone(&heard);
+            let clock = game.clock.clone();
+            let hear = move |message: Received<'_, TeamMessage>| {
+                let late = clock.now().as_nanos() - message.header.stamp.as_nanos();
+                sink.lock().unwrap().push((name, late, message.clone()));
+            };
+            game.core.outlet(&format!("{name}/team_messages"), Inbox::KeepAll, hear).unwrap().keep();
+        }
+        game.run(10);
+        game.end();
+        Arc::try_unwrap(heard).unwrap().into_inner().unwrap()
+    };
+    let robots = ["blue_1", "blue_2", "red_2"];
+    let linear = heard(Box::new(move |seed| Game::of(&robots, seed, Linear)), 1);
+    assert!(linear.iter().all(|(name, ..)| *name != "red_2"), "it has no mate");
+    for name in ["blue_1", "blue_2"] {
+        let messages: Vec<_> = linear.iter().filter(|(of, ..)| *of == name).collect();
+        // Five times a second, and one of twenty lost.
+        assert!((38..50).contains(&messages.len()), "{}", messages.len());
+        let player = if name == "blue_1" { 2 } else { 1 };
+        for (_, late, message) in messages {
+            assert_eq!((message.team, message.player), (1, player));
+            assert!((45_000_000..=165_000_000).contains(late), "{late} ns");
+            assert!(message.pose.pose.position.x < 0.0, "in the frame of its team");
+        }
+    }
+    let pool = heard(Box::new(move |seed| Game::of(&robots, seed, Pool::new(2).unwrap())), 1);
+    assert!(linear == pool, "the same under every launcher");
+    assert!(linear != heard(Box::new(move |seed| Game::of(&robots, seed, Linear)), 2));
+}
+
+#[test]
+fn penalised_players_are_not_heard() {
+    let mut game = Game::of(&["blue_1", "blue_2"], 1, Linear);
+    let heard = Arc::<Mutex<Vec<(u64, TeamMessage)>>>::default();
+    let (sink, clock) = (Arc::clone(&heard), game.clock.clone());
+    let hear = move |message: Received<'_, TeamMessage>| {
+        sink.lock().unwrap().push((clock.now().saturating_since(START).as_secs(), message.clone()));
+    };
+    game.core.outlet("blue_1/team_messages", Inbox::KeepAll, hear).unwrap().keep();
+    let state = game.core.inlet("blue_2/walk_to/pose").unwrap();
+    game.run(9);
+    // Far off the field.
+    let mut goal = PoseStamped::default();
+    goal.header.frame_id = "map".to_owned();
+    (goal.pose.position.y, goal.pose.orientation.w) = (9.0, 1.0);
+    state.publish(goal).unwrap();
+    game.run(50);
+    let (_, events) = game.end();
+    let penalised = events.iter().find(|event| event.contains("blue 2") || event.contains("blue_2"));
+    let at: f64 = penalised.unwrap().split(' ').next().unwrap().parse().unwrap();
+    let heard = heard.lock().unwrap();
+    let in_penalty = |second: &u64| (at + 1.0..at + 29.0).contains(&(*second as f64));
+    assert!(heard.iter().any(|(second, _)| (*second as f64) < at));
+    assert!(!heard.iter().any(|(second, _)| in_penalty(second)), "{at} {events:?}");
 }
 
 #[test]

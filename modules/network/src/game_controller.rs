@@ -226,6 +226,8 @@ pub fn game_state(packet: &ControlPacket, team: u8, player: u8, now: Time) -> Op
         secondary_seconds: packet.secondary_seconds.into(),
         own_team: own.number,
         opponent_team: opponent.number,
+        own_colour: colour(own.field_player_colour),
+        opponent_colour: colour(opponent.field_player_colour),
         own_score: own.score,
         opponent_score: opponent.score,
         own_half_is_left: index == 0,
@@ -236,4 +238,13 @@ pub fn game_state(packet: &ControlPacket, team: u8, player: u8, now: Time) -> Op
         penalty_seconds: this.seconds_penalised.into(),
         message_budget: own.message_budget.unwrap_or(u16::MAX),
     })
+}
+
+/// A colour as the headers of the leagues number it.
+fn colour(number: u8) -> u8 {
+    match number {
+        0 => GameState::COLOUR_BLUE,
+        1 => GameState::COLOUR_RED,
+        _ => GameState::COLOUR_UNKNOWN,
+    }
 }

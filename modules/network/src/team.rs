@@ -19,7 +19,8 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
-use downbeat_football::football_interfaces::msg::{GameState, TeamMessage};
+use downbeat_football::football_interfaces::msg::{GameState, SeenRobot, TeamMessage};
+use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as Attributes;
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
@@ -78,6 +79,25 @@ pub fn encode(message: &TeamMessage) -> Vec<u8> {
             let variance = f64::from(message.ball_variance);
             put_matrix(&mut ball, 3, [[variance, 0.0, 0.0], [0.0, variance, 0.0], [0.0; 3]]);
             ball
+        });
+    }
+    for other in message.others.iter().take(MOST_OTHERS) {
+        put(&mut out, 8, &{
+            let mut robot = Vec::new();
+            put_number(&mut robot, 1, other.player_number.into());
+            put_vector(&mut robot, 2, [f64::from(other.x), f64::from(other.y), 0.0]);
+            // Only what is not zero: a message has to stay short.
+            put(&mut robot, 3, &{
+                let mut covariance = Vec::new();
+                for (row, column) in [(1, 1), (2, 2)] {
+                    let mut values = Vec::new();
+                    put_float(&mut values, column, other.variance);
+                    put(&mut covariance, row, &values);
+                }
+                covariance
+            });
+            put_number(&mut robot, 4, team_of(other.team, message.team));
+            robot
         });
     }
     put_float(&mut out, TIME_TO_BALL, message.time_to_ball);
@@ -160,6 +180,24 @@ pub fn decode(bytes: &[u8], team: u8) -> Result<TeamMessage, DecodeError> {
                     Ok(())
                 })?;
             }
+            (8, Content::Bytes(robot)) if message.others.len() < MOST_OTHERS => {
+                let mut other = SeenRobot::default();
+                each_field(robot, |field, content| {
+                    match (field, content) {
+                        (1, Content::Number(number)) => {
+                            other.player_number = u8::try_from(number).unwrap_or(0)
+                        }
+                        (2, Content::Bytes(position)) => {
+                            [other.x, other.y, _] = vector(position)?.map(|number| number as f32);
+                        }
+                        (3, Content::Bytes(covariance)) => other.variance = matrix(covariance)?[0][0] as f32,
+                        (4, Content::Number(colour)) => other.team = relation_of(colour, team),
+                        _ => {}
+                    }
+                    Ok(())
+                })?;
+                message.others.push(other);
+            }
             (TIME_TO_BALL, Content::Float(seconds)) => message.time_to_ball = seconds,
             (ROLE, Content::Number(role)) => {
                 message.role = match role {
@@ -177,10 +215,35 @@ pub fn decode(bytes: &[u8], team: u8) -> Result<TeamMessage, DecodeError> {
     Ok(message)
 }
 
+/// The most other robots in a message: so it stays shorter than [`LONGEST`].
+const MOST_OTHERS: usize = 6;
+/// The colours of teams. The league's message knows no others, and gives no numbers to teams: team 1 counts as blue, as in the simulated
+/// match, and all other teams as red.
+const BLUE: u64 = 1;
+const RED: u64 = 2;
 const UNPENALISED: u64 = 1;
 const PENALISED: u64 = 2;
 const TIME_TO_BALL: u64 = 102;
 const ROLE: u64 = 103;
+
+/// The colour of a seen robot's team, for a player of this team.
+fn team_of(relation: u8, own: u8) -> u64 {
+    let [own, opponent] = if own == 1 { [BLUE, RED] } else { [RED, BLUE] };
+    match relation {
+        Attributes::TEAM_OWN => own,
+        Attributes::TEAM_OPPONENT => opponent,
+        _ => 0,
+    }
+}
+
+/// The inverse of [`team_of`].
+fn relation_of(colour: u64, own: u8) -> u8 {
+    match colour {
+        BLUE | RED if (colour == BLUE) == (own == 1) => Attributes::TEAM_OWN,
+        BLUE | RED => Attributes::TEAM_OPPONENT,
+        _ => Attributes::TEAM_UNKNOWN,
+    }
+}
 
 fn yaw_of(q: &Quaternion) -> f64 {
     (2.0 * (q.w * q.z + q.x * q.y)).atan2(1.0 - 2.0 * (q.y * q.y + q.z * q.z))

@@ -16,6 +16,8 @@ def message(name, **fields):
             described.type, described.type_name = MESSAGE, f".robocup.humanoid.{kind}"
         else:
             described.type = kind
+        if field == "others":
+            described.label = 3  # repeated
 
 
 message("Timestamp", seconds=(1, INT64), nanos=(2, INT32))
@@ -29,6 +31,7 @@ message(
     state=(2, UINT32),
     current_pose=(3, "Robot"),
     ball=(7, "Ball"),
+    others=(8, "Robot"),
     time_to_ball=(102, FLOAT),
     role=(103, UINT32),
 )
@@ -51,5 +54,6 @@ print(
     ball.covariance.x.x,
     read.time_to_ball,
     read.role,
+    [(other.player_id, other.team, other.position.x, other.covariance.y.y) for other in read.others],
 )
 print(read.SerializeToString().hex())

@@ -1,7 +1,8 @@
 //! Team messages, against Protobuf of Python and against bytes that are none.
 #![allow(clippy::unwrap_used)]
 
-use downbeat_football::football_interfaces::msg::TeamMessage;
+use downbeat_football::football_interfaces::msg::{SeenRobot, TeamMessage};
+use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as Attributes;
 use downbeat_network::team::{LONGEST, decode, encode};
 use fuzzing::{Random, rounds};
 
@@ -25,6 +26,8 @@ fn message() -> TeamMessage {
     message.pose.covariance[35] = 0.125;
     message.ball.x = 3.0;
     message.ball_velocity.y = -0.5;
+    let other = |team, x, player_number| SeenRobot { team, player_number, x, y: 0.5, variance: 0.0625 };
+    message.others = vec![other(Attributes::TEAM_OPPONENT, 1.25, 0), other(Attributes::TEAM_OWN, -1.25, 2)];
     message
 }
 
@@ -33,6 +36,12 @@ fn a_message_is_decoded_as_it_was_and_within_the_length_of_the_league() {
     let bytes = encode(&message());
     assert!(bytes.len() <= LONGEST, "{} bytes", bytes.len());
     assert_eq!(decode(&bytes, 4).unwrap(), message());
+    // Of many robots as many as fit.
+    let mut full = message();
+    full.others = full.others.repeat(4);
+    let bytes = encode(&full);
+    assert!(bytes.len() <= LONGEST, "{} bytes", bytes.len());
+    assert_eq!(decode(&bytes, 4).unwrap().others, full.others[..6]);
 }
 
 #[test]
@@ -58,7 +67,10 @@ fn protobuf_of_python_reads_and_writes_the_same() {
     let hex: String = encode(&message()).iter().map(|byte| format!("{byte:02x}")).collect();
     let output = python.run(script, &[&hex]);
     let mut lines = output.lines();
-    assert_eq!(lines.next().unwrap(), "3 2 1700000000 250000000 1.5 -2.25 0.5 0.125 3.0 -0.5 0.25 2.5 3");
+    assert_eq!(
+        lines.next().unwrap(),
+        "3 2 1700000000 250000000 1.5 -2.25 0.5 0.125 3.0 -0.5 0.25 2.5 3 [(0, 1, 1.25, 0.0625), (2, 2, -1.25, 0.0625)]"
+    );
     let again = lines.next().unwrap();
     let bytes: Vec<u8> =
         (0..again.len()).step_by(2).map(|at| u8::from_str_radix(&again[at..at + 2], 16).unwrap()).collect();

@@ -136,7 +136,7 @@ impl Scene {
 
     /// Adds a robot whose bodies are at these poses, dark with a trunk of this colour.
     #[must_use]
-    pub(crate) fn with_robot(
+    pub fn with_robot(
         mut self,
         model: &Model,
         pose_of: impl Fn(usize) -> Option<Isometry>,

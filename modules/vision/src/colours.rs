@@ -18,6 +18,10 @@ pub enum Class {
     Orange,
     /// The goals.
     Yellow,
+    /// What the blue team wears.
+    Blue,
+    /// What the red team wears.
+    Red,
 }
 
 /// The colours of a class.
@@ -32,7 +36,7 @@ pub struct ClassRange {
     pub value: [f64; 2],
 }
 
-/// The colours of all classes. A colour of two classes belongs to the first of orange, yellow, green, white.
+/// The colours of all classes. A colour of two classes belongs to the first of orange, yellow, green, white, blue, red.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Colours {
@@ -44,6 +48,10 @@ pub struct Colours {
     pub green: ClassRange,
     /// Lines.
     pub white: ClassRange,
+    /// What the blue team wears.
+    pub blue: ClassRange,
+    /// What the red team wears.
+    pub red: ClassRange,
 }
 
 /// Why a file of colours is refused.
@@ -91,10 +99,12 @@ impl Default for Colours {
     fn default() -> Self {
         let range = |hue, saturation, value| ClassRange { hue, saturation, value };
         Self {
-            orange: range([2.0, 39.0], [0.5, 1.0], [0.2, 1.0]),
+            orange: range([8.0, 39.0], [0.5, 1.0], [0.2, 1.0]),
             yellow: range([40.0, 79.0], [0.5, 1.0], [0.25, 1.0]),
             green: range([80.0, 175.0], [0.25, 1.0], [0.08, 1.0]),
             white: range([0.0, 360.0], [0.0, 0.3], [0.4, 1.0]),
+            blue: range([205.0, 255.0], [0.5, 1.0], [0.15, 1.0]),
+            red: range([335.0, 12.0], [0.5, 1.0], [0.15, 1.0]),
         }
     }
 }
@@ -169,13 +179,22 @@ impl Colours {
             (Class::Yellow, &self.yellow),
             (Class::Green, &self.green),
             (Class::White, &self.white),
+            (Class::Blue, &self.blue),
+            (Class::Red, &self.red),
         ];
         classes.into_iter().find(|(_, range)| range.contains(hsv)).map_or(Class::Other, |(class, _)| class)
     }
 
     /// In order of precedence.
-    fn classes(&self) -> [(&'static str, ClassRange); 4] {
-        [("orange", self.orange), ("yellow", self.yellow), ("green", self.green), ("white", self.white)]
+    fn classes(&self) -> [(&'static str, ClassRange); 6] {
+        [
+            ("orange", self.orange),
+            ("yellow", self.yellow),
+            ("green", self.green),
+            ("white", self.white),
+            ("blue", self.blue),
+            ("red", self.red),
+        ]
     }
 }
 
@@ -248,6 +267,9 @@ mod tests {
             [[40, 130, 50], [235, 235, 235], [230, 90, 20], [230, 210, 30], [150, 175, 200], [20, 20, 20]];
         let expected = [Class::Green, Class::White, Class::Orange, Class::Yellow, Class::White, Class::Other];
         assert_eq!(classes.map(|rgb| table.class_of(rgb)), expected);
+        let teams = [[30, 60, 200], [20, 40, 80], [190, 30, 40], [90, 12, 14]];
+        let expected = [Class::Blue, Class::Blue, Class::Red, Class::Red];
+        assert_eq!(teams.map(|rgb| table.class_of(rgb)), expected);
     }
 
     #[test]

@@ -119,8 +119,21 @@ pub struct SeenRobot {
     pub size: DVec2,
     /// Its feet on the floor.
     pub place: DVec2,
+    /// What it wears, if that is seen.
+    pub team: Option<TeamColour>,
+    /// Whether it lies on the floor.
+    pub is_fallen: bool,
     /// From 0 to 1.
     pub confidence: f64,
+}
+
+/// What the robots of a team wear.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TeamColour {
+    /// [`Class::Blue`].
+    Blue,
+    /// [`Class::Red`].
+    Red,
 }
 
 /// Finds what is on a field. The same picture gives the same result.

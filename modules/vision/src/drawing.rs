@@ -1,7 +1,7 @@
 //! Pictures for people: what was seen, and which colour belongs to what.
 
 use crate::colours::{Class, Table};
-use crate::detector::Seen;
+use crate::detector::{Seen, TeamColour};
 use crate::picture::Picture;
 use glam::DVec2;
 
@@ -23,7 +23,8 @@ const CROSS: f64 = 4.0;
 
 impl Picture<'_> {
     /// The picture with what was seen in it: the field boundary in blue, lines in red, intersections as yellow crosses, balls and the
-    /// centre circle in magenta, goal posts in cyan, robots in black. Red, green, blue, row by row.
+    /// centre circle in magenta, goal posts in cyan, robots in
+    /// the colour of their team or else in black. Red, green, blue, row by row.
     #[must_use]
     pub fn annotated(&self, seen: &Seen) -> Vec<u8> {
         let mut canvas = Canvas { size: [self.width(), self.height()], data: Vec::new() };
@@ -39,7 +40,12 @@ impl Picture<'_> {
             canvas.standing(post.foot, post.size, CYAN);
         }
         for robot in &seen.robots {
-            canvas.standing(robot.foot, robot.size, BLACK);
+            let colour = match robot.team {
+                Some(TeamColour::Blue) => BLUE,
+                Some(TeamColour::Red) => RED,
+                None => BLACK,
+            };
+            canvas.standing(robot.foot, robot.size, colour);
         }
         for intersection in &seen.intersections {
             for arm in [DVec2::X, DVec2::Y] {
@@ -52,7 +58,8 @@ impl Picture<'_> {
         canvas.data
     }
 
-    /// The picture with one colour for each class: the carpet green, lines white, the ball orange, goals yellow, everything else black.
+    /// The picture with one colour for each class: the carpet green, lines white, the ball orange, goals yellow, teams blue and red,
+    /// everything else black.
     /// Red, green, blue, row by row.
     #[must_use]
     pub fn classified(&self, table: &Table) -> Vec<u8> {
@@ -64,6 +71,8 @@ impl Picture<'_> {
                 Class::White => [255; 3],
                 Class::Orange => [255, 128, 0],
                 Class::Yellow => YELLOW,
+                Class::Blue => BLUE,
+                Class::Red => RED,
             });
         });
         data

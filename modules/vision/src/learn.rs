@@ -27,6 +27,8 @@ pub struct Samples {
     yellow: Vec<[f64; 3]>,
     green: Vec<[f64; 3]>,
     white: Vec<[f64; 3]>,
+    blue: Vec<[f64; 3]>,
+    red: Vec<[f64; 3]>,
 }
 
 /// Why no colours are learned.
@@ -98,6 +100,8 @@ impl Samples {
             Class::Yellow => &mut self.yellow,
             Class::Green => &mut self.green,
             Class::White => &mut self.white,
+            Class::Blue => &mut self.blue,
+            Class::Red => &mut self.red,
         };
         let width = picture.width();
         picture.each_pixel(|index, rgb| {
@@ -114,23 +118,24 @@ impl Samples {
     /// [`LearnError`], if the marks do not make sense.
     pub fn learn(&self, before: Colours) -> Result<Colours, LearnError> {
         let mut colours = before;
-        let hues = [
-            ("orange", &self.orange, &mut colours.orange),
-            ("yellow", &self.yellow, &mut colours.yellow),
-            ("green", &self.green, &mut colours.green),
-        ];
-        // Of classes with marks: the usual hues.
-        let mut usual = [None; 3];
-        for (index, (class, pixels, range)) in hues.into_iter().enumerate() {
-            if !pixels.is_empty() {
-                let found = hues_of(class, pixels)?;
-                usual[index] = Some(found);
-                *range = with_hue(found, pixels);
-            }
+        // In the order of their hues, where red may begin below 0.
+        let names = ["red", "orange", "yellow", "green", "blue"];
+        let pixels = [&self.red, &self.orange, &self.yellow, &self.green, &self.blue];
+        let mut ranges = [colours.red, colours.orange, colours.yellow, colours.green, colours.blue];
+        if ranges[0].hue[0] > ranges[0].hue[1] {
+            ranges[0].hue[0] -= 360.0;
         }
-        let names = ["orange", "yellow", "green"];
-        let mut ranges = [colours.orange, colours.yellow, colours.green];
-        for (one, other) in [(0, 1), (1, 2), (0, 2)] {
+        // Of classes with marks: the usual hues.
+        let mut usual = [None; 5];
+        for (index, pixels) in pixels.into_iter().enumerate().filter(|(_, pixels)| !pixels.is_empty()) {
+            let found = hues_of(names[index], pixels)?;
+            usual[index] = Some(found);
+            // A red ball is cut off at 0.
+            let least = if index == 0 { -360.0 } else { 0.0 };
+            ranges[index] = with_hue(found, least, pixels);
+        }
+        let pairs = (0..names.len()).flat_map(|one| (one + 1..names.len()).map(move |other| (one, other)));
+        for (one, other) in pairs {
             let (end, start) = (ranges[one].hue[1], ranges[other].hue[0]);
             if end <= start {
                 continue;
@@ -151,7 +156,10 @@ impl Samples {
                 ranges[range].hue[1] = ranges[range].hue[1].max(ranges[range].hue[0]);
             }
         }
-        [colours.orange, colours.yellow, colours.green] = ranges;
+        if ranges[0].hue[0] < 0.0 {
+            ranges[0].hue = [ranges[0].hue[0] + 360.0, ranges[0].hue[1].rem_euclid(360.0)];
+        }
+        [colours.red, colours.orange, colours.yellow, colours.green, colours.blue] = ranges;
         if !self.white.is_empty() {
             let [_, saturation] = tails("white", self.white.iter().map(|pixel| pixel[1]))?;
             let [value, _] = tails("white", self.white.iter().map(|pixel| pixel[2]))?;
@@ -185,15 +193,14 @@ fn hues_of(class: &'static str, pixels: &[[f64; 3]]) -> Result<[f64; 2], LearnEr
     Ok([from, to])
 }
 
-fn with_hue([from, to]: [f64; 2], pixels: &[[f64; 3]]) -> ClassRange {
+fn with_hue([from, to]: [f64; 2], least_hue: f64, pixels: &[[f64; 3]]) -> ClassRange {
     let least = |part: usize| pixels.iter().map(|pixel| pixel[part]).collect::<Vec<_>>();
     let low = |mut sorted: Vec<f64>| {
         sorted.sort_by(f64::total_cmp);
         sorted.get((sorted.len() as f64 * TAIL) as usize).copied().unwrap_or_default()
     };
     ClassRange {
-        // A red ball is cut off at 0.
-        hue: [(from - HUE_MARGIN).max(0.0), (to + HUE_MARGIN).clamp(0.0, 360.0)],
+        hue: [(from - HUE_MARGIN).max(least_hue), (to + HUE_MARGIN).clamp(least_hue, 360.0)],
         saturation: [(low(least(1)) - SATURATION_MARGIN).max(0.1), 1.0],
         value: [(low(least(2)) - VALUE_MARGIN).max(0.08), 1.0],
     }
@@ -240,6 +247,26 @@ mod tests {
             assert_eq!(colours.class_of(rgb), class);
         }
         assert_eq!(Colours::parse(&colours.to_text(), "learned").unwrap().to_text(), colours.to_text());
+    }
+
+    #[test]
+    fn teams_are_told_from_the_ball_and_from_each_other() {
+        let marks = [
+            (Class::Red, [190, 30, 40]),
+            (Class::Orange, [230, 90, 20]),
+            (Class::Blue, [30, 60, 200]),
+            (Class::Green, [40, 130, 50]),
+        ];
+        let colours = learned(&marks).unwrap();
+        for (class, rgb) in marks {
+            assert_eq!(colours.class_of(rgb), class);
+        }
+        // Red has hues on both sides of 0, and so has the file.
+        assert!(colours.red.hue[0] > 340.0 && colours.red.hue[1] < 15.0, "{:?}", colours.red);
+        assert_eq!(colours.class_of([190, 36, 30]), Class::Red);
+        assert_eq!(Colours::parse(&colours.to_text(), "learned").unwrap().to_text(), colours.to_text());
+        let same = learned(&[(Class::Red, [230, 90, 20]), (Class::Orange, [230, 90, 20])]);
+        assert!(same.unwrap_err().to_string().contains("red and orange"));
     }
 
     #[test]

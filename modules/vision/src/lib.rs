@@ -29,6 +29,7 @@ mod view;
 pub use colours::{Class, ClassRange, Colours, ColoursError, Table};
 pub use detector::{
     Detector, Exposure, Seen, SeenBall, SeenCircle, SeenIntersection, SeenLine, SeenPost, SeenRobot,
+    TeamColour,
 };
 pub use learn::{LearnError, Samples};
 pub use module::Vision;

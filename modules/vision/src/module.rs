@@ -1,15 +1,16 @@
 //! The detector as a module.
 
 use crate::colours::Colours;
-use crate::detector::{Detector, Exposure, Seen, SeenIntersection};
+use crate::detector::{Detector, Exposure, Seen, SeenIntersection, SeenRobot, TeamColour};
 use crate::picture::Picture;
 use crate::view::{Camera, CameraError, View};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::Field;
+use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_football::soccer_model_msgs::msg::Ball as BallEstimate;
 use downbeat_football::soccer_vision_2d_msgs::msg as flat;
 use downbeat_football::soccer_vision_3d_msgs::msg as solid;
-use downbeat_football::soccer_vision_attribute_msgs::msg::Confidence;
+use downbeat_football::soccer_vision_attribute_msgs::msg::{Confidence, Robot as RobotAttributes};
 use downbeat_football::vision_msgs::msg::{BoundingBox2D, BoundingBox3D, Point2D};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
@@ -27,6 +28,7 @@ use std::time::Duration;
 /// | --- | --- | --- |
 /// | `camera/image_raw` (in) | sensor_msgs/Image | rgb8, bgr8, yuv422, yuv422_yuy2 |
 /// | `camera/camera_info` (in) | sensor_msgs/CameraInfo | of the same size, without distortion |
+/// | `game_state` (in) | football_interfaces/GameState | which colour the own team wears, unless `own_colour` says so |
 /// | `tf`, `tf_static` (in) | tf2_msgs/TFMessage | the camera and the base at the time of the picture, in a frame whose floor is z = 0 |
 /// | `vision/pixels/{field_boundary,markings,balls,goalposts,robots}` | soccer_vision_2d_msgs | in the picture |
 /// | `vision/{field_boundary,markings,balls,goalposts,robots}` | soccer_vision_3d_msgs | on the floor, in `base_footprint` |
@@ -38,7 +40,8 @@ use std::time::Duration;
 ///
 /// Settings: `field` (a name or a file), `colours` (a file; empty for the built-in ones), `floor_frame` (`odom`), `base_frame`
 /// (`base_link`), `angle_deviation` (rad: how certain directions are, for covariances), `annotated` (false; a setting and not a matter of
-/// who listens, so that a recorded run repeats).
+/// who listens, so that a recorded run repeats), `own_colour` (`game_state`, `blue` or `red`: what the own team wears; robots in this
+/// colour are of the own team, those in the other one opponents, and as long as it is not known the team of all is unknown).
 #[derive(Default)]
 pub struct Vision {
     detector: Option<Detector>,
@@ -47,6 +50,8 @@ pub struct Vision {
     /// The last picture, until the transforms at its time are known.
     waiting: Option<(Time, Image)>,
     told: Option<String>,
+    /// As `game_state` has it.
+    own_colour: Option<TeamColour>,
 }
 
 /// The keys of [`Vision`].
@@ -68,6 +73,7 @@ pub struct Ports {
     floor_frame: Setting<String>,
     base_frame: Setting<String>,
     angle_deviation: Setting<f64>,
+    own_colour: Setting<String>,
 }
 
 /// How long a picture waits for its transforms.
@@ -79,6 +85,14 @@ const FOOTPRINT: &str = "base_footprint";
 impl Vision {
     fn on_info(&mut self, info: Received<'_, CameraInfo>, _: &mut Context<'_, Ports>) {
         self.camera = Some(Camera::of(&info));
+    }
+
+    fn on_game(&mut self, game: Received<'_, GameState>, _: &mut Context<'_, Ports>) {
+        self.own_colour = match game.own_colour {
+            GameState::COLOUR_BLUE => Some(TeamColour::Blue),
+            GameState::COLOUR_RED => Some(TeamColour::Red),
+            _ => None,
+        };
     }
 
     fn on_image(&mut self, image: Received<'_, Image>, ctx: &mut Context<'_, Ports>) {
@@ -146,7 +160,12 @@ impl Vision {
             Exposure::NoCarpet => "no carpet in the picture; calibrate the colours if there is some",
         };
         self.report(state, ctx);
-        publish(&seen, &view, &field, header, ctx);
+        let own = match ctx.get(ctx.ports.own_colour).as_str() {
+            "blue" => Some(TeamColour::Blue),
+            "red" => Some(TeamColour::Red),
+            _ => self.own_colour,
+        };
+        publish(&seen, own, &view, &field, header, ctx);
     }
 
     /// The camera over the floor below the base.
@@ -204,6 +223,12 @@ impl Module for Vision {
             String::new(),
             "path of colour classes; empty: built-in ones",
         )?;
+        let own_colour = setup.read_only_choice(
+            "own_colour",
+            "game_state",
+            &["game_state", "blue", "red"],
+            "what the own team wears",
+        )?;
         let text = |setup: &Setup<'_, Self>, setting| setup.value(setting).cloned().unwrap_or_default();
         let found = Field::named(&text(setup, field))
             .map_err(|error| setup.refuse_value(field, error.to_string()))?;
@@ -214,6 +239,7 @@ impl Module for Vision {
         };
         self.detector = Some(Detector::new(found, &classes));
         listen(setup, |vision: &mut Self| &mut vision.transforms)?;
+        setup.subscribe("game_state", Self::on_game)?;
         setup.subscribe("camera/camera_info", Self::on_info)?;
         setup.subscribe("camera/image_raw", Self::on_image)?;
         setup.every(RETRY, Self::look)?;
@@ -248,11 +274,19 @@ impl Module for Vision {
                 0.0001..=0.2,
                 "rad; standard deviation of the direction of what is seen",
             )?,
+            own_colour,
         })
     }
 }
 
-fn publish(seen: &Seen, view: &View, field: &Field, image: &Header, ctx: &mut Context<'_, Ports>) {
+fn publish(
+    seen: &Seen,
+    own: Option<TeamColour>,
+    view: &View,
+    field: &Field,
+    image: &Header,
+    ctx: &mut Context<'_, Ports>,
+) {
     let ground = Header { frame_id: FOOTPRINT.to_owned(), ..image.clone() };
     let pixels = image.clone();
     ctx.publish(
@@ -318,17 +352,29 @@ fn publish(seen: &Seen, view: &View, field: &Field, image: &Header, ctx: &mut Co
     );
     let flat_robots = seen.robots.iter().map(|robot| flat::Robot {
         bb: standing(robot.foot, robot.size),
+        attributes: attributes(robot, own),
         confidence: confidence(robot.confidence),
-        ..flat::Robot::default()
     });
     ctx.publish(ctx.ports.flat_robots, flat::RobotArray { header: pixels, robots: flat_robots.collect() });
     let size = field.robot;
     let solid_robots = seen.robots.iter().map(|robot| solid::Robot {
         bb: standing_on(robot.place, [size.width, size.width, size.height]),
+        attributes: attributes(robot, own),
         confidence: confidence(robot.confidence),
-        ..solid::Robot::default()
     });
     ctx.publish(ctx.ports.robots, solid::RobotArray { header: ground, robots: solid_robots.collect() });
+}
+
+fn attributes(robot: &SeenRobot, own: Option<TeamColour>) -> RobotAttributes {
+    RobotAttributes {
+        team: match (robot.team, own) {
+            (Some(team), Some(own)) if team == own => RobotAttributes::TEAM_OWN,
+            (Some(_), Some(_)) => RobotAttributes::TEAM_OPPONENT,
+            _ => RobotAttributes::TEAM_UNKNOWN,
+        },
+        state: if robot.is_fallen { RobotAttributes::STATE_FALLEN } else { RobotAttributes::STATE_STANDING },
+        ..RobotAttributes::default()
+    }
 }
 
 fn publish_markings(

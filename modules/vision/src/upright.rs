@@ -1,7 +1,7 @@
 //! What stands on the field: goal posts and robots.
 
 use crate::colours::Class;
-use crate::detector::{SeenBall, SeenPost, SeenRobot};
+use crate::detector::{SeenBall, SeenPost, SeenRobot, TeamColour};
 use crate::labels::{Labels, boundary_at};
 use crate::view::View;
 use downbeat_football::{Field, GoalColour};
@@ -80,8 +80,35 @@ fn follow(labels: &Labels, column: usize, start: usize, class: Class, direction:
     last
 }
 
-/// Other robots, from the left to the right: columns in which something that is not carpet is as high as a robot there, side by side as
-/// wide as one.
+/// Columns of one robot, side by side. Bounds are inclusive.
+#[derive(Clone, Copy)]
+struct Columns {
+    first: usize,
+    last: usize,
+    /// The lowest foot and the highest top.
+    foot: usize,
+    top: usize,
+}
+
+/// From this share of a robot's height on it stands, and down to that one it lies.
+const STANDING: f64 = 0.5;
+const LYING: f64 = 0.12;
+/// The share of the height that is seen at least of one whose head is above the picture.
+const CUT: f64 = 0.25;
+/// How much carpet is seen between the parts of one, as a share of the height.
+const GAP: f64 = 0.12;
+/// How far to either side its parts are, as a share of the width.
+const ASIDE: f64 = 0.7;
+/// How far away one that lies is told from a line or a shadow, in m; and how far one is seen at all.
+const LYING_RANGE: f64 = 3.0;
+const RANGE: f64 = 8.0;
+/// The share of a robot's box that its colour covers at least, and how much more of it there has to be than of the other one.
+const WORN: f64 = 0.03;
+const CLEARLY: usize = 4;
+
+/// Other robots, the nearest first: columns in which something that is not carpet is about as high as a robot there, side by side, with
+/// what else is above their feet; as wide as a robot. What is lower, and still wide, lies. The team is what most pixels of a team's
+/// colour in the box are.
 pub(crate) fn robots(
     labels: &Labels,
     view: &View,
@@ -91,40 +118,44 @@ pub(crate) fn robots(
     balls: &[SeenBall],
 ) -> Vec<SeenRobot> {
     let step = (labels.width / 80).max(1);
-    let mut found: Vec<SeenRobot> = Vec::new();
-    // The columns of one robot so far: first and last column, lowest foot, highest top.
-    let mut group: Option<[usize; 4]> = None;
+    let mut groups: Vec<Columns> = Vec::new();
     for column in (step / 2..labels.width).step_by(step) {
-        let is_post = posts.iter().any(|post| (post.foot.x - column as f64).abs() <= post.size.x);
-        let body = if is_post { None } else { body_in(labels, view, boundary, field, column) };
+        if posts.iter().any(|post| (post.foot.x - column as f64).abs() <= post.size.x) {
+            continue;
+        }
         let is_ball = |foot: usize| {
             let near = |ball: &SeenBall| {
                 ball.centre.distance(DVec2::new(column as f64, foot as f64)) < 1.5 * ball.radius
             };
             balls.iter().any(near)
         };
-        match (body.filter(|(_, foot)| !is_ball(*foot)), &mut group) {
-            (Some((top, foot)), Some([_, last, lowest, highest]))
-                if foot.abs_diff(*lowest) as f64 <= 12.0 * labels.scale() && column - *last <= 2 * step =>
+        let body = body_in(labels, view, boundary, field, column);
+        let Some((top, foot)) = body.filter(|(_, foot)| !is_ball(*foot)) else { continue };
+        match groups.last_mut() {
+            Some(group)
+                if foot.abs_diff(group.foot) as f64 <= 12.0 * labels.scale()
+                    && column - group.last <= 2 * step =>
             {
-                (*last, *lowest, *highest) = (column, (*lowest).max(foot), (*highest).min(top));
+                group.last = column;
+                (group.foot, group.top) = (group.foot.max(foot), group.top.min(top));
             }
-            (Some((top, foot)), _) => {
-                found.extend(group.take().and_then(|group| robot(view, field, group, step)));
-                group = Some([column, column, foot, top]);
-            }
-            (None, Some([_, last, ..])) if column - *last > 2 * step => {
-                found.extend(group.take().and_then(|group| robot(view, field, group, step)));
-            }
-            (None, _) => {}
+            _ => groups.push(Columns { first: column, last: column, foot, top }),
         }
     }
-    found.extend(group.and_then(|group| robot(view, field, group, step)));
-    found.truncate(MOST);
-    found
+    // Arms and trunk end above the feet, and look farther away: they belong to the nearest one that they can be parts of.
+    groups.sort_by_key(|group| std::cmp::Reverse(group.foot));
+    let mut whole: Vec<Columns> = Vec::new();
+    for group in groups {
+        match whole.iter_mut().find(|robot| robot.has_part(&group, view, field)) {
+            Some(robot) => robot.join(&group),
+            None => whole.push(group),
+        }
+    }
+    let found = whole.into_iter().filter_map(|columns| robot(labels, view, field, columns, step));
+    found.take(MOST).collect()
 }
 
-/// The rows of something as high as a robot in a column: its top and its foot.
+/// The rows of something in a column that is at least as high as a robot that lies: its top and its foot.
 fn body_in(
     labels: &Labels,
     view: &View,
@@ -139,25 +170,34 @@ fn body_in(
         if labels.class(column, row) == Class::Green {
             continue;
         }
+        // A line in front of a robot, with carpet between them, is no part of it.
+        let mut line_top = row;
+        while line_top > 0 && labels.class(column, line_top) == Class::White {
+            line_top -= 1;
+        }
+        if line_top < row && labels.class(column, line_top) == Class::Green {
+            row = line_top;
+            continue;
+        }
         let foot = row;
         let place = view.on_floor(DVec2::new(column as f64, foot as f64))?;
         let high = view.height_at(place, field.robot.height)?;
-        if place.length() > 8.0 || high < 8.0 {
+        if place.length() > RANGE || high < 8.0 {
             return None;
         }
-        let least = foot as f64 - high;
+        let (least, gap) = (foot as f64 - high, (GAP * high).max(2.0) as usize);
         let (mut top, mut other) = (row, 0);
-        while row as f64 > least && row > 0 && top - row <= 2 {
+        while row as f64 > least && row > 0 && top - row <= gap {
             let class = labels.class(column, row);
             if class != Class::Green {
                 top = row;
-                other += usize::from(class != Class::White);
+                other += usize::from(!matches!(class, Class::White | Class::Yellow));
             }
             row -= 1;
         }
         let height = (foot - top + 1) as f64;
-        // Lines are white all over; robots are not.
-        if height > 0.5 * high && other as f64 > 0.3 * height {
+        // Lines are white all over, and goals yellow; robots are not.
+        if other as f64 > 0.3 * height && height > (LYING * high).max(4.0 * labels.scale()) {
             return Some((top, foot));
         }
         row = top;
@@ -165,17 +205,68 @@ fn body_in(
     None
 }
 
-fn robot(view: &View, field: &Field, group: [usize; 4], step: usize) -> Option<SeenRobot> {
-    let [first, last, foot, top] = group;
-    let foot_at = DVec2::new((first + last) as f64 / 2.0, foot as f64);
+impl Columns {
+    fn middle(&self) -> DVec2 {
+        DVec2::new((self.first + self.last) as f64 / 2.0, self.foot as f64)
+    }
+
+    /// Whether columns that end above its feet can be a part of it.
+    fn has_part(&self, part: &Self, view: &View, field: &Field) -> bool {
+        let Some(place) = view.on_floor(self.middle()) else { return false };
+        let Some(high) = view.height_at(place, field.robot.height) else { return false };
+        let wide = view.width_at(place.extend(0.0), field.robot.width);
+        (part.middle().x - self.middle().x).abs() < ASIDE * wide && part.foot as f64 > self.foot as f64 - high
+    }
+
+    fn join(&mut self, part: &Self) {
+        (self.first, self.last) = (self.first.min(part.first), self.last.max(part.last));
+        self.top = self.top.min(part.top);
+    }
+}
+
+fn robot(labels: &Labels, view: &View, field: &Field, columns: Columns, step: usize) -> Option<SeenRobot> {
+    let Columns { first, last, foot, top } = columns;
+    let foot_at = columns.middle();
     let place = view.on_floor(foot_at)?;
+    let high = view.height_at(place, field.robot.height)?;
+    let height = (foot - top + 1) as f64;
+    let is_cut = top <= 2 && height > CUT * high;
+    let is_fallen = height <= STANDING * high && !is_cut;
     let width = (last - first + step) as f64;
-    let expected = view.width_at(place.extend(0.0), field.robot.width);
-    let share = width / expected;
-    (0.35..=3.5).contains(&share).then(|| SeenRobot {
+    let wide = view.width_at(place.extend(0.0), field.robot.width);
+    let share = width / wide;
+    // What is beside the middle may be somebody behind it.
+    let aside = if is_fallen { width / 2.0 } else { (0.4 * wide).min(width / 2.0) };
+    let within = [foot_at.x - aside, foot_at.x + aside].map(|column| column.max(0.0) as usize);
+    // One that lies is as wide as it is high, or seen from its head or its feet.
+    let possible = if is_fallen { 0.7..=3.0 } else { 0.35..=3.5 };
+    (possible.contains(&share) && (!is_fallen || place.length() < LYING_RANGE)).then(|| SeenRobot {
         foot: foot_at,
-        size: DVec2::new(width, (foot - top + 1) as f64),
+        size: DVec2::new(width, height),
         place,
+        team: worn(labels, within, [top, foot]),
+        is_fallen,
         confidence: share.min(1.0 / share).sqrt(),
     })
+}
+
+/// The colour of a team in a box, if there is enough of one and not of the other. Bounds are inclusive.
+fn worn(labels: &Labels, [left, right]: [usize; 2], [top, bottom]: [usize; 2]) -> Option<TeamColour> {
+    let right = right.min(labels.width - 1);
+    let (mut blue, mut red) = (0, 0);
+    for row in top..=bottom {
+        for class in &labels.classes[row * labels.width + left..=row * labels.width + right] {
+            blue += usize::from(*class == Class::Blue);
+            red += usize::from(*class == Class::Red);
+        }
+    }
+    let area = (right - left + 1) * (bottom - top + 1);
+    let enough = (WORN * area as f64).max(4.0);
+    if blue as f64 >= enough && blue >= CLEARLY * red {
+        Some(TeamColour::Blue)
+    } else if red as f64 >= enough && red >= CLEARLY * blue {
+        Some(TeamColour::Red)
+    } else {
+        None
+    }
 }

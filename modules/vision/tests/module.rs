@@ -4,8 +4,12 @@
 #[allow(dead_code)]
 mod evaluation;
 
-use downbeat_executor::{Clock as _, Core, Inbox, Inlet, ManualClock, Received, Time};
-use downbeat_football::soccer_vision_3d_msgs::msg::MarkingArray;
+use downbeat_executor::{
+    Clock as _, Core, Inbox, Inlet, ManualClock, ModuleOptions, Received, SettingValue, Time,
+};
+use downbeat_football::football_interfaces::msg::GameState;
+use downbeat_football::soccer_vision_3d_msgs::msg::{MarkingArray, RobotArray};
+use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as Attributes;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped};
@@ -13,7 +17,7 @@ use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use downbeat_msgs::std_msgs::msg::Header;
 use downbeat_msgs::tf2_msgs::msg::TFMessage;
 use downbeat_physics::camera::{Camera as Rendered, Scene};
-use downbeat_physics::{Field, WorldFile};
+use downbeat_physics::{Block, Field, WorldFile};
 use downbeat_transforms::Isometry;
 use downbeat_vision::{View, Vision};
 use glam::{DQuat, DVec3};
@@ -27,20 +31,31 @@ struct Eyes {
     tf: Inlet<TFMessage>,
     infos: Inlet<CameraInfo>,
     images: Inlet<Image>,
+    games: Inlet<GameState>,
     heard: Arc<Mutex<Heard>>,
+    /// The teams of robots in the last picture.
+    teams: Option<Vec<u8>>,
 }
 
 #[derive(Default)]
 struct Heard {
     diagnostics: Vec<String>,
     markings: usize,
+    /// The teams of robots in each picture.
+    teams: Vec<Vec<u8>>,
 }
 
 impl Eyes {
     fn new() -> Self {
+        Self::with([])
+    }
+
+    fn with<const N: usize>(settings: [(&str, SettingValue); N]) -> Self {
+        let settings = settings.map(|(name, value)| (name.to_owned(), value)).into();
         let clock = ManualClock::new(Time::from_nanos(1_000_000_000));
         let mut core = Core::new().with_clock(clock.clone());
-        core.add("vision", Vision::default()).unwrap();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        core.add_with("vision", Vision::default(), options).unwrap();
         let heard = Arc::<Mutex<Heard>>::default();
         let sink = Arc::clone(&heard);
         let hear = move |told: Received<'_, DiagnosticArray>| {
@@ -50,7 +65,14 @@ impl Eyes {
         let sink = Arc::clone(&heard);
         let count = move |_: Received<'_, MarkingArray>| sink.lock().unwrap().markings += 1;
         core.outlet("vision/markings", Inbox::KeepAll, count).unwrap().keep();
+        let sink = Arc::clone(&heard);
+        let see = move |robots: Received<'_, RobotArray>| {
+            let teams = robots.robots.iter().map(|robot| robot.attributes.team).collect();
+            sink.lock().unwrap().teams.push(teams);
+        };
+        core.outlet("vision/robots", Inbox::KeepAll, see).unwrap().keep();
         Self {
+            games: core.inlet("game_state").unwrap(),
             tf: core.inlet("tf").unwrap(),
             infos: core.inlet("camera/camera_info").unwrap(),
             images: core.inlet("camera/image_raw").unwrap(),
@@ -58,12 +80,30 @@ impl Eyes {
             core,
             clock,
             heard,
+            teams: None,
         }
     }
 
     /// What the camera shows on an empty field.
     fn field(&self) -> Image {
-        let file = WorldFile { field: Some(Field::default()), ..WorldFile::default() };
+        self.image(Vec::new())
+    }
+
+    /// What it shows of a blue and a red block as large as robots.
+    fn two_teams(&self) -> Image {
+        let block = |name: &str, y, colour| Block {
+            name: name.to_owned(),
+            position: [1.2, y, 0.225],
+            size: [0.12, 0.25, 0.45],
+            yaw: 0.0,
+            mass: None,
+            colour,
+        };
+        self.image(vec![block("left", 0.3, [30, 60, 200]), block("right", -0.3, [190, 30, 40])])
+    }
+
+    fn image(&self, boxes: Vec<Block>) -> Image {
+        let file = WorldFile { field: Some(Field::default()), boxes, ..WorldFile::default() };
         let data = Scene::new(&file, |_| None).render(&Rendered::darwin_op(), &self.view.ground_from_camera);
         let [width, height] = self.view.camera.size;
         let encoding = "rgb8".to_owned();
@@ -90,6 +130,7 @@ impl Eyes {
             self.clock.advance(Duration::from_millis(10));
         }
         let mut heard = std::mem::take(&mut *self.heard.lock().unwrap());
+        self.teams = heard.teams.pop();
         (heard.diagnostics.pop(), heard.markings > 0)
     }
 }
@@ -134,4 +175,25 @@ fn pictures_that_show_nothing_are_reported_with_the_remedy_and_it_sees_again() {
         assert!(told.contains(remedy), "{told}");
     }
     assert!(eyes.show(good).1);
+}
+
+#[test]
+fn robots_are_mates_or_opponents_by_what_the_referee_says_the_team_wears() {
+    let (unknown, own, opponent) =
+        (Attributes::TEAM_UNKNOWN, Attributes::TEAM_OWN, Attributes::TEAM_OPPONENT);
+    let mut eyes = Eyes::new();
+    let image = eyes.two_teams();
+    eyes.show(image.clone());
+    assert_eq!(eyes.teams, Some(vec![unknown, unknown]), "nobody said which colour is its own");
+    for (own_colour, expected) in
+        [(GameState::COLOUR_BLUE, vec![own, opponent]), (GameState::COLOUR_RED, vec![opponent, own])]
+    {
+        eyes.games.publish(GameState { own_colour, ..GameState::default() }).unwrap();
+        eyes.show(image.clone());
+        assert_eq!(eyes.teams, Some(expected));
+    }
+    let mut eyes = Eyes::with([("own_colour", "red".to_owned().into())]);
+    eyes.games.publish(GameState { own_colour: GameState::COLOUR_BLUE, ..GameState::default() }).unwrap();
+    eyes.show(image);
+    assert_eq!(eyes.teams, Some(vec![opponent, own]), "the setting is worth more");
 }

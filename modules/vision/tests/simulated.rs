@@ -7,7 +7,7 @@ mod evaluation;
 use evaluation::{Totals, evaluate};
 
 #[test]
-fn balls_and_places_are_found_in_varied_pictures() {
+fn balls_places_and_robots_with_their_teams_are_found_in_varied_pictures() {
     let mut totals = Totals::default();
     for seed in 0..100 {
         evaluate(seed, &mut totals);
@@ -16,6 +16,9 @@ fn balls_and_places_are_found_in_varied_pictures() {
     assert!(totals.balls >= 20, "{totals}");
     assert!(totals.recall() >= 0.9 && totals.precision() >= 0.95, "{totals}");
     assert!(totals.median_error() < 0.05, "{totals}");
+    let robots = &totals.robots;
+    assert!(robots.standing[0] >= 20 && robots.recall() >= 0.75 && robots.precision() >= 0.85, "{totals}");
+    assert!(robots.teams[0] >= 20 && robots.team_precision() >= 0.85, "{totals}");
 }
 
 #[test]

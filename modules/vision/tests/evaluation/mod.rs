@@ -2,9 +2,9 @@
 
 use downbeat_football::Field;
 use downbeat_physics::camera::{Camera as Rendered, Scene};
-use downbeat_physics::{Ball, Block, Floor, WorldFile};
+use downbeat_physics::{ArenaOptions, Ball, Block, Floor, Model, Shape, Start, WorldFile};
 use downbeat_transforms::Isometry;
-use downbeat_vision::{Camera, Colours, Detector, Encoding, Picture, View};
+use downbeat_vision::{Camera, Colours, Detector, Encoding, Picture, Seen, TeamColour, View};
 use fastrand::Rng;
 use glam::{DQuat, DVec2, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -26,6 +26,70 @@ pub struct Totals {
     pub errors: Vec<f64>,
     /// Posts and intersections that match the truth, and all that were reported within 4 m.
     pub landmarks: [usize; 2],
+    /// Of other robots.
+    pub robots: Robots,
+}
+
+/// What was counted of other robots that stand and of others that lie, in the picture and not hidden, within [`ROBOT_RANGE`].
+#[derive(Clone, Debug, Default)]
+pub struct Robots {
+    /// Those that stand, and those of them that were found; the same of those that lie.
+    pub standing: [usize; 2],
+    pub lying: [usize; 2],
+    /// How often it was said rightly whether one stands or lies, of all that were found.
+    pub upright: usize,
+    /// Robots that were found: with the right team, with one that they are not of, with none although they are of one.
+    pub teams: [usize; 3],
+    /// Robots that were reported, and those of them where neither a robot nor a box as large as one is.
+    pub reported: [usize; 2],
+    /// Errors as a share of the distance.
+    pub errors: Vec<f64>,
+}
+
+/// Within it robots count, in m.
+const ROBOT_RANGE: f64 = 3.0;
+
+impl Robots {
+    /// Of those that stand.
+    pub fn recall(&self) -> f64 {
+        self.standing[1] as f64 / self.standing[0].max(1) as f64
+    }
+
+    pub fn precision(&self) -> f64 {
+        1.0 - self.reported[1] as f64 / self.reported[0].max(1) as f64
+    }
+
+    /// How often the team is right where one is reported.
+    pub fn team_precision(&self) -> f64 {
+        let [right, wrong, _] = self.teams;
+        right as f64 / (right + wrong).max(1) as f64
+    }
+}
+
+impl fmt::Display for Robots {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { standing, lying, upright, teams: [right, wrong, unknown], reported, errors } = self;
+        write!(
+            f,
+            "robots that stand {} of {}, that lie {} of {}, ",
+            standing[1], standing[0], lying[1], lying[0]
+        )?;
+        write!(f, "{} of {} reported are none; ", reported[1], reported[0])?;
+        write!(f, "recall {:.3}, precision {:.3}, ", self.recall(), self.precision())?;
+        write!(f, "{upright} of {} are rightly said to stand or lie; ", standing[1] + lying[1])?;
+        write!(
+            f,
+            "team right {right}, wrong {wrong} ({:.3} right), unknown {unknown}; ",
+            self.team_precision()
+        )?;
+        write!(f, "median error {:.3} of the distance", median(errors))
+    }
+}
+
+fn median(of: &[f64]) -> f64 {
+    let mut sorted = of.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
 impl Totals {
@@ -38,20 +102,18 @@ impl Totals {
     }
 
     pub fn median_error(&self) -> f64 {
-        let mut sorted = self.errors.clone();
-        sorted.sort_by(f64::total_cmp);
-        sorted.get(sorted.len() / 2).copied().unwrap_or(f64::INFINITY)
+        median(&self.errors)
     }
 }
 
 impl fmt::Display for Totals {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { balls, found, reported, errors, landmarks } = self;
+        let Self { balls, found, reported, errors, landmarks, robots } = self;
         let [right, all] = landmarks;
         write!(f, "balls {found} of {balls}, {} of {} reported are none; ", reported[1], reported[0])?;
         write!(f, "recall {:.3}, precision {:.3}; ", self.recall(), self.precision())?;
         write!(f, "median error {:.4} of the distance ({} points); ", self.median_error(), errors.len())?;
-        write!(f, "{right} of {all} posts and intersections are right")
+        write!(f, "{right} of {all} posts and intersections are right; {robots}")
     }
 }
 
@@ -107,7 +169,7 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
         ..Ball::default()
     };
     let colours = [[40, 40, 45], [200, 200, 210], [150, 30, 120], [30, 60, 170], [120, 20, 20]];
-    let boxes = (0..random.usize(..4))
+    let boxes: Vec<Block> = (0..random.usize(..4))
         .map(|index| {
             let at =
                 to_map(DVec2::from_angle(between(&mut random, -0.6, 0.6)) * between(&mut random, 0.6, 5.0));
@@ -128,13 +190,52 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
         boxes,
         ..WorldFile::default()
     };
-    let render = |world: &WorldFile| {
+    // Of another sequence, so that the rest of the picture is as it would be without them.
+    let others = others(&mut Rng::with_seed(!seed), &map_from_ground);
+    let render = |world: &WorldFile, others: &mut dyn Iterator<Item = &Other>| {
         let world_from_camera = map_from_ground * view.ground_from_camera;
-        Scene::new(world, |_| None).render(&Rendered::darwin_op(), &world_from_camera)
+        let scene = others.fold(Scene::new(world, |_| None), |scene, other| other.added_to(scene));
+        scene.render(&Rendered::darwin_op(), &world_from_camera)
     };
-    let without = render(&world);
+    let without = render(&world, &mut others.iter());
     world.ball = has_ball.then_some(ball);
-    let mut data = render(&world);
+    let mut data = render(&world, &mut others.iter());
+    let boxes: Vec<DVec2> =
+        world.boxes.iter().map(|block| DVec2::new(block.position[0], block.position[1])).collect();
+    let bare = WorldFile { ball: None, boxes: Vec::new(), ..world.clone() };
+    let nobody = render(&bare, &mut [].iter());
+    // Of each: whether it is in the picture and nothing hides it.
+    let are_visible: Vec<bool> = others
+        .iter()
+        .enumerate()
+        .map(|(index, other)| {
+            let alone = render(&bare, &mut [other].into_iter());
+            let rest = render(
+                &world,
+                &mut others.iter().enumerate().filter(|(at, _)| *at != index).map(|(_, other)| other),
+            );
+            let changed = |one: &[u8], other: &[u8]| -> Vec<[usize; 2]> {
+                let pixels = one.chunks(3).zip(other.chunks(3)).enumerate();
+                pixels
+                    .filter(|(_, (one, other))| one != other)
+                    .map(|(pixel, _)| [pixel % 320, pixel / 320])
+                    .collect()
+            };
+            let (own, seen) = (changed(&alone, &nobody), changed(&data, &rest));
+            let is_inside = own.iter().all(|[column, row]| (3..317).contains(column) && *row < 237);
+            // Of one that stands, also the trunk is in the picture.
+            let rows = own.iter().map(|[_, row]| *row);
+            let height = rows.clone().max().unwrap_or_default() - rows.min().unwrap_or_default();
+            let at = map_from_ground.inverse().transform_point(other.map_from_root.translation).truncate();
+            let least = if other.lies {
+                0.0
+            } else {
+                0.6 * view.height_at(at, field.robot.height).unwrap_or_default()
+            };
+            let is_large = own.len() >= 30 && height as f64 >= least;
+            is_inside && is_large && seen.len() as f64 >= 0.9 * own.len() as f64
+        })
+        .collect();
     // How much of the ball is in the picture, and not behind a box.
     let seen_pixels =
         data.chunks(3).zip(without.chunks(3)).filter(|(one, other)| one != other).count() as f64;
@@ -151,6 +252,7 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
         DQuat::from_rotation_y(pitch) * DQuat::from_rotation_x(roll) * believed.ground_from_camera.rotation;
     let seen = detector().see(&picture, &believed);
 
+    count_robots(&seen, &others, &are_visible, &boxes, &map_from_ground, &mut totals.robots);
     let is_right = |place: DVec2| has_ball && place.distance(ball_on_ground) < 0.1 + 0.25 * distance;
     let is_visible = has_ball && share > 0.6 && distance <= RANGE;
     if is_visible {
@@ -182,6 +284,129 @@ pub fn evaluate(seed: u64, totals: &mut Totals) {
         if is_right {
             totals.errors.push(error / place.length());
         }
+    }
+}
+
+/// Another robot.
+pub struct Other {
+    model: Model,
+    /// Of its bodies, in the first one.
+    poses: Vec<Isometry>,
+    map_from_root: Isometry,
+    colour: [u8; 3],
+    team: Option<TeamColour>,
+    lies: bool,
+}
+
+/// Up to three robots in front of the camera; one of four lies on its front, its back or a side.
+fn others(random: &mut Rng, map_from_ground: &Isometry) -> Vec<Other> {
+    let model = ArenaOptions::darwin_op([]).model;
+    let stand = Start::walking_ready().angles;
+    (0..random.usize(..4))
+        .map(|_| {
+            let angle_of =
+                |name: &str| stand.iter().find(|(joint, _)| joint == name).map_or(0.0, |(_, angle)| *angle);
+            let angles: Vec<f64> = model
+                .bodies
+                .iter()
+                .map(|body| {
+                    body.joint
+                        .as_ref()
+                        .map_or(0.0, |joint| angle_of(&joint.name) + between(random, -0.15, 0.15))
+                })
+                .collect();
+            let poses = model.poses(&angles);
+            let at = DVec2::from_angle(between(random, -0.6, 0.6)) * between(random, 0.5, 4.0);
+            let lies = random.u8(..4) == 0;
+            let turn = DQuat::from_rotation_z(between(random, -PI, PI));
+            let tilt = match (lies, random.u8(..3)) {
+                (false, _) => DQuat::from_rotation_y(between(random, 0.0, 0.25)),
+                (true, 0) => DQuat::from_rotation_y(FRAC_PI_2),
+                (true, 1) => DQuat::from_rotation_y(-FRAC_PI_2),
+                (true, _) => DQuat::from_rotation_x(FRAC_PI_2),
+            };
+            let mut map_from_root =
+                *map_from_ground * Isometry { translation: at.extend(0.0), rotation: turn * tilt };
+            map_from_root.translation.z = -lowest(&model, &poses, &map_from_root);
+            let (team, colour) = match random.u8(..7) {
+                0..3 => (Some(TeamColour::Blue), [30, 60, 200]),
+                3..6 => (Some(TeamColour::Red), [190, 30, 40]),
+                _ => (None, [90, 90, 90]),
+            };
+            let colour = colour.map(|part: u8| (f64::from(part) + between(random, -18.0, 18.0)) as u8);
+            Other { model: model.clone(), poses, map_from_root, colour, team, lies }
+        })
+        .collect()
+}
+
+/// How far below the origin of its root a robot ends.
+fn lowest(model: &Model, poses: &[Isometry], map_from_root: &Isometry) -> f64 {
+    let of_shapes = model.bodies.iter().zip(poses).flat_map(|(body, pose)| {
+        body.shapes.iter().map(move |(body_from_shape, shape)| {
+            let at = *map_from_root * *pose * *body_from_shape;
+            let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| (at.rotation * axis).z.abs());
+            let reach = match *shape {
+                Shape::Box([along, across, up]) => (x * along + y * across + z * up) / 2.0,
+                Shape::Cylinder { radius, length } => z * length / 2.0 + x.hypot(y) * radius,
+                Shape::Sphere(radius) => radius,
+            };
+            at.translation.z - reach
+        })
+    });
+    of_shapes.fold(f64::INFINITY, f64::min)
+}
+
+impl Other {
+    fn added_to(&self, scene: Scene) -> Scene {
+        scene.with_robot(&self.model, |body| Some(self.map_from_root * *self.poses.get(body)?), self.colour)
+    }
+
+    /// The middle of its trunk on the floor.
+    fn place(&self) -> DVec2 {
+        self.map_from_root.translation.truncate()
+    }
+}
+
+fn count_robots(
+    seen: &Seen,
+    others: &[Other],
+    are_visible: &[bool],
+    boxes: &[DVec2],
+    map_from_ground: &Isometry,
+    totals: &mut Robots,
+) {
+    let here = map_from_ground.translation.truncate();
+    let in_map = |place: DVec2| map_from_ground.transform_point(place.extend(0.0)).truncate();
+    let is_at =
+        |place: DVec2, truth: DVec2| in_map(place).distance(truth) < 0.25 + 0.15 * truth.distance(here);
+    for (other, _) in others.iter().zip(are_visible).filter(|(_, is_visible)| **is_visible) {
+        let distance = other.place().distance(here);
+        if distance > ROBOT_RANGE {
+            continue;
+        }
+        let counts = if other.lies { &mut totals.lying } else { &mut totals.standing };
+        counts[0] += 1;
+        let nearest =
+            seen.robots.iter().filter(|robot| is_at(robot.place, other.place())).min_by(|one, two| {
+                let far = |place: DVec2| in_map(place).distance(other.place());
+                far(one.place).total_cmp(&far(two.place))
+            });
+        let Some(found) = nearest else { continue };
+        counts[1] += 1;
+        totals.upright += usize::from(found.is_fallen == other.lies);
+        totals.errors.push(in_map(found.place).distance(other.place()) / distance);
+        match (other.team, found.team) {
+            (Some(team), Some(found)) if team == found => totals.teams[0] += 1,
+            (_, Some(_)) => totals.teams[1] += 1,
+            (Some(_), None) => totals.teams[2] += 1,
+            (None, None) => {}
+        }
+    }
+    for found in seen.robots.iter().filter(|robot| robot.place.length() <= ROBOT_RANGE) {
+        let is_there =
+            others.iter().map(Other::place).chain(boxes.iter().copied()).any(|at| is_at(found.place, at));
+        totals.reported[0] += 1;
+        totals.reported[1] += usize::from(!is_there);
     }
 }
 
