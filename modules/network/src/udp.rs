@@ -1,7 +1,7 @@
 //! A UDP socket as a device: every datagram in and out is published, so that a replay repeats it without the network.
 
 use std::io::{self, ErrorKind};
-use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 
 use downbeat_executor::Time;
 use downbeat_modules::device::Device;
@@ -79,6 +79,17 @@ impl Udp {
             Err(error) => Err(error),
         }
     }
+}
+
+/// Finds a port of this machine that is free, and keeps it until the socket is dropped: only those who share it, as the modules here
+/// do, can use it. What is sent to addresses of broadcast does not come to the socket.
+///
+/// # Errors
+/// If no port is free.
+pub fn keep_free_port() -> io::Result<(UdpSocket, u16)> {
+    let socket = open(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0))?;
+    let port = socket.local_addr()?.port();
+    Ok((socket, port))
 }
 
 fn open(address: SocketAddrV4) -> io::Result<UdpSocket> {
