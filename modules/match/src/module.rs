@@ -135,7 +135,8 @@ impl FootballMatch {
             ctx.publish(ctx.ports.event, Text { data: format!("{time:.1} s  {blue}:{red}  {event}") });
         }
         let header = header(now, "map");
-        if !events.is_empty() || now >= game.tell_at {
+        // In real time, it does not look at exact times.
+        if !events.is_empty() || now + LOOK / 2 >= game.tell_at {
             game.tell_at = now + TELL;
             for robot in 0..game.seats.len() {
                 let state = game.official.game_state(robot, elapsed);

@@ -11,7 +11,7 @@
 //! Run the module detached.
 
 use std::collections::BTreeMap;
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::net::{SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
@@ -26,7 +26,7 @@ use crate::mailbox::Mailbox;
 use crate::packets::{
     ANSWER_PORT, Answer, CONTROL_PORT, ControlPacket, MOST_PLAYERS, Phase, SetPlay, State, Version,
 };
-use crate::udp::{Target, Udp};
+use crate::udp::{Target, Udp, address_of};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -87,7 +87,7 @@ impl Module for GameControllerSender {
         let address = setup.read_only_setting(
             "address",
             "0.0.0.0".to_owned(),
-            "the own address on which answers are received",
+            "the own address on which it receives answers; 0.0.0.0 for all",
         )?;
         let answer_port =
             setup.read_only_setting("answer_port", i64::from(ANSWER_PORT), "the UDP port for answers")?;
@@ -100,11 +100,6 @@ impl Module for GameControllerSender {
         let known = Version::ALL.into_iter().find(|version| i64::from(version.number()) == number);
         self.version = known
             .ok_or_else(|| setup.refuse_value(version, format!("{number} is not 12, 15, 18, 19 or 20")))?;
-        let address_of = |setup: &Setup<'_, Self>, setting| {
-            let text: String = setup.value(setting).cloned().unwrap_or_default();
-            text.parse::<Ipv4Addr>()
-                .map_err(|_| setup.refuse_value(setting, "it is no IPv4 address, such as 192.168.1.255"))
-        };
         let port_of = |setup: &Setup<'_, Self>, setting| {
             let port: i64 = setup.value(setting).copied().unwrap_or_default();
             let port = u16::try_from(port).ok().filter(|port| *port != 0);

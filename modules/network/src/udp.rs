@@ -3,7 +3,7 @@
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 
-use downbeat_executor::Time;
+use downbeat_executor::{Module, Setting, Setup, SetupError, Time};
 use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
@@ -90,6 +90,15 @@ pub fn keep_free_port() -> io::Result<(UdpSocket, u16)> {
     let socket = open(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0))?;
     let port = socket.local_addr()?.port();
     Ok((socket, port))
+}
+
+/// The address that a setting of a module gives.
+pub(crate) fn address_of<M: Module>(
+    setup: &Setup<'_, M>,
+    setting: Setting<String>,
+) -> Result<Ipv4Addr, SetupError> {
+    let address = setup.value(setting).and_then(|address| address.parse().ok());
+    address.ok_or_else(|| setup.refuse_value(setting, "it is no IPv4 address, such as 192.168.1.255"))
 }
 
 fn open(address: SocketAddrV4) -> io::Result<UdpSocket> {

@@ -94,15 +94,6 @@ impl Prepared {
             Some(SettingValue::Texts(names)) => names.clone(),
             _ => bail!("{}", file.error_at(&place, "\"robots\" does not say who plays: give names, such as [\"blue_1\", \"red_1\"]")),
         };
-        let hz = match options.settings.get("camera_hz") {
-            Some(SettingValue::Double(hz)) => *hz,
-            Some(SettingValue::Integer(hz)) => *hz as f64,
-            _ => 0.0,
-        };
-        if hz <= 0.0 {
-            let problem = "robots in processes of their own know the field only from pictures: give the match \"camera_hz\", such as 10.0";
-            bail!("{}", file.error_at(&place, problem));
-        }
         let seats = downbeat_match::seats(&names).map_err(|problem| anyhow!("{problem}"))?;
         let last_domain = usize::from(first_domain) + names.len() - 1;
         if last_domain > usize::from(MAX_DOMAIN_ID) {
@@ -122,6 +113,15 @@ impl Prepared {
                 domain,
                 camera: [topic("image_raw"), topic("camera_info")],
             });
+        }
+        let hz = match options.settings.get("camera_hz") {
+            Some(SettingValue::Double(hz)) => *hz,
+            Some(SettingValue::Integer(hz)) => *hz as f64,
+            _ => 0.0,
+        };
+        if hz <= 0.0 {
+            let problem = "robots in processes of their own know the field only from pictures: give the match \"camera_hz\", such as 10.0";
+            bail!("{}", file.error_at(&place, problem));
         }
         let folder = Folder::new()?;
         file.furnish("football_match", "", [("ports", folder.0.display().to_string().into())])?;

@@ -74,6 +74,7 @@ fn as_one_robot(file: RobotFile, arguments: &RobotArguments) -> anyhow::Result<R
     let seats = downbeat_match::seats(std::slice::from_ref(name)).map_err(|problem| anyhow!("{problem}"))?;
     let seat = seats.first().context("a match has players")?;
     let (team, player) = (i64::from(seat.team.number()), i64::from(seat.number));
+    let everybody = || SettingValue::Text(EVERYBODY.to_owned());
     let mut file = file.only(name, NODE);
     let port = arguments.port.display().to_string();
     file.furnish("darwin_op", name, [("port", port.into())])?;
@@ -83,6 +84,7 @@ fn as_one_robot(file: RobotFile, arguments: &RobotArguments) -> anyhow::Result<R
         [
             ("team", team.into()),
             ("player", player.into()),
+            ("address", everybody()),
             ("port", i64::from(*control_port).into()),
             ("answer_port", i64::from(*answer_port).into()),
         ],
@@ -93,28 +95,24 @@ fn as_one_robot(file: RobotFile, arguments: &RobotArguments) -> anyhow::Result<R
         [
             ("team", team.into()),
             ("player", player.into()),
+            ("address", everybody()),
             ("port", i64::from(*team_port).into()),
-            ("to", SettingValue::Text(EVERYBODY.to_owned())),
+            ("to", everybody()),
         ],
     )?;
     let pictures = QosProfile::DEFAULT.keep_last(2).into();
-    file.expose.topics.push(exposed(&format!("{name}/camera/*"), Direction::In, pictures)?);
-    file.expose.topics.push(exposed("**", Direction::Out, QosRequest::default())?);
+    for topic in ["camera/image_raw", "camera/camera_info"].map(|topic| format!("{name}/{topic}")) {
+        file.expose.topics.push(exposed(TopicChoice::Name(topic), Direction::In, pictures));
+    }
+    let all = TopicChoice::Pattern { pattern: TopicPattern::new("**")?, except: Vec::new() };
+    file.expose.topics.push(exposed(all, Direction::Out, QosRequest::default()));
     Ok(file)
 }
 
-/// What the file does not name, by a pattern.
-fn exposed(pattern: &str, direction: Direction, qos: QosRequest) -> anyhow::Result<ExposeEntry> {
-    Ok(ExposeEntry {
-        line: 1,
-        topics: TopicChoice::Pattern { pattern: TopicPattern::new(pattern)?, except: Vec::new() },
-        // Whatever the namespace of the node is.
-        ros_topic: Some(format!("/{pattern}")),
-        type_name: None,
-        is_raw: false,
-        direction,
-        qos,
-        limits: Limits::default(),
-        node: None,
-    })
+/// An entry that the file does not have.
+fn exposed(topics: TopicChoice, direction: Direction, qos: QosRequest) -> ExposeEntry {
+    // Whatever the namespace of the node is.
+    let ros_topic = Some(format!("/{topics}"));
+    let limits = Limits::default();
+    ExposeEntry { line: 1, topics, ros_topic, type_name: None, is_raw: false, direction, qos, limits, node: None }
 }
