@@ -222,7 +222,8 @@ impl ParameterArguments {
     /// As arguments for another process.
     #[cfg(feature = "football")]
     pub(crate) fn to_arguments(&self) -> Vec<OsString> {
-        let files = self.files.iter().flat_map(|file| ["--params-file".into(), file.clone().into_os_string()]);
+        let files =
+            self.files.iter().flat_map(|file| ["--params-file".into(), file.clone().into_os_string()]);
         let values = self.values.iter().flat_map(|value| ["--param".into(), value.clone().into()]);
         files.chain(values).collect()
     }

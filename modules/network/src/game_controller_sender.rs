@@ -278,8 +278,7 @@ fn seconds(time: f32) -> i16 {
 
 /// What a player says of itself, in the units of ROS.
 fn team_message(answer: &Answer, now: Time) -> TeamMessage {
-    let header =
-        Header { stamp: Stamp::from_nanos(now.as_nanos()), frame_id: String::new() };
+    let header = Header { stamp: Stamp::from_nanos(now.as_nanos()), frame_id: String::new() };
     match *answer {
         Answer::Alive { team, player, .. } => TeamMessage { header, team, player, ..TeamMessage::default() },
         Answer::Status { team, player, is_fallen, pose: [x, y, direction], ball_age, ball } => {
@@ -293,11 +292,7 @@ fn team_message(answer: &Answer, now: Time) -> TeamMessage {
                 player,
                 state: if is_fallen { TeamMessage::FALLEN } else { TeamMessage::ACTIVE },
                 sees_ball: ball_age >= 0.0,
-                ball: Point {
-                    x: x + forward * cos - left * sin,
-                    y: y + forward * sin + left * cos,
-                    z: 0.0,
-                },
+                ball: Point { x: x + forward * cos - left * sin, y: y + forward * sin + left * cos, z: 0.0 },
                 ball_age: ball_age.max(0.0),
                 time_to_ball: f32::INFINITY,
                 ..TeamMessage::default()

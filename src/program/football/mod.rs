@@ -12,16 +12,16 @@ use anyhow::Context;
 use clap::Args;
 use parking_lot::Mutex;
 
+use crate::bridge::middleware::DiscoveryRange;
+use crate::duration::parse as duration;
+use crate::executor::{Inbox, Received, SettingValue};
+use crate::msgs::std_msgs::msg::String as Text;
 use crate::program::cli::ParameterArguments;
 use crate::program::logging::Log;
 use crate::program::new_output::{Force, Output};
 use crate::program::run::{participant_options, report_recording};
 use crate::program::screen::Screen;
 use crate::program::stop::Stop;
-use crate::duration::parse as duration;
-use crate::bridge::middleware::DiscoveryRange;
-use crate::executor::{Inbox, Received, SettingValue};
-use crate::msgs::std_msgs::msg::String as Text;
 use crate::robot::{Catalog, ModuleEntry, RobotFile, RosArgs};
 use crate::running::{PreparedRobot, RecordPlan};
 use downbeat_football::Field;
@@ -88,7 +88,10 @@ pub(crate) fn play(
     log: &Log,
 ) -> anyhow::Result<()> {
     // A bag, or with processes a folder of bags.
-    let bag = arguments.record.as_ref().map(|path| if arguments.processes { path.join("match") } else { path.clone() });
+    let bag = arguments
+        .record
+        .as_ref()
+        .map(|path| if arguments.processes { path.join("match") } else { path.clone() });
     if let Some(directory) = &bag {
         arguments.force.check(Output::Bag, directory)?;
     }
@@ -208,7 +211,10 @@ pub(crate) fn play(
             println!("blue {blue}:{red} red after {:.0} s", seconds_since(began, state));
         } else {
             let time = seconds_since(crate::running::SIMULATION_START.as_nanos(), state);
-            println!("blue {blue}:{red} red after {time:.0} s, {:.1} times real time", time / took.as_secs_f64());
+            println!(
+                "blue {blue}:{red} red after {time:.0} s, {:.1} times real time",
+                time / took.as_secs_f64()
+            );
         }
     }
     report_recording(summary.as_ref());
@@ -219,7 +225,9 @@ impl Seen {
     /// Who answers the referee, and who does not.
     fn answers(&self, names: &[String]) -> String {
         let is_heard = |name: &String| {
-            let seat = downbeat_match::seats(std::slice::from_ref(name)).ok().and_then(|seats| seats.first().copied());
+            let seat = downbeat_match::seats(std::slice::from_ref(name))
+                .ok()
+                .and_then(|seats| seats.first().copied());
             let answered = seat.and_then(|seat| self.answers.get(&(seat.team.number(), seat.number)));
             answered.is_some_and(|answered| answered.elapsed() < SILENT_AFTER)
         };

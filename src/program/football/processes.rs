@@ -22,9 +22,9 @@ use downbeat_match::Team;
 use downbeat_network::udp::keep_free_port;
 
 use super::robot::EVERYBODY;
-use crate::edge::Interfaces;
 use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use crate::bridge::ros::{MessageType, Node, NodeName, Participant, RemapRules};
+use crate::edge::Interfaces;
 use crate::executor::{Core, Inbox, OutletInbox, Received, SettingValue};
 use crate::msgs::cdr::{self, Cdr};
 use crate::msgs::printable;
@@ -92,7 +92,13 @@ impl Prepared {
         let (options, place) = (game.options(), game.place());
         let names = match options.settings.get("robots") {
             Some(SettingValue::Texts(names)) => names.clone(),
-            _ => bail!("{}", file.error_at(&place, "\"robots\" does not say who plays: give names, such as [\"blue_1\", \"red_1\"]")),
+            _ => bail!(
+                "{}",
+                file.error_at(
+                    &place,
+                    "\"robots\" does not say who plays: give names, such as [\"blue_1\", \"red_1\"]"
+                )
+            ),
         };
         let seats = downbeat_match::seats(&names).map_err(|problem| anyhow!("{problem}"))?;
         let last_domain = usize::from(first_domain) + names.len() - 1;
@@ -163,9 +169,8 @@ impl Prepared {
         let inbox = OutletInbox::new("pictures", Inbox::KeepLast(WAITING));
         for Entrant { name, domain, camera: [image, info], .. } in &self.robots {
             let options = ParticipantOptions { domain_id: *domain, ..options.clone() };
-            let participant =
-                Participant::join_with(&options, RemapRules::default(), interfaces.clone())
-                    .with_context(|| format!("cannot join domain {domain} for {name}"))?;
+            let participant = Participant::join_with(&options, RemapRules::default(), interfaces.clone())
+                .with_context(|| format!("cannot join domain {domain} for {name}"))?;
             let namespace = format!("{}/{name}", self.namespace.trim_end_matches('/'));
             let node = participant.create_node(NodeName::new(&namespace, "camera")?)?;
             show::<Image>(core, &node, image, "image_raw", "sensor_msgs/msg/Image", &inbox)?;
@@ -202,7 +207,9 @@ impl Prepared {
             if let Some(bags) = bags {
                 command.arg("--record").arg(bags.join(name));
             }
-            for (variable, value) in [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("DOWNBEAT_LOG", "warn")] {
+            for (variable, value) in
+                [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("DOWNBEAT_LOG", "warn")]
+            {
                 if std::env::var_os(variable).is_none() {
                     command.env(variable, value);
                 }

@@ -114,5 +114,15 @@ fn exposed(topics: TopicChoice, direction: Direction, qos: QosRequest) -> Expose
     // Whatever the namespace of the node is.
     let ros_topic = Some(format!("/{topics}"));
     let limits = Limits::default();
-    ExposeEntry { line: 1, topics, ros_topic, type_name: None, is_raw: false, direction, qos, limits, node: None }
+    ExposeEntry {
+        line: 1,
+        topics,
+        ros_topic,
+        type_name: None,
+        is_raw: false,
+        direction,
+        qos,
+        limits,
+        node: None,
+    }
 }

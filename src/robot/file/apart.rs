@@ -62,7 +62,8 @@ impl RobotFile {
         let position = match position {
             Some(position) => position,
             None => {
-                let missing = || self.source.error(1, format!("this program has no kind of module \"{kind}\""));
+                let missing =
+                    || self.source.error(1, format!("this program has no kind of module \"{kind}\""));
                 let known = self.catalog.kind(kind).ok_or_else(missing)?;
                 self.modules.push(ModuleEntry::of_program(known.clone(), namespace));
                 self.modules.len() - 1
