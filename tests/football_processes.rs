@@ -96,13 +96,13 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
     game.interrupt();
     assert!(!is_running(&first_process));
 
-    let reader = Reader::open(&bags.join("blue_1")).unwrap();
+    let reader = Reader::open(bags.join("blue_1")).unwrap();
     let topic = reader.topic("/blue_1/pose").unwrap();
     // Its first belief, before anybody could push it.
     let first = reader.messages(Selection::all().topics([topic])).unwrap().next().unwrap().unwrap();
     let at = cdr::from_slice::<PoseWithCovarianceStamped>(&first.data).unwrap().pose.pose.position;
     assert!((at.x + 2.7).abs() < 0.3 && at.y.abs() < 0.3, "{at:?}");
-    let reader = Reader::open(&bags.join("match")).unwrap();
+    let reader = Reader::open(bags.join("match")).unwrap();
     assert!(reader.topic("/match/state").is_some() && reader.topic("/blue_1/pose").is_none());
 }
 
