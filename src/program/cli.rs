@@ -91,6 +91,10 @@ pub(crate) enum Command {
     /// Let simulated robots play football, drawn in the terminal; ends with the match. All data is simulated.
     #[cfg(feature = "football")]
     Match(super::football::MatchArguments),
+    /// Run a robot of a match with --processes. The match starts it.
+    #[cfg(feature = "football")]
+    #[command(hide = true)]
+    MatchRobot(super::football::robot::RobotArguments),
     /// Check a robot file and print its contents, without running it.
     Check(CheckArguments),
     /// Describe kinds of modules: what they are for, their settings, topics, services and actions.
@@ -215,6 +219,15 @@ pub(crate) struct ParameterArguments {
 }
 
 impl ParameterArguments {
+    /// As arguments for another process.
+    #[cfg(feature = "football")]
+    pub(crate) fn to_arguments(&self) -> Vec<OsString> {
+        let files =
+            self.files.iter().flat_map(|file| ["--params-file".into(), file.clone().into_os_string()]);
+        let values = self.values.iter().flat_map(|value| ["--param".into(), value.clone().into()]);
+        files.chain(values).collect()
+    }
+
     pub(crate) fn read_robot(
         &self,
         path: &Path,

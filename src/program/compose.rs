@@ -8,6 +8,7 @@ use anyhow::Context;
 use serde_json::{Value, json};
 
 use super::cli::ComposeArguments;
+use super::itself::itself;
 use super::stop::Stop;
 use crate::compose::{Composer, Runner};
 use crate::robot::Catalog;
@@ -19,17 +20,10 @@ pub(crate) fn compose(arguments: &ComposeArguments, catalog: &Catalog) -> anyhow
     if arguments.stdio { answer_lines(&composer) } else { serve(composer, arguments.port) }
 }
 
-/// This program, as it was started: in Python it is an interpreter with a script.
+/// This program, for robots.
 fn runner() -> anyhow::Result<Runner> {
-    let program = std::env::current_exe().context("cannot find this program")?;
-    let is_interpreter = program.file_name().is_some_and(|name| name.to_string_lossy().starts_with("python"));
-    let line: Vec<String> = std::fs::read("/proc/self/cmdline")
-        .map(|line| {
-            line.split(|&byte| byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect()
-        })
-        .unwrap_or_else(|_| std::env::args().collect());
-    let script = line.into_iter().skip(1).take_while(|word| word != "compose");
-    Ok(Runner { program, arguments: script.filter(|_| is_interpreter).collect() })
+    let (program, arguments) = itself("compose")?;
+    Ok(Runner { program, arguments })
 }
 
 /// Answers questions of the page.

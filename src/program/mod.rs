@@ -18,6 +18,8 @@ mod expose;
 mod football;
 mod graph;
 mod interface;
+#[cfg(any(feature = "football", feature = "view"))]
+mod itself;
 mod logging;
 mod look;
 mod new;
@@ -71,6 +73,8 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::Run(arguments) => run::run(&arguments, catalog, &ros, &screen, &log),
         #[cfg(feature = "football")]
         Command::Match(arguments) => football::play(&arguments, catalog, &ros, &screen, &log),
+        #[cfg(feature = "football")]
+        Command::MatchRobot(arguments) => football::robot::run(&arguments, catalog, &ros, &screen, &log),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]

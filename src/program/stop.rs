@@ -49,6 +49,22 @@ impl Stop {
         Self { end: duration.map(|duration| Instant::now() + duration), ..self }
     }
 
+    /// Also stops at the end of standard input, if the process that started this one keeps the other end of it: then this one ends with it,
+    /// however that ends. If stopping takes longer than `patience`, the process exits.
+    #[cfg(feature = "football")]
+    pub(crate) fn at_end_of_input(self, patience: Duration) -> anyhow::Result<Self> {
+        let signalled = Arc::clone(&self.signalled);
+        let wait = move || {
+            // Nothing is said, and an error is an end too.
+            let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());
+            signalled.set();
+            thread::sleep(patience);
+            std::process::exit(1);
+        };
+        thread::Builder::new().name("input".to_owned()).spawn(wait).context("cannot watch standard input")?;
+        Ok(self)
+    }
+
     pub(crate) fn is_due(&self) -> bool {
         self.signalled.get() || self.end.is_some_and(|end| Instant::now() >= end)
     }

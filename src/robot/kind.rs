@@ -561,8 +561,9 @@ fn football(ports: MemoryPorts) -> [Kind; 7] {
 }
 
 #[cfg(feature = "network")]
-fn network() -> [Kind; 4] {
+fn network() -> [Kind; 5] {
     use downbeat_network::game_controller::GameController;
+    use downbeat_network::game_controller_sender::GameControllerSender;
     use downbeat_network::tcp::Tcp;
     use downbeat_network::tcp_lines::TcpLines;
     use downbeat_network::team::TeamCommunication;
@@ -574,6 +575,12 @@ fn network() -> [Kind; 4] {
             "listens to the referee's program of a football league, and answers it",
             Udp::default,
             GameController::new,
+        ),
+        Kind::device(
+            "game_controller_sender",
+            "sends what a referee decides as packets of a football league, and collects the answers",
+            Udp::default,
+            GameControllerSender::new,
         ),
         Kind::device(
             "team_communication",

@@ -26,6 +26,8 @@ pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoi
 pub use downbeat_bridge::middleware::Direction;
 #[cfg(all(feature = "cli", feature = "view"))]
 pub(crate) use file::FOXGLOVE_PORT;
+#[cfg(all(feature = "cli", feature = "football"))]
+pub(crate) use file::Place;
 #[cfg(any(feature = "cli", feature = "view"))]
 pub(crate) use file::Source;
 pub(crate) use file::toml_string;

@@ -22,6 +22,6 @@ pub const PANEL: &str = include_str!("football.panel.js");
 pub use drawing::draw;
 pub use drill::{Drill, Placement};
 pub use field_world::world_of;
-pub use module::FootballMatch;
+pub use module::{FootballMatch, seats};
 pub use official::Official;
 pub use referee::{Event, Order, Penalty, Phase, Referee, Rules, Seat, SetPlay, Team, Truth};

@@ -215,6 +215,17 @@ impl Team {
     }
 }
 
+impl Penalty {
+    /// As the humanoid soccer league numbers them in its packets of version 20: *incapable robot* and *leaving the field*.
+    #[must_use]
+    pub fn number(self) -> u8 {
+        match self {
+            Self::Fallen => 5,
+            Self::LeftField => 8,
+        }
+    }
+}
+
 impl Default for Rules {
     /// Halves of ten minutes.
     fn default() -> Self {
@@ -530,7 +541,7 @@ impl Referee {
             player: seat.number,
             is_goalkeeper: seat.number == 1,
             is_penalised: penalty.is_some(),
-            penalty: u8::from(penalty.is_some()),
+            penalty: penalty.map_or(0, |(penalty, _)| penalty.number()),
             penalty_seconds: penalty.map_or(0.0, |(_, until)| until.saturating_sub(now).as_secs_f32()),
             message_budget: u16::MAX,
             ..GameState::default()

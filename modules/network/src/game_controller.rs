@@ -9,7 +9,7 @@
 //! Packets of another version, of other teams or of another length are ignored, and reported when they are first seen. Run the
 //! module detached.
 
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::SocketAddrV4;
 use std::time::Duration;
 
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
@@ -21,7 +21,7 @@ use downbeat_msgs::std_msgs::msg::Header;
 
 use crate::mailbox::Mailbox;
 use crate::packets::{ANSWER_PORT, Answer, CONTROL_PORT, ControlPacket, Phase, SetPlay, State, Version};
-use crate::udp::{Target, Udp};
+use crate::udp::{Target, Udp, address_of};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -59,6 +59,11 @@ impl Module for GameController {
             i64::from(CONTROL_PORT),
             "the UDP port of the referee's packets",
         )?;
+        let address = setup.read_only_setting(
+            "address",
+            "0.0.0.0".to_owned(),
+            "the own address on which it receives; 0.0.0.0 for all",
+        )?;
         let answer_port = setup.read_only_setting(
             "answer_port",
             i64::from(ANSWER_PORT),
@@ -76,8 +81,9 @@ impl Module for GameController {
         let answer_port = number(setup, answer_port, 0..=65535)? as u16;
         self.is_answering = answer_port != 0;
         let target = Target::LastSender { port: answer_port, prefix: *b"RGme" };
+        let own = address_of(setup, address)?;
         if let Some(udp) = self.mailbox.device() {
-            udp.configure(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port), target);
+            udp.configure(SocketAddrV4::new(own, port), target);
         }
         setup.subscribe("team_status", |module, status: Received<'_, TeamMessage>, _| {
             module.status = Some(status.clone());

@@ -3,6 +3,7 @@
 //! - [`packets`]: what the referee's program (GameController) of the football leagues sends, and what players answer. It parses and
 //!   builds both, so that a referee can use it too.
 //! - [`game_controller`]: the module that listens to the referee.
+//! - [`game_controller_sender`]: the module that sends the packets of a referee and collects the answers.
 //! - [`team`]: team messages of the humanoid league, and the module that exchanges them.
 //! - [`udp`]: the device behind the modules: a socket whose datagrams are recorded, so that a replay repeats them.
 //! - [`udp_lines`]: lines of text on UDP, as topics.
@@ -12,6 +13,7 @@
 //! The modules run detached. They never wait for the network: sockets are polled.
 
 pub mod game_controller;
+pub mod game_controller_sender;
 mod mailbox;
 #[cfg(feature = "mqtt")]
 pub mod mqtt;

@@ -15,7 +15,7 @@
 //! - `robocup.proto` of RoboCup-Humanoid-TC/RobocupProtocol; its users in bit-bots/bitbots_main
 //! - <https://protobuf.dev/programming-guides/encoding/>
 
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::net::{SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
@@ -28,7 +28,7 @@ use downbeat_msgs::geometry_msgs::msg::{Point, Quaternion, Vector3};
 use thiserror::Error;
 
 use crate::mailbox::Mailbox;
-use crate::udp::{Target, Udp};
+use crate::udp::{Target, Udp, address_of};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);
@@ -395,6 +395,11 @@ impl Module for TeamCommunication {
         let team = setup.read_only_setting("team", 1_i64, "the number of the own team, 1 to 254")?;
         let player = setup.read_only_setting("player", 1_i64, "the number of this player, 1 to 20")?;
         let port = setup.read_only_setting("port", 0_i64, "the UDP port of the team; 0 for 10000 + team")?;
+        let address = setup.read_only_setting(
+            "address",
+            "0.0.0.0".to_owned(),
+            "the own address on which it receives; 0.0.0.0 for all",
+        )?;
         let to = setup.read_only_setting(
             "to",
             "255.255.255.255".to_owned(),
@@ -419,13 +424,10 @@ impl Module for TeamCommunication {
             0 => 10_000 + u16::from(self.team),
             port => port,
         };
-        let address = setup.value(to).and_then(|to| to.parse::<Ipv4Addr>().ok());
-        let Some(address) = address else {
-            return Err(setup.refuse_value(to, "it is no IPv4 address, such as 192.168.1.255"));
-        };
-        let target = Target::Address(SocketAddr::from((address, port)));
+        let target = Target::Address(SocketAddr::from((address_of(setup, to)?, port)));
+        let own = address_of(setup, address)?;
         if let Some(udp) = self.mailbox.device() {
-            udp.configure(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, port), target);
+            udp.configure(SocketAddrV4::new(own, port), target);
         }
         setup.subscribe("team_status", |module, status: Received<'_, TeamMessage>, _| {
             module.waiting = Some(status.clone());

@@ -1,9 +1,9 @@
 //! A UDP socket as a device: every datagram in and out is published, so that a replay repeats it without the network.
 
 use std::io::{self, ErrorKind};
-use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 
-use downbeat_executor::Time;
+use downbeat_executor::{Module, Setting, Setup, SetupError, Time};
 use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
@@ -79,6 +79,26 @@ impl Udp {
             Err(error) => Err(error),
         }
     }
+}
+
+/// Finds a port of this machine that is free, and keeps it until the socket is dropped: only those who share it, as the modules here
+/// do, can use it. What is sent to addresses of broadcast does not come to the socket.
+///
+/// # Errors
+/// If no port is free.
+pub fn keep_free_port() -> io::Result<(UdpSocket, u16)> {
+    let socket = open(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0))?;
+    let port = socket.local_addr()?.port();
+    Ok((socket, port))
+}
+
+/// The address that a setting of a module gives.
+pub(crate) fn address_of<M: Module>(
+    setup: &Setup<'_, M>,
+    setting: Setting<String>,
+) -> Result<Ipv4Addr, SetupError> {
+    let address = setup.value(setting).and_then(|address| address.parse().ok());
+    address.ok_or_else(|| setup.refuse_value(setting, "it is no IPv4 address, such as 192.168.1.255"))
 }
 
 fn open(address: SocketAddrV4) -> io::Result<UdpSocket> {

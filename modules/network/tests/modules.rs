@@ -12,6 +12,7 @@ use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::String as Line;
 use downbeat_network::game_controller::GameController;
+use downbeat_network::game_controller_sender::GameControllerSender;
 use downbeat_network::packets::{Answer, ControlPacket, State, Version};
 use downbeat_network::tcp::Tcp;
 use downbeat_network::tcp_lines::TcpLines;
@@ -108,6 +109,69 @@ fn the_game_controller_is_heard_and_answered_and_a_recording_repeats_it() {
     again.core.add_with("referee", GameController::new(DeviceLink::recorded(recorded)), settings()).unwrap();
     again.run(cycles);
     assert_eq!(*repeated.lock().unwrap(), heard);
+}
+
+#[test]
+fn several_players_of_a_machine_hear_a_referee_that_broadcasts_on_loopback_and_answer_it() {
+    let (port, answer_port) = (free_port(), free_port());
+    let everybody = || SettingValue::from("127.255.255.255".to_owned());
+    let mut bench = Bench::new();
+    let answers = bench.collect::<TeamMessage>("answers");
+    let states = [1, 2].map(|player| bench.collect::<GameState>(&format!("heard_{player}/game_state")));
+    let players = SettingValue::Texts([1, 2].map(|player| format!("told_{player}")).to_vec());
+    let settings = options([
+        ("players", players),
+        ("to", everybody()),
+        ("port", port.into()),
+        ("address", "127.0.0.1".to_owned().into()),
+        ("answer_port", answer_port.into()),
+    ]);
+    let sender = GameControllerSender::new(DeviceLink::new(Udp::default()));
+    bench.core.add_with("sender", sender, settings).unwrap();
+    let mut told = Vec::new();
+    for player in [1, 2] {
+        let settings = options([
+            ("team", 1.into()),
+            ("player", player.into()),
+            ("address", everybody()),
+            ("port", port.into()),
+            ("answer_port", answer_port.into()),
+        ]);
+        let options = ModuleOptions { namespace: format!("heard_{player}"), ..settings };
+        let listener = GameController::new(DeviceLink::new(Udp::default()));
+        bench.core.add_with(&format!("listener_{player}"), listener, options).unwrap();
+        told.push(bench.core.inlet::<GameState>(&format!("told_{player}/game_state")).unwrap());
+    }
+    bench.run(2); // opens the sockets
+    let said = [1_u8, 2].map(|player| GameState {
+        state: GameState::READY,
+        own_team: 1,
+        opponent_team: 2,
+        own_half_is_left: true,
+        player,
+        is_goalkeeper: player == 1,
+        message_budget: u16::MAX,
+        ..GameState::default()
+    });
+    for (inlet, state) in told.iter().zip(&said) {
+        inlet.publish(state.clone()).unwrap();
+    }
+    for _ in 0..200 {
+        bench.run(1);
+        if answers.lock().unwrap().len() >= 2 {
+            break;
+        }
+        std::thread::yield_now();
+    }
+    for (heard, said) in states.iter().zip(said) {
+        let heard = heard.lock().unwrap().first().unwrap().clone();
+        assert_eq!(heard, GameState { header: heard.header.clone(), ..said });
+    }
+    let mut players: Vec<_> =
+        answers.lock().unwrap().iter().map(|answer| (answer.team, answer.player)).collect();
+    players.sort_unstable();
+    players.dedup();
+    assert_eq!(players, [(1, 1), (1, 2)]);
 }
 
 impl Bench {

@@ -65,7 +65,7 @@ pub struct ArenaRobot {
     pub seed: u64,
     /// What it wears in pictures: red, green, blue.
     pub colour: [u8; 3],
-    /// The path of its port; `None` for a bus in memory.
+    /// The path of its port, whose owner lives in real time; `None` for a bus in memory.
     pub link: Option<PathBuf>,
 }
 
@@ -80,6 +80,9 @@ struct Devices {
     emulators: Vec<Emulator>,
     /// Until when the arena was advanced.
     advanced: Mutex<Option<Time>>,
+    /// The world follows the clock of the machine, as the owners of its ports do.
+    is_measured: bool,
+    left_out: Mutex<Duration>,
 }
 
 /// The world of an arena.
@@ -120,6 +123,8 @@ struct State {
     last_touch: Option<usize>,
     /// What is placed when the world moves next.
     placed: Vec<Placed>,
+    /// For how long the world was held for robots without torque.
+    waited: Duration,
 }
 
 enum Placed {
@@ -147,12 +152,17 @@ struct Held {
 struct ArenaBody {
     shared: Arc<Mutex<State>>,
     robot: usize,
+    is_measured: bool,
 }
 
 /// How often devices and world meet.
 const TICK: Duration = Duration::from_millis(1);
 /// The most commands that wait for the world: the time on the wire of any exchange.
 const MOST_AHEAD: usize = 100;
+/// How far a world in real time may be behind before time is left out.
+const MOST_BEHIND: Duration = Duration::from_millis(100);
+/// How long a world in real time is held for robots that do not come.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 impl ArenaRobot {
     /// A robot at the origin, as described.
@@ -223,18 +233,23 @@ impl Arena {
             since_step: Duration::ZERO,
             last_touch: None,
             placed: Vec::new(),
+            waited: Duration::ZERO,
         };
+        let is_measured = entrants.iter().any(|(_, link)| link.is_some());
         let shared = Arc::new(Mutex::new(state));
         let emulators = entrants.into_iter().enumerate().map(|(robot, (seed, link))| {
-            let body = Box::new(ArenaBody { shared: Arc::clone(&shared), robot });
-            let timing = if link.is_some() { Timing::Measured } else { Timing::Stepped };
+            let is_measured = link.is_some();
+            let body = Box::new(ArenaBody { shared: Arc::clone(&shared), robot, is_measured });
+            let timing = if is_measured { Timing::Measured } else { Timing::Stepped };
             let options = EmulatorOptions { seed, timing, link, ..EmulatorOptions::default() };
             match timing {
                 Timing::Measured => Emulator::start_with(options, body),
                 _ => Ok(Emulator::in_memory(&options, Some(body))),
             }
         });
-        let devices = Devices { emulators: emulators.collect::<Result<_, _>>()?, advanced: Mutex::new(None) };
+        let emulators = emulators.collect::<Result<_, _>>()?;
+        let (advanced, left_out) = (Mutex::default(), Mutex::default());
+        let devices = Devices { emulators, advanced, is_measured, left_out };
         let arena = Self { devices: Arc::new(devices), shared };
         for emulator in arena.emulators() {
             let (shared, devices) = (Arc::clone(&arena.shared), Arc::downgrade(&arena.devices));
@@ -255,6 +270,8 @@ impl Arena {
 
     /// Advances devices and world to this time of the cores, which were at the time of the first call when they started. It does not
     /// matter who comes first with a later time.
+    ///
+    /// With robots at ports, which live in real time, a world that is more than 100 ms behind stays behind: see [`Arena::left_out`].
     pub fn advance_to(&self, now: Time) {
         let mut advanced = self.devices.advanced.lock();
         let begin = |at| self.emulators().iter().for_each(|emulator| emulator.begin_step(at));
@@ -262,12 +279,24 @@ impl Arena {
             begin(now);
             now
         });
+        let behind = now.saturating_since(last);
+        if self.devices.is_measured && behind > MOST_BEHIND {
+            let left_out = behind - MOST_BEHIND;
+            *self.devices.left_out.lock() += left_out;
+            last = last + left_out;
+        }
         while last + TICK <= now {
             last = last + TICK;
             begin(last);
             self.shared.lock().tick();
         }
         *advanced = Some(last);
+    }
+
+    /// For how long a world in real time stood still because the machine was too slow.
+    #[must_use]
+    pub fn left_out(&self) -> Duration {
+        *self.devices.left_out.lock()
     }
 
     /// The world now.
@@ -393,7 +422,10 @@ impl State {
             return;
         }
         self.since_step -= step;
-        if is_held {
+        // Who has a port may never come, or end before it stands.
+        let may_end = self.options.robots.iter().any(|robot| robot.link.is_some());
+        if is_held && !(may_end && self.waited >= PATIENCE) {
+            self.waited += step;
             return;
         }
         self.elapsed += step;
@@ -417,6 +449,10 @@ impl Body for ArenaBody {
     fn advance(&mut self, _dt: Duration, commands: &[ServoCommand]) {
         let mut state = self.shared.lock();
         if let (Ok(commands), Some(robot)) = (commands.try_into(), state.robots.get_mut(self.robot)) {
+            // Measured devices follow the clock by themselves: what they commanded before has passed.
+            if self.is_measured {
+                robot.ahead.clear();
+            }
             robot.ahead.push_back(commands);
             if robot.ahead.len() > MOST_AHEAD {
                 robot.ahead.pop_front();

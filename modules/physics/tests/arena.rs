@@ -85,3 +85,36 @@ fn ball_and_robots_are_put_where_the_referee_says() {
     assert!((placed.rotation * glam::DVec3::Z).z > 0.9, "it stands");
     assert_eq!(found.last_touch, None);
 }
+
+/// A robot at a port at which nobody is, and the folder of the port.
+fn abandoned() -> (Arena, tempfile::TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = ArenaRobot::named("abandoned");
+    robot.link = Some(folder.path().join("port"));
+    (Arena::new(ArenaOptions::darwin_op([robot])).unwrap(), folder)
+}
+
+#[test]
+fn a_world_in_real_time_that_comes_late_stands_still_instead_of_hurrying() {
+    let (arena, _folder) = abandoned();
+    arena.advance_to(START);
+    arena.advance_to(START + Duration::from_millis(90));
+    assert_eq!(arena.left_out(), Duration::ZERO);
+    arena.advance_to(START + Duration::from_millis(5_090));
+    assert_eq!(arena.left_out(), Duration::from_millis(4_900));
+}
+
+#[test]
+fn a_world_in_real_time_does_not_wait_for_ever_for_a_robot_that_never_comes() {
+    let (arena, _folder) = abandoned();
+    let mut now = START;
+    let mut advance = |seconds: u64| {
+        for _ in 0..seconds * 20 {
+            now = now + Duration::from_millis(50);
+            arena.advance_to(now);
+        }
+        arena.snapshot().elapsed
+    };
+    assert_eq!(advance(29), Duration::ZERO);
+    assert!(advance(3) > Duration::from_secs(1));
+}

@@ -213,7 +213,8 @@ impl WalkTo {
         if is_at_rest && is_in_window(STANDING_WINDOW) {
             return (Some(Velocity::default()), if foot > 0.0 { "kick_left" } else { "kick_right" });
         }
-        let stops = self.stops_since.filter(|since| !is_at_rest && now < *since + PATIENCE && is_in_window(2.0));
+        let stops =
+            self.stops_since.filter(|since| !is_at_rest && now < *since + PATIENCE && is_in_window(2.0));
         self.stops_since = stops.or_else(|| (!is_at_rest && is_in_window(1.0)).then_some(now));
         if self.stops_since.is_some() {
             return (Some(Velocity::default()), "walking");

@@ -35,11 +35,11 @@ use crate::actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use crate::darwin_op::CYCLE;
 use crate::darwin_op::tables::joints::JOINTS;
 use crate::present_pose::{PresentPose, command, stand};
+use balance::Attitude;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
-use balance::Attitude;
 use std::sync::Arc;
 use std::time::Duration;
 

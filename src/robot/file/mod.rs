@@ -1,5 +1,7 @@
 //! Reading of robot files; [`crate::robot`] describes the format.
 
+#[cfg(all(feature = "cli", feature = "football"))]
+mod apart;
 mod expose;
 mod features;
 mod include;

@@ -54,6 +54,32 @@ const RESERVED_NAMES: [&str; 6] = [
 const USUAL_BACKOFF: Duration = Duration::from_secs(1);
 
 impl ModuleEntry {
+    /// A module that is not in the file, with the name of its kind.
+    #[cfg(all(feature = "cli", feature = "football"))]
+    pub(super) fn of_program(kind: Kind, namespace: &str) -> Self {
+        let name = match namespace {
+            "" => kind.name().to_owned(),
+            namespace => format!("{namespace}/{}", kind.name()),
+        };
+        Self {
+            line: 1,
+            included: None,
+            source: ModuleSource { module: name.clone(), ..ModuleSource::default() },
+            name,
+            running: ModuleOptions { namespace: namespace.to_owned(), ..kind.options() },
+            kind,
+            settings: BTreeMap::new(),
+            remaps: BTreeMap::new(),
+            thread_line: 1,
+        }
+    }
+
+    /// Its line.
+    #[cfg(all(feature = "cli", feature = "football"))]
+    pub(crate) fn place(&self) -> Place {
+        self.at(self.line)
+    }
+
     /// Returns the options with which the module joins a core.
     #[must_use]
     pub fn options(&self) -> ModuleOptions {

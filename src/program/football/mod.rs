@@ -1,5 +1,9 @@
 //! `downbeat match`
 
+mod processes;
+pub(crate) mod robot;
+
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,25 +12,34 @@ use anyhow::Context;
 use clap::Args;
 use parking_lot::Mutex;
 
-use super::cli::ParameterArguments;
-use super::logging::Log;
-use super::new_output::{Force, Output};
-use super::run::{participant_options, report_recording};
-use super::screen::Screen;
-use super::stop::Stop;
+use crate::bridge::middleware::DiscoveryRange;
 use crate::duration::parse as duration;
 use crate::executor::{Inbox, Received, SettingValue};
 use crate::msgs::std_msgs::msg::String as Text;
+use crate::program::cli::ParameterArguments;
+use crate::program::logging::Log;
+use crate::program::new_output::{Force, Output};
+use crate::program::run::{participant_options, report_recording};
+use crate::program::screen::Screen;
+use crate::program::stop::Stop;
 use crate::robot::{Catalog, ModuleEntry, RobotFile, RosArgs};
 use crate::running::{PreparedRobot, RecordPlan};
 use downbeat_football::Field;
-use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
+use processes::{Prepared, Processes};
 
 #[derive(Args)]
 pub(crate) struct MatchArguments {
     /// The robot file of the match, for example robots/match.toml.
     #[arg(value_name = "MATCH.toml")]
     robot: PathBuf,
+    /// Run each robot in a process of its own, in real time: they meet only through the bytes of their buses, pictures, packets of the
+    /// referee and team messages. --record then makes a folder with a bag of the match and one of each robot.
+    #[arg(long, conflicts_with_all = ["fast", "speed"])]
+    processes: bool,
+    /// The ROS domain of the first robot with --processes; the others have the next ones. By default the one after that of the match.
+    #[arg(long, value_name = "N", requires = "processes")]
+    robot_domains: Option<u16>,
     /// Play as fast as it can be computed, instead of in real time.
     #[arg(long)]
     fast: bool,
@@ -54,13 +67,18 @@ pub(crate) struct MatchArguments {
 /// What is seen of the match.
 #[derive(Default)]
 struct Seen {
+    began: Option<i64>,
     state: Option<MatchState>,
     events: Vec<String>,
+    /// When each player answered last, by the numbers of team and player.
+    answers: BTreeMap<(u8, u8), Instant>,
 }
 
 const REFRESH: Duration = Duration::from_millis(100);
 /// The last events below the field.
 const SHOWN_EVENTS: usize = 4;
+/// A player whose last answer is older is silent.
+const SILENT_AFTER: Duration = Duration::from_secs(5);
 
 pub(crate) fn play(
     arguments: &MatchArguments,
@@ -69,24 +87,56 @@ pub(crate) fn play(
     screen: &Screen,
     log: &Log,
 ) -> anyhow::Result<()> {
-    if let Some(directory) = &arguments.record {
+    // A bag, or with processes a folder of bags.
+    let bag = arguments
+        .record
+        .as_ref()
+        .map(|path| if arguments.processes { path.join("match") } else { path.clone() });
+    if let Some(directory) = &bag {
         arguments.force.check(Output::Bag, directory)?;
     }
-    let stop = Stop::new()?;
+    let mut stop = Stop::new()?;
     let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
     let game = match_of(&file)?;
     let field = field_of(game)?;
-    let [state, event] = ["match/state", "match/event"].map(|topic| game.options().resolved(topic));
+    let options = game.options();
+    let [state, event] = ["match/state", "match/event"].map(|topic| options.resolved(topic));
+    let names = match options.settings.get("robots") {
+        Some(SettingValue::Texts(names)) => names.clone(),
+        _ => Vec::new(),
+    };
     #[cfg(feature = "view")]
     arguments.view.apply(&mut file.view);
-    let mut robot = PreparedRobot::simulated(file, arguments.duration)?;
-    if !arguments.fast {
+    let mut network = participant_options(arguments.domain)?;
+    let mut prepared = None;
+    let mut robot = if arguments.processes {
+        if std::env::var_os("ROS_AUTOMATIC_DISCOVERY_RANGE").is_none() {
+            network.discovery_range = DiscoveryRange::Localhost;
+        }
+        let first = arguments.robot_domains.unwrap_or(network.domain_id.saturating_add(1));
+        prepared = Some(Prepared::take_robots(&mut file, first)?);
+        stop = stop.after(arguments.duration);
+        PreparedRobot::new(file)?
+    } else {
+        PreparedRobot::simulated(file, arguments.duration)?
+    };
+    if !arguments.fast && !arguments.processes {
         robot = robot.at_speed(arguments.speed);
     }
-    robot.expose(&participant_options(arguments.domain)?, Some(&log.of_node))?;
-    if let Some(directory) = &arguments.record {
+    robot.expose(&network, Some(&log.of_node))?;
+    if let Some(prepared) = &prepared {
+        let interfaces = robot.file().catalog.interfaces.clone();
+        prepared.show_pictures(robot.core(), &interfaces, &network)?;
+    }
+    if let Some(directory) = &bag {
         let plan = RecordPlan::of_robot(directory, robot.file(), None);
         arguments.force.make_way(Output::Bag, directory, [])?;
+        if arguments.processes {
+            for name in &names {
+                let of_robot = directory.with_file_name(name);
+                arguments.force.make_way(Output::Bag, &of_robot, [])?;
+            }
+        }
         robot.record(plan)?;
     }
     #[cfg(feature = "view")]
@@ -94,21 +144,46 @@ pub(crate) fn play(
 
     let seen = Arc::<Mutex<Seen>>::default();
     let of_state = Arc::clone(&seen);
-    let see = move |state: Received<'_, MatchState>| of_state.lock().state = Some(state.clone());
+    let see = move |state: Received<'_, MatchState>| {
+        let mut seen = of_state.lock();
+        seen.began.get_or_insert(state.header.stamp.as_nanos());
+        seen.state = Some(state.clone());
+    };
     robot.core().outlet(&state, Inbox::KeepAll, see)?.keep();
     let of_events = Arc::clone(&seen);
     let hear = move |event: Received<'_, Text>| of_events.lock().events.push(event.data.clone());
     robot.core().outlet(&event, Inbox::KeepAll, hear)?.keep();
 
+    if prepared.is_some() {
+        let of_answers = Arc::clone(&seen);
+        let hear = move |answer: Received<'_, TeamMessage>| {
+            of_answers.lock().answers.insert((answer.team, answer.player), Instant::now());
+        };
+        robot.core().outlet(&options.resolved("answers"), Inbox::KeepAll, hear)?.keep();
+    }
+
     let robot = robot.start()?;
     #[cfg(feature = "view")]
-    super::run::print_urls(&robot);
+    crate::program::run::print_urls(&robot);
+    let start = |prepared: Prepared| {
+        let bags = arguments.record.as_deref();
+        prepared.start(&arguments.robot, &arguments.parameters.to_arguments(), bags, screen)
+    };
+    let mut processes = prepared.map(start).transpose()?;
+    processes.iter().flat_map(Processes::lines).for_each(|line| eprintln!("{line}"));
     let started = Instant::now();
     let mut printed = 0;
     while !stop.is_due() && !robot.is_finished() {
+        if let Some(processes) = &mut processes {
+            processes.report_ends();
+        }
         let seen = seen.lock();
         if screen.is_terminal() {
-            screen.show(seen.block(&field));
+            let mut block = seen.block(&field);
+            if processes.is_some() {
+                block.insert(1.min(block.len()), seen.answers(&names));
+            }
+            screen.show(block);
         }
         if !screen.is_terminal() {
             seen.events.iter().skip(printed).for_each(|event| println!("{event}"));
@@ -122,21 +197,45 @@ pub(crate) fn play(
         stop.sleep(REFRESH);
     }
     screen.show(Vec::new());
+    // Before the world: their hardware modules still speak to it.
+    drop(processes);
     let summary = robot.stop()?;
     let took = started.elapsed();
     let seen = seen.lock();
     let rest = if screen.is_terminal() { 0 } else { printed };
     seen.events.iter().skip(rest).for_each(|event| println!("{event}"));
     if let Some(state) = &seen.state {
-        let time = time_of(state);
         let (blue, red) = (state.blue_score, state.red_score);
-        println!("blue {blue}:{red} red after {time:.0} s, {:.1} times real time", time / took.as_secs_f64());
+        if arguments.processes {
+            let began = seen.began.unwrap_or_default();
+            println!("blue {blue}:{red} red after {:.0} s", seconds_since(began, state));
+        } else {
+            let time = seconds_since(crate::running::SIMULATION_START.as_nanos(), state);
+            println!(
+                "blue {blue}:{red} red after {time:.0} s, {:.1} times real time",
+                time / took.as_secs_f64()
+            );
+        }
     }
     report_recording(summary.as_ref());
     Ok(())
 }
 
 impl Seen {
+    /// Who answers the referee, and who does not.
+    fn answers(&self, names: &[String]) -> String {
+        let is_heard = |name: &String| {
+            let seat = downbeat_match::seats(std::slice::from_ref(name))
+                .ok()
+                .and_then(|seats| seats.first().copied());
+            let answered = seat.and_then(|seat| self.answers.get(&(seat.team.number(), seat.number)));
+            answered.is_some_and(|answered| answered.elapsed() < SILENT_AFTER)
+        };
+        let (heard, silent): (Vec<_>, Vec<_>) = names.iter().cloned().partition(is_heard);
+        let list = |names: Vec<String>| if names.is_empty() { "nobody".to_owned() } else { names.join(", ") };
+        format!("answer the referee: {}   silent: {}", list(heard), list(silent))
+    }
+
     /// Score, time, field and the last events.
     fn block(&self, field: &Field) -> Vec<String> {
         let Some(state) = &self.state else { return vec!["the match begins".to_owned()] };
@@ -161,10 +260,9 @@ impl Seen {
     }
 }
 
-/// The simulated time, in s.
-fn time_of(state: &MatchState) -> f64 {
-    let start = crate::running::SIMULATION_START.as_nanos();
-    (state.header.stamp.as_nanos() - start) as f64 / 1e9
+/// The time of a match that began then, in s.
+fn seconds_since(began: i64, state: &MatchState) -> f64 {
+    (state.header.stamp.as_nanos() - began) as f64 / 1e9
 }
 
 /// The module that is the match.

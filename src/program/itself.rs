@@ -1,0 +1,18 @@
+//! This program as a command, for processes of its own.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+
+/// This program, as it was started, and its arguments before `command`: in Python it is an interpreter with a script.
+pub(crate) fn itself(command: &str) -> anyhow::Result<(PathBuf, Vec<String>)> {
+    let program = std::env::current_exe().context("cannot find this program")?;
+    let is_interpreter = program.file_name().is_some_and(|name| name.to_string_lossy().starts_with("python"));
+    let line: Vec<String> = std::fs::read("/proc/self/cmdline")
+        .map(|line| {
+            line.split(|&byte| byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect()
+        })
+        .unwrap_or_else(|_| std::env::args().collect());
+    let script = line.into_iter().skip(1).take_while(|word| word != command);
+    Ok((program, script.filter(|_| is_interpreter).collect()))
+}
