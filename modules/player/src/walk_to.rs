@@ -96,7 +96,7 @@ const PUSH_FROM: f64 = 0.225;
 /// The distance that the robot keeps from a ball that it goes around, in m.
 const CLEARANCE: f64 = 0.3;
 /// The distance that the robot keeps from others, in m, and how fast it backs off from who is much nearer, in m/s.
-const KEEP_OFF: f64 = 0.36;
+const KEEP_OFF: f64 = 0.3;
 const BACK_OFF: f64 = 0.03;
 /// By how much the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
