@@ -446,6 +446,21 @@ mirror_of = \"wave\"
     }
 
     #[test]
+    fn a_motion_keeps_its_balance_with_gains_that_do_not_make_it_swing() {
+        let with = |balance: &str| {
+            WAVE.replacen("[[wave.frame]]", &format!("balance = {balance}\n\n[[wave.frame]]"), 1)
+        };
+        let motions = Motions::parse("a.toml", &with("{ tilt = 0.5, rate = 0.1 }")).unwrap();
+        let gains = Some(Balance { tilt: 0.5, rate: 0.1 });
+        assert_eq!(["wave", "wave_left"].map(|name| motions.get(name).unwrap().balance), [gains; 2]);
+        let refused = Motions::parse("a.toml", &with("{ tilt = 5.0, rate = 0.1 }")).unwrap_err().to_string();
+        assert_eq!(
+            refused,
+            "a.toml:3: balance is out of range, tilt from 0 to 2 and rate from 0 to 0.5 are allowed"
+        );
+    }
+
+    #[test]
     fn a_mirror_image_moves_the_other_side() {
         let motions = Motions::parse("a.toml", WAVE).unwrap();
         let lean = 30.0_f64.to_radians();
