@@ -327,7 +327,7 @@ impl Arena {
     }
 
     /// Puts a robot on its feet in the walking-ready stand, at rest, when the world moves next; the heading is in rad. It is held there
-    /// until its servos hold it: for 2.5 s, or for up to 15 s if it was about to get up.
+    /// until its servos hold it: for a second, or for up to 15 s if it was about to get up.
     pub fn place_robot(&self, robot: usize, position: [f64; 2], yaw: f64) {
         self.shared.lock().placed.push(Placed::Robot { robot, position, yaw });
     }
@@ -364,7 +364,7 @@ impl Picture {
 }
 
 impl Held {
-    const SHORTEST: Duration = Duration::from_millis(2500);
+    const SHORTEST: Duration = Duration::from_secs(1);
     const LONGEST: Duration = Duration::from_secs(15);
     /// How far servos may be driven from the stand by a robot that stands or walks, in rad.
     const ABOUT: f64 = 0.6;
