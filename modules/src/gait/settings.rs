@@ -50,10 +50,10 @@ settings! {
     body_swing = 0.28 in -1.0..=1.0, "swing of the body forward and back, as a fraction of the step";
     pelvis_roll = 0.05 in 0.0..=0.3, "rad; roll of the supporting hip that keeps the pelvis level";
     stance_x = -0.01 in -0.06..=0.06, "m; how far the feet are ahead of the hips";
-    walking_x = -0.0075 in -0.06..=0.06, "m; how much further they are ahead while the robot walks";
+    walking_x = -0.0025 in -0.06..=0.06, "m; how much further they are ahead while the robot walks";
     stance_y = 0.0025 in -0.02..=0.04, "m; how far each foot is outside its hip";
     crouch = 0.015 in 0.0..=0.08, "m; how far the hips are below those of straight legs";
-    hip_pitch = 0.27 in -0.3..=0.6, "rad; lean of the trunk forward";
+    hip_pitch = 0.25 in -0.3..=0.6, "rad; lean of the trunk forward";
     arm_swing = 15.0 in 0.0..=60.0, "rad/m; swing of the arms by half the distance of the feet";
     servo_lead = 0.06 in 0.0..=0.2, "s; goals are as far ahead of the trajectory, for servos lag behind a moving goal";
     balance_knee = 0.034 in 0.0..=0.5, "s; angle of the knees by pitch rate";
