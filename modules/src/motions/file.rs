@@ -456,7 +456,7 @@ mirror_of = \"wave\"
         let refused = Motions::parse("a.toml", &with("{ tilt = 5.0, rate = 0.1 }")).unwrap_err().to_string();
         assert_eq!(
             refused,
-            "a.toml:3: balance is out of range, tilt from 0 to 2 and rate from 0 to 0.5 are allowed"
+            "a.toml:4: balance is out of range, tilt from 0 to 2 and rate from 0 to 0.5 are allowed"
         );
     }
 
