@@ -219,11 +219,16 @@ pub fn control_packet<'a>(
         if version != Version::Humanoid12 {
             own.message_budget = Some(state.message_budget);
         }
-        let is_blue = state.own_team < state.opponent_team;
         let [blue, red] = COLOURS;
-        let (of_own, of_opponent) = if is_blue { (blue, red) } else { (red, blue) };
-        own.field_player_colour = of_own;
-        opponent.field_player_colour = of_opponent;
+        let number = |colour, otherwise| match colour {
+            GameState::COLOUR_BLUE => blue,
+            GameState::COLOUR_RED => red,
+            _ => otherwise,
+        };
+        let (of_own, of_opponent) =
+            if state.own_team < state.opponent_team { (blue, red) } else { (red, blue) };
+        own.field_player_colour = number(state.own_colour, of_own);
+        opponent.field_player_colour = number(state.opponent_colour, of_opponent);
         if state.is_goalkeeper {
             own.goalkeeper = state.player;
         }
@@ -322,6 +327,8 @@ mod tests {
             secondary_seconds: 7.0,
             own_team: team,
             opponent_team: 3 - team,
+            own_colour: if is_second { GameState::COLOUR_RED } else { GameState::COLOUR_BLUE },
+            opponent_colour: if is_second { GameState::COLOUR_BLUE } else { GameState::COLOUR_RED },
             own_score: if is_second { 1 } else { 4 },
             opponent_score: if is_second { 4 } else { 1 },
             own_half_is_left: is_second,

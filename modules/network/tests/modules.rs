@@ -147,6 +147,8 @@ fn several_players_of_a_machine_hear_a_referee_that_broadcasts_on_loopback_and_a
         state: GameState::READY,
         own_team: 1,
         opponent_team: 2,
+        own_colour: GameState::COLOUR_BLUE,
+        opponent_colour: GameState::COLOUR_RED,
         own_half_is_left: true,
         player,
         is_goalkeeper: player == 1,
