@@ -44,7 +44,7 @@ use std::time::Duration;
 /// | `NAME/ground_truth/ball` | geometry_msgs/PoseStamped | the same of the ball |
 /// | `NAME/ground_truth/robots` | soccer_model_msgs/RobotArray | the same of the other robots; 10 times a second |
 /// | `NAME/camera/image_raw`, `NAME/camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0; 30 ms after the exposure, which the stamp tells |
-/// | `NAME/team_status` (in), `NAME/team_messages` | football_interfaces/TeamMessage | what a player tells its team, 50 to 150 ms later at each mate that hears it; penalised players neither speak nor hear |
+/// | `NAME/team_status` (in), `NAME/team_messages` | football_interfaces/TeamMessage | what a player tells its team; each mate receives it after 50 to 150 ms, or loses it; penalised players neither send nor receive |
 ///
 /// | `match/place_ball` (in) | geometry_msgs/PointStamped | puts the ball there, in the frame of the world |
 ///

@@ -236,7 +236,7 @@ mod tests {
         let new = message(4, [0.0, 0.0], Some([1.5, 0.0]));
         let ball = ball_of_team(None, &[&old, &new], NOW).unwrap();
         assert!((ball.position.x - 1.5).abs() < 0.02, "{ball:?}");
-        // Two balls: the one that is more certain.
+        // Of two balls that are apart, the more certain one counts.
         let mut vague = message(5, [0.0, 0.0], Some([-2.0, 0.0]));
         vague.ball_variance = 1.0;
         assert_eq!(ball_of_team(None, &[&vague, &new], NOW).unwrap().position, DVec2::new(1.5, 0.0));

@@ -19,7 +19,7 @@ pub(crate) struct Mates {
 pub(crate) enum Refusal {
     /// Of another team, of this player itself, or of a number that nobody has.
     Foreign,
-    /// Sent too long ago, before one that is known, or in the future.
+    /// Sent too long ago, earlier than the latest message of this mate, or in the future.
     Old,
     /// A number is none.
     NotFinite,

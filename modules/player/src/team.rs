@@ -13,8 +13,8 @@
 //! | `team/report` | `football_interfaces/TeamReport` | the own message and the latest of each mate, five times a second: for those who choose roles |
 //! | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | how many messages were sent, and refused for which reason; once a second if that changed |
 //!
-//! Refused are messages of another team or of the player itself, older than `timeout` or than one that is known, with numbers that are not
-//! finite, and with places beside any field. A ball is certain if its deviation is below 0.5 m. Messages of a counted budget are spread over
+//! The module refuses messages of another team or of the player itself, messages older than `timeout` or than the latest of the same mate,
+//! and messages whose numbers are not finite or whose places are beside any field. A ball is certain if its deviation is below 0.5 m. Messages of a counted budget are spread over
 //! the rest of the half, and over all who speak. The time to the ball is estimated for walking around it to its side away from the
 //! opponents' goal.
 //!

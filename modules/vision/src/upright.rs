@@ -99,8 +99,9 @@ const CUT: f64 = 0.25;
 const GAP: f64 = 0.12;
 /// How far to either side its parts are, as a share of the width.
 const ASIDE: f64 = 0.7;
-/// How far away one that lies is told from a line or a shadow, in m; and how far one is seen at all.
+/// Beyond this distance a robot that lies looks like a line or a shadow and is not reported, in m.
 const LYING_RANGE: f64 = 3.0;
+/// Beyond this distance no robot is reported, in m.
 const RANGE: f64 = 8.0;
 /// The share of a robot's box that its colour covers at least, and how much more of it there has to be than of the other one.
 const WORN: f64 = 0.03;

@@ -88,7 +88,7 @@ impl ModuleEntry {
         ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..self.running.clone() }
     }
 
-    /// Returns whether the module simulates devices, or drives one that is simulated in this process.
+    /// Returns true for a module that simulates devices, and for one whose device is simulated in this process.
     pub(crate) fn has_simulated_device(&self) -> bool {
         let port = self.settings.get("port").map(|given| &given.value);
         let is_in_memory = matches!(port, Some(SettingValue::Text(port)) if MemoryPorts::is_memory(port));
