@@ -24,12 +24,13 @@
 //! | `attempts` | how often it tries |
 
 use crate::actions::{ActionClient, GoalStatus};
+use crate::attitude::world_from_trunk;
 use crate::present_pose::{PresentPose, command, stand};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionGoal};
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Empty, String as Text};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use std::fmt;
 use std::time::Duration;
 
@@ -87,8 +88,7 @@ const REPORT: Duration = Duration::from_secs(1);
 
 impl Falls {
     fn on_imu(&mut self, imu: Received<'_, Imu>, ctx: &mut Context<'_, Ports>) {
-        // -1 marks data without orientation.
-        let Some(up) = up_in_trunk(&imu).filter(|_| imu.orientation_covariance[0] >= 0.0) else { return };
+        let Some(up) = world_from_trunk(&imu).map(|rotation| rotation.conjugate() * DVec3::Z) else { return };
         let now = ctx.now();
         let tilt_limit = *ctx.get(ctx.ports.tilt_limit);
         let is_tilted = up.z < tilt_limit.cos();
@@ -258,14 +258,6 @@ impl fmt::Display for State {
     }
 }
 
-/// The direction that points up, in the frame of the IMU; `None` if the orientation is invalid.
-fn up_in_trunk(imu: &Imu) -> Option<DVec3> {
-    let q = &imu.orientation;
-    let world_from_trunk = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
-    let is_valid = (world_from_trunk.length_squared() - 1.0).abs() < 1e-3;
-    is_valid.then(|| world_from_trunk.conjugate() * DVec3::Z)
-}
-
 fn tilt_degrees(up: DVec3) -> f64 {
     up.z.clamp(-1.0, 1.0).acos().to_degrees()
 }
@@ -279,6 +271,7 @@ mod tests {
     use crate::testing::{Collector, core_at_zero};
     use downbeat_executor::{Core, Inlet, ManualClock};
     use downbeat_msgs::geometry_msgs::msg::{Quaternion, Vector3};
+    use glam::DQuat;
 
     struct Robot {
         core: Core,

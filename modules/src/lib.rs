@@ -41,6 +41,7 @@ pub mod transform_server;
 pub use downbeat_actions as actions;
 pub use downbeat_transforms as transforms;
 
+mod attitude;
 mod leg_joints;
 mod present_pose;
 

@@ -26,6 +26,7 @@ mod legs;
 mod odometry;
 mod settings;
 
+use crate::attitude::world_from_trunk;
 use crate::darwin_op::CYCLE;
 use crate::darwin_op::tables::joints::COUNT;
 use crate::present_pose::{PresentPose, command, stand};
@@ -127,12 +128,9 @@ impl Gait {
     }
 
     fn on_imu(&mut self, imu: Received<'_, Imu>, _: &mut Context<'_, Ports>) {
-        let (q, w) = (&imu.orientation, &imu.angular_velocity);
-        let orientation = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
-        let is_valid =
-            imu.orientation_covariance[0] >= 0.0 && (orientation.length_squared() - 1.0).abs() < 1e-3;
+        let w = &imu.angular_velocity;
         self.attitude = Some(Attitude {
-            world_from_trunk: is_valid.then_some(orientation),
+            world_from_trunk: world_from_trunk(&imu),
             rate: DVec3::new(w.x, w.y, w.z),
             yaw_variance: imu.orientation_covariance[8],
         });

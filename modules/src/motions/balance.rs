@@ -6,11 +6,12 @@
 //! Without (2) an ankle is a spring: it holds a robot that stands on one leg only if its weight is exactly above the sole.
 
 use super::file::Balance;
+use crate::attitude::world_from_trunk;
 use crate::darwin_op::tables::joints::COUNT;
 use crate::leg_joints::{ANKLE_PITCH, ANKLE_ROLL, place};
 use downbeat_kinematics::darwin_op::{Leg, Side};
 use downbeat_msgs::sensor_msgs::msg::Imu;
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 /// What the IMU says of the trunk.
 #[derive(Clone, Copy, Debug)]
@@ -27,13 +28,9 @@ const MOST: f64 = 0.25;
 impl Attitude {
     /// `None` without a valid orientation.
     pub(super) fn of(imu: &Imu) -> Option<Self> {
-        let (q, w) = (&imu.orientation, &imu.angular_velocity);
-        let world_from_trunk = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
-        // -1 marks data without orientation.
-        let is_valid =
-            imu.orientation_covariance[0] >= 0.0 && (world_from_trunk.length_squared() - 1.0).abs() < 1e-3;
-        let rate = DVec3::new(w.x, w.y, w.z);
-        (is_valid && rate.is_finite()).then(|| Self { up: world_from_trunk.conjugate() * DVec3::Z, rate })
+        let w = &imu.angular_velocity;
+        let (up, rate) = (world_from_trunk(imu)?.conjugate() * DVec3::Z, DVec3::new(w.x, w.y, w.z));
+        rate.is_finite().then_some(Self { up, rate })
     }
 }
 
@@ -63,6 +60,7 @@ mod tests {
     use super::*;
     use crate::leg_joints::HIP_ROLL;
     use crate::present_pose::stand;
+    use glam::DQuat;
 
     const GAINS: Balance = Balance { tilt: 0.5, rate: 0.1 };
 
