@@ -1,6 +1,6 @@
 //! Shots at an empty goal, one try after the other.
 
-use crate::referee::{Event, Order, Phase, Team, Truth};
+use crate::game::{Event, Order, Phase, Team, Truth};
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_modules::servo_emulator::Random;

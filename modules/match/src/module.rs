@@ -3,8 +3,9 @@
 use crate::air::Air;
 use crate::drill::Drill;
 use crate::field_world::world_of;
+use crate::game::{Order, Seat, Team, Truth};
 use crate::official::Official;
-use crate::referee::{Order, Referee, Rules, Seat, Team, Truth};
+use crate::referee::{Referee, Rules};
 use downbeat_executor::{
     Context, Job, JobError, Module, Publication, Received, Setting, SettingType, Setup, SetupError, Time,
     TransitionError,

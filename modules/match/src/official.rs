@@ -1,7 +1,8 @@
 //! Who decides what the game is.
 
 use crate::drill::Drill;
-use crate::referee::{Event, Order, Phase, Referee, Seat, Team, Truth};
+use crate::game::{Event, Order, Phase, Seat, Team, Truth};
+use crate::referee::Referee;
 use downbeat_football::football_interfaces::msg::{GameState, MatchState};
 use glam::DVec2;
 use std::time::Duration;

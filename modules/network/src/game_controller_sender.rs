@@ -7,8 +7,8 @@
 //! | `datagrams` | downbeat_interfaces/BusExchange | all datagrams, for replays |
 //!
 //! A packet goes out with each new state, at most 20 ms later: a referee that speaks when something happens and twice a second is heard
-//! so. Players that do not answer for 5 s are reported, once. The team with the smaller number plays in blue, the other one in red.
-//! Run the module detached.
+//! so. Players that do not answer for 5 s are reported, once. Teams wear the colours of their states; where those are unknown,
+//! the team with the smaller number wears blue and the other one red. Run the module detached.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, SocketAddrV4};

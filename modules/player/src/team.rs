@@ -283,11 +283,11 @@ impl Team {
             .chain(refused)
             .map(|(key, count)| KeyValue { key, value: count.to_string() })
             .collect();
-        let is_known = |value: &KeyValue| value.key == "sent";
+        // The number of sent messages changes all the time.
+        let is_news = |value: &&KeyValue| value.key != "sent";
         let before = self.reported.as_ref().map(|(_, values)| values);
-        let has_changed = before.is_none_or(|before| {
-            !before.iter().filter(|one| !is_known(one)).eq(values.iter().filter(|one| !is_known(one)))
-        });
+        let has_changed =
+            before.is_none_or(|before| !before.iter().filter(is_news).eq(values.iter().filter(is_news)));
         if has_changed {
             let any = values.iter().any(|value| value.key.starts_with("refused"));
             let message = if any { "some team messages were refused" } else { "hears its team" };
