@@ -79,7 +79,7 @@ export function inspector(root, actions) {
   /** @type {{ module: string } | { wire: number } | null} */
   let selection = null;
 
-  // An answer may redraw the form while somebody types: what is typed goes over to the new field.
+  // An answer may redraw the form while somebody types: what is typed and marked goes over to the new field.
   /** @typedef {HTMLInputElement | HTMLTextAreaElement} Typed */
   /** @type {{ field: Typed, value: string } | null} */
   let begun = null;
@@ -98,6 +98,7 @@ export function inspector(root, actions) {
     const focused = /** @type {HTMLElement | null} */ (document.activeElement);
     const key = root.contains(focused) ? focused?.dataset.key : undefined;
     const text = begun && begun.field === focused && begun.field.value !== begun.value ? begun.field.value : null;
+    const { selectionStart = null, selectionEnd = null } = typed(focused) ?? {};
     carried = null;
     const top = root.scrollTop;
     const module = selection && 'module' in selection ? doc.picture.modules.find(({ name }) => name === /** @type {any} */ (selection).module) : undefined;
@@ -111,9 +112,12 @@ export function inspector(root, actions) {
     const again = /** @type {HTMLElement | null} */ (root.querySelector(`[data-key="${CSS.escape(key)}"]`));
     again?.focus({ preventScroll: true });
     const field = typed(again);
-    if (text === null || !field) return;
-    field.value = text;
-    carried = field;
+    if (!field) return;
+    if (text !== null) {
+      field.value = text;
+      carried = field;
+    }
+    field.setSelectionRange(selectionStart, selectionEnd);
   }
   /** Whose form is shown. */
   let shown = '';

@@ -107,6 +107,8 @@ function show(shown) {
   const { modules, wires, problems } = doc.picture;
   if (selection && 'module' in selection && !modules.some(({ name }) => name === /** @type {any} */ (selection).module)) selection = null;
   if (selection && 'wire' in selection && selection.wire >= wires.length) selection = null;
+  // Before the graph draws: it lets go of a module that is gone, and a renamed one would count as gone.
+  canvas.view.select(selection && 'module' in selection ? selection.module : null, { quiet: true });
   canvas.show(doc);
   props.show(doc, selection);
   toml.show(doc.text, problems);
@@ -182,7 +184,7 @@ function edit(edits) {
     const answer = await editor.ask('edit', { edits });
     if (renamed && selection && 'module' in selection && selection.module === renamed.module) selection = { module: renamed.name };
     return answer;
-  }).then(() => { if (renamed && selection) select(selection); });
+  });
 }
 
 /** @param {string} kind */

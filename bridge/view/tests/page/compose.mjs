@@ -101,7 +101,8 @@ async function compose(url) {
   await add('darwin_op_em', 'darwin_op_emulator');
   await give('settings.link', 'memory:test');
   await give('name', 'emulator');
-  await page.locator('.graph-body[data-node="emulator"]').waitFor();
+  await page.locator('.graph-body[data-node="emulator"][aria-pressed="true"]').waitFor();
+  assert.equal(await field('name').inputValue(), 'emulator', 'a renamed module stays selected');
   await search.fill('');
   await page.getByTitle('Add darwin_op', { exact: true }).click();
   await page.locator('.graph-body[data-node="darwin_op"]').waitFor();
