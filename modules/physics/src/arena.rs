@@ -433,7 +433,7 @@ impl State {
         for (index, robot) in self.robots.iter_mut().enumerate() {
             if let Some(held) = &mut robot.held {
                 self.world.place(index, &self.options.model, &held.start);
-                robot.machine.measure_at_rest(&self.world.robot(index));
+                robot.machine.measure_in_hand(&self.world.robot(index), step);
                 if held.is_over(step, &robot.last) {
                     robot.held = None;
                 }

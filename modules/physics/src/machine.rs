@@ -6,7 +6,7 @@ use crate::world::{JointDrive, RobotBodies, Variation};
 use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
 use downbeat_modules::darwin_op_emulator::{ImuMotion, JointMotion, ServoCommand};
 use downbeat_transforms::Isometry;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -23,6 +23,8 @@ pub(crate) struct Machine {
     joints: [JointMotion; COUNT],
     imu: ImuMotion,
     velocity: DVec3,
+    /// Of the IMU in the world.
+    attitude: DQuat,
 }
 
 /// The joint that a servo turns.
@@ -39,6 +41,8 @@ struct ServoJoint {
 const HELD: Duration = Duration::from_millis(500);
 /// The lag of the accelerometer. Estimated.
 const IMU_LAG_S: f64 = 0.005;
+/// How fast a hand turns a robot that it puts down, in rad/s.
+const IN_HAND: f64 = 6.0;
 const GRAVITY: f64 = 9.806_65;
 
 impl Machine {
@@ -67,6 +71,7 @@ impl Machine {
             joints: [JointMotion::default(); COUNT],
             imu: ImuMotion::default(),
             velocity: DVec3::ZERO,
+            attitude: DQuat::IDENTITY,
         })
     }
 
@@ -136,7 +141,8 @@ impl Machine {
         }
         let dt = step.as_secs_f64();
         let Some(motion) = bodies.motion_of(self.imu_frame.0, &self.imu_frame.1) else { return };
-        let imu_from_world = motion.world_from_body.rotation.conjugate();
+        self.attitude = motion.world_from_body.rotation;
+        let imu_from_world = self.attitude.conjugate();
         let acceleration = (motion.linear - self.velocity) / dt + DVec3::Z * GRAVITY;
         self.velocity = motion.linear;
         let force = imu_from_world * acceleration;
@@ -150,14 +156,27 @@ impl Machine {
 
     /// Measures while nothing moves.
     pub(crate) fn measure_at_rest(&mut self, bodies: &dyn RobotBodies) {
+        self.measure_in_hand(bodies, Duration::MAX);
+    }
+
+    /// Measures while somebody holds the robot, who turned it from where it was last within some steps: an IMU that is suddenly
+    /// upright would be a riddle to filters.
+    pub(crate) fn measure_in_hand(&mut self, bodies: &dyn RobotBodies, step: Duration) {
         for (servo, joint) in self.servos.iter().zip(&mut self.joints) {
             let (position, velocity) = bodies.joint(servo.body);
             *joint = JointMotion { position, velocity, drive: 0.0 };
         }
         self.velocity = DVec3::ZERO;
         if let Some(motion) = bodies.motion_of(self.imu_frame.0, &self.imu_frame.1) {
-            let force = motion.world_from_body.rotation.conjugate() * (DVec3::Z * GRAVITY);
-            self.imu = ImuMotion { angular_velocity: [0.0; 3], specific_force: force.to_array() };
+            let turn = self.attitude.conjugate() * motion.world_from_body.rotation;
+            let shortest = if turn.w < 0.0 { -turn } else { turn }.to_scaled_axis();
+            let turned = shortest.clamp_length_max(IN_HAND * step.as_secs_f64());
+            self.attitude = (self.attitude * DQuat::from_scaled_axis(turned)).normalize();
+            let force = self.attitude.conjugate() * (DVec3::Z * GRAVITY);
+            self.imu = ImuMotion {
+                angular_velocity: (turned / step.as_secs_f64()).to_array(),
+                specific_force: force.to_array(),
+            };
         }
     }
 }

@@ -1,13 +1,17 @@
 //! Robots that share a world.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use downbeat_executor::{Core, ManualClock, ModuleOptions, Time};
+use downbeat_executor::{Core, Inbox, ManualClock, ModuleOptions, Received, Time};
 use downbeat_modules::darwin_op::DarwinOp;
 use downbeat_modules::gait::Gait;
 use downbeat_modules::imu_filter::ImuFilter;
 use downbeat_modules::joint_command_mux::JointCommandMux;
 use downbeat_msgs::geometry_msgs::msg::Twist;
-use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, Ball};
+use downbeat_msgs::sensor_msgs::msg::Imu;
+use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, Ball, Posture};
+use glam::{DQuat, DVec2, DVec3};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::Duration;
 
 const START: Time = Time::from_nanos(1_000_000_000);
@@ -79,11 +83,47 @@ fn ball_and_robots_are_put_where_the_referee_says() {
     arena.advance_to(START + Duration::from_secs(3) + Duration::from_millis(40));
     let found = arena.snapshot();
     let ball = found.ball.unwrap().world_from_body.translation;
-    assert!((ball.truncate() - glam::DVec2::new(2.0, 1.0)).length() < 0.01, "{ball}");
+    assert!((ball.truncate() - DVec2::new(2.0, 1.0)).length() < 0.01, "{ball}");
     let placed = found.robots[1].root.world_from_body;
-    assert!((placed.translation.truncate() - glam::DVec2::new(0.0, 3.0)).length() < 0.1, "{placed:?}");
-    assert!((placed.rotation * glam::DVec3::Z).z > 0.9, "it stands");
+    assert!((placed.translation.truncate() - DVec2::new(0.0, 3.0)).length() < 0.1, "{placed:?}");
+    assert!((placed.rotation * DVec3::Z).z > 0.9, "it stands");
     assert_eq!(found.last_touch, None);
+}
+
+#[test]
+fn a_robot_that_lay_and_is_put_on_its_feet_feels_upright() {
+    let mut options = ArenaOptions::darwin_op([ArenaRobot::named("fallen")]);
+    options.robots[0].start.posture = Posture::Prone;
+    let arena = Arena::new(options).unwrap();
+    let clock = ManualClock::new(START);
+    let mut core = walker(&arena, 0, &clock);
+    let felt = Arc::new(Mutex::new(DQuat::IDENTITY));
+    let take = {
+        let felt = felt.clone();
+        move |imu: Received<'_, Imu>| {
+            let q = &imu.orientation;
+            *felt.lock() = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
+        }
+    };
+    core.outlet("imu/data", Inbox::KeepAll, take).unwrap().keep();
+    let mut now = START;
+    let mut tilt_after = |seconds: u64| {
+        let end = now + Duration::from_secs(seconds);
+        while now < end {
+            clock.set(now);
+            arena.advance_to(now);
+            while core.next_event().is_some_and(|next| next <= now) {
+                core.cycle().unwrap();
+            }
+            now = now + CYCLE;
+        }
+        (*felt.lock() * DVec3::Z).z.acos()
+    };
+    let lying = tilt_after(3);
+    assert!(lying > 1.2, "{lying}");
+    arena.place_robot(0, [0.0, 1.0], 2.0);
+    let standing = tilt_after(1);
+    assert!(standing < 0.4, "it leans as in the stand: {standing}");
 }
 
 /// A robot at a port at which nobody is, and the folder of the port.

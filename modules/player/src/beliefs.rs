@@ -2,6 +2,7 @@
 
 use downbeat_executor::Time;
 use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
+use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as Attributes;
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{PoseWithCovarianceStamped, Quaternion};
 use glam::DVec2;
@@ -19,7 +20,15 @@ pub(crate) struct Place {
 pub(crate) struct Beliefs {
     place: Option<(Time, Place)>,
     ball: Option<(Time, DVec2)>,
-    robots: Option<(Time, Vec<DVec2>)>,
+    robots: Option<(Time, Vec<Other>)>,
+}
+
+/// Another robot, in m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Other {
+    pub(crate) position: DVec2,
+    /// Whether it lies.
+    pub(crate) is_fallen: bool,
 }
 
 /// Beyond this age a belief does not count.
@@ -60,13 +69,17 @@ impl Beliefs {
 
     /// Takes the other robots in `map`; those that are nowhere finite are ignored.
     pub(crate) fn take_robots(&mut self, robots: &RobotArray, now: Time) {
-        let places = robots.robots.iter().map(|robot| &robot.pose.pose.position);
-        let places = places.map(|at| DVec2::new(at.x, at.y)).filter(|at| at.is_finite());
-        self.robots = Some((now, places.take(MOST_ROBOTS).collect()));
+        let others = robots.robots.iter().map(|robot| {
+            let at = &robot.pose.pose.position;
+            let is_fallen = robot.attributes.state == Attributes::STATE_FALLEN;
+            Other { position: DVec2::new(at.x, at.y), is_fallen }
+        });
+        let others = others.filter(|other| other.position.is_finite());
+        self.robots = Some((now, others.take(MOST_ROBOTS).collect()));
     }
 
     /// The other robots on the field.
-    pub(crate) fn robots(&self, now: Time) -> &[DVec2] {
+    pub(crate) fn robots(&self, now: Time) -> &[Other] {
         let fresh = self.robots.as_ref().filter(|(at, _)| now.saturating_since(*at) <= FRESH);
         fresh.map_or(&[], |(_, robots)| robots)
     }

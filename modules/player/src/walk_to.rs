@@ -27,7 +27,7 @@
 //! | `kick_reach`, `kick_width`, `kick_angle` | how far it may be off, m and rad |
 //! | `there_distance`, `there_angle` | how far the robot may be off at a place, m and rad |
 
-use crate::beliefs::{Beliefs, Place, heading_of};
+use crate::beliefs::{Beliefs, Other, Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
 use downbeat_kinematics::wrapped;
@@ -47,6 +47,8 @@ pub struct WalkTo {
     stops_since: Option<Time>,
     /// The foot of the next kick: 1 for the left one, -1 for the right one.
     foot: Option<f64>,
+    /// Whether it steps in all directions and does not walk forward.
+    steps: bool,
     /// Whether it is close behind the ball.
     is_closing_in: bool,
     /// The side on which it pushes the ball past somebody: 1 for the left one, -1 for the right one.
@@ -87,17 +89,22 @@ const STANDING_WINDOW: f64 = 1.4;
 const PATIENCE: Duration = Duration::from_secs(3);
 /// How long a robot that has stopped sways.
 const REST: Duration = Duration::from_secs(1);
-/// Within this distance the robot steps in all directions, in m.
+/// Within this distance the robot begins to step in all directions, in m, and farther than that it turns and walks again.
 const NEAR: f64 = 0.25;
+const NO_LONGER_NEAR: f64 = 0.35;
+/// Ahead of its place by more than this, in m, a robot does nothing but step back.
+const BACK_FIRST: f64 = -0.03;
 /// How far behind the place of a kick the approach ends, in m.
 const BEHIND: f64 = 0.1;
 /// How far behind the ball a push begins, in m.
 const PUSH_FROM: f64 = 0.225;
 /// The distance that the robot keeps from a ball that it goes around, in m.
 const CLEARANCE: f64 = 0.3;
-/// The distance that the robot keeps from others, in m, and how fast it backs off from who is much nearer, in m/s.
+/// The distance that the robot keeps from others, and from those who lie and need room to get up, in m; how fast it backs off from
+/// who is much nearer, in m/s.
 const KEEP_OFF: f64 = 0.3;
-const BACK_OFF: f64 = 0.03;
+const KEEP_OFF_FALLEN: f64 = 0.5;
+const BACK_OFF: f64 = 0.05;
 /// By how much the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
 /// By how much the ball is pushed past somebody, in rad.
@@ -156,13 +163,17 @@ impl WalkTo {
             let position = here.position + DVec2::from_angle(here.heading).rotate(goal.position);
             self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
         }
-        let others = here.map_or_else(Vec::new, |here| {
-            self.beliefs.robots(now).iter().map(|other| here.point(*other)).collect::<Vec<_>>()
+        let [others, fallen] = here.map_or_else(Default::default, |here| {
+            let seen = |is_chosen: fn(&&Other) -> bool| {
+                let chosen = self.beliefs.robots(now).iter().filter(is_chosen);
+                chosen.map(|other| here.point(other.position)).collect::<Vec<_>>()
+            };
+            [seen(|_| true), seen(|other| other.is_fallen)]
         });
         let (velocity, state) = match (self.goal, here) {
             (Goal::Nothing, _) => (None, "idle"),
             (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
-            (Goal::Place(goal), Some(here)) => walk_to_place(goal.seen_from(here), &others, &settings),
+            (Goal::Place(goal), Some(here)) => self.walk_to_place(goal.seen_from(here), &others, &settings),
             (Goal::Kick(target) | Goal::Dribble(target), Some(here)) => match self.beliefs.ball(now) {
                 Some(ball) if matches!(self.goal, Goal::Kick(_)) => {
                     self.line_up(here.point(ball), here.point(target), &others, now, &settings)
@@ -174,7 +185,9 @@ impl WalkTo {
                 None => (None, "blind"),
             },
         };
-        if let Some(Velocity { linear, turn }) = velocity.map(|velocity| keeping_off(velocity, &others)) {
+        if let Some(Velocity { linear, turn }) = velocity
+            .map(|velocity| keeping_off(keeping_off(velocity, &others, KEEP_OFF), &fallen, KEEP_OFF_FALLEN))
+        {
             let mut twist = Twist::default();
             (twist.linear.x, twist.linear.y, twist.angular.z) = (linear.x, linear.y, turn);
             ctx.publish(ctx.ports.cmd_vel, twist);
@@ -230,17 +243,11 @@ impl WalkTo {
         } else {
             let place = off - DVec2::new(BEHIND, 0.0);
             let way = around(DVec2::from_angle(heading).rotate(place), ball);
-            if way.length() > NEAR {
-                far(avoiding(way, others), settings)
-            } else {
-                near(way, heading, settings)
-            }
+            self.step_or_walk(way, heading, others, settings)
         };
         (Some(velocity), "walking")
     }
-}
 
-impl WalkTo {
     /// Ball and target as seen from here: behind the ball on the way to the target it walks on, through the ball.
     fn dribble(&mut self, ball: DVec2, target: DVec2, others: &[DVec2], settings: &Settings) -> Velocity {
         let direction = target - ball;
@@ -257,20 +264,39 @@ impl WalkTo {
         }
         let place = straight - DVec2::new(PUSH_FROM, 0.0);
         let way = around(DVec2::from_angle(heading).rotate(place), ball);
-        if way.length() > NEAR { far(avoiding(way, others), settings) } else { near(way, heading, settings) }
+        self.step_or_walk(way, heading, others, settings)
+    }
+
+    /// A goal as seen from here.
+    fn walk_to_place(
+        &mut self,
+        goal: Place,
+        others: &[DVec2],
+        settings: &Settings,
+    ) -> (Option<Velocity>, &'static str) {
+        if goal.position.length() < settings.there_distance && goal.heading.abs() < settings.there_angle {
+            return (Some(Velocity::default()), "there");
+        }
+        (Some(self.step_or_walk(goal.position, goal.heading, others, settings)), "walking")
+    }
+
+    /// To a place, with a heading there.
+    fn step_or_walk(&mut self, to: DVec2, heading: f64, others: &[DVec2], settings: &Settings) -> Velocity {
+        self.steps = to.length() < if self.steps { NO_LONGER_NEAR } else { NEAR };
+        if self.steps { near(to, heading, settings) } else { far(avoiding(to, others), settings) }
     }
 }
 
 /// Not nearer to those who are near, and away from who is very near: robots that touch fall.
-fn keeping_off(mut velocity: Velocity, others: &[DVec2]) -> Velocity {
+fn keeping_off(mut velocity: Velocity, others: &[DVec2], keep: f64) -> Velocity {
     for other in others {
         let distance = other.length();
-        if !(1e-3..=KEEP_OFF).contains(&distance) {
+        if !(1e-3..=keep).contains(&distance) {
             continue;
         }
         let towards = *other / distance;
         velocity.linear -= towards * velocity.linear.dot(towards).max(0.0);
-        if distance < 0.75 * KEEP_OFF {
+        if distance < 0.75 * keep {
             velocity.linear -= towards * BACK_OFF;
         }
     }
@@ -308,21 +334,6 @@ fn avoiding(to: DVec2, others: &[DVec2]) -> DVec2 {
     in_the_way.fold(to, |to, other| around(to, *other))
 }
 
-/// A goal as seen from here.
-fn walk_to_place(goal: Place, others: &[DVec2], settings: &Settings) -> (Option<Velocity>, &'static str) {
-    let distance = goal.position.length();
-    if distance < settings.there_distance && goal.heading.abs() < settings.there_angle {
-        return (Some(Velocity::default()), "there");
-    }
-    let is_near = distance < NEAR;
-    let velocity = if is_near {
-        near(goal.position, goal.heading, settings)
-    } else {
-        far(avoiding(goal.position, others), settings)
-    };
-    (Some(velocity), "walking")
-}
-
 /// Turns to a point and walks forward.
 fn far(to: DVec2, settings: &Settings) -> Velocity {
     let bearing = to.to_angle();
@@ -331,9 +342,12 @@ fn far(to: DVec2, settings: &Settings) -> Velocity {
     Velocity { linear: DVec2::new(settings.forward * share, 0.0), turn }
 }
 
-/// Steps in all directions.
+/// Steps in all directions; back first, since a gait that also steps aside or turns hardly gets back.
 fn near(to: DVec2, heading: f64, settings: &Settings) -> Velocity {
     let limit = DVec2::new(settings.forward / 2.0, settings.side);
+    if to.x < BACK_FIRST {
+        return Velocity { linear: DVec2::new(-limit.x, 0.0), turn: 0.0 };
+    }
     let turn = (TURN_GAIN * wrapped(heading)).clamp(-settings.turn, settings.turn);
     Velocity { linear: (to * GAIN).clamp(-limit, limit), turn }
 }
@@ -451,10 +465,10 @@ mod tests {
     #[test]
     fn nobody_walks_into_others() {
         let ahead = Velocity { linear: DVec2::new(0.1, 0.02), turn: 0.3 };
-        let stopped = keeping_off(ahead, &[DVec2::new(0.3, 0.0), DVec2::new(2.0, 0.0)]);
+        let stopped = keeping_off(ahead, &[DVec2::new(0.3, 0.0), DVec2::new(2.0, 0.0)], KEEP_OFF);
         assert_eq!(stopped, Velocity { linear: DVec2::new(0.0, 0.02), turn: 0.3 });
-        assert!(keeping_off(ahead, &[DVec2::new(0.2, 0.0)]).linear.x < 0.0);
-        assert_eq!(keeping_off(ahead, &[DVec2::new(-0.3, 0.0)]), ahead);
+        assert!(keeping_off(ahead, &[DVec2::new(0.2, 0.0)], KEEP_OFF).linear.x < 0.0);
+        assert_eq!(keeping_off(ahead, &[DVec2::new(-0.3, 0.0)], KEEP_OFF), ahead);
     }
 
     #[test]
