@@ -92,8 +92,9 @@ const REST: Duration = Duration::from_secs(1);
 /// Within this distance the robot begins to step in all directions, in m, and farther than that it turns and walks again.
 const NEAR: f64 = 0.25;
 const NO_LONGER_NEAR: f64 = 0.35;
-/// Ahead of its place by more than this, in m, a robot does nothing but step back.
+/// Ahead of its place by more than this, in m, a robot does nothing but step back, unless it first has to turn by more than that, in rad.
 const BACK_FIRST: f64 = -0.03;
+const NOT_TURNED: f64 = 0.5;
 /// How far behind the place of a kick the approach ends, in m.
 const BEHIND: f64 = 0.1;
 /// How far behind the ball a push begins, in m.
@@ -345,7 +346,7 @@ fn far(to: DVec2, settings: &Settings) -> Velocity {
 /// Steps in all directions; back first, since a gait that also steps aside or turns hardly gets back.
 fn near(to: DVec2, heading: f64, settings: &Settings) -> Velocity {
     let limit = DVec2::new(settings.forward / 2.0, settings.side);
-    if to.x < BACK_FIRST {
+    if to.x < BACK_FIRST && heading.abs() < NOT_TURNED {
         return Velocity { linear: DVec2::new(-limit.x, 0.0), turn: 0.0 };
     }
     let turn = (TURN_GAIN * wrapped(heading)).clamp(-settings.turn, settings.turn);
