@@ -164,13 +164,13 @@ impl WalkTo {
             let position = here.position + DVec2::from_angle(here.heading).rotate(goal.position);
             self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
         }
-        let [others, fallen] = here.map_or_else(Default::default, |here| {
-            let seen = |is_chosen: fn(&&Other) -> bool| {
-                let chosen = self.beliefs.robots(now).iter().filter(is_chosen);
-                chosen.map(|other| here.point(other.position)).collect::<Vec<_>>()
-            };
-            [seen(|_| true), seen(|other| other.is_fallen)]
+        // Where the others are as seen from here, and what distance is kept from them.
+        let kept: Vec<_> = here.map_or_else(Vec::new, |here| {
+            let others = self.beliefs.robots(now).iter();
+            let keep = |other: &Other| if other.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
+            others.map(|other| (here.point(other.position), keep(other))).collect()
         });
+        let others: Vec<_> = kept.iter().map(|(other, _)| *other).collect();
         let (velocity, state) = match (self.goal, here) {
             (Goal::Nothing, _) => (None, "idle"),
             (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
@@ -186,9 +186,12 @@ impl WalkTo {
                 None => (None, "blind"),
             },
         };
-        if let Some(Velocity { linear, turn }) = velocity
-            .map(|velocity| keeping_off(keeping_off(velocity, &others, KEEP_OFF), &fallen, KEEP_OFF_FALLEN))
-        {
+        // Who has the ball at its feet does not shrink back from those on its other side.
+        let has_ball = self.is_closing_in && matches!(self.goal, Goal::Kick(_) | Goal::Dribble(_));
+        let ball = here.zip(self.beliefs.ball(now)).filter(|_| has_ball).map(|(here, ball)| here.point(ball));
+        let is_beyond = |other: DVec2| ball.is_some_and(|ball| ball.dot(other) > ball.length_squared());
+        let near = kept.iter().filter(|(other, _)| !is_beyond(*other));
+        if let Some(Velocity { linear, turn }) = velocity.map(|velocity| keeping_off(velocity, near)) {
             let mut twist = Twist::default();
             (twist.linear.x, twist.linear.y, twist.angular.z) = (linear.x, linear.y, turn);
             ctx.publish(ctx.ports.cmd_vel, twist);
@@ -289,10 +292,10 @@ impl WalkTo {
 }
 
 /// Not nearer to those who are near, and away from who is very near: robots that touch fall.
-fn keeping_off(mut velocity: Velocity, others: &[DVec2], keep: f64) -> Velocity {
-    for other in others {
+fn keeping_off<'a>(mut velocity: Velocity, others: impl IntoIterator<Item = &'a (DVec2, f64)>) -> Velocity {
+    for (other, keep) in others {
         let distance = other.length();
-        if !(1e-3..=keep).contains(&distance) {
+        if !(1e-3..=*keep).contains(&distance) {
             continue;
         }
         let towards = *other / distance;
@@ -465,11 +468,12 @@ mod tests {
 
     #[test]
     fn nobody_walks_into_others() {
+        let at = |ahead| (DVec2::new(ahead, 0.0), KEEP_OFF);
         let ahead = Velocity { linear: DVec2::new(0.1, 0.02), turn: 0.3 };
-        let stopped = keeping_off(ahead, &[DVec2::new(0.3, 0.0), DVec2::new(2.0, 0.0)], KEEP_OFF);
+        let stopped = keeping_off(ahead, &[at(0.3), at(2.0)]);
         assert_eq!(stopped, Velocity { linear: DVec2::new(0.0, 0.02), turn: 0.3 });
-        assert!(keeping_off(ahead, &[DVec2::new(0.2, 0.0)], KEEP_OFF).linear.x < 0.0);
-        assert_eq!(keeping_off(ahead, &[DVec2::new(-0.3, 0.0)], KEEP_OFF), ahead);
+        assert!(keeping_off(ahead, &[at(0.2)]).linear.x < 0.0);
+        assert_eq!(keeping_off(ahead, &[at(-0.3)]), ahead);
     }
 
     #[test]
