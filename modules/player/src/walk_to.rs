@@ -49,6 +49,8 @@ pub struct WalkTo {
     foot: Option<f64>,
     /// Whether it steps in all directions and does not walk forward.
     steps: bool,
+    /// For how many ticks in a row it has been ahead of its place.
+    ticks_back: u32,
     /// Whether it is close behind the ball.
     is_closing_in: bool,
     /// The side on which it pushes the ball past somebody: 1 for the left one, -1 for the right one.
@@ -95,6 +97,7 @@ const NO_LONGER_NEAR: f64 = 0.35;
 /// Ahead of its place by more than this, in m, a robot does nothing but step back, unless it first has to turn by more than that, in rad.
 const BACK_FIRST: f64 = -0.03;
 const NOT_TURNED: f64 = 0.5;
+const BACK_FOR: Duration = Duration::from_secs(4);
 /// How far behind the place of a kick the approach ends, in m.
 const BEHIND: f64 = 0.1;
 /// How far behind the ball a push begins, in m.
@@ -243,7 +246,7 @@ impl WalkTo {
             // First to the side and around, then ahead: toes that step beside the place of the kick push the ball.
             let ahead = if is_beside(0.8) { off.x } else { off.x - BEHIND };
             let step = DVec2::from_angle(heading).rotate(DVec2::new(ahead, off.y));
-            near(step, heading, settings)
+            self.step(step, heading, settings)
         } else {
             let place = off - DVec2::new(BEHIND, 0.0);
             let way = around(DVec2::from_angle(heading).rotate(place), ball);
@@ -284,10 +287,23 @@ impl WalkTo {
         (Some(self.step_or_walk(goal.position, goal.heading, others, settings)), "walking")
     }
 
+    /// Steps in all directions; back first, since a gait that also steps aside or turns hardly gets back. Some hardly get back at all:
+    /// after a while it is no longer waited for.
+    fn step(&mut self, to: DVec2, heading: f64, settings: &Settings) -> Velocity {
+        let limit = DVec2::new(settings.forward / 2.0, settings.side);
+        let is_ahead = to.x < BACK_FIRST && heading.abs() < NOT_TURNED;
+        self.ticks_back = if is_ahead { self.ticks_back.saturating_add(1) } else { 0 };
+        if is_ahead && PERIOD * self.ticks_back < BACK_FOR {
+            return Velocity { linear: DVec2::new(-limit.x, 0.0), turn: 0.0 };
+        }
+        let turn = (TURN_GAIN * wrapped(heading)).clamp(-settings.turn, settings.turn);
+        Velocity { linear: (to * GAIN).clamp(-limit, limit), turn }
+    }
+
     /// To a place, with a heading there.
     fn step_or_walk(&mut self, to: DVec2, heading: f64, others: &[DVec2], settings: &Settings) -> Velocity {
         self.steps = to.length() < if self.steps { NO_LONGER_NEAR } else { NEAR };
-        if self.steps { near(to, heading, settings) } else { far(avoiding(to, others), settings) }
+        if self.steps { self.step(to, heading, settings) } else { far(avoiding(to, others), settings) }
     }
 }
 
@@ -344,16 +360,6 @@ fn far(to: DVec2, settings: &Settings) -> Velocity {
     let share = bearing.cos().max(0.0).powi(4);
     let turn = (TURN_GAIN * bearing).clamp(-settings.turn, settings.turn);
     Velocity { linear: DVec2::new(settings.forward * share, 0.0), turn }
-}
-
-/// Steps in all directions; back first, since a gait that also steps aside or turns hardly gets back.
-fn near(to: DVec2, heading: f64, settings: &Settings) -> Velocity {
-    let limit = DVec2::new(settings.forward / 2.0, settings.side);
-    if to.x < BACK_FIRST && heading.abs() < NOT_TURNED {
-        return Velocity { linear: DVec2::new(-limit.x, 0.0), turn: 0.0 };
-    }
-    let turn = (TURN_GAIN * wrapped(heading)).clamp(-settings.turn, settings.turn);
-    Velocity { linear: (to * GAIN).clamp(-limit, limit), turn }
 }
 
 /// Where to go first on the way to a point, so as not to walk through the ball.
@@ -491,7 +497,12 @@ mod tests {
         let settings = Settings::default();
         let behind = far(DVec2::new(-1.0, 0.1), &settings);
         assert!(behind.linear.length() < 1e-9 && behind.turn > 0.5, "{behind:?}");
-        let aside = near(DVec2::new(0.0, -0.2), 0.0, &settings);
+        let mut walk = WalkTo::default();
+        let aside = walk.step(DVec2::new(0.0, -0.2), 0.0, &settings);
         assert!(aside.linear.y < -0.04 && aside.turn == 0.0, "{aside:?}");
+        let back = |walk: &mut WalkTo| walk.step(DVec2::new(-0.1, 0.1), 0.2, &settings);
+        assert_eq!(back(&mut walk), Velocity { linear: DVec2::new(-settings.forward / 2.0, 0.0), turn: 0.0 });
+        let later = (0..100).map(|_| back(&mut walk)).last().unwrap();
+        assert!(later.linear.y > 0.04 && later.turn > 0.1, "{later:?}");
     }
 }
