@@ -20,6 +20,9 @@ const SOURCES: [&str; 4] =
 /// How high `base_link` of a simulated Darwin OP is, in m: the setting of `head` in the robot files.
 const HEIGHT: f64 = 0.29;
 
+/// Where the goal posts of the field `kid_size_2013` are, in m: the setting of `walk_to` in the robot files.
+const POSTS: [f64; 8] = [3.0, 0.8, 3.0, -0.8, -3.0, 0.8, -3.0, -0.8];
+
 /// Adds the modules of a player with all skills, without what decides: as `robots/football/player.toml` does, in the namespace of its
 /// name, at the port `memory:NAME`. The seed is that of the noise of what it believes.
 ///
@@ -55,7 +58,7 @@ pub fn add_body(
     let head = player.options([("height", head_height.into())]);
     player.add_with("head", Head::default(), ModuleOptions { remaps: [joint("ball")].into(), ..head })?;
     let remaps = [joint("ball"), joint("robots")].into();
-    let walk_to = ModuleOptions { remaps, ..player.options([]) };
+    let walk_to = ModuleOptions { remaps, ..player.options([("posts", POSTS.to_vec().into())]) };
     player.add_with("walk_to", WalkTo::default(), walk_to)?;
     let sources = SOURCES.map(str::to_owned).to_vec();
     player.add("mux", JointCommandMux::default(), [("sources", sources.into())])

@@ -26,6 +26,7 @@
 //! | `kick_ahead`, `kick_aside` | where the ball is for a kick: ahead of `base_link` and to the side of the foot, m |
 //! | `kick_reach`, `kick_width`, `kick_angle` | how far it may be off, m and rad |
 //! | `there_distance`, `there_angle` | how far the robot may be off at a place, m and rad |
+//! | `posts` | goal posts in `map`, which it walks around: x and y in turn, m |
 
 use crate::beliefs::{Beliefs, Other, Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
@@ -62,6 +63,7 @@ pub struct WalkTo {
 pub struct Ports {
     cmd_vel: Publication<Twist>,
     state: Publication<Text>,
+    posts: Setting<Vec<f64>>,
     settings: SettingKeys,
 }
 
@@ -104,10 +106,11 @@ const BEHIND: f64 = 0.1;
 const PUSH_FROM: f64 = 0.225;
 /// The distance that the robot keeps from a ball that it goes around, in m.
 const CLEARANCE: f64 = 0.3;
-/// The distance that the robot keeps from others, and from those who lie and need room to get up, in m; how fast it backs off from
+/// The distance that the robot keeps from others, from those who lie and need room to get up, and from posts, in m; how fast it backs off from
 /// who is much nearer, in m/s.
 const KEEP_OFF: f64 = 0.3;
 const KEEP_OFF_FALLEN: f64 = 0.5;
+const KEEP_OFF_POST: f64 = 0.2;
 const BACK_OFF: f64 = 0.05;
 /// By how much the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
@@ -167,24 +170,29 @@ impl WalkTo {
             let position = here.position + DVec2::from_angle(here.heading).rotate(goal.position);
             self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
         }
-        // Where the others are as seen from here, and what distance is kept from them.
+        // Robots and posts as seen from here, and what distance is kept from them.
         let kept: Vec<_> = here.map_or_else(Vec::new, |here| {
-            let others = self.beliefs.robots(now).iter();
             let keep = |other: &Other| if other.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
-            others.map(|other| (here.point(other.position), keep(other))).collect()
+            let robots = self.beliefs.robots(now).iter().map(|other| (other.position, keep(other)));
+            let posts = ctx.get(ctx.ports.posts).as_chunks().0.iter();
+            let posts = posts.map(|post: &[f64; 2]| (DVec2::from(*post), KEEP_OFF_POST));
+            robots.chain(posts).map(|(place, keep)| (here.point(place), keep)).collect()
         });
-        let others: Vec<_> = kept.iter().map(|(other, _)| *other).collect();
+        let obstacles: Vec<_> = kept.iter().map(|(obstacle, _)| *obstacle).collect();
+        let others = &obstacles[..self.beliefs.robots(now).len().min(obstacles.len())];
         let (velocity, state) = match (self.goal, here) {
             (Goal::Nothing, _) => (None, "idle"),
             (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
-            (Goal::Place(goal), Some(here)) => self.walk_to_place(goal.seen_from(here), &others, &settings),
+            (Goal::Place(goal), Some(here)) => {
+                self.walk_to_place(goal.seen_from(here), &obstacles, &settings)
+            }
             (Goal::Kick(target) | Goal::Dribble(target), Some(here)) => match self.beliefs.ball(now) {
                 Some(ball) if matches!(self.goal, Goal::Kick(_)) => {
-                    self.line_up(here.point(ball), here.point(target), &others, now, &settings)
+                    self.line_up(here.point(ball), here.point(target), &obstacles, now, &settings)
                 }
                 Some(ball) => {
-                    let target = past(&others, here.point(ball), here.point(target), &mut self.passing);
-                    (Some(self.dribble(here.point(ball), target, &others, &settings)), "walking")
+                    let target = past(others, here.point(ball), here.point(target), &mut self.passing);
+                    (Some(self.dribble(here.point(ball), target, &obstacles, &settings)), "walking")
                 }
                 None => (None, "blind"),
             },
@@ -423,6 +431,7 @@ impl Module for WalkTo {
         Ok(Ports {
             cmd_vel: setup.publish("cmd_vel")?,
             state: setup.publish("walk_to/state")?,
+            posts: setup.setting("posts", Vec::new(), "m; where posts are in `map`, x and y in turn")?,
             settings: SettingKeys::declare(setup)?,
         })
     }
