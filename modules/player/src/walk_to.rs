@@ -96,7 +96,8 @@ const REST: Duration = Duration::from_secs(1);
 /// Within this distance the robot begins to step in all directions, in m, and farther than that it turns and walks again.
 const NEAR: f64 = 0.25;
 const NO_LONGER_NEAR: f64 = 0.35;
-/// Ahead of its place by more than this, in m, a robot does nothing but step back, unless it first has to turn by more than that, in rad.
+/// A robot that is ahead of its place by more than this, in m, does nothing but step back for a while, unless it first has to turn by
+/// more than that, in rad.
 const BACK_FIRST: f64 = -0.03;
 const NOT_TURNED: f64 = 0.5;
 const BACK_FOR: Duration = Duration::from_secs(4);
@@ -106,8 +107,8 @@ const BEHIND: f64 = 0.1;
 const PUSH_FROM: f64 = 0.225;
 /// The distance that the robot keeps from a ball that it goes around, in m.
 const CLEARANCE: f64 = 0.3;
-/// The distance that the robot keeps from others, from those who lie and need room to get up, and from posts, in m; how fast it backs off from
-/// who is much nearer, in m/s.
+/// The distance that the robot keeps from others, from those who lie and need room to get up, and from posts, in m; how fast it backs
+/// off from who is much nearer, in m/s.
 const KEEP_OFF: f64 = 0.3;
 const KEEP_OFF_FALLEN: f64 = 0.5;
 const KEEP_OFF_POST: f64 = 0.2;
@@ -175,7 +176,8 @@ impl WalkTo {
             let keep = |other: &Other| if other.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
             let robots = self.beliefs.robots(now).iter().map(|other| (other.position, keep(other)));
             let posts = ctx.get(ctx.ports.posts).as_chunks().0.iter();
-            let posts = posts.map(|post: &[f64; 2]| (DVec2::from(*post), KEEP_OFF_POST));
+            let posts = posts.map(|post: &[f64; 2]| DVec2::from(*post)).filter(|post| post.is_finite());
+            let posts = posts.map(|post| (post, KEEP_OFF_POST));
             robots.chain(posts).map(|(place, keep)| (here.point(place), keep)).collect()
         });
         let obstacles: Vec<_> = kept.iter().map(|(obstacle, _)| *obstacle).collect();
@@ -511,7 +513,10 @@ mod tests {
         assert!(aside.linear.y < -0.04 && aside.turn == 0.0, "{aside:?}");
         let back = |walk: &mut WalkTo| walk.step(DVec2::new(-0.1, 0.1), 0.2, &settings);
         assert_eq!(back(&mut walk), Velocity { linear: DVec2::new(-settings.forward / 2.0, 0.0), turn: 0.0 });
-        let later = (0..100).map(|_| back(&mut walk)).last().unwrap();
+        for _ in 0..100 {
+            back(&mut walk);
+        }
+        let later = back(&mut walk);
         assert!(later.linear.y > 0.04 && later.turn > 0.1, "{later:?}");
     }
 }
