@@ -20,6 +20,9 @@ const SOURCES: [&str; 4] =
 /// How high `base_link` of a simulated Darwin OP is, in m: the setting of `head` in the robot files.
 const HEIGHT: f64 = 0.29;
 
+/// For how long a servo rests that has switched itself off, in s: the setting of `hardware` in the robot files.
+const SHUTDOWN_REST_S: f64 = 2.0;
+
 /// Where the goal posts of the field `kid_size_2013` are, in m: the setting of `walk_to` in the robot files.
 const POSTS: [f64; 8] = [3.0, 0.8, 3.0, -0.8, -3.0, 0.8, -3.0, -0.8];
 
@@ -45,7 +48,7 @@ pub fn add_body(
 ) -> Result<(), SetupError> {
     let mut player = Player { core, name };
     let port = ("port", format!("memory:{name}").into());
-    let mut hardware = player.options([port]);
+    let mut hardware = player.options([port, ("shutdown_rest_s", SHUTDOWN_REST_S.into())]);
     hardware.remaps.insert("joint_commands".to_owned(), "joint_goals".to_owned());
     player.add_with("hardware", DarwinOp::new(Box::new(ports.bus())), hardware)?;
     player.add("imu_filter", ImuFilter::default(), [])?;

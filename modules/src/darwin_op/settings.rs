@@ -26,6 +26,7 @@ pub(super) struct SettingKeys {
     calibrate_gyro: Setting<bool>,
     foot_sensors: Setting<bool>,
     check_eeprom: Setting<bool>,
+    shutdown_rest_s: Setting<f64>,
     hardware_id: Setting<String>,
     imu_frame: Setting<String>,
     joint_frame: Setting<String>,
@@ -42,6 +43,7 @@ pub(super) struct Settings {
     pub(super) calibrate_gyro: bool,
     pub(super) foot_sensors: bool,
     pub(super) check_eeprom: bool,
+    pub(super) shutdown_rest_s: f64,
     pub(super) hardware_id: String,
     pub(super) imu_frame: String,
     pub(super) joint_frame: String,
@@ -64,6 +66,7 @@ impl Default for Settings {
             calibrate_gyro: false,
             foot_sensors: false,
             check_eeprom: false,
+            shutdown_rest_s: 0.0,
             hardware_id: String::new(),
             imu_frame: String::new(),
             joint_frame: String::new(),
@@ -97,6 +100,7 @@ impl Settings {
     fn joints(&self, model: &Arc<Model>) -> Vec<Joint> {
         // A test checks that the model has all registers.
         let Ok(registers) = Registers::of(model) else { unreachable!() };
+        let shutdown_rest_s = Some(self.shutdown_rest_s).filter(|rest| *rest > 0.0);
         let joint = |(joint, offset): (&super::tables::joints::Joint, i16)| Joint {
             name: joint.name.to_owned(),
             declared_at: None,
@@ -114,7 +118,7 @@ impl Settings {
             max_current_a: None,
             further: if self.check_eeprom { persistent(model, joint) } else { Vec::new() },
             approach_steps: APPROACH_TICKS,
-            guard: Guard::default(),
+            guard: Guard { shutdown_rest_s, ..Guard::default() },
         };
         JOINTS.iter().zip(self.offset_ticks).map(joint).collect()
     }
@@ -227,6 +231,12 @@ impl SettingKeys {
                 false,
                 "whether the limits and alarms that servos keep without power are written if they differ",
             )?,
+            shutdown_rest_s: setup.setting_in(
+                "shutdown_rest_s",
+                0.0,
+                0.0..=3600.0,
+                "s; for how long a servo rests that has switched itself off for overload or heat, from when it is cool, until it gets its torque again; 0 leaves it off",
+            )?,
             hardware_id: setup.setting(
                 "hardware_id",
                 "darwin_op".to_owned(),
@@ -265,6 +275,7 @@ impl SettingKeys {
             setup.on_change(gain, changed);
         }
         setup.on_change(self.gyro_full_scale_dps, changed);
+        setup.on_change(self.shutdown_rest_s, changed);
         setup.on_change(self.offset_ticks, changed);
     }
 
@@ -290,6 +301,7 @@ impl SettingKeys {
             calibrate_gyro: *ctx.get(self.calibrate_gyro),
             foot_sensors: *ctx.get(self.foot_sensors),
             check_eeprom: *ctx.get(self.check_eeprom),
+            shutdown_rest_s: *ctx.get(self.shutdown_rest_s),
             hardware_id: ctx.get(self.hardware_id).clone(),
             imu_frame: ctx.get(self.imu_frame).clone(),
             joint_frame: ctx.get(self.joint_frame).clone(),

@@ -116,7 +116,9 @@ fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
         Service::Unknown => DiagnosticStatus::STALE,
         Service::Active if driver.phase != Phase::Running => DiagnosticStatus::STALE,
         Service::Active if servo.protection == Protection::Off => DiagnosticStatus::ERROR,
-        Service::Active if servo.link.error.is_none() && servo.protection == Protection::None => {
+        Service::Active
+            if servo.link.error.is_none() && servo.protection == Protection::None && !servo.rests() =>
+        {
             DiagnosticStatus::OK
         }
         Service::Active => DiagnosticStatus::WARN,
@@ -198,6 +200,10 @@ fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
             }
         }
         (Service::Active, _) if !servo.wants_torque() => "OK, torque is off".to_owned(),
+        (Service::Active, StatusError::NONE) if servo.rests() => {
+            "after overload or heat it has probably switched its torque off; command its torque again"
+                .to_owned()
+        }
         (Service::Active, StatusError::NONE) => "OK".to_owned(),
         (Service::Active, alarms) => format!("the servo reports: {alarms}"),
         (Service::Silent { .. } | Service::Unsuitable { .. }, _) => {

@@ -357,6 +357,9 @@ impl Driver {
     }
 
     fn cycle(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) -> Result<Reading, PortFailed> {
+        for (servo, joint) in self.servos.iter_mut().zip(&plan.joints) {
+            servo.rest(joint, now);
+        }
         self.write_softness(plan, line)?;
         let (on, off) = self.torque_writes(plan);
         self.write_all(line, off)?;

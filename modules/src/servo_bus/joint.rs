@@ -226,7 +226,7 @@ impl Joint {
     }
 }
 
-/// Thresholds of temperature and voltage.
+/// Thresholds of temperature and voltage, and what follows a shutdown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Guard {
@@ -234,6 +234,9 @@ pub struct Guard {
     pub temperature_c: Option<Thresholds>,
     /// In V: protection below these.
     pub voltage_v: Option<Thresholds>,
+    /// For how long a servo rests that has switched itself off for overload or heat, in s from when it is cool, until it gets its torque
+    /// again; without, it stays off until its torque is commanded.
+    pub shutdown_rest_s: Option<f64>,
 }
 
 /// Where protection begins.
@@ -304,6 +307,11 @@ impl Guard {
                 ));
             }
         }
-        Ok(())
+        match self.shutdown_rest_s {
+            Some(rest) if !(0.1..=3600.0).contains(&rest) => {
+                Err(format!("has a guard with the shutdown_rest_s {rest}: from 0.1 to 3600"))
+            }
+            _ => Ok(()),
+        }
     }
 }

@@ -88,6 +88,8 @@ pub(crate) struct Servo {
     pub(crate) protection: Protection,
     /// A change of the protection that begins to take effect, and since when.
     pending: Option<(Protection, Time)>,
+    /// Since when it has rested after it switched itself off.
+    resting_since: Option<Time>,
     /// Whether torque is commanded.
     is_torque_commanded: bool,
     /// The commanded share of its largest torque.
@@ -123,6 +125,7 @@ impl Servo {
             misfit: None,
             protection: Protection::None,
             pending: None,
+            resting_since: None,
             is_torque_commanded: true,
             commanded_share: 1.0,
             torque: (true, 0),
@@ -148,9 +151,43 @@ impl Servo {
             if self.protection == Protection::Off {
                 (self.protection, self.pending) = (Protection::Soften, None);
             }
+            if self.rests() {
+                self.try_again();
+            }
         } else {
             self.wanted = None;
         }
+    }
+
+    /// Lets a servo that has switched itself off try again after the rest that its guard grants.
+    pub(crate) fn rest(&mut self, joint: &Joint, now: Time) {
+        let error = self.link.error;
+        if !self.wants_torque() {
+            self.resting_since = None;
+        } else if self.link.is_active() && error.intersects(StatusError::OVERLOAD | StatusError::OVERHEATING)
+        {
+            if self.resting_since.is_none() {
+                tracing::warn!("{} switches its torque off, if its shutdown is set so: {error}", joint.name);
+            }
+            let is_hot = error.contains(StatusError::OVERHEATING);
+            self.resting_since = self.resting_since.filter(|_| !is_hot).or(Some(now));
+        }
+        let rest = joint.guard.shutdown_rest_s.map(Duration::from_secs_f64);
+        if self.resting_since.zip(rest).is_some_and(|(since, rest)| since + rest <= now) {
+            self.try_again();
+        }
+    }
+
+    /// Whether it has probably no torque, since it switched itself off.
+    pub(crate) fn rests(&self) -> bool {
+        self.resting_since.is_some()
+    }
+
+    /// Writes torque and torque limit once more, which a shutdown sets to 0 (e-manual of the MX-28, "Shutdown").
+    fn try_again(&mut self) {
+        self.resting_since = None;
+        self.torque = (false, 0);
+        self.written.torque_limit = Some(0);
     }
 
     /// Returns whether it is to have torque.
@@ -571,7 +608,7 @@ mod tests {
         let text = "name = \"x\"\n[[bus]]\nname = \"b\"\nport = \"p\"\nbaud = 1000000\nprotocol = \"dynamixel1\"\ncycle_ms = 8\n[[joint]]\nname = \"j\"\nid = 1\nmodel = \"MX-28\"\nlimits = [-1.0, 1.0]";
         let description = super::super::description::Description::parse("x", text).unwrap();
         let mut joint = description.buses()[0].joints[0].clone();
-        joint.guard = Guard { temperature_c: Some(temperature), voltage_v: None };
+        joint.guard = Guard { temperature_c: Some(temperature), ..Guard::default() };
         joint
     }
 
@@ -607,5 +644,36 @@ mod tests {
         feel(&mut servo, 20.0, 10_000);
         assert_eq!(feel(&mut servo, 20.0, 11_000), Protection::None);
         assert_eq!(servo.softness(&joint).torque_limit, Some(1023));
+    }
+
+    #[test]
+    fn a_servo_that_switched_itself_off_rests_and_gets_its_torque_again() {
+        let mut joint = guarded(Thresholds::default());
+        joint.guard.shutdown_rest_s = Some(2.0);
+        let at = |ms: i64| Time::from_nanos(ms * 1_000_000);
+        let mut servo = Servo::new();
+        let softness = servo.softness(&joint);
+        servo.join(2048, softness);
+        let is_written = |servo: &mut Servo, error, ms| {
+            servo.link.error = error;
+            servo.rest(&joint, at(ms));
+            let limit = servo.softness(&joint).torque_limit;
+            (servo.decide_torque(), limit != servo.written.torque_limit)
+        };
+        assert_eq!(is_written(&mut servo, StatusError::NONE, 0), (false, false));
+        assert_eq!(is_written(&mut servo, StatusError::OVERHEATING, 1000), (false, false));
+        assert_eq!(is_written(&mut servo, StatusError::OVERHEATING, 9000), (false, false));
+        assert!(servo.rests());
+        assert_eq!(is_written(&mut servo, StatusError::NONE, 10_000), (false, false), "it has just cooled");
+        assert_eq!(is_written(&mut servo, StatusError::NONE, 11_000), (true, true));
+        assert!(!servo.rests() && servo.has_torque());
+        joint.guard.shutdown_rest_s = None;
+        servo.link.error = StatusError::OVERLOAD;
+        servo.rest(&joint, at(20_000));
+        servo.link.error = StatusError::NONE;
+        servo.rest(&joint, at(99_000));
+        assert!(servo.rests(), "until its torque is commanded");
+        servo.command_torque(1.0);
+        assert!(servo.decide_torque() && !servo.rests());
     }
 }
