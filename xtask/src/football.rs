@@ -109,7 +109,9 @@ fn localisation(walks: u64) -> anyhow::Result<Vec<Finding>> {
     let tests =
         ["--nocapture", "--test-threads=1", "twenty_walks_are_followed", "a_kidnapped_robot_finds_back"];
     let printed = output_of(cargo(&test).args(tests).env("DOWNBEAT_WALKS", walks.to_string()))?.text;
-    let line = printed.lines().find(|line| line.starts_with("median ")).context("no line of the walks")?;
+    // The name of the test may be on the same line.
+    let line =
+        printed.lines().find(|line| line.contains("heading: median ")).context("no line of the walks")?;
     let heading = line.split_once("heading: ").map_or("", |(_, heading)| heading);
     let back =
         printed.lines().find_map(|line| line.strip_suffix(" are back")?.split(' ').next()?.parse().ok());
