@@ -11,9 +11,9 @@
 //!
 //! A robot that tilts by more than `tilt_limit` falls. Its joints are then commanded to where they are, so that the
 //! servos hold with nothing but friction. When it has lain still for `still_s`, it plays the motion for the side on
-//! which it lies, up to `attempts` times in a row; from back and sides it may first roll on its front, in turn over one side and
-//! over the other. After the last attempt it is helpless, until somebody puts it on its feet. Modules that walk pause while the state is not
-//! `upright`.
+//! which it lies, up to `attempts` times in a row; from back and sides it may first roll on its front, in turn over one
+//! side and over the other. After the last attempt it is helpless, until somebody puts it on its feet. Modules that walk
+//! pause while the state is not `upright`.
 //!
 //! | setting | |
 //! | --- | --- |
@@ -141,11 +141,11 @@ impl Falls {
         }
         self.attempts += 1;
         // Whatever is in the way of a roll may be so again: the next one goes to the other side.
-        let is_next = self.attempts % 2 == 0;
+        let swaps = self.attempts % 2 == 0;
         let name = match side {
             Side::Front => "get_up_front",
-            Side::Back | Side::Right if !is_next => "get_up_back",
-            Side::Left if is_next => "get_up_back",
+            Side::Back | Side::Right if !swaps => "get_up_back",
+            Side::Left if swaps => "get_up_back",
             Side::Back | Side::Right | Side::Left => "get_up_left",
         };
         tracing::info!("the robot lies on its {side} and plays \"{name}\", attempt {}", self.attempts);

@@ -78,6 +78,14 @@ enum Goal {
     Dribble(DVec2),
 }
 
+/// What it does not walk into, as seen from where it is, in m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Obstacle {
+    at: DVec2,
+    /// The distance that is kept.
+    keep: f64,
+}
+
 /// Ahead and to the left, in m/s, and to the left, in rad/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Velocity {
@@ -171,17 +179,9 @@ impl WalkTo {
             let position = here.position + DVec2::from_angle(here.heading).rotate(goal.position);
             self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
         }
-        // Robots and posts as seen from here, and what distance is kept from them.
-        let kept: Vec<_> = here.map_or_else(Vec::new, |here| {
-            let keep = |other: &Other| if other.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
-            let robots = self.beliefs.robots(now).iter().map(|other| (other.position, keep(other)));
-            let posts = ctx.get(ctx.ports.posts).as_chunks().0.iter();
-            let posts = posts.map(|post: &[f64; 2]| DVec2::from(*post)).filter(|post| post.is_finite());
-            let posts = posts.map(|post| (post, KEEP_OFF_POST));
-            robots.chain(posts).map(|(place, keep)| (here.point(place), keep)).collect()
-        });
-        let obstacles: Vec<_> = kept.iter().map(|(obstacle, _)| *obstacle).collect();
-        let others = &obstacles[..self.beliefs.robots(now).len().min(obstacles.len())];
+        let robots = here.map_or_else(Vec::new, |here| self.robots_from(here, now));
+        let posts = here.map_or_else(Vec::new, |here| posts_from(here, ctx.get::<Vec<f64>>(ctx.ports.posts)));
+        let obstacles = [robots.as_slice(), &posts].concat();
         let (velocity, state) = match (self.goal, here) {
             (Goal::Nothing, _) => (None, "idle"),
             (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
@@ -193,7 +193,7 @@ impl WalkTo {
                     self.line_up(here.point(ball), here.point(target), &obstacles, now, &settings)
                 }
                 Some(ball) => {
-                    let target = past(others, here.point(ball), here.point(target), &mut self.passing);
+                    let target = past(&robots, here.point(ball), here.point(target), &mut self.passing);
                     (Some(self.dribble(here.point(ball), target, &obstacles, &settings)), "walking")
                 }
                 None => (None, "blind"),
@@ -202,8 +202,8 @@ impl WalkTo {
         // Who has the ball at its feet does not shrink back from those on its other side.
         let has_ball = self.is_closing_in && matches!(self.goal, Goal::Kick(_) | Goal::Dribble(_));
         let ball = here.zip(self.beliefs.ball(now)).filter(|_| has_ball).map(|(here, ball)| here.point(ball));
-        let is_beyond = |other: DVec2| ball.is_some_and(|ball| ball.dot(other) > ball.length_squared());
-        let near = kept.iter().filter(|(other, _)| !is_beyond(*other));
+        let is_beyond = |at: DVec2| ball.is_some_and(|ball| ball.dot(at) > ball.length_squared());
+        let near = obstacles.iter().filter(|obstacle| !is_beyond(obstacle.at));
         if let Some(Velocity { linear, turn }) = velocity.map(|velocity| keeping_off(velocity, near)) {
             let mut twist = Twist::default();
             (twist.linear.x, twist.linear.y, twist.angular.z) = (linear.x, linear.y, turn);
@@ -215,12 +215,19 @@ impl WalkTo {
         }
     }
 
+    /// The other robots as seen from here.
+    fn robots_from(&self, here: Place, now: Time) -> Vec<Obstacle> {
+        let keep = |robot: &Other| if robot.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
+        let robots = self.beliefs.robots(now).iter();
+        robots.map(|robot| Obstacle { at: here.point(robot.position), keep: keep(robot) }).collect()
+    }
+
     /// Ball and target as seen from here.
     fn line_up(
         &mut self,
         ball: DVec2,
         target: DVec2,
-        others: &[DVec2],
+        obstacles: &[Obstacle],
         now: Time,
         settings: &Settings,
     ) -> (Option<Velocity>, &'static str) {
@@ -260,13 +267,19 @@ impl WalkTo {
         } else {
             let place = off - DVec2::new(BEHIND, 0.0);
             let way = around(DVec2::from_angle(heading).rotate(place), ball);
-            self.step_or_walk(way, heading, others, settings)
+            self.step_or_walk(way, heading, obstacles, settings)
         };
         (Some(velocity), "walking")
     }
 
     /// Ball and target as seen from here: behind the ball on the way to the target it walks on, through the ball.
-    fn dribble(&mut self, ball: DVec2, target: DVec2, others: &[DVec2], settings: &Settings) -> Velocity {
+    fn dribble(
+        &mut self,
+        ball: DVec2,
+        target: DVec2,
+        obstacles: &[Obstacle],
+        settings: &Settings,
+    ) -> Velocity {
         let direction = target - ball;
         let heading = if direction.length() > 1e-3 { direction.to_angle() } else { 0.0 };
         let straight = DVec2::from_angle(-heading).rotate(ball);
@@ -281,20 +294,20 @@ impl WalkTo {
         }
         let place = straight - DVec2::new(PUSH_FROM, 0.0);
         let way = around(DVec2::from_angle(heading).rotate(place), ball);
-        self.step_or_walk(way, heading, others, settings)
+        self.step_or_walk(way, heading, obstacles, settings)
     }
 
     /// A goal as seen from here.
     fn walk_to_place(
         &mut self,
         goal: Place,
-        others: &[DVec2],
+        obstacles: &[Obstacle],
         settings: &Settings,
     ) -> (Option<Velocity>, &'static str) {
         if goal.position.length() < settings.there_distance && goal.heading.abs() < settings.there_angle {
             return (Some(Velocity::default()), "there");
         }
-        (Some(self.step_or_walk(goal.position, goal.heading, others, settings)), "walking")
+        (Some(self.step_or_walk(goal.position, goal.heading, obstacles, settings)), "walking")
     }
 
     /// Steps in all directions; back first, since a gait that also steps aside or turns hardly gets back. Some hardly get back at all:
@@ -311,20 +324,26 @@ impl WalkTo {
     }
 
     /// To a place, with a heading there.
-    fn step_or_walk(&mut self, to: DVec2, heading: f64, others: &[DVec2], settings: &Settings) -> Velocity {
+    fn step_or_walk(
+        &mut self,
+        to: DVec2,
+        heading: f64,
+        obstacles: &[Obstacle],
+        settings: &Settings,
+    ) -> Velocity {
         self.steps = to.length() < if self.steps { NO_LONGER_NEAR } else { NEAR };
-        if self.steps { self.step(to, heading, settings) } else { far(avoiding(to, others), settings) }
+        if self.steps { self.step(to, heading, settings) } else { far(avoiding(to, obstacles), settings) }
     }
 }
 
 /// Not nearer to those who are near, and away from who is very near: robots that touch fall.
-fn keeping_off<'a>(mut velocity: Velocity, others: impl IntoIterator<Item = &'a (DVec2, f64)>) -> Velocity {
-    for (other, keep) in others {
-        let distance = other.length();
+fn keeping_off<'a>(mut velocity: Velocity, obstacles: impl IntoIterator<Item = &'a Obstacle>) -> Velocity {
+    for Obstacle { at, keep } in obstacles {
+        let distance = at.length();
         if !(1e-3..=*keep).contains(&distance) {
             continue;
         }
-        let towards = *other / distance;
+        let towards = *at / distance;
         velocity.linear -= towards * velocity.linear.dot(towards).max(0.0);
         if distance < 0.75 * keep {
             velocity.linear -= towards * BACK_OFF;
@@ -334,15 +353,16 @@ fn keeping_off<'a>(mut velocity: Velocity, others: impl IntoIterator<Item = &'a 
 }
 
 /// Where to push a ball that is to go to a target: past who stands on its way, on the side on which it already does.
-fn past(others: &[DVec2], ball: DVec2, target: DVec2, passing: &mut Option<f64>) -> DVec2 {
+fn past(robots: &[Obstacle], ball: DVec2, target: DVec2, passing: &mut Option<f64>) -> DVec2 {
     let way = target - ball;
     let widened = if passing.is_some() { STILL_PASSING } else { 1.0 };
-    let is_on_way = |other: &&DVec2| {
-        let off = **other - ball;
+    let is_on_way = |other: &DVec2| {
+        let off = *other - ball;
         off.length() < 2.0 * CLEARANCE * widened && way.angle_to(off).abs() < 0.8 * widened
     };
-    let nearest = others
+    let nearest = robots
         .iter()
+        .map(|robot| robot.at)
         .filter(is_on_way)
         .min_by(|one, other| one.distance_squared(ball).total_cmp(&other.distance_squared(ball)));
     let Some(other) = nearest else {
@@ -351,17 +371,24 @@ fn past(others: &[DVec2], ball: DVec2, target: DVec2, passing: &mut Option<f64>)
     };
     // On the side for which it has to turn the ball and to walk around it least; to the right of who comes straight on, who then
     // has it on the other side.
-    let (of_other, of_push) = (way.angle_to(*other - ball), way.angle_to(ball));
+    let (of_other, of_push) = (way.angle_to(other - ball), way.angle_to(ball));
     let direction = |side: f64| of_other + side * PAST;
     let effort = |side: f64| direction(side).abs() + wrapped(direction(side) - of_push).abs() / 2.0;
     let easier = if effort(1.0) + 0.05 < effort(-1.0) { 1.0 } else { -1.0 };
     ball + DVec2::from_angle(direction(*passing.get_or_insert(easier))).rotate(way)
 }
 
-/// Where to go first on the way to a point, so as not to walk into others.
-fn avoiding(to: DVec2, others: &[DVec2]) -> DVec2 {
-    let in_the_way = others.iter().filter(|other| other.distance(to) > CLEARANCE);
-    in_the_way.fold(to, |to, other| around(to, *other))
+/// Where to go first on the way to a point, so as not to walk into anything.
+fn avoiding(to: DVec2, obstacles: &[Obstacle]) -> DVec2 {
+    let in_the_way = obstacles.iter().filter(|obstacle| obstacle.at.distance(to) > CLEARANCE);
+    in_the_way.fold(to, |to, obstacle| around(to, obstacle.at))
+}
+
+/// Goal posts as seen from here; `posts` has x and y in turn.
+fn posts_from(here: Place, posts: &[f64]) -> Vec<Obstacle> {
+    let posts = posts.as_chunks().0.iter().map(|post: &[f64; 2]| DVec2::from(*post));
+    let posts = posts.filter(|post| post.is_finite());
+    posts.map(|post| Obstacle { at: here.point(post), keep: KEEP_OFF_POST }).collect()
 }
 
 /// Turns to a point and walks forward.
@@ -443,6 +470,10 @@ impl Module for WalkTo {
 mod tests {
     use super::*;
 
+    fn robot(ahead: f64, left: f64) -> Obstacle {
+        Obstacle { at: DVec2::new(ahead, left), keep: KEEP_OFF }
+    }
+
     #[test]
     fn the_way_to_a_place_behind_the_ball_goes_around_it() {
         let ball = DVec2::new(0.5, 0.05);
@@ -471,21 +502,21 @@ mod tests {
     #[test]
     fn the_ball_is_pushed_past_who_stands_on_its_way() {
         let (ball, target) = (DVec2::new(0.2, 0.0), DVec2::new(3.0, 0.0));
-        let aside = |others: &[DVec2], passing: &mut _| past(others, ball, target, passing).y;
-        assert_eq!(aside(&[DVec2::new(-0.3, 0.0), DVec2::new(1.5, 0.0)], &mut None), 0.0);
+        let aside = |robots: &[Obstacle], passing: &mut _| past(robots, ball, target, passing).y;
+        assert_eq!(aside(&[robot(-0.3, 0.0), robot(1.5, 0.0)], &mut None), 0.0);
         let mut passing = None;
-        assert!(aside(&[DVec2::new(0.6, 0.1)], &mut passing) < -1.0);
-        assert!(aside(&[DVec2::new(0.6, -0.1)], &mut passing) < -1.0, "it keeps its side");
-        assert!(aside(&[DVec2::new(0.6, -0.1)], &mut None) > 1.0);
-        assert_eq!(aside(&[DVec2::new(1.5, 0.0)], &mut passing), 0.0);
+        assert!(aside(&[robot(0.6, 0.1)], &mut passing) < -1.0);
+        assert!(aside(&[robot(0.6, -0.1)], &mut passing) < -1.0, "it keeps its side");
+        assert!(aside(&[robot(0.6, -0.1)], &mut None) > 1.0);
+        assert_eq!(aside(&[robot(1.5, 0.0)], &mut passing), 0.0);
         assert_eq!(passing, None);
-        let way = avoiding(DVec2::new(2.0, 0.0), &[DVec2::new(1.0, 0.1)]);
+        let way = avoiding(DVec2::new(2.0, 0.0), &[robot(1.0, 0.1)]);
         assert!(way.y < -0.1, "{way}");
     }
 
     #[test]
     fn nobody_walks_into_others() {
-        let at = |ahead| (DVec2::new(ahead, 0.0), KEEP_OFF);
+        let at = |ahead| robot(ahead, 0.0);
         let ahead = Velocity { linear: DVec2::new(0.1, 0.02), turn: 0.3 };
         let stopped = keeping_off(ahead, &[at(0.3), at(2.0)]);
         assert_eq!(stopped, Velocity { linear: DVec2::new(0.0, 0.02), turn: 0.3 });

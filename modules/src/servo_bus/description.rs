@@ -340,6 +340,10 @@ impl Parser<'_> {
         }
         let guard = entry.guard.or(defaults.guard).unwrap_or_default();
         guard.check().map_err(error)?;
+        if guard.shutdown_rest_s.is_some() && buses[bus].line.protocol == Protocol::Dynamixel2 {
+            let why = "servos of dynamixel2 come back from a shutdown by a reboot only";
+            return Err(error(format!("has a guard with shutdown_rest_s, but {why}")));
+        }
         let cycle = buses[bus].cycle;
         let joint = Joint {
             name: name.clone(),

@@ -92,6 +92,8 @@ fn wrong_values_are_refused_with_line_and_remedy() {
     assert!(error(&joint("a", 1, "limits = [-1, 1]\nmax_current_a = 9.0")).contains("up to 3.209 A"));
     let guard = "limits = [-1, 1]\nguard = { temperature_c = { warn = 70, off = 60 } }";
     assert!(error(&joint("a", 1, guard)).contains("warn comes before soften"));
+    let guard = "limits = [-1, 1]\nguard = { shutdown_rest_s = 2 }";
+    assert!(error(&joint("a", 1, guard)).contains("come back from a shutdown by a reboot only"));
     let device = "[[device]]\nname = \"board\"\nid = 200\nmodel = \"OpenCR\"\nread = [\"buton\"]\n";
     assert!(
         error(device)

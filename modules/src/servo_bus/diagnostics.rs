@@ -1,7 +1,8 @@
 //! The robot's faults in the form of `diagnostics` (REP-107).
 
+use super::counted::Counted;
 use super::description::{BusPlan, DevicePlan};
-use super::driver::{Counted, DeviceUnit, Driver, Phase};
+use super::driver::{DeviceUnit, Driver, Phase};
 use super::joint::{Joint, Protection};
 use super::module::header;
 use super::protocol::StatusError;

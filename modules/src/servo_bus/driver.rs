@@ -4,6 +4,7 @@
 //! wanted joint positions and torques, and the answers from the bus.
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
+use super::counted::Counted;
 use super::description::BusPlan;
 use super::joint::{Drive, Joint};
 use super::models::Register;
@@ -357,11 +358,8 @@ impl Driver {
     }
 
     fn cycle(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) -> Result<Reading, PortFailed> {
-        for (servo, joint) in self.servos.iter_mut().zip(&plan.joints) {
-            servo.rest(joint, now);
-        }
+        let (on, off) = self.torque_writes(now, plan);
         self.write_softness(plan, line)?;
-        let (on, off) = self.torque_writes(plan);
         self.write_all(line, off)?;
         let goals = self.goals(now, plan);
         self.write_all(line, goals)?;
@@ -421,11 +419,12 @@ impl Driver {
     }
 
     /// What switches torque on and off.
-    fn torque_writes(&mut self, plan: &BusPlan) -> (Vec<WriteEntry>, Vec<WriteEntry>) {
+    fn torque_writes(&mut self, now: Time, plan: &BusPlan) -> (Vec<WriteEntry>, Vec<WriteEntry>) {
         let mut writes = (Vec::new(), Vec::new());
         for (servo, joint) in
             self.servos.iter_mut().zip(&plan.joints).filter(|(servo, _)| servo.link.is_active())
         {
+            servo.rest(joint, now);
             if servo.decide_torque() {
                 let entry = write(
                     joint.id,
@@ -708,34 +707,4 @@ fn units(plan: &BusPlan) -> Vec<Unit> {
 
 fn write(id: Id, register: &Register, protocol: Protocol, value: i64) -> WriteEntry {
     WriteEntry { id, address: register.address, data: register.bytes(protocol, value) }
-}
-
-/// Counts a fault, and decides when to log it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Counted(u64);
-
-impl Counted {
-    /// Counts one occurrence. Returns true the 1st, 10th, 100th, … time.
-    pub(crate) fn is_worth_a_line(&mut self) -> bool {
-        self.0 += 1;
-        10_u64.pow(self.0.ilog10()) == self.0
-    }
-
-    /// The number of occurrences.
-    pub(crate) fn count(self) -> u64 {
-        self.0
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn powers_of_ten_are_logged() {
-        let mut counted = Counted::default();
-        let lines: Vec<u64> = (1..=250).filter(|_| counted.is_worth_a_line()).collect();
-        assert_eq!(lines, [1, 10, 100]);
-        assert_eq!(counted.count(), 250);
-    }
 }

@@ -11,6 +11,7 @@ pub mod bus;
 pub mod models;
 pub mod protocol;
 
+mod counted;
 mod description;
 mod diagnostics;
 mod driver;

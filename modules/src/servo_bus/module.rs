@@ -1,9 +1,10 @@
 //! The hardware of a robot of serial servos as a module.
 
 use super::bus::{Bus, Exchange, SerialBus};
+use super::counted::Counted;
 use super::description::{BusPlan, Description, DevicePlan};
 use super::diagnostics::{Labels, Levels, Refused, levels, report};
-use super::driver::{Counted, Driver};
+use super::driver::Driver;
 use super::joint::Quantity;
 use super::models::Register;
 use super::protocol::{Id, Protocol, WriteEntry};

@@ -1,7 +1,7 @@
 //! The state of one servo, and how it is brought into service.
 
 use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
-use super::driver::Counted;
+use super::counted::Counted;
 use super::joint::{Drive, Joint, Measurement, Protection};
 use super::models::{Access, Model, Register};
 use super::protocol::{Id, Instruction, Protocol, Receiver, Status, StatusError};
@@ -88,8 +88,9 @@ pub(crate) struct Servo {
     pub(crate) protection: Protection,
     /// A change of the protection that begins to take effect, and since when.
     pending: Option<(Protection, Time)>,
-    /// Since when it has rested after it switched itself off.
+    /// Since when it has rested after it switched itself off, and how often it did.
     resting_since: Option<Time>,
+    shutdowns: Counted,
     /// Whether torque is commanded.
     is_torque_commanded: bool,
     /// The commanded share of its largest torque.
@@ -126,6 +127,7 @@ impl Servo {
             protection: Protection::None,
             pending: None,
             resting_since: None,
+            shutdowns: Counted::default(),
             is_torque_commanded: true,
             commanded_share: 1.0,
             torque: (true, 0),
@@ -161,15 +163,20 @@ impl Servo {
 
     /// Lets a servo that has switched itself off try again after the rest that its guard grants.
     pub(crate) fn rest(&mut self, joint: &Joint, now: Time) {
+        // What a servo reports before its torque is written again is old.
+        if !self.wants_torque() || self.torque != (true, 0) {
+            return;
+        }
         let error = self.link.error;
-        if !self.wants_torque() {
-            self.resting_since = None;
-        } else if self.link.is_active() && error.intersects(StatusError::OVERLOAD | StatusError::OVERHEATING)
-        {
-            if self.resting_since.is_none() {
-                tracing::warn!("{} switches its torque off, if its shutdown is set so: {error}", joint.name);
+        let is_hot = error.contains(StatusError::OVERHEATING);
+        if error.contains(StatusError::OVERLOAD) || is_hot {
+            if self.resting_since.is_none() && self.shutdowns.is_worth_a_line() {
+                let count = self.shutdowns.count();
+                tracing::warn!(
+                    "{} switches its torque off, if its shutdown is set so: {error} ({count})",
+                    joint.name
+                );
             }
-            let is_hot = error.contains(StatusError::OVERHEATING);
             self.resting_since = self.resting_since.filter(|_| !is_hot).or(Some(now));
         }
         let rest = joint.guard.shutdown_rest_s.map(Duration::from_secs_f64);
@@ -183,7 +190,7 @@ impl Servo {
         self.resting_since.is_some()
     }
 
-    /// Writes torque and torque limit once more, which a shutdown sets to 0 (e-manual of the MX-28, "Shutdown").
+    /// Writes torque and torque limit once more: a shutdown sets one of them to 0, which one depends on the firmware.
     fn try_again(&mut self) {
         self.resting_since = None;
         self.torque = (false, 0);
@@ -217,6 +224,7 @@ impl Servo {
     /// Brings it into service at this position, without a jump.
     pub(crate) fn join(&mut self, position: i64, written: Softness) {
         self.link.join();
+        self.resting_since = None;
         self.goal = position;
         self.has_caught_up = false;
         self.torque = (self.wants_torque(), 0);
@@ -666,13 +674,19 @@ mod tests {
         assert!(servo.rests());
         assert_eq!(is_written(&mut servo, StatusError::NONE, 10_000), (false, false), "it has just cooled");
         assert_eq!(is_written(&mut servo, StatusError::NONE, 11_000), (true, true));
+        for ms in [11_008, 11_016] {
+            assert!(is_written(&mut servo, StatusError::OVERHEATING, ms).0, "until the torque is written");
+        }
+        assert!(!is_written(&mut servo, StatusError::NONE, 11_024).0);
         assert!(!servo.rests() && servo.has_torque());
         joint.guard.shutdown_rest_s = None;
         servo.link.error = StatusError::OVERLOAD;
         servo.rest(&joint, at(20_000));
         servo.link.error = StatusError::NONE;
         servo.rest(&joint, at(99_000));
-        assert!(servo.rests(), "until its torque is commanded");
+        servo.command_torque(0.0);
+        servo.rest(&joint, at(100_000));
+        assert!(servo.decide_torque() && servo.rests(), "until its torque is commanded");
         servo.command_torque(1.0);
         assert!(servo.decide_torque() && !servo.rests());
     }
