@@ -18,7 +18,10 @@ pub(crate) fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Option<Desc
         return Ok(None);
     }
     match Robot::load(&given) {
-        Ok((robot, text)) => Ok(Some(Description { robot, text })),
+        Ok((robot, text)) => {
+            robot.warnings().iter().for_each(|warning| tracing::warn!("{warning}"));
+            Ok(Some(Description { robot, text }))
+        }
         Err(error) => Err(setup.refuse_value(key, error.to_string())),
     }
 }

@@ -15,8 +15,9 @@
 //! | `frame_prefix` | empty | before the names of all frames, for several robots |
 //! | `ignore_timestamp` | false | publish all positions, however close or old their stamps are |
 //!
-//! A joint with `<mimic>` follows its leader, and `joint_states` need not contain it. A joint is published when the
-//! stamps of its positions are at least a period apart, and after stamps have gone back.
+//! A joint with `<mimic>` follows its leader where a message does not contain it; a position of its own has precedence. A
+//! joint is published when the stamps of its positions are at least a period apart, and after stamps have gone back.
+//! Floating joints are not published, as their poses come from elsewhere; planar joints count as fixed.
 //!
 //! # References
 //! `robot_state_publisher` of `ros/robot_state_publisher`, branch jazzy.
@@ -51,13 +52,12 @@ struct Publishing {
     robot: Robot,
     text: String,
     frame_prefix: String,
-    coordinates: BTreeMap<String, usize>,
-    /// The known positions of the robot.
-    positions: Vec<f64>,
-    /// When the positions of each coordinate were last published, in ns.
+    /// The joints that have positions, by name, as indices of `Robot::joints`.
+    joints: BTreeMap<String, usize>,
+    /// When the position of each joint was last published, in ns.
     published_at: Vec<Option<i64>>,
-    /// Of the current message.
-    is_due: Vec<bool>,
+    /// The position of each joint in the current message.
+    given: Vec<Option<f64>>,
     last_stamp: i64,
 }
 
@@ -68,8 +68,8 @@ impl RobotStatePublisher {
             true => None,
             false => Some((1e9 / *ctx.get(ctx.ports.publish_frequency)) as i64),
         };
-        if publishing.take(&state, period_ns) {
-            let moving = publishing.moving(&state.header.stamp);
+        let moving = publishing.moving(&state, period_ns);
+        if !moving.is_empty() {
             ctx.ports.transforms.send(ctx, moving);
         }
     }
@@ -110,62 +110,64 @@ impl Module for RobotStatePublisher {
 
 impl Publishing {
     fn new(robot: Robot, text: String, frame_prefix: String) -> Self {
-        let names = robot.coordinates().iter().map(|&id| robot.joint(id).name.clone());
-        let coordinates: BTreeMap<String, usize> = names.zip(0..).collect();
-        let count = coordinates.len();
-        Self {
-            robot,
-            text,
-            frame_prefix,
-            coordinates,
-            positions: vec![0.0; count],
-            published_at: vec![None; count],
-            is_due: vec![false; count],
-            last_stamp: i64::MIN,
-        }
+        let positioned = robot.joints().iter().zip(0..).filter(|(joint, _)| joint.kind.has_position());
+        let joints = positioned.map(|(joint, index)| (joint.name.clone(), index)).collect();
+        let count = robot.joints().len();
+        let (published_at, given) = (vec![None; count], vec![None; count]);
+        Self { robot, text, frame_prefix, joints, published_at, given, last_stamp: i64::MIN }
     }
 
-    /// Takes the positions of a message. Returns whether any of them is to be published: with a period, only those of joints
-    /// that were last published that long ago.
-    fn take(&mut self, state: &JointState, period_ns: Option<i64>) -> bool {
+    /// The transforms that follow from a message: with a period, only those of joints that were last published that
+    /// long ago.
+    fn moving(&mut self, state: &JointState, period_ns: Option<i64>) -> Vec<TransformStamped> {
         let stamp = state.header.stamp.as_nanos();
         if stamp < self.last_stamp {
             self.published_at.fill(None);
         }
         self.last_stamp = stamp;
-        self.is_due.fill(false);
+        self.given.fill(None);
         for (name, position) in state.name.iter().zip(&state.position) {
-            let Some(&index) = self.coordinates.get(name).filter(|_| position.is_finite()) else { continue };
+            if let Some(&index) = self.joints.get(name).filter(|_| position.is_finite()) {
+                self.given[index] = Some(*position);
+            }
+        }
+        let mut transforms = Vec::new();
+        for index in 0..self.robot.joints().len() {
             let last = self.published_at[index];
             let is_early =
                 period_ns.zip(last).is_some_and(|(period, last)| stamp.saturating_sub(last) < period);
-            if !is_early {
-                self.positions[index] = *position;
+            if let (Some(position), false) = (self.position(index), is_early) {
                 self.published_at[index] = Some(stamp);
-                self.is_due[index] = true;
+                let parent_from_child = self.robot.joints()[index].parent_from_child_at(position);
+                transforms.push(self.transform(index, parent_from_child, &state.header.stamp));
             }
         }
-        self.is_due.contains(&true)
+        transforms
     }
 
-    /// The transforms of the joints that are due.
-    fn moving(&self, stamp: &Stamp) -> Vec<TransformStamped> {
-        let is_due = |index: usize| {
-            self.robot.joints()[index].drive.is_some_and(|drive| self.is_due[drive.coordinate])
-        };
-        let due = (0..self.robot.joints().len()).filter(|&index| is_due(index));
-        due.map(|index| self.transform(index, stamp)).collect()
+    /// The position of a joint by the current message: its own, or what follows from the joint that it mimics.
+    fn position(&self, index: usize) -> Option<f64> {
+        let (mut index, mut multiplier, mut offset) = (index, 1.0, 0.0);
+        loop {
+            if let Some(given) = self.given[index] {
+                return Some(multiplier * given + offset);
+            }
+            let mimic = self.robot.joints()[index].mimic?;
+            offset += multiplier * mimic.offset;
+            multiplier *= mimic.multiplier;
+            index = mimic.joint.index();
+        }
     }
 
     fn fixed(&self, stamp: &Stamp) -> Vec<TransformStamped> {
-        let is_fixed = |index: &usize| self.robot.joints()[*index].kind == JointKind::Fixed;
-        (0..self.robot.joints().len()).filter(is_fixed).map(|index| self.transform(index, stamp)).collect()
+        let joints = self.robot.joints().iter().zip(0..);
+        let fixed = joints.filter(|(joint, _)| matches!(joint.kind, JointKind::Fixed | JointKind::Planar));
+        fixed.map(|(joint, index)| self.transform(index, joint.parent_from_joint, stamp)).collect()
     }
 
-    fn transform(&self, joint: usize, stamp: &Stamp) -> TransformStamped {
+    fn transform(&self, joint: usize, parent_from_child: Isometry, stamp: &Stamp) -> TransformStamped {
         let joint = &self.robot.joints()[joint];
         let frame = |link| format!("{}{}", self.frame_prefix, self.robot.link(link).name);
-        let parent_from_child: Isometry = joint.parent_from_child(&self.positions);
         TransformStamped {
             header: Header { stamp: *stamp, frame_id: frame(joint.parent) },
             child_frame_id: frame(joint.child),
@@ -245,6 +247,17 @@ mod tests {
         let messages = moving.take();
         assert_eq!(children(&messages), [("left", 0.03), ("right", -0.03)]);
         assert_eq!(messages[0].transforms[0].header.frame_id, "palm");
+    }
+
+    #[test]
+    fn a_published_position_of_a_joint_with_mimic_has_precedence() {
+        let (mut core, moving, _) = core(&[]);
+        publish(&mut core, 0, &[("left", 0.03), ("right", -0.07)]);
+        assert_eq!(children(&moving.take()), [("left", 0.03), ("right", -0.07)]);
+        publish(&mut core, 100, &[("right", -0.02)]);
+        assert_eq!(children(&moving.take()), [("right", -0.02)]);
+        publish(&mut core, 200, &[("left", 0.05), ("right", f64::NAN)]);
+        assert_eq!(children(&moving.take()), [("left", 0.05), ("right", -0.05)]);
     }
 
     #[test]

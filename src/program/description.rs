@@ -6,6 +6,8 @@ use crate::modules::kinematics::{Robot, Root, to_mjcf};
 
 pub(crate) fn mjcf(urdf: &Path, is_fixed: bool) -> anyhow::Result<()> {
     let root = if is_fixed { Root::Fixed } else { Root::Free };
-    print!("{}", to_mjcf(&Robot::read(urdf)?, root)?);
+    let robot = Robot::read(urdf)?;
+    robot.warnings().iter().for_each(|warning| tracing::warn!("{warning}"));
+    print!("{}", to_mjcf(&robot, root)?);
     Ok(())
 }

@@ -3,7 +3,7 @@
 //! # References
 //! <https://mujoco.readthedocs.io/en/3.3.7/XMLreference.html>
 
-use crate::description::{DescriptionError, Geometry, Joint, JointKind, Link, LinkId, Robot, Shape};
+use crate::description::{DescriptionError, Geometry, Joint, JointKind, Link, LinkId, Problem, Robot, Shape};
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;
@@ -24,11 +24,20 @@ pub enum Root {
 /// `package://`: add `<compiler meshdir="..."/>` with the folder of the packages.
 ///
 /// # Errors
-/// As [`Robot::bodies`]: MuJoCo needs masses.
+/// As [`Robot::bodies`]: MuJoCo needs masses. [`Problem::NotInMjcf`] for floating and planar joints.
 pub fn to_mjcf(robot: &Robot, root: Root) -> Result<String, DescriptionError> {
     robot.bodies()?;
     let mut writer = Writer { robot, text: String::new(), children: vec![Vec::new(); robot.links().len()] };
     for joint in robot.joints() {
+        let kind = match joint.kind {
+            JointKind::Floating => Some("floating"),
+            JointKind::Planar => Some("planar"),
+            _ => None,
+        };
+        if let Some(kind) = kind {
+            let problem = Problem::NotInMjcf { joint: joint.name.clone(), kind };
+            return Err(robot.error(Some(joint.line), problem));
+        }
         writer.children[joint.parent.index()].push(joint.child);
     }
     writer.line(0, &format!("<mujoco model=\"{}\">", escaped(robot.name())));
@@ -118,10 +127,12 @@ impl Writer<'_> {
             let element = format!("<inertial pos=\"{position}\" mass=\"{mass}\" fullinertia=\"{inertia}\"/>");
             self.line(depth, &element);
         }
-        for shape in &link.visuals {
+        // MuJoCo refuses sizes of 0.
+        let has_volume = |shape: &&Shape| shape.geometry.has_volume();
+        for shape in link.visuals.iter().filter(has_volume) {
             self.line(depth, &geom(shape, " group=\"2\" contype=\"0\" conaffinity=\"0\""));
         }
-        for shape in &link.collisions {
+        for shape in link.collisions.iter().filter(has_volume) {
             self.line(depth, &geom(shape, " group=\"3\""));
         }
     }

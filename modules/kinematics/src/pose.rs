@@ -102,14 +102,19 @@ impl Joint {
     #[must_use]
     pub fn parent_from_child(&self, positions: &[f64]) -> Isometry {
         let Some(drive) = self.drive else { return self.parent_from_joint };
-        let position = drive.multiplier * positions[drive.coordinate] + drive.offset;
+        self.parent_from_child_at(drive.multiplier * positions[drive.coordinate] + drive.offset)
+    }
+
+    /// The pose of the child in the parent at this position of the joint; that at 0 for joints without a position.
+    #[must_use]
+    pub fn parent_from_child_at(&self, position: f64) -> Isometry {
         self.parent_from_joint * self.motion(position)
     }
 
     /// The motion of the child relative to position 0.
     pub(crate) fn motion(&self, position: f64) -> Isometry {
         match self.kind {
-            JointKind::Fixed => Isometry::IDENTITY,
+            JointKind::Fixed | JointKind::Floating | JointKind::Planar => Isometry::IDENTITY,
             JointKind::Prismatic => Isometry { translation: self.axis * position, rotation: DQuat::IDENTITY },
             JointKind::Revolute | JointKind::Continuous => {
                 let rotation = DQuat::from_axis_angle(self.axis, position);

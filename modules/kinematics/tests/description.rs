@@ -124,23 +124,18 @@ fn bad_joints_are_refused() {
          make it continuous"
     );
     assert_eq!(
-        message("lower=\"-1\" upper=\"2\"", "lower=\"3\" upper=\"2\""),
-        "arm.urdf:8: joint \"turn\" has the limits 3 to 2: lower must not exceed upper"
+        message("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>"),
+        "arm.urdf:7: the axis of joint \"turn\" has length 0: write a direction, such as \"0 0 1\""
     );
     assert_eq!(
-        message("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 1 1\"/>"),
-        "arm.urdf:7: the axis \"0 1 1\" of joint \"turn\" has length 1.4142135623730951, and must have length 1: write \
-         \"0 0.707107 0.707107\""
-    );
-    assert_eq!(
-        message("type=\"prismatic\"", "type=\"planar\""),
-        "arm.urdf:17: joint \"finger\" has type \"planar\": supported are revolute, continuous, prismatic and fixed"
+        message("type=\"prismatic\"", "type=\"screw\""),
+        "arm.urdf:17: joint \"finger\" has type \"screw\": supported are revolute, continuous, prismatic, fixed, floating \
+         and planar"
     );
     assert_eq!(
         message("mimic joint=\"turn\"", "mimic joint=\"finger\""),
         "arm.urdf:17: joint \"finger\" mimics \"finger\", which follows it in turn: remove one <mimic>"
     );
-    assert!(message("mimic joint=\"turn\"", "mimic joint=\"weld\"").contains("one is fixed"));
     assert!(message("effort=\"3\" ", "").contains("arm.urdf:8: joint \"turn\" has no effort"));
 }
 
@@ -151,20 +146,153 @@ fn bad_numbers_are_refused() {
         "arm.urdf:6: xyz=\"0 nan 0.1\" of joint \"turn\" is not 3 finite numbers"
     );
     assert!(message("xyz=\"0 0 0.1\"", "xyz=\"0 0\"").contains("is not 3 finite numbers"));
-    assert!(message("xyz=\"0 0 0.1\"", "xyz=\"0 0 0.1 0\"").contains("is not 3 finite numbers"));
+    assert!(message("effort=\"3\"", "effort=\"3,5\"").contains("is not a finite number"));
     assert_eq!(
         message("mass value=\"2\"", "mass value=\"-2\""),
         "arm.urdf:11: mass of link \"upper\" is -2, and must be 0 or more"
     );
     assert!(message("mass value=\"2\"", "mass value=\"inf\"").contains("is not a finite number"));
     assert!(
-        message("size=\"0.1 0.2 0.3\"", "size=\"0.1 0 0.3\"")
-            .contains("size of link \"upper\" is 0, and must be greater than 0")
+        message("size=\"0.1 0.2 0.3\"", "size=\"0.1 -1 0.3\"")
+            .contains("size of link \"upper\" is -1, and must be 0 or more")
     );
+}
+
+/// The arm with a change, and the only warning about it.
+fn odd(from: &str, to: &str) -> (Robot, String) {
+    assert!(ARM.contains(from), "{from}");
+    let robot = Robot::from_urdf(&ARM.replacen(from, to, 1), "arm.urdf").unwrap();
+    let [warning] = robot.warnings() else { panic!("{from}: {:?}", robot.warnings()) };
+    let warning = warning.to_string();
+    (robot, warning)
+}
+
+#[test]
+fn odd_joints_are_accepted_with_a_warning() {
+    assert_eq!(arm().warnings(), []);
+    let (robot, warning) = odd("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 3 4\"/>");
+    assert_eq!(
+        warning,
+        "arm.urdf:7: the axis \"0 3 4\" of joint \"turn\" has length 5: it is read as \"0 0.6 0.8\""
+    );
+    assert_eq!(robot.joints()[0].axis.to_array(), [0.0, 0.6000000000000001, 0.8]);
+    let (robot, warning) = odd("lower=\"-1\" upper=\"2\"", "lower=\"3\" upper=\"2\"");
+    assert_eq!(warning, "arm.urdf:8: joint \"turn\" has the limits 3 to 2: they are read as 2 to 3");
+    assert_eq!(robot.joints()[0].range(), 2.0..=3.0);
+    let (robot, warning) =
+        odd("<joint name=\"weld\" type=\"fixed\">", "<joint name=\"weld\" type=\"spherical\">");
+    assert_eq!(
+        warning,
+        "arm.urdf:15: joint \"weld\" is spherical, which URDF does not have: it is read as floating"
+    );
+    assert_eq!(robot.joints()[1].kind, JointKind::Floating);
+    // A joint that mimics none that could lead it is like any other.
+    let (robot, warning) = odd("mimic joint=\"turn\"", "mimic joint=\"weld\"");
+    assert_eq!(
+        warning,
+        "arm.urdf:20: joint \"finger\" mimics \"weld\", and \"weld\" has no position: <mimic> is ignored"
+    );
+    assert_eq!(robot.coordinate("finger"), Some(1));
+    let (robot, warning) = odd("mimic joint=\"turn\"", "mimic joint=\"trun\"");
+    assert_eq!(
+        warning,
+        "arm.urdf:20: joint \"finger\" mimics \"trun\", but there is no joint \"trun\", did you mean \"turn\"?: <mimic> is \
+         ignored"
+    );
+    assert_eq!(robot.coordinate("finger"), Some(1));
+    let weld = "<joint name=\"weld\" type=\"fixed\">";
+    let (_, warning) = odd(weld, &format!("{weld}<mimic joint=\"turn\"/>"));
+    assert!(warning.starts_with("arm.urdf:15: joint \"weld\" mimics \"turn\", and \"weld\" has no position"));
+}
+
+#[test]
+fn odd_shapes_are_accepted_with_a_warning() {
+    let (robot, warning) = odd("<material name=\"red\"/></visual>", "<material name=\"rod\"/></visual>");
+    assert_eq!(
+        warning,
+        "arm.urdf:12: there is no material \"rod\", did you mean \"red\"?: the shape has no colour"
+    );
+    let upper = &robot.links()[1];
+    assert_eq!(upper.visuals[0].material.as_ref().unwrap().name, "rod");
+    let (robot, warning) = odd("size=\"0.1 0.2 0.3\"", "size=\"0.1 0 0.3\"");
+    assert_eq!(
+        warning,
+        "arm.urdf:13: size of link \"upper\" is 0: the shape has no extent, and collides with nothing"
+    );
+    assert!(!robot.links()[1].collisions[0].geometry.has_volume());
+    for empty in ["<sphere radius=\"0\"/>", "<cylinder radius=\"1\" length=\"0\"/>"] {
+        let (robot, _) = odd("<box size=\"0.1 0.2 0.3\"/>", empty);
+        assert!(!robot.links()[1].collisions[0].geometry.has_volume());
+    }
+    let (robot, warning) = odd("<box size=\"0.1 0.2 0.3\"/>", "<capsule radius=\"1\" length=\"1\"/>");
     assert!(
-        message("<material name=\"red\"/></visual>", "<material name=\"rod\"/></visual>")
-            .contains("did you mean \"red\"?")
+        warning.starts_with("arm.urdf:13: link \"upper\" has a shape <capsule>: it is ignored"),
+        "{warning}"
     );
+    assert_eq!(robot.links()[1].collisions, []);
+    let (robot, warning) = odd("rgba=\"1 0 0 1\"", "rgba=\"1 0 0\"");
+    assert!(warning.starts_with("arm.urdf:2: rgba=\"1 0 0\" of material \"red\""), "{warning}");
+    assert_eq!(robot.links()[1].visuals[0].material.as_ref().unwrap().rgba, None);
+}
+
+#[test]
+fn odd_numbers_and_files_are_accepted_with_a_warning() {
+    let (robot, warning) = odd("xyz=\"0 0 0.1\"", "xyz=\"0 0 0.1 5\"");
+    assert!(warning.contains("xyz=\"0 0 0.1 5\" of joint \"turn\" has more than 3 numbers"), "{warning}");
+    assert_eq!(robot.joints()[0].parent_from_joint, arm().joints()[0].parent_from_joint);
+    let (robot, warning) = odd("xyz=\"0 0 0.1\"", "xyz=\"0, 0, 0.1\"");
+    assert!(warning.contains("has commas, which are read as spaces"), "{warning}");
+    assert_eq!(robot.joints()[0].parent_from_joint, arm().joints()[0].parent_from_joint);
+    let (robot, warning) = odd("<robot name=\"arm\">", "<robot>");
+    assert_eq!(robot.name(), "arm");
+    assert!(warning.starts_with("arm.urdf:1: the robot has no name: it is called \"arm\""), "{warning}");
+
+    let declared = format!("<?xml version=\"1.0\"?>{ARM}");
+    for before in ["\n\n", "text\n\n", "<!-- made by hand -->\n\n"] {
+        let text = format!(
+            "{before}{}",
+            declared.replace("<material name=\"red\"/></v", "<material name=\"rod\"/></v")
+        );
+        let robot = Robot::from_urdf(&text, "arm.urdf").unwrap();
+        let lines: Vec<u32> = robot.warnings().iter().map(|warning| warning.line).collect();
+        assert_eq!(lines, [1, 14], "{before}");
+        assert_eq!(robot.links()[1].line, 12);
+    }
+    assert_eq!(Robot::from_urdf(&format!("\u{feff}{declared}"), "arm.urdf").unwrap().warnings(), []);
+    let zeros = Robot::from_urdf(&format!("{declared}\n\0\0"), "arm.urdf").unwrap();
+    assert_eq!(zeros.warnings()[0].to_string(), "arm.urdf:23: the zero bytes behind </robot> are ignored");
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("arm.urdf");
+    let latin1 = [b"<!-- turns by 90\xb0 -->\n".as_slice(), ARM.as_bytes()].concat();
+    std::fs::write(&path, latin1).unwrap();
+    let robot = Robot::read(&path).unwrap();
+    assert!(
+        robot.warnings()[0]
+            .to_string()
+            .ends_with("arm.urdf:1: the file is not UTF-8: its other characters are replaced")
+    );
+}
+
+#[test]
+fn floating_and_planar_joints_have_no_position() {
+    for (kind, name) in [("floating", JointKind::Floating), ("planar", JointKind::Planar)] {
+        let text = ARM.replacen("type=\"revolute\"", &format!("type=\"{kind}\""), 1);
+        let text = text.replacen("<mimic joint=\"turn\" multiplier=\"0.5\" offset=\"0.25\"/>", "", 1);
+        let robot = Robot::from_urdf(&text, "arm.urdf").unwrap();
+        assert_eq!(robot.warnings(), []);
+        let turn = &robot.joints()[0];
+        assert_eq!((turn.kind, turn.drive, turn.limits, turn.range()), (name, None, None, 0.0..=0.0));
+        assert_eq!(robot.coordinates().len(), 1);
+        assert_eq!(turn.parent_from_child(&[0.0]), turn.parent_from_joint);
+        assert_eq!(robot.bodies().unwrap().len(), 3, "what moves is a body of its own");
+        let error =
+            downbeat_kinematics::to_mjcf(&robot, downbeat_kinematics::Root::Free).unwrap_err().to_string();
+        assert!(
+            error.starts_with(&format!("arm.urdf:4: joint \"turn\" is {kind}, which MJCF has")),
+            "{error}"
+        );
+    }
 }
 
 #[test]

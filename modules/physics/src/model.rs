@@ -156,7 +156,7 @@ impl Model {
             for &(id, body_from_link) in &body.links {
                 let link = robot.link(id);
                 model.frames.insert(link.name.clone(), (model.bodies.len(), body_from_link));
-                for collision in &link.collisions {
+                for collision in link.collisions.iter().filter(|shape| shape.geometry.has_volume()) {
                     let shape = match collision.geometry {
                         Geometry::Box { size } => Shape::Box(size.to_array()),
                         Geometry::Cylinder { radius, length } => Shape::Cylinder { radius, length },

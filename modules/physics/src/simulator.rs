@@ -318,6 +318,7 @@ impl Settings {
             path => Robot::read(path),
         };
         let robot = robot.map_err(|error| setup.refuse_value(self.urdf, error.to_string()))?;
+        robot.warnings().iter().for_each(|warning| tracing::warn!("{warning}"));
         let model = Model::new(&robot).map_err(|error| setup.refuse_value(self.urdf, error.to_string()))?;
         let world = match value(setup, self.world).as_str() {
             "" => WorldFile::default(),

@@ -67,6 +67,17 @@ test('joints move their links, mimics follow', () => {
   near(rotate(poses.get('second')?.q ?? [], [1, 0, 0]), [0, 0, 1]);
 });
 
+test('a measured position has precedence over that of a joint that is mimicked', () => {
+  const joint = (/** @type {string} */ name, /** @type {any} */ mimic) =>
+    ({ name, type: 'prismatic', parent: 'palm', child: name, origin: at(0, 0, 0), axis: [1, 0, 0], lower: 0, upper: 1, mimic });
+  const mimic = { joint: 'left', factor: -1, offset: 0.5 };
+  const description = { name: 'r', root: 'palm', links: new Map(), joints: [joint('left', undefined), joint('right', mimic)] };
+  const right = (/** @type {Record<string, number>} */ positions) => forward(description, (name) => positions[name]).get('right')?.p ?? [];
+  near(right({ left: 0.2 }), [0.3, 0, 0]);
+  near(right({ left: 0.2, right: 0.9 }), [0.9, 0, 0]);
+  near(right({}), [0.5, 0, 0]);
+});
+
 test('shapes are closed and face outward', () => {
   for (const { positions, normals, indices } of [box(), capsule(0.5, 2)]) {
     let volume = 0;

@@ -54,19 +54,16 @@ pub enum Problem {
     /// A number is outside its range.
     #[error("{attribute} of {owner} is {value}, and must be {expected}")]
     OutOfRange { owner: String, attribute: String, value: f64, expected: String },
-    /// An axis does not have length 1.
-    #[error(
-        "the axis \"{axis}\" of joint \"{joint}\" has length {length}, and must have length 1: write \"{unit}\""
-    )]
-    AxisLength { joint: String, axis: String, length: f64, unit: String },
-    /// Lower limits are below upper ones.
-    #[error("joint \"{joint}\" has the limits {lower} to {upper}: lower must not exceed upper")]
-    Limits { joint: String, lower: f64, upper: f64 },
+    /// An axis without a direction.
+    #[error("the axis of joint \"{joint}\" has length 0: write a direction, such as \"0 0 1\"")]
+    NoAxis { joint: String },
     /// A name is used twice.
     #[error("{kind} \"{name}\" is already defined in line {first}: rename one of them")]
     Duplicate { kind: &'static str, name: String, first: u32 },
     /// A joint type that is unknown or not supported.
-    #[error("joint \"{joint}\" has type \"{kind}\": supported are revolute, continuous, prismatic and fixed")]
+    #[error(
+        "joint \"{joint}\" has type \"{kind}\": supported are revolute, continuous, prismatic, fixed, floating and planar"
+    )]
     JointKind { joint: String, kind: String },
     /// A name of a link that does not exist.
     #[error("there is no link \"{link}\"{hint}")]
@@ -74,9 +71,6 @@ pub enum Problem {
     /// A name of a joint that does not exist.
     #[error("there is no joint \"{joint}\"{hint}")]
     UnknownJoint { joint: String, hint: String },
-    /// A name of a material that is not defined.
-    #[error("there is no material \"{material}\"{hint}")]
-    UnknownMaterial { material: String, hint: String },
     /// A link hangs from two joints.
     #[error(
         "link \"{link}\" is the child of joint \"{second}\" and of joint \"{first}\" (line {first_line}): links form a tree, so remove one of the two"
@@ -110,6 +104,9 @@ pub enum Problem {
         "the inertia of link \"{link}\" is not that of a rigid body: its principal moments are {moments} kg m², of which each must be positive and at most the sum of the others"
     )]
     ImpossibleInertia { link: String, moments: String },
+    /// A joint that MJCF cannot express.
+    #[error("joint \"{joint}\" is {kind}, which MJCF has below the world only: leave out the links above it")]
+    NotInMjcf { joint: String, kind: &'static str },
     /// Two links are not connected as required.
     #[error("link \"{tip}\" does not move relative to \"{base}\": all joints between them are fixed")]
     NotMovable { base: String, tip: String },

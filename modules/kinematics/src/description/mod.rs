@@ -3,6 +3,7 @@
 mod bodies;
 mod error;
 mod urdf;
+mod warning;
 
 use downbeat_msgs::definitions::suggestion;
 use downbeat_transforms::Isometry;
@@ -12,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 pub use bodies::{Body, MassProperties};
 pub use error::{DescriptionError, Problem};
+pub use warning::{DescriptionWarning, Oddity};
 
 /// A robot: a tree of links connected by joints.
 ///
@@ -34,10 +36,10 @@ pub use error::{DescriptionError, Problem};
 /// assert_eq!(lamp.root().name, "base");
 /// assert_eq!(lamp.joints()[0].name, "tilt");
 ///
-/// let error = Robot::from_urdf(&urdf.replace("1 0\"/>", "2 0\"/>"), "lamp.urdf").unwrap_err();
+/// let error = Robot::from_urdf(&urdf.replace("1 0\"/>", "x 0\"/>"), "lamp.urdf").unwrap_err();
 /// assert_eq!(
 ///     error.to_string(),
-///     "lamp.urdf:5: the axis \"0 2 0\" of joint \"tilt\" has length 2, and must have length 1: write \"0 1 0\""
+///     "lamp.urdf:5: xyz=\"0 x 0\" of joint \"tilt\" is not 3 finite numbers"
 /// );
 /// # Ok::<(), downbeat_kinematics::DescriptionError>(())
 /// ```
@@ -48,6 +50,7 @@ pub struct Robot {
     links: Vec<Link>,
     joints: Vec<Joint>,
     coordinates: Vec<JointId>,
+    warnings: Vec<DescriptionWarning>,
 }
 
 /// The position of a link in [`Robot::links`].
@@ -158,13 +161,13 @@ pub struct Joint {
     pub child: LinkId,
     /// The frame of the child at position 0.
     pub parent_from_joint: Isometry,
-    /// The axis in the frame of the child; has length 1.
+    /// The axis in the frame of the child, of planar joints the normal of the plane; has length 1.
     pub axis: DVec3,
     /// The limits; always `Some` for revolute and prismatic joints.
     pub limits: Option<Limits>,
     /// Friction.
     pub dynamics: Dynamics,
-    /// The coordinate that determines its position; `None` for fixed joints.
+    /// The coordinate that determines its position; `None` for fixed, floating and planar joints.
     pub drive: Option<Drive>,
     /// The joint that this one follows, as in the description.
     pub mimic: Option<Mimic>,
@@ -183,6 +186,11 @@ pub enum JointKind {
     Prismatic,
     /// It does not move.
     Fixed,
+    /// Its child moves freely, as a robot in its world. No position of a joint describes that, so it has no coordinate:
+    /// its pose comes from elsewhere, such as odometry, and is `parent_from_joint` here.
+    Floating,
+    /// Its child moves in a plane. Like `Floating`, it has no coordinate.
+    Planar,
 }
 
 /// The limits of a joint.
@@ -233,7 +241,8 @@ pub struct Drive {
 impl Robot {
     /// Reads a URDF. `file` names it in error messages.
     ///
-    /// Elements that say nothing about links and joints, such as `<transmission>` and `<gazebo>`, are ignored.
+    /// Elements that say nothing about links and joints, such as `<transmission>` and `<gazebo>`, are ignored. Where a
+    /// part is not as the format demands but its meaning is clear, there is a [warning](Self::warnings).
     ///
     /// # Errors
     /// The first [`Problem`] of the description, with its line.
@@ -246,7 +255,7 @@ impl Robot {
     /// # Errors
     /// As [`Robot::from_urdf`]; a file that cannot be read or has more than 64 MiB.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, DescriptionError> {
-        Self::from_urdf(&read_urdf(path.as_ref())?, path.as_ref().display().to_string())
+        Ok(read_urdf(path.as_ref())?.0)
     }
 
     /// Reads a URDF file, or a text that contains a line break. Returns the text too.
@@ -254,11 +263,10 @@ impl Robot {
     /// # Errors
     /// As [`Robot::read`].
     pub fn load(path_or_text: &str) -> Result<(Self, String), DescriptionError> {
-        let (file, text) = match path_or_text.contains('\n') {
-            true => ("robot_description", path_or_text.to_owned()),
-            false => (path_or_text, read_urdf(Path::new(path_or_text))?),
-        };
-        Ok((Self::from_urdf(&text, file)?, text))
+        if path_or_text.contains('\n') {
+            return Ok((Self::from_urdf(path_or_text, "robot_description")?, path_or_text.to_owned()));
+        }
+        read_urdf(Path::new(path_or_text))
     }
 
     /// The name of the robot.
@@ -271,6 +279,12 @@ impl Robot {
     #[must_use]
     pub fn file(&self) -> &str {
         &self.file
+    }
+
+    /// The parts of the description that are not as the format demands, with what they were taken for.
+    #[must_use]
+    pub fn warnings(&self) -> &[DescriptionWarning] {
+        &self.warnings
     }
 
     /// The link from which all others hang.
@@ -368,6 +382,27 @@ impl Robot {
     }
 }
 
+impl JointKind {
+    /// Whether a single number says where the child is: not for fixed, floating and planar joints.
+    #[must_use]
+    pub fn has_position(self) -> bool {
+        matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
+    }
+}
+
+impl Geometry {
+    /// Whether the shape has an extent along each of its axes; meshes count as such.
+    #[must_use]
+    pub fn has_volume(&self) -> bool {
+        match self {
+            Self::Box { size } => size.min_element() > 0.0,
+            Self::Cylinder { radius, length } => *radius > 0.0 && *length > 0.0,
+            Self::Sphere { radius } => *radius > 0.0,
+            Self::Mesh(_) => true,
+        }
+    }
+}
+
 impl LinkId {
     /// The root of the robot.
     pub const ROOT: Self = Self(0);
@@ -388,11 +423,11 @@ impl JointId {
 }
 
 impl Joint {
-    /// The positions that the joint can take; without limits if it is continuous, 0 if it is fixed.
+    /// The positions that the joint can take; without limits if it is continuous, 0 if it has no coordinate.
     #[must_use]
     pub fn range(&self) -> RangeInclusive<f64> {
         match (self.kind, self.limits) {
-            (JointKind::Fixed, _) => 0.0..=0.0,
+            (JointKind::Fixed | JointKind::Floating | JointKind::Planar, _) => 0.0..=0.0,
             (JointKind::Revolute | JointKind::Prismatic, Some(limits)) => limits.lower..=limits.upper,
             _ => f64::NEG_INFINITY..=f64::INFINITY,
         }
@@ -402,17 +437,30 @@ impl Joint {
 /// The maximum size of a URDF file. Those of real robots have less than a megabyte.
 const LONGEST_FILE: u64 = 64 << 20;
 
-/// The text of a URDF file.
-pub(crate) fn read_urdf(path: &Path) -> Result<String, DescriptionError> {
-    let refuse = |problem: Problem| DescriptionError {
-        file: path.display().to_string(),
-        line: None,
-        problem: problem.into(),
-    };
+/// A URDF file as a robot, and its text.
+fn read_urdf(path: &Path) -> Result<(Robot, String), DescriptionError> {
+    let file = path.display().to_string();
+    let refuse =
+        |problem: Problem| DescriptionError { file: file.clone(), line: None, problem: problem.into() };
     let unreadable = |error: std::io::Error| refuse(Problem::Unreadable(error.to_string()));
     let length = std::fs::metadata(path).map_err(unreadable)?.len();
     if length > LONGEST_FILE {
         return Err(refuse(Problem::TooLong { length, limit: LONGEST_FILE }));
     }
-    std::fs::read_to_string(path).map_err(unreadable)
+    let bytes = std::fs::read(path).map_err(unreadable)?;
+    // Often a degree sign or a name in a comment, in Latin-1.
+    let (text, line) = match String::from_utf8(bytes) {
+        Ok(text) => (text, None),
+        Err(error) => {
+            let (before, _) = error.as_bytes().split_at(error.utf8_error().valid_up_to());
+            let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+            (String::from_utf8_lossy(error.as_bytes()).into_owned(), Some(line))
+        }
+    };
+    let mut robot = Robot::from_urdf(&text, &*file)?;
+    if let Some(line) = line {
+        let line = u32::try_from(line).unwrap_or(u32::MAX);
+        robot.warnings.insert(0, DescriptionWarning { file, line, oddity: Oddity::NotUtf8 });
+    }
+    Ok((robot, text))
 }

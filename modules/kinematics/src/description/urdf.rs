@@ -4,25 +4,30 @@
 //! <https://wiki.ros.org/urdf/XML>, and `ros/urdfdom`, whose defaults are used.
 
 use super::{
-    DescriptionError, Drive, Dynamics, Geometry, Inertial, Joint, JointId, JointKind, Limits, Link, LinkId,
-    Material, Mesh, Mimic, Problem, Robot, Shape,
+    DescriptionError, DescriptionWarning, Drive, Dynamics, Geometry, Inertial, Joint, JointId, JointKind,
+    Limits, Link, LinkId, Material, Mesh, Mimic, Oddity, Problem, Robot, Shape,
 };
 use downbeat_msgs::definitions::suggestion;
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 use roxmltree::{Document, Node};
+use std::borrow::Cow;
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 /// How far the length of an axis may be from 1: a unit vector with three digits.
 const AXIS_TOLERANCE: f64 = 1e-3;
 
 pub(super) fn read(text: &str, file: String) -> Result<Robot, DescriptionError> {
-    let document = Document::parse(text).map_err(|error| DescriptionError {
+    let (text, oddities) = without_surroundings(text);
+    let document = Document::parse(&text).map_err(|error| DescriptionError {
         file: file.clone(),
         line: Some(error.pos().row),
         problem: Problem::NotXml(error.to_string()).into(),
     })?;
-    let reader = Reader { document: &document, file: &file };
+    let reader = Reader { document: &document, file: &file, warnings: RefCell::default() };
+    oddities.into_iter().for_each(|(line, oddity)| reader.warn_in(line, oddity));
     let root = document.root_element();
     let is_macro =
         |node: &Node<'_, '_>| node.tag_name().namespace().is_some_and(|name| name.contains("xacro"));
@@ -33,18 +38,43 @@ pub(super) fn read(text: &str, file: String) -> Result<Robot, DescriptionError> 
     if !root.has_tag_name("robot") {
         return Err(reader.error(root, Problem::NotUrdf { root: root.tag_name().name().to_owned() }));
     }
-    let name = reader.name(root, "the robot")?.to_owned();
+    let name = reader.robot_name(root);
     let parts = Parts::read(&reader, root)?;
     let Parts { links, joints, joint_nodes } = parts.in_tree_order(&reader)?;
-    let mut robot = Robot { name, links, joints, coordinates: Vec::new(), file: file.clone() };
+    let (coordinates, file) = (Vec::new(), file.clone());
+    let mut robot = Robot { name, links, joints, coordinates, file, warnings: Vec::new() };
     drive(&mut robot, &joint_nodes, &reader)?;
+    robot.warnings = reader.warnings.into_inner();
     Ok(robot)
 }
 
-/// Attributes and elements of a document, with errors that name their line.
+/// The text without what stands before the XML declaration, and without zero bytes at its end; lines stay where they are.
+fn without_surroundings(text: &str) -> (Cow<'_, str>, Vec<(u32, Oddity)>) {
+    let mut oddities = Vec::new();
+    let trimmed = text.trim_end_matches(|last: char| last == '\0' || last.is_whitespace());
+    let text = if text[trimmed.len()..].contains('\0') {
+        let line = 1 + trimmed.bytes().filter(|byte| *byte == b'\n').count();
+        oddities.push((u32::try_from(line).unwrap_or(u32::MAX), Oddity::ZerosBehindEnd));
+        trimmed
+    } else {
+        text
+    };
+    let declaration = text.find("<?xml ").filter(|&start| {
+        let before = &text[..start];
+        !before.trim_start_matches('\u{feff}').is_empty() && !before.contains("<robot")
+    });
+    let end = declaration.and_then(|start| Some(start + text[start..].find("?>")? + 2));
+    let Some(end) = end else { return (text.into(), oddities) };
+    oddities.push((1, Oddity::BeforeDeclaration));
+    let lines = text[..end].chars().filter(|character| *character == '\n');
+    (lines.chain(text[end..].chars()).collect::<String>().into(), oddities)
+}
+
+/// Attributes and elements of a document, with errors and warnings that name their line.
 struct Reader<'r, 'i> {
     document: &'r Document<'i>,
     file: &'r str,
+    warnings: RefCell<Vec<DescriptionWarning>>,
 }
 
 impl<'i> Reader<'_, 'i> {
@@ -56,9 +86,29 @@ impl<'i> Reader<'_, 'i> {
         DescriptionError { file: self.file.to_owned(), line: Some(self.line(node)), problem: problem.into() }
     }
 
+    fn warn(&self, node: Node<'_, 'i>, oddity: Oddity) {
+        self.warn_in(self.line(node), oddity);
+    }
+
+    fn warn_in(&self, line: u32, oddity: Oddity) {
+        let file = self.file.to_owned();
+        self.warnings.borrow_mut().push(DescriptionWarning { file, line, oddity });
+    }
+
     fn missing(&self, node: Node<'_, 'i>, owner: &str, missing: &str, remedy: &str) -> DescriptionError {
         let (owner, missing, remedy) = (owner.to_owned(), missing.to_owned(), remedy.to_owned());
         self.error(node, Problem::Missing { owner, missing, remedy })
+    }
+
+    /// The name of the robot, else that of its file.
+    fn robot_name(&self, root: Node<'_, 'i>) -> String {
+        if let Some(name) = root.attribute("name").filter(|name| !name.trim().is_empty()) {
+            return name.to_owned();
+        }
+        let stem = Path::new(self.file).file_stem();
+        let taken = stem.map_or_else(|| "robot".to_owned(), |stem| stem.to_string_lossy().into_owned());
+        self.warn(root, Oddity::NoName { taken: taken.clone() });
+        taken
     }
 
     fn name<'a>(&self, node: Node<'a, 'i>, owner: &str) -> Result<&'a str, DescriptionError> {
@@ -96,15 +146,21 @@ impl<'i> Reader<'_, 'i> {
         attribute: &str,
     ) -> Result<Option<[f64; N]>, DescriptionError> {
         let Some(text) = node.attribute(attribute) else { return Ok(None) };
-        let mut words = text.split_whitespace();
+        let (owner, attribute, text) = (owner.to_owned(), attribute.to_owned(), text.to_owned());
+        let mut words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
         let numbers =
             std::array::from_fn(|_| words.next().and_then(|word| word.parse().ok()).unwrap_or(f64::NAN));
-        if words.next().is_none() && numbers.iter().all(|number: &f64| number.is_finite()) {
-            return Ok(Some(numbers));
+        let (are_finite, is_more) = (numbers.iter().all(|number: &f64| number.is_finite()), words.next());
+        if !are_finite || (N == 1 && (is_more.is_some() || text.contains(','))) {
+            let expected = if N == 1 { "a finite number".into() } else { format!("{N} finite numbers") };
+            return Err(self.error(node, Problem::BadNumber { owner, attribute, text, expected }));
         }
-        let expected = if N == 1 { "a finite number".into() } else { format!("{N} finite numbers") };
-        let (owner, attribute, text) = (owner.to_owned(), attribute.to_owned(), text.to_owned());
-        Err(self.error(node, Problem::BadNumber { owner, attribute, text, expected }))
+        if is_more.is_some() {
+            self.warn(node, Oddity::MoreNumbers { owner, attribute, text, count: N });
+        } else if text.contains(',') {
+            self.warn(node, Oddity::Commas { owner, attribute, text });
+        }
+        Ok(Some(numbers))
     }
 
     fn number(&self, node: Node<'_, 'i>, owner: &str, attribute: &str) -> Result<f64, DescriptionError> {
@@ -122,23 +178,18 @@ impl<'i> Reader<'_, 'i> {
         Ok(self.numbers::<1>(node, owner, attribute)?.map_or(default, |[number]| number))
     }
 
-    /// A number that must not be negative, or zero either.
-    fn positive(
+    fn not_negative(
         &self,
         node: Node<'_, 'i>,
         owner: &str,
         attribute: &str,
         value: f64,
-        may_be_zero: ZeroIs,
     ) -> Result<f64, DescriptionError> {
-        let expected = match may_be_zero {
-            ZeroIs::Allowed if value >= 0.0 => return Ok(value),
-            ZeroIs::Refused if value > 0.0 => return Ok(value),
-            ZeroIs::Allowed => "0 or more",
-            ZeroIs::Refused => "greater than 0",
-        };
-        let (owner, attribute) = (owner.to_owned(), attribute.to_owned());
-        Err(self.error(node, Problem::OutOfRange { owner, attribute, value, expected: expected.into() }))
+        if value >= 0.0 {
+            return Ok(value);
+        }
+        let (owner, attribute, expected) = (owner.to_owned(), attribute.to_owned(), "0 or more".into());
+        Err(self.error(node, Problem::OutOfRange { owner, attribute, value, expected }))
     }
 
     fn vector(
@@ -171,7 +222,8 @@ impl<'i> Reader<'_, 'i> {
         let owner = format!("link \"{name}\"");
         let shapes = |tag: &str| {
             let nodes = children(node, tag);
-            nodes.map(|shape| self.shape(shape, &owner, materials)).collect::<Result<Vec<Shape>, _>>()
+            let shapes = nodes.map(|shape| self.shape(shape, &owner, materials));
+            shapes.filter_map(Result::transpose).collect::<Result<Vec<Shape>, _>>()
         };
         Ok(Link {
             inertial: child(node, "inertial").map(|inertial| self.inertial(inertial, &owner)).transpose()?,
@@ -186,7 +238,7 @@ impl<'i> Reader<'_, 'i> {
     fn inertial(&self, node: Node<'_, 'i>, owner: &str) -> Result<Inertial, DescriptionError> {
         let mass_node = self.element(node, owner, "mass", "value=\"...\"")?;
         let mass = self.number(mass_node, owner, "value")?;
-        let mass = self.positive(mass_node, owner, "mass", mass, ZeroIs::Allowed)?;
+        let mass = self.not_negative(mass_node, owner, "mass", mass)?;
         let inertia = self.element(
             node,
             owner,
@@ -205,69 +257,85 @@ impl<'i> Reader<'_, 'i> {
         node: Node<'_, 'i>,
         owner: &str,
         materials: &BTreeMap<&str, Material>,
-    ) -> Result<Shape, DescriptionError> {
+    ) -> Result<Option<Shape>, DescriptionError> {
         let geometry =
             child(node, "geometry").and_then(|geometry| geometry.children().find(Node::is_element));
         let geometry = geometry.ok_or_else(|| {
             let shape = format!("a <{}> of {owner}", node.tag_name().name());
             self.missing(node, &shape, "<geometry>", "<geometry><box size=\"...\"/></geometry>")
         })?;
+        let Some(geometry) = self.geometry(geometry, owner)? else { return Ok(None) };
         let material = match child(node, "material") {
             None => None,
-            Some(material) => match self.material(material)? {
+            Some(node) => match self.material(node) {
                 Material { name, rgba: None, texture: None } => {
                     let known = materials.get(&*name).cloned();
-                    let hint = || suggestion(&name, materials.keys());
-                    let unknown = || Problem::UnknownMaterial { material: name.clone(), hint: hint() };
-                    Some(known.ok_or_else(|| self.error(material, unknown()))?)
+                    if known.is_none() && !name.is_empty() {
+                        let hint = suggestion(&name, materials.keys());
+                        self.warn(node, Oddity::UnknownMaterial { material: name.clone(), hint });
+                    }
+                    known.or(Some(Material { name, rgba: None, texture: None }))
                 }
                 inline => Some(inline),
             },
         };
-        Ok(Shape {
+        Ok(Some(Shape {
             name: node.attribute("name").unwrap_or_default().to_owned(),
             link_from_shape: self.origin(node, owner)?,
-            geometry: self.geometry(geometry, owner)?,
+            geometry,
             material,
             line: self.line(node),
-        })
+        }))
     }
 
-    fn geometry(&self, node: Node<'_, 'i>, owner: &str) -> Result<Geometry, DescriptionError> {
-        let length = |attribute: &str| {
-            let length = self.number(node, owner, attribute)?;
-            self.positive(node, owner, attribute, length, ZeroIs::Refused)
+    /// `None` for shapes that URDF does not have.
+    fn geometry(&self, node: Node<'_, 'i>, owner: &str) -> Result<Option<Geometry>, DescriptionError> {
+        let extent = |attribute: &str, length: f64| {
+            self.not_negative(node, owner, attribute, length)?;
+            if length == 0.0 {
+                let (owner, attribute) = (owner.to_owned(), attribute.to_owned());
+                self.warn(node, Oddity::NoExtent { owner, attribute });
+            }
+            Ok(length)
         };
-        match node.tag_name().name() {
+        let length = |attribute: &str| extent(attribute, self.number(node, owner, attribute)?);
+        let geometry = match node.tag_name().name() {
             "box" => {
                 self.text(node, owner, "size")?;
                 let size = self.vector(node, owner, "size", DVec3::ZERO)?;
-                self.positive(node, owner, "size", size.min_element(), ZeroIs::Refused)?;
-                Ok(Geometry::Box { size })
+                extent("size", size.min_element())?;
+                Geometry::Box { size }
             }
-            "cylinder" => Ok(Geometry::Cylinder { radius: length("radius")?, length: length("length")? }),
-            "sphere" => Ok(Geometry::Sphere { radius: length("radius")? }),
-            "mesh" => Ok(Geometry::Mesh(Mesh {
+            "cylinder" => Geometry::Cylinder { radius: length("radius")?, length: length("length")? },
+            "sphere" => Geometry::Sphere { radius: length("radius")? },
+            "mesh" => Geometry::Mesh(Mesh {
                 file_name: self.text(node, owner, "filename")?.to_owned(),
                 scale: self.vector(node, owner, "scale", DVec3::ONE)?,
-            })),
+            }),
             other => {
-                let remedy = format!("one of box, cylinder, sphere and mesh in place of <{other}>");
-                Err(self.missing(node, owner, "known geometry", &remedy))
+                let (owner, element) = (owner.to_owned(), other.to_owned());
+                self.warn(node, Oddity::UnknownShape { owner, element });
+                return Ok(None);
             }
-        }
+        };
+        Ok(Some(geometry))
     }
 
-    fn material(&self, node: Node<'_, 'i>) -> Result<Material, DescriptionError> {
+    fn material(&self, node: Node<'_, 'i>) -> Material {
         let name = node.attribute("name").unwrap_or_default().to_owned();
-        let owner = format!("material \"{name}\"");
-        let rgba = match child(node, "color") {
-            Some(color) => self.numbers::<4>(color, &owner, "rgba")?,
-            None => None,
-        };
+        let rgba = child(node, "color").and_then(|color| {
+            let text = color.attribute("rgba")?;
+            let parts: Option<Vec<f32>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+            let parts = parts.filter(|parts| parts.iter().all(|part: &f32| part.is_finite()));
+            let rgba = parts.and_then(|parts| <[f32; 4]>::try_from(parts).ok());
+            if rgba.is_none() {
+                let (owner, text) = (format!("material \"{name}\""), text.to_owned());
+                self.warn(color, Oddity::BadColor { owner, text });
+            }
+            rgba
+        });
         let texture = child(node, "texture").and_then(|texture| texture.attribute("filename"));
-        let rgba = rgba.map(|rgba| rgba.map(|part| part as f32));
-        Ok(Material { name, rgba, texture: texture.map(str::to_owned) })
+        Material { name, rgba, texture: texture.map(str::to_owned) }
     }
 
     fn joint(&self, node: Node<'_, 'i>, links: &BTreeMap<&str, usize>) -> Result<Joint, DescriptionError> {
@@ -278,6 +346,13 @@ impl<'i> Reader<'_, 'i> {
             "continuous" => JointKind::Continuous,
             "prismatic" => JointKind::Prismatic,
             "fixed" => JointKind::Fixed,
+            "floating" => JointKind::Floating,
+            "planar" => JointKind::Planar,
+            // An extension of Bullet.
+            "spherical" => {
+                self.warn(node, Oddity::Spherical { joint: name.to_owned() });
+                JointKind::Floating
+            }
             kind => {
                 let (joint, kind) = (name.to_owned(), kind.to_owned());
                 return Err(self.error(node, Problem::JointKind { joint, kind }));
@@ -295,7 +370,7 @@ impl<'i> Reader<'_, 'i> {
             Some(dynamics) => {
                 let value = |attribute: &str| {
                     let value = self.number_or(dynamics, &owner, attribute, 0.0)?;
-                    self.positive(dynamics, &owner, attribute, value, ZeroIs::Allowed)
+                    self.not_negative(dynamics, &owner, attribute, value)
                 };
                 Dynamics { damping: value("damping")?, friction: value("friction")? }
             }
@@ -305,7 +380,10 @@ impl<'i> Reader<'_, 'i> {
             parent: link("parent")?,
             child: link("child")?,
             parent_from_joint: self.origin(node, &owner)?,
-            axis: if kind == JointKind::Fixed { DVec3::X } else { self.axis(node, name)? },
+            axis: match kind {
+                JointKind::Fixed | JointKind::Floating => DVec3::X,
+                _ => self.axis(node, name)?,
+            },
             limits: self.limits(node, kind, name)?,
             dynamics,
             drive: None,
@@ -319,13 +397,16 @@ impl<'i> Reader<'_, 'i> {
         let Some(node) = child(node, "axis") else { return Ok(DVec3::X) };
         let axis = self.vector(node, &format!("joint \"{joint}\""), "xyz", DVec3::X)?;
         let length = axis.length();
-        if (length - 1.0).abs() <= AXIS_TOLERANCE {
-            return Ok(axis / length);
+        let Some(unit) = axis.try_normalize() else {
+            return Err(self.error(node, Problem::NoAxis { joint: joint.to_owned() }));
+        };
+        if (length - 1.0).abs() > AXIS_TOLERANCE {
+            let words =
+                |axis: DVec3| axis.to_array().map(|part| ((part * 1e6).round() / 1e6).to_string()).join(" ");
+            let (joint, axis, unit) = (joint.to_owned(), words(axis), words(unit));
+            self.warn(node, Oddity::AxisLength { joint, axis, length, unit });
         }
-        let words =
-            |axis: DVec3| axis.to_array().map(|part| ((part * 1e6).round() / 1e6).to_string()).join(" ");
-        let (joint, unit) = (joint.to_owned(), words(axis.try_normalize().unwrap_or(DVec3::X)));
-        Err(self.error(node, Problem::AxisLength { joint, axis: words(axis), length, unit }))
+        Ok(unit)
     }
 
     fn limits(
@@ -344,23 +425,18 @@ impl<'i> Reader<'_, 'i> {
             }
             return Ok(None);
         };
-        if kind == JointKind::Fixed {
+        if !kind.has_position() {
             return Ok(None);
         }
         let [lower, upper] = ["lower", "upper"].map(|name| self.number_or(node, &owner, name, 0.0));
         let [effort, velocity] = ["effort", "velocity"].map(|name| self.number(node, &owner, name));
         let (lower, upper, effort, velocity) = (lower?, upper?, effort?, velocity?);
         if lower > upper && is_limited {
-            return Err(self.error(node, Problem::Limits { joint: joint.to_owned(), lower, upper }));
+            self.warn(node, Oddity::Limits { joint: joint.to_owned(), lower, upper });
+            return Ok(Some(Limits { lower: upper, upper: lower, effort, velocity }));
         }
         Ok(Some(Limits { lower, upper, effort, velocity }))
     }
-}
-
-#[derive(Clone, Copy)]
-enum ZeroIs {
-    Allowed,
-    Refused,
 }
 
 /// Links and joints, with the elements of the latter.
@@ -375,11 +451,9 @@ impl<'a, 'i> Parts<'a, 'i> {
         let mut materials = BTreeMap::new();
         // Materials may be used before they are defined, and a definition inside a link is valid everywhere.
         for node in root.descendants().filter(|node| node.has_tag_name("material")) {
-            let material = reader.material(node)?;
-            if let (Some(name), true) =
-                (node.attribute("name"), material.rgba.is_some() || material.texture.is_some())
-            {
-                materials.entry(name).or_insert(material);
+            let name = node.attribute("name").filter(|name| !name.is_empty());
+            if let (Some(name), Some(_)) = (name, child(node, "color").or(child(node, "texture"))) {
+                materials.entry(name).or_insert_with(|| reader.material(node));
             }
         }
         let link_nodes: Vec<_> = children(root, "link").collect();
@@ -474,17 +548,24 @@ fn drive(robot: &mut Robot, nodes: &[Node<'_, '_>], reader: &Reader<'_, '_>) -> 
         let name = robot.joints[index].name.clone();
         let owner = format!("joint \"{name}\"");
         let other = reader.text(node, &owner, "joint")?;
-        let joint = robot.joint_id(other).map_err(|error| reader.error(node, *error.problem))?;
-        if [JointId(index), joint].iter().any(|&id| robot.joint(id).kind == JointKind::Fixed) {
-            let reason = "cannot be followed: both joints must move, and one is fixed";
-            return Err(reader.error(node, Problem::Mimic { joint: name, other: other.to_owned(), reason }));
-        }
+        let leader = robot.joint_id(other).map_err(|error| format!("but {}", error.problem));
+        let leader = leader.and_then(|leader| {
+            let fixed = [JointId(index), leader].into_iter().find(|&id| !robot.joint(id).kind.has_position());
+            fixed.map_or(Ok(leader), |id| Err(format!("and \"{}\" has no position", robot.joint(id).name)))
+        });
+        let joint = match leader {
+            Ok(joint) => joint,
+            Err(reason) => {
+                reader.warn(node, Oddity::Mimic { joint: name, other: other.to_owned(), reason });
+                continue;
+            }
+        };
         let multiplier = reader.number_or(node, &owner, "multiplier", 1.0)?;
         let offset = reader.number_or(node, &owner, "offset", 0.0)?;
         robot.joints[index].mimic = Some(Mimic { joint, multiplier, offset });
     }
     for index in 0..robot.joints.len() {
-        if robot.joints[index].kind != JointKind::Fixed && robot.joints[index].mimic.is_none() {
+        if robot.joints[index].kind.has_position() && robot.joints[index].mimic.is_none() {
             let drive = Drive { coordinate: robot.coordinates.len(), multiplier: 1.0, offset: 0.0 };
             robot.joints[index].drive = Some(drive);
             robot.coordinates.push(JointId(index));

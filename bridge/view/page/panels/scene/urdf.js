@@ -16,8 +16,13 @@ const GREY = [0.62, 0.64, 0.67, 1];
 
 /** @param {string | null | undefined} text @param {number[]} otherwise */
 const numbers = (text, otherwise) => {
-  const found = (text ?? '').trim().split(/\s+/).map(Number);
-  return text && found.length >= otherwise.length && found.every(Number.isFinite) ? found : otherwise;
+  const found = (text ?? '').split(/[\s,]+/).filter((word) => word).map(Number).slice(0, otherwise.length);
+  return found.length === otherwise.length && found.every(Number.isFinite) ? found : otherwise;
+};
+/** @param {number[]} vector */
+const unit = (vector) => {
+  const length = Math.hypot(...vector);
+  return length > 0 ? vector.map((part) => part / length) : [1, 0, 0];
 };
 /** @param {Element} element @param {string} name */
 const childrenOf = (element, name) => [...element.children].filter(({ localName }) => localName === name);
@@ -58,7 +63,10 @@ function colorOf(material) {
 
 /** @param {string} text @returns {Description} @throws {Error} in words, if it is no robot description */
 export function parseUrdf(text) {
-  const root = new DOMParser().parseFromString(text, 'text/xml').documentElement;
+  // A declaration that is not at the start, or zero bytes at the end, are no XML, but other readers accept them.
+  const start = text.indexOf('<?xml ');
+  const xml = (start > 0 && !text.slice(0, start).includes('<robot') ? text.slice(start) : text).replace(/[\s\0]+$/, '');
+  const root = new DOMParser().parseFromString(xml, 'text/xml').documentElement;
   if (root.localName !== 'robot') throw new Error('the robot description is no URDF: <robot> is missing, or the XML is damaged');
   /** @type {Map<string, number[]>} */
   const materials = new Map();
@@ -79,7 +87,7 @@ export function parseUrdf(text) {
       parent: childOf(joint, 'parent')?.getAttribute('link') ?? '',
       child: childOf(joint, 'child')?.getAttribute('link') ?? '',
       origin: originOf(joint),
-      axis: numbers(childOf(joint, 'axis')?.getAttribute('xyz'), [1, 0, 0]),
+      axis: unit(numbers(childOf(joint, 'axis')?.getAttribute('xyz'), [1, 0, 0])),
       lower: Number(limit?.getAttribute('lower') ?? -Math.PI),
       upper: Number(limit?.getAttribute('upper') ?? Math.PI),
       mimic: mimic
@@ -118,7 +126,8 @@ export function forward(description, positionOf) {
   const poses = new Map([[description.root, identity()]]);
   for (const { name, type, parent, child, origin, axis, mimic } of description.joints) {
     const parentPose = poses.get(parent) ?? identity();
-    const position = (mimic ? (positionOf(mimic.joint) ?? 0) * mimic.factor + mimic.offset : positionOf(name)) ?? 0;
+    const own = positionOf(name); // of a joint that mimics another, too: what was measured has precedence
+    const position = own ?? (mimic ? (positionOf(mimic.joint) ?? 0) * mimic.factor + mimic.offset : 0);
     let local = origin;
     if (type === 'revolute' || type === 'continuous') local = { p: origin.p, q: multiply(origin.q, turn(axis, position)) };
     else if (type === 'prismatic') local = compose(origin, { p: axis.map((a) => a * position), q: [0, 0, 0, 1] });
