@@ -4,10 +4,11 @@
 mod common;
 
 use std::io::{BufRead, BufReader, Write};
+use std::net::TcpStream;
 use std::process::Stdio;
 
 use common::browser::script;
-use common::{downbeat, output_of, text_of};
+use common::{Running, downbeat, output_of, text_of};
 use serde_json::{Value, json};
 
 fn described(arguments: &[&str]) -> Value {
@@ -102,4 +103,46 @@ fn a_robot_is_composed_in_a_browser() {
     let folder = tempfile::tempdir().unwrap();
     let status = script.arg(folder.path()).current_dir(env!("CARGO_MANIFEST_DIR")).status().unwrap();
     assert!(status.success());
+}
+
+/// A page that was opened elsewhere and knows the token can neither edit the robot nor run it: browsers say where a page comes from.
+#[test]
+fn a_hostile_page_with_the_token_reaches_no_editor() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.toml");
+    let mut editor = Running::start(&["compose", path.to_str().unwrap(), "--port", "0"]);
+    editor.wait_for_output("#token=");
+    let output = editor.output();
+    let (_, url) = output.split_once("open in a browser: http://").unwrap();
+    let (address, token) = url.trim().split_once("/#token=").unwrap();
+    let port = address.rsplit_once(':').unwrap().1;
+    let ask = |method: &str, host: &str, origin: &str| -> String {
+        let mut stream = TcpStream::connect(address).unwrap();
+        let request = format!(
+            "{method} /?token={token} HTTP/1.1\r\nHost: {host}\r\n{origin}Connection: Upgrade\r\nUpgrade: websocket\r\n\
+             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+             Sec-WebSocket-Protocol: downbeat.view.v1\r\n\r\n"
+        );
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut status = String::new();
+        BufReader::new(stream).read_line(&mut status).unwrap();
+        status.split_whitespace().nth(1).unwrap_or_default().to_owned()
+    };
+    for (host, origin, expected) in [
+        (address.to_owned(), format!("Origin: http://{address}\r\n"), "101"),
+        (address.to_owned(), "Origin: https://evil.example\r\n".to_owned(), "403"),
+        (address.to_owned(), "Origin: http://evil.example\r\n".to_owned(), "403"),
+        (address.to_owned(), "Origin: null\r\n".to_owned(), "403"),
+        // Another server of this machine.
+        (address.to_owned(), "Origin: http://127.0.0.1:1\r\n".to_owned(), "403"),
+        (address.to_owned(), format!("Origin: http://localhost:{port}\r\n"), "403"),
+        // A name that an attacker lets lead to this machine.
+        (format!("evil.example:{port}"), format!("Origin: http://evil.example:{port}\r\n"), "421"),
+    ] {
+        assert_eq!(ask("GET", &host, &origin), expected, "{host}, {origin}");
+    }
+    // A form needs no script and is sent to any server.
+    assert_eq!(ask("POST", address, "Origin: https://evil.example\r\n"), "405");
+    assert!(!path.exists());
+    editor.interrupt();
 }

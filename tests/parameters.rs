@@ -33,5 +33,8 @@ fn settings_of_a_running_robot_are_parameters_of_its_node() {
     assert_eq!(set["results"][0], json!({"successful": true, "reason": ""}));
     assert_eq!(value(&ask("get_parameters", json!(["mux.hold_s"]))), 3.5);
     let refused = ask("set_parameters", json!({"mux.hold_s": "long"}));
-    assert_eq!(refused["results"][0]["reason"], "expected double, found text \"long\"");
+    assert_eq!(
+        refused["results"][0]["reason"],
+        "Wrong parameter type, parameter {mux.hold_s} is of type {double}, setting it to {string} is not allowed."
+    );
 }

@@ -220,7 +220,9 @@ fn a_robot_serves_an_action_that_looks_up_transforms() {
     let found = ask(1, "camera", 50);
     assert_eq!((found.status, found.result.error.error), (GoalStatus::STATUS_SUCCEEDED, TF2Error::NO_ERROR));
     assert_eq!(found.result.transform.transform.translation.x, 0.25);
-    let missing = ask(2, "hand", 0).result.error;
+    let missing = ask(2, "hand", 0);
+    assert_eq!(missing.status, GoalStatus::STATUS_SUCCEEDED);
+    let missing = missing.result.error;
     assert_eq!(missing.error, TF2Error::LOOKUP_ERROR);
     assert!(missing.error_string.contains("hand"), "{}", missing.error_string);
     program.interrupt();

@@ -69,7 +69,7 @@ pub use reader::{
 };
 pub use recording::{
     ControlError, RecordError, Recording, RecordingControl, RecordingFailed, RecordingOptions,
-    RecordingSender, RecordingStatistics, SnapshotLimits, WhenSlow,
+    RecordingSender, RecordingStatistics, SnapshotLimits, WhenSlow, finish_all,
 };
 pub use sizes::{ServiceCalls, TopicSizes};
 pub use storage::Storage;

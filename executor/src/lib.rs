@@ -189,7 +189,7 @@ pub use module::{
 pub use observe::{
     CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic,
     LoopTiming, ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, Timing,
-    TopicStatistics, TraceCause, TraceEvent, TraceEventKind, running_module,
+    TopicStatistics, TraceCause, TraceEvent, TraceEventKind, running_module, running_modules,
 };
 pub use threads::{Overrun, Receipt, Spin, ThreadError, ThreadOptions};
 pub use time::{Clock, ManualClock, SystemClock, Time};

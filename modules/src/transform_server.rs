@@ -5,8 +5,9 @@
 //! | `tf2_buffer_server` | action tf2_msgs/LookupTransform | a goal waits until its transform is known, or for its `timeout` |
 //! | `tf`, `tf_static` (in) | tf2_msgs/TFMessage | the known transforms |
 //!
-//! A goal always succeeds, as in tf2_ros; failures are reported in the result's `error`. A canceled goal ends
-//! at once.
+//! A lookup that fails is reported in the result's `error`. As in tf2_ros, a goal without a `timeout` succeeds even then, and one that has
+//! waited for its transform is aborted; tf2_ros leaves `error` empty in that case, so that its clients take an empty transform for the
+//! answer. A canceled goal ends at once.
 //!
 //! # References
 //! `tf2_ros/src/buffer_server.cpp` of `ros2/geometry2`, branch jazzy.
@@ -48,11 +49,16 @@ impl TransformServer {
             .filter_map(|goal| {
                 let found = look_up(&self.transforms, goal.goal());
                 let is_late = is_late(goal.accepted_at(), goal.goal(), now);
-                (found.is_ok() || is_late).then(|| (goal.id(), result(found)))
+                let is_aborted = found.is_err() && !timeout(goal.goal()).is_zero();
+                (found.is_ok() || is_late).then(|| (goal.id(), is_aborted, result(found)))
             })
             .collect();
-        for (id, result) in ends {
-            if let Err(error) = self.server.succeed(ctx, id, result) {
+        for (id, is_aborted, result) in ends {
+            let answered = match is_aborted {
+                true => self.server.abort(ctx, id, result),
+                false => self.server.succeed(ctx, id, result),
+            };
+            if let Err(error) = answered {
                 tracing::error!("a lookup was not answered: {error}");
             }
         }
@@ -188,9 +194,19 @@ mod tests {
         let result = ask(&mut core, 5);
         clock.advance(Duration::from_secs(5));
         (0..3).try_for_each(|_| core.cycle()).unwrap();
-        let error = result.try_recv().unwrap().result.error;
-        assert_eq!(error.error, TF2Error::LOOKUP_ERROR);
+        let response = result.try_recv().unwrap();
+        let error = response.result.error;
+        // Aborted.
+        assert_eq!((response.status, error.error), (6, TF2Error::LOOKUP_ERROR));
         assert!(error.error_string.contains("there is no frame"), "{}", error.error_string);
+    }
+
+    #[test]
+    fn a_lookup_that_does_not_wait_succeeds_with_the_reason() {
+        let (mut core, _clock) = core_at_zero();
+        core.add("server", TransformServer::default()).unwrap();
+        let response = ask(&mut core, 0).try_recv().unwrap();
+        assert_eq!((response.status, response.result.error.error), (4, TF2Error::LOOKUP_ERROR));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import time
 
 import downbeat
 import pytest
@@ -315,6 +316,69 @@ def test_a_module_that_does_not_return_is_reported_with_file_line_and_function(w
     run = program("run", "robot.toml")
     run.wait_for(r"has not returned for 0\.\d+ s: \S*module\.py:8, in wait")
     assert run.stop() == 0
+
+
+def test_a_process_that_a_callback_forked_does_not_run_as_a_second_robot(write, program):
+    write(
+        "module.py",
+        """
+        import os
+        import downbeat as db
+
+        class M(db.Module):
+            count = 0
+
+            @db.every("20ms")
+            def fork(self):
+                self.count += 1
+                if self.count == 5:
+                    child = os.fork()
+                    if child == 0:
+                        raise KeyError("the child comes back")
+                    _, status = os.waitpid(child, 0)
+                    self.log.info(f"the child ended with {os.waitstatus_to_exitcode(status)}")
+                if self.count == 10:
+                    child = os.fork()
+                    if child == 0:
+                        os._exit(7)
+                    _, status = os.waitpid(child, 0)
+                    self.log.info(f"another ended with {os.waitstatus_to_exitcode(status)}")
+                if self.count > 10:
+                    self.log.info("goes on")
+        """,
+    )
+    write("robot.toml", one_module())
+    run = program("run", "robot.toml")
+    run.wait_for("a callback returned in a process that it had forked")
+    run.wait_for("the child ended with 1")
+    run.wait_for("another ended with 7")
+    run.wait_for("goes on", times=5)
+    assert "Traceback" not in run.text()
+    assert run.stop() == 0
+
+
+def test_a_module_that_never_returns_does_not_keep_an_impatient_user(write, program):
+    write(
+        "module.py",
+        """
+        import downbeat as db
+
+        class M(db.Module):
+            @db.every("10ms")
+            def spin(self):
+                self.log.info("spins")
+                while True:
+                    pass
+        """,
+    )
+    write("robot.toml", one_module())
+    run = program("run", "robot.toml")
+    run.wait_for("spins")
+    run.process.terminate()
+    time.sleep(1.5)
+    assert run.process.poll() is None
+    run.process.terminate()
+    assert run.wait() == 128 + 15
 
 
 def test_settings_are_checked_and_changed(write):

@@ -1,10 +1,12 @@
 //! The robot that runs while its file is edited: a process of its own.
 
+use downbeat_library_host::parent;
 use parking_lot::Mutex;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
@@ -62,9 +64,12 @@ impl RobotProcess {
         if let Some(bag) = &bag {
             command.arg("--record").arg(bag);
         }
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        // Standard input is kept open: the robot ends with this process, however that ends.
+        command.arg("--with-parent").stdin(Stdio::piped());
+        // In a group of its own: Ctrl-C is for this process, which stops its robot.
+        command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped());
         let failed = |error: std::io::Error| format!("cannot start {}: {error}", runner.program.display());
-        let mut child = command.spawn().map_err(failed)?;
+        let mut child = parent::spawn(command).map_err(failed)?;
         let output = Arc::new(Mutex::new(Output::default()));
         let pipes = [
             child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>),

@@ -364,6 +364,11 @@ impl Composer {
         }
     }
 
+    /// Stops the robot that was started here, if it runs.
+    pub fn stop_robot(&self) {
+        drop(self.robot.lock().take());
+    }
+
     fn stop(&self) -> Answer {
         let running = self.robot.lock().take();
         let Some(mut robot) = running else { return Err("no robot was started here".to_owned()) };

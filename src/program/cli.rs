@@ -202,6 +202,10 @@ pub(crate) struct RunArguments {
     /// Use this DDS engine instead of the robot file's: rtps, or rustdds if built with that feature.
     #[arg(long, value_name = "ENGINE")]
     pub(crate) engine: Option<Engine>,
+    /// End with the process at the other end of standard input, which started this one.
+    #[cfg(feature = "view")]
+    #[arg(long, hide = true)]
+    pub(crate) with_parent: bool,
     #[command(flatten)]
     pub(crate) parameters: ParameterArguments,
 }

@@ -5,7 +5,11 @@
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use rustix::io::Errno;
+
+use super::stop::{self, OutputEnd};
 use crate::msgs::write_printable_lines;
 
 macro_rules! print {
@@ -21,18 +25,34 @@ macro_rules! eprintln {
     ($($text:tt)*) => { $crate::program::output::print_error(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// Writes to standard output. If it is closed, the process exits quietly, since it has nothing else to do; on
-/// other errors the process exits with an error.
+/// Writes to standard output. If it is closed, commands that wait for a stop are asked to stop, and others exit quietly, since they have
+/// nothing else to do; on other errors the process ends with an error.
 ///
 /// Control characters are escaped, since names may come from untrusted sources.
 pub(crate) fn print(text: fmt::Arguments<'_>) {
     match write_printable(io::stdout().lock(), text) {
         Ok(()) => {}
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => std::process::exit(0),
-        Err(error) => {
-            print_error(format_args!("downbeat: cannot write to standard output: {error}\n"));
-            std::process::exit(1);
-        }
+        Err(error) => output_failed(&error),
+    }
+}
+
+/// Whether an error of standard output was reported. The process then exits with code 1.
+static HAS_FAILED: AtomicBool = AtomicBool::new(false);
+
+pub(crate) fn has_failed() -> bool {
+    HAS_FAILED.load(Ordering::Relaxed)
+}
+
+fn output_failed(error: &io::Error) {
+    let is_unread = error.kind() == ErrorKind::BrokenPipe;
+    // A terminal that was closed gives EIO.
+    let is_reported = !is_unread && error.raw_os_error() != Some(Errno::IO.raw_os_error());
+    if is_reported && !HAS_FAILED.swap(true, Ordering::Relaxed) {
+        print_error(format_args!("downbeat: cannot write to standard output: {error}\n"));
+    }
+    match stop::output_failed(is_unread) {
+        OutputEnd::Continue => {}
+        OutputEnd::Exit => std::process::exit(is_reported.into()),
     }
 }
 

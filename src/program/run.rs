@@ -28,6 +28,8 @@ pub(crate) fn run(
         arguments.force.check(Output::Bag, directory)?;
     }
     let stop = Stop::new()?;
+    #[cfg(feature = "view")]
+    let stop = if arguments.with_parent { stop.with_parent(PATIENCE)? } else { stop };
     let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
     if let Some(physics) = &arguments.physics {
         simulate_with(&mut file, physics)?;
@@ -73,6 +75,9 @@ pub(crate) struct WatchedRobot {
     statistics: Statistics,
     faults: Faults,
 }
+
+/// How long a robot may take to stop when the process that started it has ended.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 const REFRESH: Duration = Duration::from_millis(250);
 const LOG_INTERVAL: Duration = Duration::from_secs(10);

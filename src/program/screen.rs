@@ -62,9 +62,10 @@ impl Screen {
 
 impl Shared {
     fn block_size(&self) -> (usize, usize) {
+        // Where the terminal does not know it, `console` assumes 24 lines of 79 characters.
         let (height, width) = self.terminal.size();
         // Lines that scrolled off the top cannot be erased, and wrapped lines would take two.
-        (usize::from(height).saturating_sub(1), usize::from(width).max(20) - 1)
+        (usize::from(height).saturating_sub(1), usize::from(width).saturating_sub(1))
     }
 
     fn erase(&self) -> io::Result<()> {

@@ -58,7 +58,12 @@ impl<'a> StatusBlock<'a> {
             tail.extend(labelled_lines("bag", shorten(wrap(entries, SEPARATOR, text_width), usize::MAX)));
         }
         tail.extend(self.faults(text_width));
+        // On a small terminal, faults are shown rather than times: they come last.
+        tail.drain(..tail.len().saturating_sub(height.saturating_sub(1)));
+        head.truncate(height.saturating_sub(tail.len()));
         let room = height.saturating_sub(head.len() + tail.len());
+        // Without room, not even their number is shown.
+        let shorten = |lines, most| if most == 0 { Vec::new() } else { shorten(lines, most) };
         let topics = shorten(topics, room.saturating_sub(endpoints.len()).max(room / 2));
         let endpoints = shorten(endpoints, room.saturating_sub(topics.len()));
         head.extend(labelled_lines("topics", topics));
@@ -317,6 +322,32 @@ mod tests {
             |line: &String| line.trim().strip_prefix('+')?.strip_suffix(" more")?.parse::<usize>().ok();
         let more_entries: usize = low.iter().filter_map(more).sum();
         assert_eq!(whole(&low) + more_entries, names.len(), "{low:#?}");
+    }
+
+    #[test]
+    fn a_block_on_a_small_terminal_fits_and_shows_faults() {
+        let (faults, statistics) = (Faults::default(), Statistics::default());
+        let status = DiagnosticStatus {
+            level: DiagnosticStatus::ERROR,
+            name: "servos: elbow".into(),
+            message: "no answer".into(),
+            ..DiagnosticStatus::default()
+        };
+        faults.update(&status);
+        for size in [(0, 0), (0, 79), (1, 1), (4, 19), (2, 9), (30, 5)] {
+            let sources = Sources {
+                title: "/darwin_op   domain 0   emulated".into(),
+                topics: (0..30).map(|number| topic(format!("camera_{number}/image_raw"))).collect(),
+                statistics: &statistics,
+                bridge: None,
+                recording: None,
+                faults: &faults,
+            };
+            let block = StatusBlock::new(sources).lines(size);
+            assert!(block.len() <= size.0, "{size:?}: {block:#?}");
+            let shows_fault = block.iter().any(|line| line.contains("answer"));
+            assert_eq!(shows_fault, size.0 >= 2, "{size:?}: {block:#?}");
+        }
     }
 
     #[test]

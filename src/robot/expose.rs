@@ -15,6 +15,14 @@ use crate::journal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
+/// Topics that every node of ROS 2 has under the same name, whatever its namespace: `diagnostic_updater` and `tf2_ros` make them absolute.
+const ABSOLUTE: [&str; 3] = ["diagnostics", "tf", "tf_static"];
+
+/// The name of a topic of the core in ROS 2, before it is expanded and remapped.
+fn ros_name(topic: &str) -> String {
+    if ABSOLUTE.contains(&topic) { format!("/{topic}") } else { topic.to_owned() }
+}
+
 /// How long a running core may take to list its topics.
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -213,7 +221,7 @@ impl<'a> Selection<'a> {
         if let Some(said) = entry.type_name.as_deref().filter(|said| *said != actual) {
             return refuse(format!("\"{}\" is of type \"{actual}\", not \"{said}\"", topic.name));
         }
-        let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| name.to_owned());
+        let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| ros_name(name));
         let exposure = self.exposure(entry, &topic.name, message_type, ros_topic)?;
         self.found.push((entry.line, exposure));
         Ok(())
@@ -238,7 +246,7 @@ impl<'a> Selection<'a> {
         if entry.direction == Direction::Out && !comes_in && !topic.is_some_and(|topic| topic.is_published) {
             return Err(refuse(format!("no module publishes \"{name}\", and it is not under \"in\" either")));
         }
-        let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| name.to_owned());
+        let ros_topic = entry.ros_topic.clone().unwrap_or_else(|| ros_name(name));
         let exposure = self.exposure(entry, name, message_type, ros_topic)?;
         self.found.push((entry.line, exposure));
         Ok(())
@@ -279,7 +287,7 @@ impl<'a> Selection<'a> {
         for &&(topic, message_type) in matching.iter().filter(|(topic, _)| !is_excepted(topic)) {
             if self.claimed.insert((entry.direction, topic.name.to_string())) {
                 let renamed = entry.ros_topic.as_ref().and_then(|to| pattern.rename(&topic.name, to));
-                let ros_topic = renamed.unwrap_or_else(|| topic.name.to_string());
+                let ros_topic = renamed.unwrap_or_else(|| ros_name(&topic.name));
                 exposures.push((entry.line, self.exposure(entry, &topic.name, message_type, ros_topic)?));
             }
         }

@@ -448,7 +448,7 @@ pub(super) fn built_in() -> Vec<Kind> {
         Kind::foreign(
             "library",
             "a module in C, C++ or Rust: a shared library (docs/libraries.md)",
-            [&["path"], &["reload", "isolate"]],
+            [&["path"], &["reload", "isolate", "time_limit"]],
             |source| downbeat_library_host::load(&library(source)?),
             |source| library(source).map(|options| vec![options.path]).unwrap_or_default(),
         )
@@ -603,6 +603,14 @@ fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
         path: source.folder.join(path),
         is_reloaded: is_set(source, "reload", false)?,
         is_isolated: is_set(source, "isolate", false)?,
+        time_limit: match source.keys.get("time_limit") {
+            // A module that may run for longer is not killed before that is reported.
+            None => source.deadline.unwrap_or_default().max(LibraryOptions::TIME_LIMIT),
+            Some(SettingValue::Text(text)) => time_limit(text)?,
+            Some(other) => {
+                return Err(format!("`time_limit` is a time with its unit, such as \"500ms\", not {other}"));
+            }
+        },
     })
 }
 
@@ -612,6 +620,14 @@ fn state_machine(source: &ModuleSource) -> Result<StateMachineOptions, String> {
         return Err("`file` is the chart, such as \"player.scxml\"".to_owned());
     };
     Ok(StateMachineOptions { path: source.folder.join(file), is_reloaded: is_set(source, "reload", true)? })
+}
+
+fn time_limit(text: &str) -> Result<Duration, String> {
+    match crate::duration::parse(text) {
+        Ok(limit) if !limit.is_zero() => Ok(limit),
+        Ok(_) => Err("`time_limit` has to be above 0".to_owned()),
+        Err(problem) => Err(format!("`time_limit`: {problem}")),
+    }
 }
 
 fn is_set(source: &ModuleSource, key: &str, default: bool) -> Result<bool, String> {

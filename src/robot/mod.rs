@@ -38,7 +38,9 @@ pub use file::{
 };
 pub use kind::{Kind, ModuleSource};
 #[cfg(feature = "cli")]
-pub(crate) use parameters::{NodeParameter, parameters_of_nodes, setting_value};
+pub(crate) use parameters::{
+    NodeParameter, is_wildcard, matches, parameters_of_nodes, setting_value, yaml_values,
+};
 pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
     SettingProfile,

@@ -4,11 +4,13 @@ mod control;
 mod queue;
 
 use std::io;
-use std::sync::Arc;
+use std::path::PathBuf;
+use std::sync::{Arc, Weak};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use parking_lot::Mutex;
+use parking_lot::{Condvar, Mutex};
 
 use crate::topic::{RecordingSummary, TopicCount, TopicDescription, TopicId};
 use crate::writer::{Writer, WriterError};
@@ -103,6 +105,28 @@ struct Shared {
     queue: Queue,
     /// Updated after each batch.
     progress: Mutex<Progress>,
+    /// The directory of the bag.
+    path: PathBuf,
+    has_ended: Mutex<bool>,
+    ended: Condvar,
+}
+
+/// The recordings of this process, for [`finish_all`].
+static RECORDINGS: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
+
+/// Finishes all bags that this process records, for a process that is about to end without dropping its [`Recording`]s. Further messages
+/// are rejected. Waits at most `patience`; returns the bags that are not finished by then.
+#[must_use = "the returned bags are not finished"]
+pub fn finish_all(patience: Duration) -> Vec<PathBuf> {
+    let until = Instant::now() + patience;
+    let recordings: Vec<_> = RECORDINGS.lock().iter().filter_map(Weak::upgrade).collect();
+    recordings.iter().for_each(|shared| shared.queue.close());
+    let is_unfinished = |shared: &&Arc<Shared>| {
+        let mut has_ended = shared.has_ended.lock();
+        shared.ended.wait_while_until(&mut has_ended, |has_ended| !*has_ended, until);
+        !*has_ended
+    };
+    recordings.iter().filter(is_unfinished).map(|shared| shared.path.clone()).collect()
 }
 
 struct Progress {
@@ -136,11 +160,20 @@ impl Recording {
         let shared = Arc::new(Shared {
             queue: Queue::new(options, topics.collect()),
             progress: Mutex::new(Progress::of(&writer)),
+            path: writer.path().to_owned(),
+            has_ended: Mutex::new(false),
+            ended: Condvar::new(),
         });
         let of_thread = Arc::clone(&shared);
-        let thread = std::thread::Builder::new()
-            .name("bag writer".to_owned())
-            .spawn(move || run(&of_thread, writer))?;
+        let thread = std::thread::Builder::new().name("bag writer".to_owned()).spawn(move || {
+            // Also if writing panics, when dropping the writer finishes the bag.
+            let _end = End(&of_thread);
+            run(&of_thread, writer)
+        })?;
+        let mut recordings = RECORDINGS.lock();
+        recordings.retain(|shared| shared.strong_count() > 0);
+        recordings.push(Arc::downgrade(&shared));
+        drop(recordings);
         Ok(Self { sender: RecordingSender { shared }, thread: Some(thread) })
     }
 
@@ -249,6 +282,16 @@ fn message(topic: TopicId, log_time: i64, publish_time: i64, data: Bytes) -> Res
         return Err(RecordError::NegativeTime { time });
     }
     Ok(Item::Message { topic, log_time, publish_time, data })
+}
+
+/// Marks a recording as ended when it is dropped.
+struct End<'a>(&'a Shared);
+
+impl Drop for End<'_> {
+    fn drop(&mut self) {
+        *self.0.has_ended.lock() = true;
+        self.0.ended.notify_all();
+    }
 }
 
 impl Progress {

@@ -63,6 +63,10 @@ pub trait Middleware: Send + Sync {
 
     /// The endpoints of other participants that are known at this moment.
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint>;
+
+    /// Leaves the domain at once, for a process that is about to end without dropping it. Without an effect in engines that cannot, whose
+    /// peers then wait for the lease to expire.
+    fn leave(&self) {}
 }
 
 /// Writes samples to one topic. Dropping it removes the endpoint.

@@ -51,6 +51,7 @@ pub struct RemoteTopic {
 pub(super) struct Graph {
     own: Arc<Own>,
     heard: Arc<Mutex<Heard>>,
+    participant: Gid,
     _reader: Box<dyn Reader>,
 }
 
@@ -104,7 +105,7 @@ impl Graph {
         };
         let reader_endpoint = Endpoint { qos: endpoint.qos.keep_last(100), ..endpoint };
         let reader = middleware.create_reader(&reader_endpoint, Box::new(hear))?;
-        Ok(Self { own, heard, _reader: reader })
+        Ok(Self { own, heard, participant: middleware.gid(), _reader: reader })
     }
 
     /// Adds a node; false when the participant has one of that name already.
@@ -116,6 +117,13 @@ impl Graph {
         state.nodes.insert(node.clone(), OwnNode::default());
         self.own.announce_change(&mut state);
         true
+    }
+
+    /// Announces that there are no nodes, without waiting.
+    pub(super) fn leave(&self) {
+        let nobody = OwnState { participant: self.participant, nodes: BTreeMap::new(), unannounced: None };
+        // If there is no room for it, the end of the participant says the same.
+        let _ = self.own.write(&nobody);
     }
 
     pub(super) fn remove_node(&self, node: &NodeName) {

@@ -24,7 +24,7 @@ pub use introspection::{Introspection, UnknownIntrospection};
 pub use names::{MessageType, NameError, NodeName, TopicName};
 pub use network::{EndpointKind, Found, FoundEndpoint, FoundNode};
 pub use node::Node;
-pub use participant::{Furnishing, NodeError, Participant};
+pub use participant::{Furnishing, NodeError, Participant, leave_all};
 pub use publisher::Publisher;
 pub use remap::{Named, ParameterRule, Remap, RemapRule, RemapRules, RuleError};
 pub use service::{Reply, Service};

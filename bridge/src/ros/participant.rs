@@ -51,6 +51,21 @@ pub(super) struct Shared {
 
 type Furnisher = dyn Fn(&Node) -> Result<(), NodeError> + Send + Sync;
 
+/// The participants of this process, for [`leave_all`].
+static JOINED: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
+
+/// Leaves all domains without waiting for acknowledgements, for a process that is about to end without dropping its participants. Their
+/// nodes and endpoints disappear from the graphs of others at once.
+pub fn leave_all() {
+    let joined: Vec<_> = JOINED.lock().iter().filter_map(Weak::upgrade).collect();
+    for shared in &joined {
+        shared.graph.leave();
+        shared.middleware.leave();
+    }
+    // Dropping the last handle of a participant would wait for its peers and threads.
+    std::mem::forget(joined);
+}
+
 /// Keeps the registration of [`Participant::furnish`] until it is dropped.
 pub struct Furnishing {
     _furnisher: Arc<Furnisher>,
@@ -98,8 +113,12 @@ impl Participant {
         let worker = Worker::start().map_err(MiddlewareError::ServiceThread)?;
         let graph = Graph::join(&*middleware, worker.link())?;
         let (nodes, furnishers) = (Mutex::default(), Mutex::default());
-        let shared = Shared { graph, worker, middleware, remaps, interfaces, nodes, furnishers };
-        Ok(Self { shared: Arc::new(shared) })
+        let shared = Arc::new(Shared { graph, worker, middleware, remaps, interfaces, nodes, furnishers });
+        let mut joined = JOINED.lock();
+        joined.retain(|shared| shared.strong_count() > 0);
+        joined.push(Arc::downgrade(&shared));
+        drop(joined);
+        Ok(Self { shared })
     }
 
     /// Creates a node, with another name if a remapping rule applies. It offers the service

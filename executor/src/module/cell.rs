@@ -227,6 +227,7 @@ impl ModuleCell {
         let outcome = catch_unwind(AssertUnwindSafe(|| {
             run(&mut **behaviour, causes, &mut Context::new(io, now, input));
         }));
+        badge.end();
         if let Some(watch) = watch
             && watch.end()
         {
@@ -349,6 +350,7 @@ impl ModuleCell {
         }
         let outcome =
             catch_unwind(AssertUnwindSafe(|| run(&mut **behaviour, &mut Context::new(io, now, input))));
+        badge.end();
         if let Some(watch) = watch
             && watch.end()
         {

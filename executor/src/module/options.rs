@@ -1,6 +1,6 @@
 //! How a module joins a core.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
@@ -142,6 +142,8 @@ pub struct ModuleOptions {
     pub role: Role,
     /// Values of its settings that differ from the defaults.
     pub settings: BTreeMap<String, SettingValue>,
+    /// Names in [`Self::settings`] that are ignored if the module does not declare them.
+    pub optional_settings: BTreeSet<String>,
     /// Other names for its topics and services: from the module's name to the one to use.
     pub remaps: BTreeMap<String, String>,
     /// What comes before the names of its topics and services, such as `blue_1`; see [`ModuleOptions::resolved`]. Empty for

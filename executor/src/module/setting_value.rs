@@ -52,6 +52,17 @@ impl SettingValue {
         }
     }
 
+    fn is_empty_list(&self) -> bool {
+        match self {
+            Self::Bools(values) => values.is_empty(),
+            Self::Bytes(values) => values.is_empty(),
+            Self::Integers(values) => values.is_empty(),
+            Self::Doubles(values) => values.is_empty(),
+            Self::Texts(values) => values.is_empty(),
+            Self::Bool(_) | Self::Integer(_) | Self::Double(_) | Self::Text(_) => false,
+        }
+    }
+
     /// Converts the value to the kind of `pattern`, as it happens when a setting is given a value.
     ///
     /// # Errors
@@ -66,10 +77,13 @@ impl SettingValue {
                 let byte = |value| u8::try_from(value).map_err(|_| format!("expected bytes, found {value}"));
                 Self::Bytes(values.into_iter().map(byte).collect::<Result<_, _>>()?)
             }
-            // An empty list in a file has no kind of its own.
-            (Self::Integers(values), Self::Texts(_)) if values.is_empty() => Self::Texts(Vec::new()),
-            (Self::Integers(values), Self::Bools(_)) if values.is_empty() => Self::Bools(Vec::new()),
             (value, pattern) if value.kind() == pattern.kind() => value,
+            // An empty list in a file has no kind of its own, and tools of ROS 2 choose one.
+            (value, Self::Bools(_)) if value.is_empty_list() => Self::Bools(Vec::new()),
+            (value, Self::Bytes(_)) if value.is_empty_list() => Self::Bytes(Vec::new()),
+            (value, Self::Integers(_)) if value.is_empty_list() => Self::Integers(Vec::new()),
+            (value, Self::Doubles(_)) if value.is_empty_list() => Self::Doubles(Vec::new()),
+            (value, Self::Texts(_)) if value.is_empty_list() => Self::Texts(Vec::new()),
             (value, pattern) => {
                 return Err(format!("expected {}, found {} {value}", pattern.kind(), value.kind()));
             }

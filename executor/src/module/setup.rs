@@ -1,7 +1,7 @@
 //! What a module declares when it joins a core.
 
 use std::any::{Any, TypeId};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::behaviour::Steps;
 use super::causes::Causes;
@@ -45,6 +45,7 @@ pub(crate) struct Offer {
 /// What a module is given by name.
 pub(crate) struct Given {
     pub(crate) settings: BTreeMap<String, SettingValue>,
+    pub(crate) optional_settings: BTreeSet<String>,
     pub(crate) remaps: BTreeMap<String, String>,
     pub(crate) namespace: String,
 }
@@ -64,8 +65,13 @@ impl<'a, M: Module> Setup<'a, M> {
     /// Checks that nothing was given that the module did not ask for.
     pub(crate) fn finish(self) -> Result<Steps<M>, SetupError> {
         let module = self.io.name.to_string();
-        let Given { settings, remaps, .. } = self.given;
-        if let Some((setting, _)) = settings.into_iter().next() {
+        let Given { settings, optional_settings, remaps, .. } = self.given;
+        let (ignored, unknown): (Vec<_>, Vec<_>) =
+            settings.into_keys().partition(|setting| optional_settings.contains(setting));
+        for setting in ignored {
+            tracing::debug!(module, "no setting \"{setting}\" is declared: its value is ignored");
+        }
+        if let Some(setting) = unknown.into_iter().next() {
             return Err(SetupError::UnknownSetting { module, setting, known: self.setting_names });
         }
         if let Some((topic, _)) = remaps.into_iter().find(|(from, _)| !self.own_names.contains(from)) {

@@ -1,6 +1,7 @@
 //! Whose callback a thread runs, for logs.
 
 use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, RwLock};
 
 use crate::threads::unpoisoned;
@@ -16,8 +17,14 @@ const NOBODY: u32 = u32::MAX;
 static NAMES: RwLock<Names> = RwLock::new(Names { by_number: Vec::new(), free: Vec::new() });
 
 struct Names {
-    by_number: Vec<Option<Arc<str>>>,
+    by_number: Vec<Option<Named>>,
     free: Vec<u32>,
+}
+
+struct Named {
+    name: Arc<str>,
+    /// Whether a callback of the module runs.
+    is_running: Arc<AtomicBool>,
 }
 
 /// The name of the module whose callback runs on this thread; nothing outside of callbacks, in jobs, and on threads that
@@ -53,12 +60,48 @@ pub fn running_module() -> Option<Arc<str>> {
         return None;
     }
     let names = unpoisoned(NAMES.read());
-    names.by_number.get(number as usize).cloned().flatten()
+    Some(Arc::clone(&names.by_number.get(number as usize)?.as_ref()?.name))
+}
+
+/// The names of all modules of this process whose callbacks run at this moment, on any thread: for reports on a core that does not
+/// answer.
+///
+/// ```
+/// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time, running_modules};
+///
+/// struct Walker;
+///
+/// impl Module for Walker {
+///     type Ports = ();
+///
+///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+///         setup.each_run(|_, _| {
+///             let elsewhere = std::thread::spawn(running_modules).join();
+///             assert!(elsewhere.is_ok_and(|names| names.iter().any(|name| &**name == "walker")));
+///         });
+///         Ok(())
+///     }
+/// }
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// core.add("walker", Walker)?;
+/// core.cycle()?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[must_use]
+pub fn running_modules() -> Vec<Arc<str>> {
+    let names = unpoisoned(NAMES.read());
+    let named = names.by_number.iter().flatten();
+    named
+        .filter(|named| named.is_running.load(Ordering::Relaxed))
+        .map(|named| Arc::clone(&named.name))
+        .collect()
 }
 
 /// A module's number, until it is dropped.
 pub(crate) struct Badge {
     number: u32,
+    is_running: Arc<AtomicBool>,
 }
 
 impl Badge {
@@ -68,17 +111,25 @@ impl Badge {
             names.by_number.push(None);
             u32::try_from(names.by_number.len() - 1).unwrap_or(NOBODY)
         });
+        let is_running = Arc::<AtomicBool>::default();
         if let Some(place) = names.by_number.get_mut(number as usize) {
-            *place = Some(name);
+            *place = Some(Named { name, is_running: Arc::clone(&is_running) });
         }
-        Self { number }
+        Self { number, is_running }
     }
 
     /// Marks the module as running on this thread until the returned value is dropped.
     #[inline]
     pub(crate) fn wear(&self) -> Worn {
         WORN.set(self.number);
+        self.is_running.store(true, Ordering::Relaxed);
         Worn
+    }
+
+    /// The callback has ended. What is dropped and logged afterwards is still done with the badge.
+    #[inline]
+    pub(crate) fn end(&self) {
+        self.is_running.store(false, Ordering::Relaxed);
     }
 }
 

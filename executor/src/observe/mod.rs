@@ -17,7 +17,7 @@ mod timing;
 mod trace;
 
 pub(crate) use badge::Badge;
-pub use badge::running_module;
+pub use badge::{running_module, running_modules};
 pub(crate) use counters::{ModuleMeter, TopicMeter};
 pub use graph::{Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic};
 pub(crate) use histogram::nanoseconds;

@@ -15,6 +15,7 @@ mod isolated;
 mod library;
 pub mod messages;
 mod module;
+pub mod parent;
 mod watch;
 
 pub use isolated::{child, set_child_command};
@@ -22,6 +23,7 @@ pub use library::LibraryError;
 
 use downbeat_edge::foreign::Foreign;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// The header of the interface.
 pub const HEADER: &str = include_str!("../include/downbeat.h");
@@ -29,7 +31,7 @@ pub const HEADER: &str = include_str!("../include/downbeat.h");
 pub const HEADER_CPP: &str = include_str!("../include/downbeat.hpp");
 
 /// Which library, and how it runs.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct LibraryOptions {
     /// The name of the module in the robot.
     pub module: String,
@@ -39,6 +41,25 @@ pub struct LibraryOptions {
     pub is_reloaded: bool,
     /// Whether the library runs in a child process.
     pub is_isolated: bool,
+    /// How long a callback may take in a child process before the child is killed.
+    pub time_limit: Duration,
+}
+
+impl LibraryOptions {
+    /// The default of [`Self::time_limit`]: far above what a callback inside the cycle may take, so that a busy machine kills no child.
+    pub const TIME_LIMIT: Duration = Duration::from_secs(2);
+}
+
+impl Default for LibraryOptions {
+    fn default() -> Self {
+        Self {
+            module: String::new(),
+            path: PathBuf::new(),
+            is_reloaded: false,
+            is_isolated: false,
+            time_limit: Self::TIME_LIMIT,
+        }
+    }
 }
 
 /// Loads a library and creates its module.

@@ -137,6 +137,16 @@ fn a_crash_of_an_isolated_library_ends_the_module_alone_and_ten_times_a_new_chil
 }
 
 #[test]
+fn an_isolated_library_that_does_not_return_is_killed_and_starts_again() {
+    let Some(path) = library("counter.cpp", &[]) else { return };
+    let [_, options] = both(&path);
+    let options = LibraryOptions { time_limit: Duration::from_millis(500), ..options };
+    let failure = failure_of(&options, "fail", 5.0);
+    let words = "did not return from `handle` for a message of \"fail\" within 500ms and was killed";
+    assert!(failure.contains("module") && failure.contains(words), "{failure}");
+}
+
+#[test]
 fn a_changed_library_takes_over_with_state_and_settings_a_hundred_times() {
     if !has_compiler() {
         return;

@@ -62,6 +62,7 @@ pub use fault::{Fault, FaultKind, FaultParseError, Rate};
 pub use memory::{MemoryBus, MemoryPorts, NameInUse, PortBus};
 pub(crate) use module::Served;
 pub use module::ServoEmulator;
+pub use pseudo_terminal::remove_links;
 pub use random::Random;
 pub(crate) use servos::Unit;
 pub(crate) use wire::Answer;

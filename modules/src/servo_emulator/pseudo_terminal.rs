@@ -1,7 +1,9 @@
 //! The port of the emulator.
 
 use super::EmulatorError;
+use parking_lot::Mutex;
 use serialport::{SerialPort, TTYPort};
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read, Write};
 use std::os::unix::fs::symlink;
@@ -27,6 +29,9 @@ impl PseudoTerminal {
         let path = theirs.name().map(PathBuf::from).unwrap_or_default();
         if let Some(link) = link {
             make_link(&path, link)?;
+        }
+        if let Some(link) = link {
+            LINKS.lock().insert(link.to_owned(), path.clone());
         }
         Ok(Self { ours, _theirs: theirs, path, link: link.map(Path::to_owned) })
     }
@@ -65,11 +70,27 @@ impl PseudoTerminal {
 impl Drop for PseudoTerminal {
     fn drop(&mut self) {
         let Some(link) = &self.link else { return };
-        // Another emulator may have replaced the link.
-        if fs::read_link(link).is_ok_and(|target| target == self.path) {
-            // If it cannot be removed, it is dangling, and opening it reports that.
-            let _ = fs::remove_file(link);
+        let mut links = LINKS.lock();
+        if links.get(link) == Some(&self.path) {
+            links.remove(link);
         }
+        remove_link(link, &self.path);
+    }
+}
+
+/// The links of this process and their terminals.
+static LINKS: Mutex<BTreeMap<PathBuf, PathBuf>> = Mutex::new(BTreeMap::new());
+
+/// Removes the links of all emulators of this process, for a process that is about to end without dropping them.
+pub fn remove_links() {
+    LINKS.lock().iter().for_each(|(link, path)| remove_link(link, path));
+}
+
+fn remove_link(link: &Path, path: &Path) {
+    // Another emulator may have replaced the link.
+    if fs::read_link(link).is_ok_and(|target| target == path) {
+        // If it cannot be removed, it is dangling, and opening it reports that.
+        let _ = fs::remove_file(link);
     }
 }
 

@@ -1,10 +1,12 @@
 //! Expressions and scripts of charts, in the language rhai.
 //!
 //! They reach the data of their chart and nothing else: no files, no clock, no random numbers, no output. What one evaluation
-//! may cost is bounded (the constants below), so that a loop without an end is an error of the chart and not of the robot.
+//! may cost is bounded (the constants below), so that a loop without an end is an error of the chart and not of the robot. Operations
+//! on long texts and large arrays take long, so their time is bounded as well ([`Budget`]).
 //!
 //! Texts may be in single quotes as well, since attributes of XML are in double quotes; rhai's characters therefore do not exist.
 
+use crate::budget::{Budget, LIMIT};
 use crate::functions;
 use parking_lot::RwLock;
 use rhai::packages::{Package, StandardPackage};
@@ -23,7 +25,7 @@ const MOST_CALLS: usize = 16;
 /// The depth of nested expressions, and of those in functions.
 const DEEPEST: (usize, usize) = (64, 32);
 /// Bytes of a text.
-const LONGEST_TEXT: usize = 64 << 10;
+const LONGEST_TEXT: usize = 16 << 10;
 /// Elements of an array, and keys of a map.
 const LARGEST: usize = 4096;
 /// Variables and functions of a script.
@@ -44,6 +46,7 @@ pub(crate) struct World {
 pub(crate) struct Evaluator {
     engine: Engine,
     pub(crate) world: Arc<RwLock<World>>,
+    budget: Budget,
 }
 
 /// The text of an expression or script that is syntactically valid.
@@ -149,11 +152,30 @@ impl Evaluator {
         let world = Arc::new(RwLock::new(World::default()));
         let mut engine = engine();
         functions::register_world(&mut engine, &world);
-        Self { engine, world }
+        let budget = Budget::default();
+        let of_engine = budget.clone();
+        engine.on_progress(move |count| of_engine.is_over_after(count).then_some(Dynamic::UNIT));
+        Self { engine, world, budget }
+    }
+
+    /// An event begins at this time: the expressions that it leads to share a time limit.
+    pub(crate) fn begin(&self, now: Duration) {
+        self.world.write().now = now;
+        self.budget.begin();
+    }
+
+    /// # Errors
+    /// If expressions for this event have taken too long already.
+    fn check_time(&self, program: &Program) -> Result<(), Problem> {
+        match self.budget.is_over() {
+            true => Err(problem(program, &EvalAltResult::ErrorTerminated(Dynamic::UNIT, Position::NONE))),
+            false => Ok(()),
+        }
     }
 
     /// The value of an expression. Variables that it makes are forgotten.
     pub(crate) fn value(&self, program: &Program, scope: &mut Scope<'static>) -> Result<Dynamic, Problem> {
+        self.check_time(program)?;
         let variables = scope.len();
         let value = self.engine.eval_ast_with_scope::<Dynamic>(scope, &program.ast);
         scope.rewind(variables);
@@ -185,6 +207,7 @@ impl Evaluator {
 
     /// Runs a script. Its variables stay; one that is made again takes the place of the one before.
     pub(crate) fn run(&self, program: &Program, scope: &mut Scope<'static>) -> Result<(), Problem> {
+        self.check_time(program)?;
         let variables = scope.len();
         let result = self.engine.run_ast_with_scope(scope, &program.ast);
         let made: Vec<(String, Dynamic)> = scope
@@ -235,6 +258,11 @@ fn problem(program: &Program, error: &EvalAltResult) -> Problem {
     }
     if matches!(error, EvalAltResult::ErrorTooManyOperations(_)) {
         bare = format!("it takes more than {MOST_OPERATIONS} operations; does a loop in it end?");
+    }
+    if matches!(error, EvalAltResult::ErrorTerminated(..)) {
+        bare = format!(
+            "what the chart computes for one event takes longer than {LIMIT:?}; are texts or arrays in a loop large?"
+        );
     }
     let text = format!("`{}`: {bare}", shortened(&program.text));
     Problem { line: line_of(program.line, position), text }
@@ -346,6 +374,34 @@ mod tests {
             let program = Program::new(script, 10, Syntax::Statements).unwrap();
             let problem = Evaluator::new().run(&program, &mut Scope::new()).unwrap_err();
             assert!((10..=11).contains(&problem.line), "{problem}");
+        }
+    }
+
+    #[test]
+    fn what_takes_long_with_few_operations_is_an_error_and_so_is_what_follows_it() {
+        let long = "let s = 'a';\nwhile s.len < 8000 { s += s; }\n";
+        let sorted = "let a = []; for i in 0..4000 { a.push((i * 7919) % 4001); }\n";
+        for script in [
+            format!("{long}let n = 0;\nloop {{ if s.contains(s + 'b') {{ n += 1; }} }}"),
+            format!("{long}loop {{ let t = s + 'b'; t.replace('ab', 'ba'); }}"),
+            format!("{long}loop {{ s.to_upper(); }}"),
+            format!("{sorted}loop {{ let b = a; b.sort(); }}"),
+            format!("{sorted}loop {{ a.index_of(-1); }}"),
+            format!("{sorted}loop {{ let b = a + []; b.reverse(); }}"),
+        ] {
+            let program = Program::new(&script, 1, Syntax::Statements).unwrap();
+            let evaluator = Evaluator::new();
+            evaluator.begin(Duration::ZERO);
+            let begun = std::time::Instant::now();
+            let problem = evaluator.run(&program, &mut Scope::new()).unwrap_err();
+            // The machine may be busy; without a limit it takes 25 s and more.
+            assert!(begun.elapsed() < Duration::from_secs(10), "{script}: {:?}", begun.elapsed());
+            let is_long = problem.text.contains("takes longer than 500ms");
+            assert!(is_long || problem.text.contains("operations"), "{problem}");
+            let next = Program::new("1 + 1", 9, Syntax::Expression).unwrap();
+            assert_eq!(evaluator.value(&next, &mut Scope::new()).is_err(), is_long, "{script}");
+            evaluator.begin(Duration::ZERO);
+            assert!(evaluator.value(&next, &mut Scope::new()).is_ok(), "the next event has its own time");
         }
     }
 

@@ -268,7 +268,7 @@ impl Interpreter {
 
     /// Enters the first states and does what follows without an event.
     pub fn start(&mut self, now: Duration) -> Vec<Effect> {
-        self.evaluator.world.write().now = now;
+        self.evaluator.begin(now);
         if self.is_running || !self.active.is_empty() {
             return Vec::new();
         }
@@ -306,7 +306,7 @@ impl Interpreter {
     /// Takes all events that wait or are due. Returns what the chart does, in this order. Transitions without event are looked at
     /// in any case, since variables may have changed.
     pub fn advance(&mut self, now: Duration) -> Vec<Effect> {
-        self.evaluator.world.write().now = now;
+        self.evaluator.begin(now);
         self.take_due(now);
         if self.is_running {
             self.finish_macrostep();
@@ -365,7 +365,7 @@ impl Interpreter {
     /// first values have changed; messages, histories and delayed events are kept.
     pub fn resume(&mut self, memory: Memory, now: Duration) -> Vec<Effect> {
         let chart = Arc::clone(&self.chart);
-        self.evaluator.world.write().now = now;
+        self.evaluator.begin(now);
         self.is_running = true;
         for (number, state) in chart.states.iter().enumerate() {
             self.initialise(number, &state.data);

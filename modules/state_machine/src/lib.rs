@@ -24,6 +24,7 @@
 //!
 //! The subset, and how a chart is connected to a robot: docs/state_machine.md.
 
+mod budget;
 mod chart;
 mod check;
 mod draw;

@@ -31,7 +31,12 @@ impl PythonModule {
     fn attached<T>(&self, call: impl FnOnce(&Self, Python<'_>) -> PyResult<T>) -> Result<T, String> {
         Python::attach(|py| {
             let _watched = self.watch.begin(py);
-            call(self, py).map_err(|error| traceback(py, &error))
+            let process = std::process::id();
+            let result = call(self, py);
+            if std::process::id() != process {
+                end_forked(py);
+            }
+            result.map_err(|error| traceback(py, &error))
         })
     }
 
@@ -108,6 +113,20 @@ impl PythonModule {
         }
         Ok(())
     }
+}
+
+/// Ends a process that a callback forked and that came back from it: it has the sockets, ports and bags of the robot, but of its threads
+/// only this one, and must not run as a second robot.
+fn end_forked(py: Python<'_>) -> ! {
+    const TEXT: &[u8] =
+        b"downbeat: a callback returned in a process that it had forked, which ends here: leave such a process with os._exit, or use subprocess\n";
+    // Without locks, which threads that do not exist here may hold, and without handlers that are run at an exit.
+    let end = py.import("os").and_then(|os| {
+        os.call_method1("write", (2, TEXT))?;
+        os.call_method1("_exit", (1,))
+    });
+    drop(end);
+    std::process::abort()
 }
 
 impl Foreign for PythonModule {

@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use bytes::Bytes;
+use downbeat_library_host::parent;
 use downbeat_match::Team;
 use downbeat_network::udp::keep_free_port;
 
@@ -216,7 +217,8 @@ impl Prepared {
             }
             // In a group of its own: Ctrl-C is for the match, which ends its robots.
             command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).process_group(0);
-            let mut child = command.spawn().with_context(|| format!("cannot start a process for {name}"))?;
+            let mut child =
+                parent::spawn(command).with_context(|| format!("cannot start a process for {name}"))?;
             let (input, log) = (child.stdin.take(), child.stderr.take());
             let screen = screen.clone();
             let thread = std::thread::Builder::new().name(name.clone());

@@ -3,7 +3,6 @@
 //! It hears of the match only by the bytes of its bus, pictures in its ROS domain, and datagrams.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use clap::Args;
@@ -14,7 +13,7 @@ use crate::executor::SettingValue;
 use crate::msgs::qos::{QosProfile, QosRequest};
 use crate::program::cli::ParameterArguments;
 use crate::program::logging::Log;
-use crate::program::run::{WatchedRobot, participant_options};
+use crate::program::run::{PATIENCE, WatchedRobot, participant_options};
 use crate::program::screen::Screen;
 use crate::program::stop::Stop;
 use crate::robot::{Catalog, ExposeEntry, RobotFile, RosArgs, TopicChoice};
@@ -47,8 +46,6 @@ pub(crate) struct RobotArguments {
 const NODE: &str = "player";
 /// All processes of this machine that share a port: the address of broadcast of the loopback interface.
 pub(super) const EVERYBODY: &str = "127.255.255.255";
-/// How long it may take to stop when the match has ended.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 pub(crate) fn run(
     arguments: &RobotArguments,
@@ -57,7 +54,7 @@ pub(crate) fn run(
     screen: &Screen,
     log: &Log,
 ) -> anyhow::Result<()> {
-    let stop = Stop::new()?.at_end_of_input(PATIENCE)?;
+    let stop = Stop::new()?.with_parent(PATIENCE)?;
     let file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
     let file = as_one_robot(file, arguments)?;
     let mut robot = WatchedRobot::new(file)?;

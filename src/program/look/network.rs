@@ -87,7 +87,7 @@ impl Look {
         longest: Duration,
         environment: &Environment<'_>,
     ) -> anyhow::Result<Self> {
-        let stop = Stop::new()?;
+        let stop = Stop::new()?.at_end_of_output();
         let Environment { catalog, ros } = *environment;
         let (participant, node) = run::node(name, domain, catalog, ros)?;
         Ok(Self { participant, node, stop, interfaces: catalog.interfaces.clone(), longest })

@@ -311,6 +311,27 @@ mod tests {
     }
 
     #[test]
+    fn small_terminals_are_drawn_on() {
+        for (width, height) in [(0, 0), (1, 1), (0, 5), (20, 0), (20, 5), (5, 20), (300, 2)] {
+            let mut app = app();
+            for key in [
+                KeyCode::Char('s'),
+                KeyCode::Down,
+                KeyCode::Tab,
+                KeyCode::Tab,
+                KeyCode::Char('g'),
+                KeyCode::Char('v'),
+            ] {
+                screen(&app, width, height);
+                press(&mut app, key);
+            }
+            screen(&app, width, height);
+        }
+        let small = screen(&app(), 20, 5);
+        assert!(small[0].contains("darwin_op"), "{small:#?}");
+    }
+
+    #[test]
     fn the_screen_shows_the_cycles_the_modules_and_the_keys() {
         let screen = screen(&app(), 130, 10);
         let expected_tables = Grid::of_modules(&snapshot(10), &snapshot(12), Sort::Order);

@@ -69,7 +69,7 @@ impl RobotFile {
                 self.modules.len() - 1
             }
         };
-        let given = |value| Given { place: Place::Line(1), value };
+        let given = |value| Given { place: Place::Line(1), value, is_wildcard: false };
         let settings: BTreeMap<_, _> =
             settings.into_iter().map(|(name, value)| (name.to_owned(), given(value))).collect();
         self.modules[position].settings.extend(settings);

@@ -85,7 +85,13 @@ impl ModuleEntry {
     pub fn options(&self) -> ModuleOptions {
         let settings = self.settings.iter().map(|(name, given)| (name.clone(), given.value.clone()));
         let remaps = self.remaps.iter().map(|(from, to)| (from.clone(), to.value.clone()));
-        ModuleOptions { settings: settings.collect(), remaps: remaps.collect(), ..self.running.clone() }
+        let wildcards = self.settings.iter().filter(|(_, given)| given.is_wildcard);
+        ModuleOptions {
+            settings: settings.collect(),
+            optional_settings: wildcards.map(|(name, _)| name.clone()).collect(),
+            remaps: remaps.collect(),
+            ..self.running.clone()
+        }
     }
 
     /// Returns true for a module that simulates devices, and for one whose device is simulated in this process.
@@ -147,7 +153,7 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
 pub(super) fn settings(value: Option<Value<'_>>, kind: &Kind) -> Result<BTreeMap<String, Given>> {
     let folder = value.and_then(|value| value.path().parent());
     let mut settings = entries(value, "settings", |value| {
-        Ok(Given { place: Place::Line(value.line()), value: value.setting()? })
+        Ok(Given { place: Place::Line(value.line()), value: value.setting()?, is_wildcard: false })
     })?;
     for name in kind.files() {
         if let Some(Given { value: SettingValue::Text(file), .. }) = settings.get_mut(name)

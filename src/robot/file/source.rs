@@ -93,6 +93,8 @@ pub(crate) fn toml_string(text: &str) -> String {
 pub(crate) struct Given {
     pub(crate) place: Place,
     pub(crate) value: SettingValue,
+    /// Whether it was given under a wildcard, and may be meant for other nodes.
+    pub(crate) is_wildcard: bool,
 }
 
 /// The place at which a value was given.

@@ -10,8 +10,7 @@ use downbeat_executor::SettingValue;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 use serde_norway::Value;
 
-use super::setting_value;
-use crate::msgs::yaml;
+use super::{scalar, setting_value};
 use crate::robot::RobotFileError;
 use crate::robot::file::{ParameterPlace, Source};
 
@@ -23,13 +22,20 @@ pub(crate) struct NodeParameter {
     pub(crate) name: String,
     /// The value, or the problem with it.
     pub(crate) value: std::result::Result<SettingValue, String>,
+    /// Whether it has no value, or the word that YAML has for none; in rcl that is text.
+    pub(crate) is_unset: bool,
     /// The keys that lead to it, from the root of the file.
     pub(crate) keys: Vec<String>,
 }
 
+/// Returns true if a name of nodes in a parameter file has wildcards: what it names may be meant for other nodes.
+pub(crate) fn is_wildcard(pattern: &str) -> bool {
+    pattern.split('/').any(|part| matches!(part, "*" | "**"))
+}
+
 /// The nodes of a file by absolute name, wildcards included, with their parameters; both in the order of the file.
 pub(crate) fn parameters_of_nodes(source: &Arc<Source>) -> Result<Vec<(String, Vec<NodeParameter>)>> {
-    let root = yaml::from_str(source.text()).map_err(|error| {
+    let root = scalar::values_in(source.text()).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
         source.error(line, error.to_string())
     })?;
@@ -41,7 +47,7 @@ pub(crate) fn parameters_of_nodes(source: &Arc<Source>) -> Result<Vec<(String, V
 }
 
 /// Returns true if a node has this absolute name: `*` stands for one part of it, `**` for any number of them.
-pub(super) fn matches(pattern: &str, node: &str) -> bool {
+pub(crate) fn matches(pattern: &str, node: &str) -> bool {
     let parts = |name: &'_ str| {
         name.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect::<Vec<_>>()
     };
@@ -109,8 +115,12 @@ fn collect_parameters(
     parameters: &mut Vec<NodeParameter>,
 ) -> Result<()> {
     let Value::Mapping(map) = value else {
+        let is_unset = match value {
+            Value::Tagged(word) => word.tag == scalar::NULL_WORD,
+            value => value.is_null(),
+        };
         let (name, value) = (keys[root..].join("."), setting_value(value));
-        parameters.push(NodeParameter { name, value, keys: keys.clone() });
+        parameters.push(NodeParameter { name, value, is_unset, keys: keys.clone() });
         return Ok(());
     };
     for (key, value) in map {

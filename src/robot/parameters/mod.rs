@@ -2,6 +2,7 @@
 
 mod dump;
 mod file;
+mod scalar;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,7 +13,8 @@ use serde_norway::Value;
 use super::file::{Given, ParameterPlace, Place, Source, suggestion};
 use super::{ClockChoice, RobotFile, RobotFileError};
 use crate::robot::file::list_of;
-pub(crate) use file::{NodeParameter, line_of, parameters_of_nodes};
+pub(crate) use file::{NodeParameter, is_wildcard, line_of, matches, parameters_of_nodes};
+pub(crate) use scalar::values_in as yaml_values;
 
 type Result<T, E = RobotFileError> = std::result::Result<T, E>;
 
@@ -47,19 +49,20 @@ impl RobotFile {
         let Some((name, text)) = argument.split_once(":=") else {
             return Err(self.error_at(&place, "expected module.setting:=value"));
         };
-        let value = crate::msgs::yaml::from_str(text).map_err(|error| error.to_string());
+        let value = yaml_values(text).map_err(|error| error.to_string());
         let value = value.and_then(|value| setting_value(&value));
         let value = value.map_err(|problem| self.error_at(&place, problem))?;
-        self.set(name.trim(), value, place)
+        self.set(name.trim(), value, place, false)
     }
 
     pub(crate) fn set_from_parameters(&mut self, source: &Arc<Source>) -> Result<()> {
         let node = self.node_name()?.to_string();
         let nodes = parameters_of_nodes(source)?;
         let mut is_for_us = false;
-        for (_, parameters) in nodes.iter().filter(|(pattern, _)| file::matches(pattern, &node)) {
+        for (pattern, parameters) in nodes.iter().filter(|(pattern, _)| matches(pattern, &node)) {
             is_for_us = true;
-            for NodeParameter { name, value, keys } in parameters {
+            let is_wildcard = is_wildcard(pattern);
+            for NodeParameter { name, value, keys, .. } in parameters {
                 let place = ParameterPlace { source: Arc::clone(source), keys: keys.clone() };
                 let value = value.clone().map_err(|problem| place.error(problem));
                 let first = name.split('.').next().unwrap_or_default();
@@ -73,7 +76,14 @@ impl RobotFile {
                     );
                     continue;
                 }
-                self.set(name, value?, Place::Parameter(place))?;
+                if is_wildcard && !self.has_module_of(name) {
+                    tracing::debug!(
+                        "{}",
+                        place.error(format!("\"{name}\" is ignored: no module declares it"))
+                    );
+                    continue;
+                }
+                self.set(name, value?, Place::Parameter(place), is_wildcard)?;
             }
         }
         if !is_for_us {
@@ -85,7 +95,15 @@ impl RobotFile {
         Ok(())
     }
 
-    fn set(&mut self, parameter: &str, value: SettingValue, place: Place) -> Result<()> {
+    /// Whether a parameter of this name can be a setting of a module, or of every node.
+    fn has_module_of(&self, parameter: &str) -> bool {
+        let module = parameter.split_once('.').map(|(module, _)| module);
+        parameter == "use_sim_time"
+            || module.is_some_and(|name| self.modules.iter().any(|module| module.name == name))
+    }
+
+    /// With `is_wildcard`, the module may have no such setting.
+    fn set(&mut self, parameter: &str, value: SettingValue, place: Place, is_wildcard: bool) -> Result<()> {
         if parameter == "use_sim_time" {
             return self.use_sim_time(&value, &place);
         }
@@ -99,7 +117,7 @@ impl RobotFile {
             let problem = format!("\"{parameter}\" is a module; a parameter is named {module}.setting");
             return Err(self.error_at(&place, problem));
         }
-        self.modules[position].settings.insert(setting.to_owned(), Given { place, value });
+        self.modules[position].settings.insert(setting.to_owned(), Given { place, value, is_wildcard });
         Ok(())
     }
 }
@@ -153,6 +171,7 @@ pub(crate) fn setting_value(value: &Value) -> Result<SettingValue, String> {
         }
         Value::Null => Err(expected("nothing")),
         Value::Mapping(_) => Err(expected("a map")),
+        Value::Tagged(tagged) if tagged.tag == scalar::NULL_WORD => setting_value(&tagged.value),
         Value::Tagged(_) => Err(expected("a value with a tag")),
     }
 }

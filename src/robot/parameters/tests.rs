@@ -76,30 +76,36 @@ fn later_values_take_precedence_and_the_command_line_over_all() {
 fn errors_in_a_parameter_file_contain_the_line_and_the_nearest_name() {
     let cases = [
         (
-            "/**:\n  ros__parameters:\n    mix.hold_s: 1.0",
+            "/ns/r:\n  ros__parameters:\n    mix.hold_s: 1.0",
             ":3: the robot has no module \"mix\", did you mean \"mux\"?",
         ),
-        ("/**:\n  ros__parameters:\n    mux:\n      hold: 1.0", ":4: module \"mux\" has no setting \"hold\""),
-        ("/**:\n  ros__parameters:\n    mux:\n      hold: 1.0", "did you mean \"hold_s\"?"),
         (
-            "/**:\n  ros__parameters:\n\n    mux.hold_s: long",
+            "/ns/r:\n  ros__parameters:\n    mux:\n      hold: 1.0",
+            ":4: module \"mux\" has no setting \"hold\"",
+        ),
+        ("/ns/r:\n  ros__parameters:\n    mux:\n      hold: 1.0", "did you mean \"hold_s\"?"),
+        (
+            "/ns/r:\n  ros__parameters:\n\n    mux.hold_s: long",
             ":4: module \"mux\", setting \"hold_s\": expected double, found text \"long\"",
         ),
         (
-            "/**:\n  ros__parameters:\n    mux.hold_s: -1.0",
+            "/ns/r:\n  ros__parameters:\n    mux.hold_s: -1.0",
             ":3: module \"mux\", setting \"hold_s\": -1 is out of range",
         ),
         (
-            "/**:\n  ros__parameters:\n    mux.hold_s: [true, 1]",
+            "/ns/r:\n  ros__parameters:\n    mux.hold_s: [true, 1]",
             ":3: expected a list of numbers only, of texts only, or of booleans only",
         ),
-        ("/**:\n  ros__parameters:\n    mux: 1", ":3: \"mux\" is a module; a parameter is named mux.setting"),
-        ("/**:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),
-        ("/**:\n  ros__parameters: 3", ":2: expected parameters with their values"),
-        ("/**:\n  ros_parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
+        (
+            "/ns/r:\n  ros__parameters:\n    mux: 1",
+            ":3: \"mux\" is a module; a parameter is named mux.setting",
+        ),
+        ("/ns/r:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),
+        ("/ns/r:\n  ros__parameters: 3", ":2: expected parameters with their values"),
+        ("/ns/r:\n  ros_parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
         ("ros__parameters:\n  mux.hold_s: 1", ":1: ros__parameters must be under the name of a node"),
-        ("/**:\n  ros__parameters:\n    mux.hold_s: [1,", ":"),
-        ("/**:\n  ros__parameters:\n    mux.hold_s: 1\n    mux.hold_s: 2", "duplicate"),
+        ("/ns/r:\n  ros__parameters:\n    mux.hold_s: [1,", ":"),
+        ("/ns/r:\n  ros__parameters:\n    mux.hold_s: 1\n    mux.hold_s: 2", "duplicate"),
         ("just text", ":1: expected the name of a node"),
     ];
     for (text, expected) in cases {
@@ -117,7 +123,7 @@ fn errors_on_the_command_line_contain_the_argument() {
         ("mux.hold:=3", "-p mux.hold:=3: module \"mux\" has no setting \"hold\""),
         (
             "mux.hold_s:=yes",
-            "-p mux.hold_s:=yes: module \"mux\", setting \"hold_s\": expected double, found text \"yes\"",
+            "-p mux.hold_s:=yes: module \"mux\", setting \"hold_s\": expected double, found bool true",
         ),
         ("mux.hold_s:=", "found nothing"),
         ("mux.hold_s:=[1", "-p mux.hold_s:=[1: "),
@@ -128,6 +134,19 @@ fn errors_on_the_command_line_contain_the_argument() {
         let problem = problem.err().unwrap().to_string();
         assert!(problem.contains(expected), "{problem}\n  should contain\n{expected}");
     }
+}
+
+#[test]
+fn parameters_under_wildcards_that_no_module_declares_are_ignored() {
+    let mut file = robot();
+    let text = "/**:\n  ros__parameters:\n    carrier_id: carrier\n    mux: 3\n    mux.gain: 1.0\n    mux.hold_s: 0.5\n    \
+                gripper: {force: 2.0}\n/ns/*:\n  ros__parameters: {other.a: 1}\n";
+    set(&mut file, text).unwrap();
+    let core = file.build(Core::new()).unwrap().core;
+    assert_eq!(core.settings("mux").unwrap()[0].value, 0.5.into());
+    // Values of settings that are declared are checked.
+    let problem = problem("/**:\n  ros__parameters:\n    mux.hold_s: long");
+    assert!(problem.contains(":3: module \"mux\", setting \"hold_s\""), "{problem}");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use downbeat_executor::{CoreHandle, Receipt, SettingInfo, SettingRefused, Settin
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::rcl_interfaces::msg::{
     FloatingPointRange, IntegerRange, ListParametersResult, Parameter as ParameterMessage,
-    ParameterDescriptor, ParameterEvent, SetParametersResult,
+    ParameterDescriptor, ParameterEvent, ParameterType, SetParametersResult,
 };
 use downbeat_msgs::rcl_interfaces::srv::{
     DescribeParametersRequest, DescribeParametersResponse, GetParameterTypesRequest,
@@ -22,6 +22,31 @@ use downbeat_msgs::{Service, cdr};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Weak;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// The reason of rclcpp for a value of another type (`format_type_reason` of `node_parameters.cpp`).
+fn wrong_type(name: &str, own: u8, other: u8) -> String {
+    let (own, other) = (type_name(own), type_name(other));
+    format!(
+        "Wrong parameter type, parameter {{{name}}} is of type {{{own}}}, setting it to {{{other}}} is not allowed."
+    )
+}
+
+/// The name of a type in rclcpp (`to_string` of `parameter_value.cpp`).
+fn type_name(parameter_type: u8) -> &'static str {
+    match parameter_type {
+        ParameterType::PARAMETER_BOOL => "bool",
+        ParameterType::PARAMETER_INTEGER => "integer",
+        ParameterType::PARAMETER_DOUBLE => "double",
+        ParameterType::PARAMETER_STRING => "string",
+        ParameterType::PARAMETER_BYTE_ARRAY => "byte_array",
+        ParameterType::PARAMETER_BOOL_ARRAY => "bool_array",
+        ParameterType::PARAMETER_INTEGER_ARRAY => "integer_array",
+        ParameterType::PARAMETER_DOUBLE_ARRAY => "double_array",
+        ParameterType::PARAMETER_STRING_ARRAY => "string_array",
+        ParameterType::PARAMETER_NOT_SET => "not set",
+        _ => "unknown type",
+    }
+}
 
 /// How long the core may take to report values; it may be paused.
 const TELL: Duration = Duration::from_secs(1);
@@ -215,7 +240,19 @@ impl Parameters {
                 "the value has {length} bytes, and parameters have at most {LONGEST_VALUES}: more could not be given to those who ask"
             ));
         }
-        self.put(&name, parameter, setting_value(value)?).await
+        let wrong_type = wrong_type(&name, parameter_type(&parameter.info.value), value.r#type);
+        if value.r#type == ParameterType::PARAMETER_NOT_SET {
+            return Err(wrong_type);
+        }
+        let value = setting_value(value)?;
+        let is_same_kind = parameter_type(&value) == parameter_type(&parameter.info.value);
+        // Other conversions can only fail by the kind, except that of numbers to bytes.
+        let is_bytes =
+            matches!((&value, &parameter.info.value), (SettingValue::Integers(_), SettingValue::Bytes(_)));
+        match value.into_kind_of(&parameter.info.value) {
+            Ok(value) => self.put(&name, parameter, value).await,
+            Err(reason) => Err(if is_same_kind || is_bytes { reason } else { wrong_type }),
+        }
     }
 
     async fn put(&self, name: &str, parameter: &Parameter, value: SettingValue) -> Result<(), String> {

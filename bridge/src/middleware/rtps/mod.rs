@@ -71,6 +71,10 @@ impl Middleware for RtpsParticipant {
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {
         self.participant.remote_endpoints().into_iter().map(remote).collect()
     }
+
+    fn leave(&self) {
+        self.participant.leave();
+    }
 }
 
 struct RtpsWriter(downbeat_rtps::Writer);

@@ -77,8 +77,8 @@ fn set_up(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<ModuleCell, 
     let mut io = ModuleIo::new(Arc::clone(&member.name), member.id, Arc::clone(&state.link));
     let mut host = CoreHost { views: &mut stage.views, mechanisms };
     let Member { source, uses, options, .. } = &mut *member;
-    let ModuleOptions { settings, remaps, namespace, .. } = options.clone();
-    let given = Given { settings, remaps, namespace };
+    let ModuleOptions { settings, optional_settings, remaps, namespace, .. } = options.clone();
+    let given = Given { settings, optional_settings, remaps, namespace };
     let is_detached = matches!(options.synchrony, Synchrony::Detached(_));
     let set_up = AssertUnwindSafe(|| match source.make() {
         Some(module) => module.set_up(&mut io, &mut host, uses, is_detached, given),

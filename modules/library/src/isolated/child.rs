@@ -1,9 +1,11 @@
 //! The child process, seen from its library.
 
+use super::process::FAREWELL;
 use super::wire::{Channel, Fields, Frame, Garbled, answer, ask, end, say};
 use crate::call::{Declare, Requests, number_of, transition_of};
 use crate::instance::Instance;
 use crate::library::Library;
+use crate::parent;
 use downbeat_edge::foreign::SettingDeclaration;
 use downbeat_executor::{SettingValue, Time, Transition};
 use parking_lot::Mutex;
@@ -39,6 +41,7 @@ fn serve() -> io::Result<std::convert::Infallible> {
     // What a library reads from standard input or prints must not disturb the connection.
     rustix::stdio::dup2_stdin(File::open("/dev/null")?)?;
     rustix::stdio::dup2_stdout(io::stderr())?;
+    parent::end_with_it(reader.as_fd().try_clone_to_owned()?, FAREWELL)?;
     let shared: Shared = Arc::new(Mutex::new(Channel::new(reader, writer)));
     // The robot waits for it.
     shared.lock().send()?;

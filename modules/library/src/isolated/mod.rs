@@ -6,6 +6,7 @@
 //! call has ended or asks something.
 
 mod child;
+mod function;
 mod process;
 mod wire;
 
@@ -19,7 +20,8 @@ use crate::module::state_of;
 use crate::watch::Watch;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState, SettingDeclaration};
 use downbeat_executor::{SettingValue, Transition};
-use process::Process;
+use function::{Declared, Function, Names};
+use process::{PATIENCE, Process};
 use std::time::Duration;
 use wire::{Fields, Frame, Garbled, answer, ask, end, say};
 
@@ -29,6 +31,7 @@ pub(crate) struct IsolatedModule {
     options: LibraryOptions,
     /// Of a library that is reloaded.
     watch: Option<Watch>,
+    names: Names,
 }
 
 /// Takes one thing that a child says in a call. The answer to a question is written to the frame.
@@ -57,10 +60,11 @@ impl IsolatedModule {
     pub(crate) fn start(options: &LibraryOptions) -> Result<Self, String> {
         let watch = options.is_reloaded.then(|| Watch::new(&options.path));
         let process = Process::start(&options.path)?;
-        let mut started = Self { process, options: options.clone(), watch };
+        let mut started = Self { process, options: options.clone(), watch, names: Names::new() };
         let path = std::path::absolute(&options.path).unwrap_or_else(|_| options.path.clone());
         started.call(
-            "create",
+            Function::Create,
+            PATIENCE,
             |frame| {
                 frame.tag(ask::START);
                 frame.text(&path.to_string_lossy());
@@ -74,10 +78,24 @@ impl IsolatedModule {
         Ok(started)
     }
 
-    /// Makes one call of the library, and returns what it saved.
+    /// Makes one call of the library, which may take until `limit`, and returns what it saved.
     fn call(
         &mut self,
-        function: &str,
+        function: Function,
+        limit: Duration,
+        write: impl FnOnce(&mut Frame),
+        take: &mut Take<'_>,
+    ) -> Result<Vec<u8>, String> {
+        self.process.begin(limit);
+        let result = self.exchange(function, limit, write, take);
+        self.process.pause();
+        result
+    }
+
+    fn exchange(
+        &mut self,
+        function: Function,
+        limit: Duration,
         write: impl FnOnce(&mut Frame),
         take: &mut Take<'_>,
     ) -> Result<Vec<u8>, String> {
@@ -90,7 +108,7 @@ impl IsolatedModule {
             let fields = sent.and_then(|()| channel.receive());
             let mut fields = match fields {
                 Ok(fields) => fields,
-                Err(_) => return Err(self.process.end(function)),
+                Err(_) => return Err(self.process.end(&function.words(&self.names), limit)),
             };
             let mut answer = Frame::default();
             let result = loop {
@@ -143,7 +161,11 @@ impl Foreign for IsolatedModule {
             declarations.reload();
         }
         let write = |frame: &mut Frame| frame.tag(ask::SETUP);
-        self.call("setup", write, &mut |tag, fields, answer| declare(tag, fields, answer, declarations))?;
+        let mut names = Names::new();
+        self.call(Function::Setup, PATIENCE, write, &mut |tag, fields, answer| {
+            declare(tag, fields, answer, declarations, &mut names)
+        })?;
+        self.names = names;
         Ok(())
     }
 
@@ -156,12 +178,13 @@ impl Foreign for IsolatedModule {
             _ => &[],
         };
         let now = Requests::now(context).as_nanos();
+        let (function, limit) = (Function::handling(&event), self.options.time_limit);
         let write = |frame: &mut Frame| {
             frame.tag(ask::HANDLE);
             frame.number(now as u64);
             frame.event(&in_c, data);
         };
-        self.call("handle", write, &mut |tag, fields, answer| request(tag, fields, answer, context))?;
+        self.call(function, limit, write, &mut |tag, fields, answer| request(tag, fields, answer, context))?;
         Ok(())
     }
 
@@ -176,7 +199,11 @@ impl Foreign for IsolatedModule {
             frame.number(now as u64);
             frame.number(number_of(transition).into());
         };
-        self.call("transition", write, &mut |tag, fields, answer| request(tag, fields, answer, context))?;
+        // While it shuts down, the robot waits for it to end.
+        let limit = if transition == Transition::Shutdown { self.options.time_limit } else { PATIENCE };
+        self.call(Function::Transition(transition), limit, write, &mut |tag, fields, answer| {
+            request(tag, fields, answer, context)
+        })?;
         Ok(())
     }
 
@@ -186,7 +213,9 @@ impl Foreign for IsolatedModule {
             frame.number(setting.into());
             frame.value(value);
         };
-        self.call("accept", write, &mut |_, _, _| Err(Garbled.into()))?;
+        self.call(Function::Accept(setting), self.options.time_limit, write, &mut |_, _, _| {
+            Err(Garbled.into())
+        })?;
         Ok(())
     }
 
@@ -198,7 +227,8 @@ impl Foreign for IsolatedModule {
     }
 
     fn save(&mut self) -> Result<SavedState, String> {
-        let saved = self.call("save", |frame| frame.tag(ask::SAVE), &mut |_, _, _| Err(Garbled.into()))?;
+        let write = |frame: &mut Frame| frame.tag(ask::SAVE);
+        let saved = self.call(Function::Save, PATIENCE, write, &mut |_, _, _| Err(Garbled.into()))?;
         Ok(Box::new(saved))
     }
 
@@ -208,7 +238,7 @@ impl Foreign for IsolatedModule {
             frame.tag(ask::RESTORE);
             frame.bytes(&state);
         };
-        self.call("restore", write, &mut |_, _, _| Err(Garbled.into()))?;
+        self.call(Function::Restore, PATIENCE, write, &mut |_, _, _| Err(Garbled.into()))?;
         Ok(())
     }
 }
@@ -219,7 +249,11 @@ fn declare(
     fields: &mut Fields<'_>,
     answer: &mut Frame,
     declarations: &mut Declarations,
+    names: &mut Names,
 ) -> Result<(), Problem> {
+    let declared = Declared::of(tag);
+    // The name is the first field of all that have one.
+    let name = declared.map(|_| fields.clone().text().map(str::to_owned)).transpose()?;
     let number = match tag {
         ask::PUBLISHER => declarations.publish(fields.text()?, fields.text()?, fields.optional_text()?),
         ask::SUBSCRIPTION => declarations.subscribe(fields.text()?, fields.text()?, fields.optional_text()?),
@@ -251,12 +285,14 @@ fn declare(
             answer.tag(answer::OK);
             answer.number(number.into());
             answer.value(&value);
+            names.extend(name.map(|name| ((Declared::Setting, number), name)));
             return Ok(());
         }
         _ => return Err(Garbled.into()),
     };
     answer.tag(answer::OK);
     answer.number(number.into());
+    names.extend(declared.zip(name).map(|(declared, name)| ((declared, number), name)));
     Ok(())
 }
 

@@ -1,24 +1,27 @@
 //! The child process, seen from the robot.
 
 use super::wire::Channel;
+use crate::parent;
+use parking_lot::{Condvar, Mutex};
 use std::ffi::OsString;
 use std::io::{self, PipeReader, Read, pipe};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
-use std::sync::OnceLock;
 use std::sync::mpsc::channel;
-use std::time::Duration;
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 /// How long a child may take to destroy its module before it is killed.
-const FAREWELL: Duration = Duration::from_secs(1);
+pub(super) const FAREWELL: Duration = Duration::from_secs(1);
 
 const NOT_A_CHILD: &str = "its program does not run libraries; let it run `downbeat::App::main`, or call `set_child_command` before";
 
 static COMMAND: OnceLock<Vec<OsString>> = OnceLock::new();
 
-/// How long a child may take to start, on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// How long a child may take to start, to set its module up, or for a transition: it may read files, and the machine may be busy.
+pub(super) const PATIENCE: Duration = Duration::from_secs(20);
 
 /// The command of the program that calls [`child`](super::child).
 const ARGUMENT: &str = "library-child";
@@ -32,9 +35,29 @@ pub fn set_child_command(command: impl IntoIterator<Item = OsString>) {
 
 /// A child process and the channel to it.
 pub(super) struct Process {
-    child: Child,
+    watched: Arc<Watched>,
+    watch: Option<JoinHandle<()>>,
     path: PathBuf,
     pub channel: Channel,
+}
+
+/// A child, which is killed if a call takes too long. That closes its ends of the pipes, and ends the wait for it.
+struct Watched {
+    child: Mutex<Child>,
+    call: Mutex<Call>,
+    changed: Condvar,
+}
+
+/// The call under way.
+#[derive(Default)]
+struct Call {
+    /// `None` between calls.
+    deadline: Option<Instant>,
+    /// Whether the child was killed because a call took too long.
+    is_overdue: bool,
+    /// Whether the watching thread sleeps until it is woken; otherwise it looks at the deadline by itself.
+    is_unwatched: bool,
+    is_over: bool,
 }
 
 impl Process {
@@ -60,34 +83,81 @@ impl Process {
         let (its_input, writer) = pipe().map_err(failed)?;
         let (reader, its_output) = pipe().map_err(failed)?;
         // In a group of its own: Ctrl-C is for the robot, which ends its children.
-        let child = command.stdin(its_input).stdout(its_output).process_group(0).spawn().map_err(failed)?;
-        // With it the child's ends of the pipes, so that its death is noticed.
-        drop(command);
+        command.stdin(its_input).stdout(its_output).process_group(0);
+        let child = parent::spawn(command).map_err(failed)?;
         let greeted = read_within(reader, PATIENCE);
         let is_ready = greeted.as_ref().is_some_and(|(_, read)| *read > 0);
         let channel = match greeted {
             Some((reader, _)) => Channel::new(reader, writer),
             None => Channel::closed(),
         };
-        let mut process = Self { child, path: path.to_owned(), channel };
+        let (call, changed) = (Mutex::default(), Condvar::new());
+        let watched = Arc::new(Watched { child: Mutex::new(child), call, changed });
+        let mut process = Self { watched: Arc::clone(&watched), watch: None, path: path.to_owned(), channel };
+        let watch = std::thread::Builder::new().name("child".to_owned()).spawn(move || watched.watch());
+        process.watch = Some(watch.map_err(failed)?);
         match is_ready {
             true => Ok(process),
-            false => Err(format!("{} ({NOT_A_CHILD})", process.end("main"))),
+            false => Err(format!("{} ({NOT_A_CHILD})", process.end("`main`", PATIENCE))),
         }
     }
 
     pub fn id(&self) -> u32 {
-        self.child.id()
+        self.watched.child.lock().id()
     }
 
-    /// Why the child does not answer.
-    pub fn end(&mut self, function: &str) -> String {
-        let (id, path) = (self.id(), self.path.display());
+    /// A call begins, which may take this long.
+    pub fn begin(&self, limit: Duration) {
+        let mut call = self.watched.call.lock();
+        call.deadline = Some(Instant::now() + limit);
+        if call.is_unwatched {
+            self.watched.changed.notify_one();
+        }
+    }
+
+    /// The call has ended, or waits for the robot.
+    pub fn pause(&self) {
+        self.watched.call.lock().deadline = None;
+    }
+
+    /// Ends the child. Returns why it does not answer the call of `function`, for which it had `limit`.
+    pub fn end(&mut self, function: &str, limit: Duration) -> String {
+        let is_overdue = self.watched.call.lock().is_overdue;
+        let mut child = self.watched.child.lock();
+        let (id, path) = (child.id(), self.path.display());
         // Without an effect on one that has ended.
-        let _ = self.child.kill();
-        match self.child.wait() {
-            Ok(status) => format!("the child process {id} of {path} ended in `{function}`: {status}"),
-            Err(error) => format!("the child process {id} of {path} ended in `{function}`: {error}"),
+        let _ = child.kill();
+        match child.wait() {
+            Ok(_) if is_overdue => format!(
+                "the child process {id} of {path} did not return from {function} within {limit:?} and was killed"
+            ),
+            Ok(status) => format!("the child process {id} of {path} ended in {function}: {status}"),
+            Err(error) => format!("the child process {id} of {path} ended in {function}: {error}"),
+        }
+    }
+}
+
+impl Watched {
+    /// The watching thread. It wakes when a deadline may be over, and not while there are no calls.
+    fn watch(&self) {
+        let mut call = self.call.lock();
+        while !call.is_over {
+            match call.deadline {
+                None => {
+                    call.is_unwatched = true;
+                    self.changed.wait(&mut call);
+                    call.is_unwatched = false;
+                }
+                Some(deadline) if Instant::now() < deadline => {
+                    self.changed.wait_until(&mut call, deadline);
+                }
+                Some(_) => {
+                    call.deadline = None;
+                    call.is_overdue = true;
+                    // It may have ended by itself.
+                    let _ = self.child.lock().kill();
+                }
+            }
         }
     }
 }
@@ -98,10 +168,17 @@ impl Drop for Process {
         let reader = self.channel.close();
         // Its end closes the other end.
         let has_ended = reader.is_none_or(|reader| matches!(read_within(reader, FAREWELL), Some((_, 0))));
-        if !has_ended {
-            let _ = self.child.kill();
+        self.watched.call.lock().is_over = true;
+        self.watched.changed.notify_one();
+        if let Some(watch) = self.watch.take() {
+            // It does not panic.
+            let _ = watch.join();
         }
-        let _ = self.child.wait();
+        let mut child = self.watched.child.lock();
+        if !has_ended {
+            let _ = child.kill();
+        }
+        let _ = child.wait();
     }
 }
 

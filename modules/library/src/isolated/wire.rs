@@ -175,7 +175,7 @@ impl Frame {
 }
 
 /// The fields of a received frame, read in the order in which they were written.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

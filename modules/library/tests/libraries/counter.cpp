@@ -48,6 +48,10 @@ class Counter : public downbeat::Module {
             if (message.data == 3) {
                 std::raise(SIGKILL);
             }
+            if (message.data == 5) {
+                for (volatile bool endless = true; endless;) {
+                }
+            }
             if (message.data == 4) {
                 std::abort();
             }

@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::fmt::{Display, Write};
 use std::sync::Arc;
 
-use anyhow::{anyhow, ensure};
+use anyhow::{anyhow, bail};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use downbeat_executor::SettingValue;
 
 use crate::msgs::dynamic::{YamlContext, write_yaml_float, write_yaml_text};
-use crate::robot::{NodeParameter, Source, parameters_of_nodes};
+use crate::robot::{NodeParameter, Source, is_wildcard, matches, parameters_of_nodes};
 
 /// Parameters by the parts of their names, separated by dots.
 #[derive(Default)]
@@ -112,22 +112,51 @@ fn write_list<T>(out: &mut String, values: &[T], indentation: usize, write: impl
     }
 }
 
-/// The parameters in a parameter file, for any node; those for all nodes come first and are overridden.
+/// A parameter that a file has for a node.
+#[derive(Debug)]
+pub(super) struct Loaded {
+    pub(super) name: String,
+    pub(super) value: SettingValue,
+    /// Whether it is under a wildcard, and may be meant for other nodes only.
+    pub(super) is_wildcard: bool,
+}
+
+/// The parameters in a parameter file for a node: those under wildcards come first and are overridden. Parameters without a value, as a dump
+/// has them for those that are not set, are left out.
 pub(super) fn values_in(
     source: &Arc<Source>,
+    node: &str,
     with_wildcard: bool,
-) -> anyhow::Result<Vec<(String, SettingValue)>> {
+) -> anyhow::Result<Vec<Loaded>> {
     const ALL: &str = "/**";
     let mut nodes = parameters_of_nodes(source)?;
-    nodes.retain(|(node, _)| with_wildcard || node != ALL);
-    nodes.sort_by_key(|(node, _)| node != ALL);
-    ensure!(!nodes.is_empty(), "Param file does not contain selected parameters");
-    let mut values: Vec<(String, SettingValue)> = Vec::new();
-    for NodeParameter { name, value, .. } in nodes.into_iter().flat_map(|(_, parameters)| parameters) {
-        let value = value.map_err(|problem| anyhow!("{}: {name}: {problem}", source.path().display()))?;
-        match values.iter_mut().find(|(known, _)| *known == name) {
-            Some(known) => known.1 = value,
-            None => values.push((name, value)),
+    nodes.retain(|(_, parameters)| !parameters.is_empty());
+    let all: Vec<String> = nodes.iter().map(|(name, _)| name.clone()).collect();
+    nodes.retain(|(pattern, _)| matches(pattern, node) && (with_wildcard || pattern != ALL));
+    nodes.sort_by_key(|(pattern, _)| (pattern != ALL, !is_wildcard(pattern)));
+    if nodes.is_empty() {
+        let names = if all.is_empty() { "no node".to_owned() } else { all.join(", ") };
+        let path = source.path().display();
+        bail!(
+            "Param file does not contain selected parameters: {path} has parameters for {names}, not for {node}"
+        );
+    }
+    let mut values: Vec<Loaded> = Vec::new();
+    let mut places = BTreeMap::new();
+    for (pattern, parameters) in nodes {
+        for NodeParameter { name, value, is_unset, .. } in parameters {
+            if is_unset {
+                continue;
+            }
+            let value = value.map_err(|problem| anyhow!("{}: {name}: {problem}", source.path().display()))?;
+            let loaded = Loaded { name: name.clone(), value, is_wildcard: is_wildcard(&pattern) };
+            match places.get(&name) {
+                Some(&place) => values[place] = loaded,
+                None => {
+                    places.insert(name, values.len());
+                    values.push(loaded);
+                }
+            }
         }
     }
     Ok(values)
@@ -148,7 +177,13 @@ mod tests {
     }
 
     fn read(text: &str, with_wildcard: bool) -> anyhow::Result<Vec<(String, SettingValue)>> {
-        values_in(&Arc::new(Source::new(Path::new("robot.yaml"), text.to_owned())), with_wildcard)
+        read_for("/robot", text, with_wildcard)
+    }
+
+    fn read_for(node: &str, text: &str, with_wildcard: bool) -> anyhow::Result<Vec<(String, SettingValue)>> {
+        let source = Arc::new(Source::new(Path::new("robot.yaml"), text.to_owned()));
+        let values = values_in(&source, node, with_wildcard)?;
+        Ok(values.into_iter().map(|loaded| (loaded.name, loaded.value)).collect())
     }
 
     /// Expected output of PyYAML.
@@ -201,7 +236,15 @@ mod tests {
         assert_eq!(shown(true), ["a=2", "b=3"]);
         assert_eq!(shown(false), ["a=2"]);
         assert!(read("/robot: {a: 1}\n", true).is_err());
-        let refused = read("/robot:\n  ros__parameters: {a: [1, x]}\n", true).unwrap_err().to_string();
+        let others = "/*:\n  gps_node: {ros__parameters: {port: p}}\n  blackboard: {ros__parameters: {a: 2}}\n/**: {ros__parameters: {a: 1}}\n";
+        let read = |node: &str| read_for(node, others, true).unwrap();
+        assert_eq!(read("/demo/blackboard"), [("a".to_owned(), SettingValue::Integer(2))]);
+        assert_eq!(read("/demo/other"), [("a".to_owned(), SettingValue::Integer(1))]);
+        let refused = read_for("/other", "/robot: {ros__parameters: {a: 1}}", true).unwrap_err().to_string();
+        assert!(refused.contains("has parameters for /robot, not for /other"), "{refused}");
+        let read = |text: &str| read_for("/robot", text, true);
+        assert_eq!(read("/robot: {ros__parameters: {a: null, b: , c: ~}}").unwrap(), []);
+        let refused = read("/robot:\n  ros__parameters: {a: [1, x]}\n").unwrap_err().to_string();
         assert!(refused.starts_with("robot.yaml: a: expected a list of numbers only"), "{refused}");
     }
 }

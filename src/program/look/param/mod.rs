@@ -3,6 +3,7 @@
 mod file;
 mod value;
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,7 +28,7 @@ use regex_lite::Regex;
 
 use super::network::{Environment, Look, LookArguments, Patience, absolute, is_hidden_node, node_names};
 use super::values::seconds;
-use file::{Tree, values_in};
+use file::{Loaded, Tree, values_in};
 use value::{is_empty_list, label, python_float, python_value, type_name, value_in};
 
 #[derive(Subcommand)]
@@ -124,7 +125,7 @@ pub(crate) struct DumpArguments {
 pub(crate) struct LoadArguments {
     #[command(flatten)]
     node: NodeArguments,
-    /// The parameter file: values for any node are used, as in `ros2`.
+    /// The parameter file: values for the node are used, those under wildcards only if it declares them.
     file: PathBuf,
     /// Ignore values for all nodes, under /**.
     #[arg(long)]
@@ -395,8 +396,28 @@ fn dump(arguments: &DumpArguments, environment: &Environment<'_>) -> anyhow::Res
 
 fn load(arguments: &LoadArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
     let source = Arc::new(Source::read(&arguments.file, "parameter file")?);
-    let values = values_in(&source, !arguments.no_use_wildcard)?;
+    let node = absolute(&arguments.node.node);
+    let loaded = values_in(&source, &node, !arguments.no_use_wildcard)?;
     let parameters = Parameters::of(&arguments.node, environment)?;
+    let declared = match loaded.iter().any(|loaded| loaded.is_wildcard) {
+        true => {
+            parameters
+                .ask::<ListParameters>("list_parameters", &ListParametersRequest::default())?
+                .result
+                .names
+        }
+        false => Vec::new(),
+    };
+    let declared: BTreeSet<_> = declared.into_iter().collect();
+    let is_meant = |loaded: &Loaded| {
+        let is_meant = !loaded.is_wildcard || declared.contains(&loaded.name);
+        if !is_meant {
+            tracing::debug!("{} is ignored: {node} does not declare it", loaded.name);
+        }
+        is_meant
+    };
+    let values: Vec<_> =
+        loaded.into_iter().filter(is_meant).map(|Loaded { name, value, .. }| (name, value)).collect();
     let results = parameters.set(&values)?;
     let mut failed = 0;
     for ((name, _), result) in values.iter().zip(&results) {

@@ -5,8 +5,7 @@ use serde_norway::Value;
 
 use crate::msgs::dynamic::python;
 use crate::msgs::rcl_interfaces::msg::ParameterType;
-use crate::msgs::yaml;
-use crate::robot::setting_value;
+use crate::robot::{setting_value, yaml_values};
 
 /// The name of a parameter type in the output of tools.
 pub(super) fn type_name(kind: u8) -> &'static str {
@@ -73,19 +72,13 @@ fn list<T>(values: &[T], write: impl Fn(&mut String, &T)) -> String {
     out + "]"
 }
 
-/// Parses a value with its YAML type. Text that is not YAML is a string.
+/// Parses a value with the type that rcl gives it. Text that is not YAML is a string.
 ///
 /// # Errors
 /// Returns an error if the text is YAML but not a parameter value, such as a map.
 pub(super) fn value_in(text: &str) -> Result<SettingValue, String> {
-    match yaml::from_str::<Value>(text) {
+    match yaml_values(text) {
         Err(_) | Ok(Value::Null) => Ok(SettingValue::Text(text.to_owned())),
-        // Words that are booleans in YAML 1.1, which ROS 2 reads.
-        Ok(Value::String(word)) if word == text => Ok(match &*word.to_ascii_lowercase() {
-            "yes" | "on" => SettingValue::Bool(true),
-            "no" | "off" => SettingValue::Bool(false),
-            _ => SettingValue::Text(word),
-        }),
         Ok(value) => setting_value(&value),
     }
 }
@@ -110,6 +103,9 @@ mod tests {
         for (text, expected) in [
             ("true", "boolean True"),
             ("on", "boolean True"),
+            ("'on'", "string on"),
+            ("off", "boolean False"),
+            ("010", "integer 8"),
             ("3", "integer 3"),
             ("-2.50", "double -2.5"),
             ("'3'", "string 3"),

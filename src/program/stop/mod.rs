@@ -1,0 +1,190 @@
+//! The end of long-running commands: signals, a time limit, or the end of what started them.
+//!
+//! | request | effect |
+//! | --- | --- |
+//! | SIGINT, SIGTERM, SIGHUP | an orderly stop; all requests within [`ONE_REQUEST`] of the first are the same request |
+//! | SIGQUIT | the same, after printing what runs |
+//! | a later one | the process closes its bags, leaves DDS and ends, within [`HURRY`] |
+//! | a third one | the process ends at once |
+//!
+//! After an orderly stop the exit code is that of the command; otherwise it is 128 plus the number of the last signal, as shells report it.
+
+mod hurry;
+mod keyboard;
+mod requests;
+mod trace;
+
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{OnceLock, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use parking_lot::{Condvar, Mutex};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use super::output;
+#[cfg(doc)]
+use hurry::HURRY;
+use keyboard::restore_terminal;
+pub(crate) use keyboard::{Key, Keyboard};
+#[cfg(doc)]
+use requests::ONE_REQUEST;
+use requests::{Meaning, Requests};
+
+/// A request to stop. All values share the requests of the process.
+pub(crate) struct Stop {
+    end: Option<Instant>,
+}
+
+/// The requests of the process.
+static REQUESTED: Requested =
+    Requested { requests: Mutex::new(Requests::NONE), is_set: Mutex::new(false), changed: Condvar::new() };
+
+/// Whether signals are handled, or why not.
+static HANDLED: OnceLock<Result<(), String>> = OnceLock::new();
+
+/// Whether the command has nothing to do once nobody reads its output.
+static ENDS_WITH_OUTPUT: AtomicBool = AtomicBool::new(false);
+
+struct Requested {
+    requests: Mutex<Requests>,
+    is_set: Mutex<bool>,
+    changed: Condvar,
+}
+
+impl Stop {
+    /// Handles signals. Must be called before anything that requires cleanup.
+    pub(crate) fn new() -> anyhow::Result<Self> {
+        let handled = HANDLED.get_or_init(|| handle_signals().map_err(|error| error.to_string()));
+        handled.clone().map_err(anyhow::Error::msg).context("cannot handle signals")?;
+        Ok(Self { end: None })
+    }
+
+    /// Also stops after this time, counted from now.
+    pub(crate) fn after(self, duration: Option<Duration>) -> Self {
+        Self { end: duration.map(|duration| Instant::now() + duration) }
+    }
+
+    /// Also stops when standard output cannot be written: for commands that only print.
+    pub(crate) fn at_end_of_output(self) -> Self {
+        ENDS_WITH_OUTPUT.store(true, Ordering::Relaxed);
+        self
+    }
+
+    /// Also stops at the end of the process that started this one, however that ends: that process keeps the other end of standard input.
+    /// If stopping takes longer than `patience`, this process ends in a hurry.
+    #[cfg(any(feature = "football", feature = "view"))]
+    pub(crate) fn with_parent(self, patience: Duration) -> anyhow::Result<Self> {
+        downbeat_library_host::parent::signal_at_its_end(downbeat_library_host::parent::TERMINATE)
+            .context("cannot watch the process that started this one")?;
+        let wait = move || {
+            // Nothing is said, and an error is an end too.
+            let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());
+            // On Linux a signal comes as well, which is then the same request.
+            if REQUESTED.requests.lock().begin(Instant::now()) {
+                REQUESTED.set();
+            }
+            thread::sleep(patience);
+            hurry::end(1);
+        };
+        thread::Builder::new().name("input".to_owned()).spawn(wait).context("cannot watch standard input")?;
+        Ok(self)
+    }
+
+    pub(crate) fn is_due(&self) -> bool {
+        *REQUESTED.is_set.lock() || self.end.is_some_and(|end| Instant::now() >= end)
+    }
+
+    /// Sleeps for `time`, or until the stop request if that is earlier.
+    pub(crate) fn sleep(&self, time: Duration) {
+        let until = Instant::now() + time;
+        let until = self.end.map_or(until, |end| end.min(until));
+        REQUESTED.changed.wait_while_until(&mut REQUESTED.is_set.lock(), |is_set| !*is_set, until);
+    }
+}
+
+impl Requested {
+    fn set(&self) {
+        *self.is_set.lock() = true;
+        self.changed.notify_all();
+    }
+}
+
+/// What a failed write to standard output means for the process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum OutputEnd {
+    /// No command waits for a stop: the process can end.
+    Exit,
+    /// The command was asked to stop, or does not depend on its output.
+    Continue,
+}
+
+/// Standard output cannot be written; `is_unread` if what read it has gone. A pipe that nobody reads ends every command, as it ends
+/// `yes | head`; a terminal that was closed, or a full disk, only ends those that do nothing but print.
+pub(crate) fn output_failed(is_unread: bool) -> OutputEnd {
+    if !matches!(HANDLED.get(), Some(Ok(()))) {
+        return OutputEnd::Exit;
+    }
+    if is_unread || ENDS_WITH_OUTPUT.load(Ordering::Relaxed) {
+        REQUESTED.set();
+    }
+    OutputEnd::Continue
+}
+
+/// Handles the signals that ask a process to end, except a SIGHUP that whoever started this process wants to be ignored (`nohup`).
+fn handle_signals() -> io::Result<()> {
+    let all = [SIGINT, SIGTERM, SIGQUIT, SIGHUP];
+    let handled = all.into_iter().filter(|&signal| signal != SIGHUP || !is_ignored(signal));
+    let mut signals = Signals::new(handled)?;
+    let wait = move || {
+        for signal in signals.forever() {
+            let meaning = REQUESTED.requests.lock().take(Instant::now());
+            if meaning != Meaning::End && signal == SIGQUIT {
+                print_trace();
+            }
+            match meaning {
+                Meaning::Stop => REQUESTED.set(),
+                Meaning::Same => {}
+                Meaning::Hurry => in_background("hurry", move || hurry::end(128 + signal)),
+                Meaning::End => end_now(128 + signal),
+            }
+        }
+    };
+    thread::Builder::new().name("signals".to_owned()).spawn(wait).map(drop)
+}
+
+/// Prints what runs, before the stop begins. A terminal that takes no output does not keep it waiting.
+fn print_trace() {
+    const PATIENCE: Duration = Duration::from_millis(100);
+    let (sender, printed) = mpsc::channel();
+    in_background("trace", move || {
+        trace::print();
+        // If nobody waits any more, it has taken too long.
+        let _ = sender.send(());
+    });
+    let _ = printed.recv_timeout(PATIENCE);
+}
+
+/// Runs `task` while this thread waits for further signals.
+fn in_background(name: &str, task: impl FnOnce() + Send + 'static) {
+    if let Err(error) = thread::Builder::new().name(name.to_owned()).spawn(task) {
+        output::print_error(format_args!("downbeat: cannot start a thread: {error}\n"));
+    }
+}
+
+/// Ends the process without waiting for anything.
+fn end_now(code: i32) -> ! {
+    restore_terminal();
+    signal_hook::low_level::exit(code)
+}
+
+/// Whether the process was started with this signal ignored. Only Linux tells it without unsafe code.
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask & (1 << (signal - 1)) != 0
+}

@@ -1,0 +1,651 @@
+//! How long-running commands end: signals, closed terminals, parents that are killed.
+//!
+//! Everything is checked for every command and every way: the exit code, the bag, the node in the graph of a peer, child processes, and
+//! the link of the emulated bus.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use common::{WATCHDOG, downbeat, recorded_messages, robot_file, text_of, wait_until};
+use downbeat::bags::Reader;
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{MessageType, NodeName, Participant};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::{cdr, std_msgs};
+use rustix::fs::{OFlags, fcntl_setfl};
+use rustix::process::{Pid, Signal, kill_process};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+/// How a command is asked to stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Way {
+    Signal(Signal),
+    /// SIGINT twice, so far apart.
+    Twice(Duration),
+    /// The controlling terminal is closed.
+    Terminal,
+}
+
+const WAYS: [Way; 8] = [
+    Way::Signal(Signal::INT),
+    Way::Signal(Signal::TERM),
+    Way::Signal(Signal::HUP),
+    Way::Signal(Signal::QUIT),
+    Way::Twice(Duration::from_millis(1)),
+    Way::Twice(Duration::from_millis(100)),
+    Way::Twice(Duration::from_secs(2)),
+    Way::Terminal,
+];
+
+/// A command with its output, on pipes or on a terminal.
+struct Program {
+    child: Child,
+    /// The other end of its terminal.
+    terminal: Option<File>,
+    output: Arc<Mutex<String>>,
+}
+
+impl Program {
+    fn start(mut command: Command) -> Self {
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let output = Arc::default();
+        collect(child.stdout.take().unwrap(), &output);
+        collect(child.stderr.take().unwrap(), &output);
+        Self { child, terminal: None, output }
+    }
+
+    /// Starts a command as the leader of a session with a terminal.
+    fn start_on_terminal(command: &Command) -> Self {
+        let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        fcntl_setfl(&terminal, OFlags::NONBLOCK).unwrap();
+        grantpt(&terminal).unwrap();
+        unlockpt(&terminal).unwrap();
+        let name = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
+        let open = || {
+            let flags = OFlags::NOCTTY.bits().cast_signed();
+            let options = &mut OpenOptions::new();
+            Stdio::from(options.read(true).write(true).custom_flags(flags).open(&name).unwrap())
+        };
+        let mut leader = Command::new("setsid");
+        leader.arg("--ctty").arg(command.get_program()).args(command.get_args());
+        leader.current_dir(command.get_current_dir().unwrap());
+        for (name, value) in command.get_envs() {
+            match value {
+                Some(value) => leader.env(name, value),
+                None => leader.env_remove(name),
+            };
+        }
+        let child = leader.stdin(open()).stdout(open()).stderr(open()).spawn().unwrap();
+        Self { child, terminal: Some(terminal.into()), output: Arc::default() }
+    }
+
+    fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    fn output(&self) -> String {
+        let mut output = self.output.lock().unwrap();
+        let mut bytes = [0; 4096];
+        while let Some(mut terminal) = self.terminal.as_ref()
+            && let Ok(count @ 1..) = terminal.read(&mut bytes)
+        {
+            output.push_str(&String::from_utf8_lossy(&bytes[..count]));
+        }
+        output.clone()
+    }
+
+    fn wait_for_output(&self, text: &str) {
+        let start = Instant::now();
+        while !self.output().contains(text) {
+            assert!(start.elapsed() < WATCHDOG, "{text:?} is not printed, but\n{}", self.output());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn signal(&self, signal: Signal) {
+        // It may have ended.
+        let _ = kill_process(self.pid(), signal);
+    }
+
+    fn ask(&mut self, way: Way) {
+        match way {
+            Way::Signal(signal) => self.signal(signal),
+            Way::Twice(apart) => {
+                self.signal(Signal::INT);
+                std::thread::sleep(apart);
+                self.signal(Signal::INT);
+            }
+            Way::Terminal => drop(self.terminal.take().unwrap()),
+        }
+    }
+
+    fn wait(&mut self) -> ExitStatus {
+        let mut status = None;
+        let start = Instant::now();
+        while status.is_none() {
+            assert!(start.elapsed() < WATCHDOG, "the program does not end:\n{}", self.output());
+            std::thread::sleep(Duration::from_millis(2));
+            status = self.child.try_wait().unwrap();
+        }
+        status.unwrap()
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn collect(mut stream: impl Read + Send + 'static, output: &Arc<Mutex<String>>) {
+    let output = Arc::clone(output);
+    std::thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(count @ 1..) = stream.read(&mut bytes) {
+            output.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..count]));
+        }
+    });
+}
+
+/// The processes that a process started, and those that these started.
+fn descendants(process: u32) -> Vec<u32> {
+    let parent = |entry: fs::DirEntry| -> Option<(u32, u32)> {
+        let id = entry.file_name().to_str()?.parse().ok()?;
+        let stat = fs::read_to_string(entry.path().join("stat")).ok()?;
+        let (_, after) = stat.rsplit_once(')')?;
+        Some((id, after.split_whitespace().nth(1)?.parse().ok()?))
+    };
+    let parents: Vec<_> = fs::read_dir("/proc").unwrap().filter_map(|entry| parent(entry.ok()?)).collect();
+    let mut found = vec![process];
+    let mut next = 0;
+    while let Some(&process) = found.get(next) {
+        found.extend(parents.iter().filter(|(_, parent)| *parent == process).map(|(id, _)| *id));
+        next += 1;
+    }
+    found.split_off(1)
+}
+
+/// Whether a process is there and has not ended.
+fn is_running(process: u32) -> bool {
+    fs::read_to_string(format!("/proc/{process}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
+}
+
+/// A participant of this process, limited to loopback.
+fn peer(domain_id: u16) -> Participant {
+    let options = ParticipantOptions {
+        domain_id,
+        discovery_range: DiscoveryRange::Localhost,
+        ..ParticipantOptions::from_env().unwrap()
+    };
+    Participant::join(&options).unwrap()
+}
+
+fn sees(peer: &Participant, node: &str) -> bool {
+    peer.remote_nodes().iter().any(|found| found.name == node)
+}
+
+/// A command that runs, and what must be true of its end.
+struct Case {
+    program: Program,
+    domain: u16,
+    node: Option<&'static str>,
+    /// A bag, and a topic of which it has messages.
+    bag: Option<(PathBuf, &'static str)>,
+    link: Option<PathBuf>,
+    /// Whether it has child processes.
+    has_children: bool,
+}
+
+fn start(command: Command, way: Way) -> Program {
+    if way == Way::Terminal { Program::start_on_terminal(&command) } else { Program::start(command) }
+}
+
+/// Waits until the command runs, asks it to stop and checks how it ends.
+fn check(mut case: Case, way: Way, context: &str) {
+    let program = &mut case.program;
+    let context = format!("{context}, {way:?}");
+    let waiting = |program: &Program, what: &str, is_there: &mut dyn FnMut() -> bool| {
+        let start = Instant::now();
+        while !is_there() {
+            assert!(start.elapsed() < WATCHDOG, "{context}: no {what}:\n{}", program.output());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    let peer = case.node.map(|_| peer(case.domain));
+    if let (Some(peer), Some(node)) = (&peer, case.node) {
+        waiting(program, "node", &mut || sees(peer, node));
+    }
+    if let Some((bag, topic)) = &case.bag {
+        waiting(program, "messages", &mut || recorded_messages(bag, topic) > 0);
+    }
+    if let Some(link) = &case.link {
+        waiting(program, "link", &mut || fs::symlink_metadata(link).is_ok());
+    }
+    let children = descendants(program.child.id());
+    assert_eq!(children.is_empty(), !case.has_children, "{context}: {children:?}");
+
+    program.ask(way);
+    let status = program.wait();
+    // If the machine is slow, the second signal comes while it stops.
+    let is_impatient = way == Way::Twice(Duration::from_secs(2)) && status.code() == Some(130);
+    assert!(status.code() == Some(0) || is_impatient, "{context}: {status}\n{}", program.output());
+    if let (Some(peer), Some(node)) = (&peer, case.node) {
+        let ended = Instant::now();
+        wait_until("the node is gone", || !sees(peer, node));
+        // The lease would keep it for much longer.
+        assert!(ended.elapsed() < Duration::from_secs(5), "{context}: {:?}", ended.elapsed());
+    }
+    if let Some((bag, topic)) = &case.bag {
+        assert_is_whole(bag, topic, &context);
+    }
+    if let Some(link) = &case.link {
+        assert!(fs::symlink_metadata(link).is_err(), "{context}: its link is left");
+    }
+    for child in children {
+        wait_until("no child is left", || !is_running(child));
+    }
+    let prints = way == Way::Signal(Signal::QUIT);
+    let output = program.output();
+    assert_eq!(output.contains("modules whose callbacks run"), prints, "{context}: {output}");
+}
+
+fn assert_is_whole(bag: &Path, topic: &str, context: &str) {
+    assert!(recorded_messages(bag, topic) > 0, "{context}");
+    let reader = Reader::open(bag).unwrap();
+    assert!(bag.join("metadata.yaml").exists() && reader.truncation().next().is_none(), "{context}");
+    let checked = text_of(&["bag", "check", bag.to_str().unwrap()]);
+    assert!(checked.contains("0 problems"), "{context}: {checked}");
+}
+
+fn command(arguments: &[&str], domain: u16, folder: &Path) -> Command {
+    let mut command = downbeat(arguments);
+    command.env("ROS_DOMAIN_ID", domain.to_string()).env("XDG_RUNTIME_DIR", folder);
+    command
+}
+
+#[test]
+fn a_robot_stops_in_order() {
+    let robot = |folder: &Path| robot_file(folder, |text| text);
+    for way in WAYS {
+        let folder = tempfile::tempdir().unwrap();
+        let (folder, domain) = (folder.path(), 129);
+        let file = robot(folder);
+        let program = start(command(&["run", file.to_str().unwrap()], domain, folder), way);
+        let link = Some(folder.join("port"));
+        check(
+            Case { program, domain, node: Some("/darwin_op"), bag: None, link, has_children: false },
+            way,
+            "run",
+        );
+    }
+}
+
+#[test]
+fn a_recorded_robot_closes_its_bag() {
+    for way in WAYS {
+        let folder = tempfile::tempdir().unwrap();
+        let (folder, domain) = (folder.path(), 130);
+        let (file, bag) = (robot_file(folder, |text| text), folder.join("bag"));
+        let arguments = ["run", file.to_str().unwrap(), "--record", bag.to_str().unwrap()];
+        let program = start(command(&arguments, domain, folder), way);
+        let (bag, link) = (Some((bag, "/joint_states")), Some(folder.join("port")));
+        check(
+            Case { program, domain, node: Some("/darwin_op"), bag, link, has_children: false },
+            way,
+            "run --record",
+        );
+    }
+}
+
+#[test]
+fn a_recorder_closes_its_bag() {
+    for way in WAYS {
+        let folder = tempfile::tempdir().unwrap();
+        let (folder, domain) = (folder.path(), 131);
+        let talker = Talker::start(domain);
+        let bag = folder.join("bag");
+        let arguments = ["bag", "record", "--topics", "/chatter", "-o", bag.to_str().unwrap()];
+        let program = start(command(&arguments, domain, folder), way);
+        let (node, bag) = (Some("/rosbag2_recorder"), Some((bag, "/chatter")));
+        check(Case { program, domain, node, bag, link: None, has_children: false }, way, "bag record");
+        drop(talker);
+    }
+}
+
+/// Publishes on `/chatter` until it is dropped.
+struct Talker {
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Talker {
+    fn start(domain: u16) -> Self {
+        let ends = Arc::<AtomicBool>::default();
+        let of_thread = Arc::clone(&ends);
+        let thread = std::thread::spawn(move || {
+            let node = peer(domain).create_node(NodeName::new("/", "talker").unwrap()).unwrap();
+            let text = MessageType::new("std_msgs/msg/String").unwrap();
+            let publisher = node.publish("/chatter", &text, QosProfile::DEFAULT).unwrap();
+            while !of_thread.load(Ordering::Relaxed) {
+                let message = std_msgs::msg::String { data: "hello".to_owned() };
+                let _ = publisher.publish(cdr::to_vec(&message).into());
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        });
+        Self { ends, thread: Some(thread) }
+    }
+}
+
+impl Drop for Talker {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().unwrap().join();
+    }
+}
+
+#[test]
+fn a_viewed_bag_ends() {
+    let bag = Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/recordings/darwin_op_emulated");
+    for way in WAYS {
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = ["bag", "view", bag.to_str().unwrap(), "--port", "0", "--page", "0"];
+        let program = start(command(&arguments, 132, folder.path()), way);
+        program.wait_for_output("open in a browser");
+        check(
+            Case { program, domain: 132, node: None, bag: None, link: None, has_children: false },
+            way,
+            "view",
+        );
+    }
+}
+
+#[test]
+fn a_command_that_looks_leaves_the_network() {
+    for way in WAYS {
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = ["topic", "echo", "/chatter", "std_msgs/msg/String", "--domain", "133"];
+        let (program, peer) = (start(command(&arguments, 133, folder.path()), way), peer(133));
+        let looks = |peer: &Participant| {
+            peer.remote_nodes().iter().any(|node| node.name.starts_with("/_downbeat_topic"))
+        };
+        wait_until("the command is seen", || looks(&peer));
+        check(
+            Case { program, domain: 133, node: None, bag: None, link: None, has_children: false },
+            way,
+            "echo",
+        );
+        let ended = Instant::now();
+        wait_until("the command is not seen", || !looks(&peer));
+        assert!(ended.elapsed() < Duration::from_secs(5), "{:?}", ended.elapsed());
+    }
+}
+
+#[test]
+fn a_command_whose_output_nobody_reads_leaves_the_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let (talker, peer) = (Talker::start(135), peer(135));
+    let arguments = ["topic", "echo", "/chatter", "std_msgs/msg/String"];
+    let mut echo = command(&arguments, 135, folder.path());
+    let mut child = echo.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut first = [0];
+    child.stdout.take().unwrap().read_exact(&mut first).unwrap();
+    let mut program = Program { child, terminal: None, output: Arc::default() };
+    assert_eq!(program.wait().code(), Some(0));
+    let ended = Instant::now();
+    wait_until("the command is not seen", || {
+        !peer.remote_nodes().iter().any(|node| node.name.starts_with("/_downbeat_topic"))
+    });
+    assert!(ended.elapsed() < Duration::from_secs(5), "{:?}", ended.elapsed());
+    drop(talker);
+}
+
+/// Starts `compose` by lines, and in it a robot that records.
+fn compose(folder: &Path, domain: u16, way: Way) -> (Program, PathBuf) {
+    let file = robot_file(folder, |text| text);
+    let mut program = start(command(&["compose", "--stdio", file.to_str().unwrap()], domain, folder), way);
+    let question = "{\"id\": 1, \"ask\": \"run\", \"record\": true}\n".as_bytes();
+    match &mut program.terminal {
+        Some(terminal) => terminal.write_all(question).unwrap(),
+        None => program.child.stdin.as_mut().unwrap().write_all(question).unwrap(),
+    }
+    let bag = || {
+        let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        entries.into_iter().find(|path| path.join("metadata.yaml").exists())
+    };
+    let mut found = None;
+    wait_until("the robot records", || {
+        program.output();
+        found = bag();
+        found.is_some()
+    });
+    (program, found.unwrap())
+}
+
+#[test]
+fn compose_takes_its_robot_with_it() {
+    for way in WAYS {
+        let folder = tempfile::tempdir().unwrap();
+        let (folder, domain) = (folder.path(), 136);
+        let (program, bag) = compose(folder, domain, way);
+        let (bag, link) = (Some((bag, "/joint_states")), Some(folder.join("port")));
+        check(
+            Case { program, domain, node: Some("/darwin_op"), bag, link, has_children: true },
+            way,
+            "compose",
+        );
+    }
+}
+
+#[test]
+fn a_composed_robot_stops_in_order_when_compose_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), 137);
+    let (mut program, bag) = compose(folder, domain, Way::Signal(Signal::KILL));
+    let peer = peer(domain);
+    wait_until("the robot is there", || {
+        sees(&peer, "/darwin_op") && recorded_messages(&bag, "/joint_states") > 0
+    });
+    let children = descendants(program.child.id());
+    assert!(!children.is_empty());
+    program.signal(Signal::KILL);
+    program.wait();
+    for child in children {
+        wait_until("no child is left", || !is_running(child));
+    }
+    wait_until("the node is gone", || !sees(&peer, "/darwin_op"));
+    assert_is_whole(&bag, "/joint_states", "killed");
+    assert!(fs::symlink_metadata(folder.join("port")).is_err());
+}
+
+#[cfg(feature = "football")]
+#[test]
+fn a_match_closes_its_bag() {
+    let player = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/football/seeing_player.toml");
+    for (number, way) in WAYS.into_iter().enumerate() {
+        // Robots in processes take long to start.
+        let has_children = number % 4 == 0;
+        let folder = tempfile::tempdir().unwrap();
+        let (folder, domain) = (folder.path(), 138);
+        let file = folder.join("match.toml");
+        let text = format!(
+            "[robot]\nname = \"football\"\n[[module]]\nname = \"match\"\nkind = \"football_match\"\n\
+             settings = {{ robots = [\"blue_1\"], camera_hz = 1.0 }}\n[expose]\nout = [\"match/state\"]\n\
+             [[include]]\nrobot = {player:?}\nnamespace = \"blue_1\"\nsettings = {{ localisation = {{ starts = [-2.7, 0.0, 0.0] }} }}\n"
+        );
+        fs::write(&file, text).unwrap();
+        let bags = folder.join("bags");
+        let mut arguments = vec!["match", file.to_str().unwrap(), "--record", bags.to_str().unwrap()];
+        arguments
+            .extend(has_children.then_some(["--processes", "--robot-domains", "139"]).into_iter().flatten());
+        let program = start(command(&arguments, domain, folder), way);
+        let bag = if has_children { bags.join("match") } else { bags.clone() };
+        let bag = Some((bag, "/match/state"));
+        check(Case { program, domain, node: Some("/football"), bag, link: None, has_children }, way, "match");
+    }
+}
+
+/// Builds a library in C whose callbacks never return.
+fn endless_library(folder: &Path, after: Duration) -> bool {
+    let include = Path::new(env!("CARGO_MANIFEST_DIR")).join("modules/library/include");
+    let source = r#"
+        #include <stdio.h>
+        #include <stdlib.h>
+        #include "downbeat.h"
+        static int32_t setup(void *self, const downbeat_host_v1 *host) {
+            (void)self;
+            return host->timer(host, PERIOD_NS, NULL);
+        }
+        static int32_t handle(void *self, const downbeat_host_v1 *host, const downbeat_event_v1 *event) {
+            (void)self; (void)host; (void)event;
+            fputs("spins\n", stderr);
+            for (volatile int endless = 1; endless;) {}
+            return 0;
+        }
+        static void *create(const downbeat_host_v1 *host) { (void)host; return malloc(1); }
+        static void destroy(void *self) { free(self); }
+        const downbeat_module_v1 *downbeat_module(void) {
+            static const downbeat_module_v1 module = {
+                .abi_version = DOWNBEAT_ABI_VERSION, .struct_size = sizeof module, .name = "endless",
+                .create = create, .setup = setup, .handle = handle, .destroy = destroy};
+            return &module;
+        }
+    "#;
+    fs::write(folder.join("endless.c"), source).unwrap();
+    let mut compiler = Command::new("cc");
+    compiler
+        .arg(format!("-DPERIOD_NS={}", after.as_nanos()))
+        .args(["-std=c11", "-shared", "-fPIC", "endless.c", "-o", "endless.so", "-I"])
+        .arg(include);
+    let Ok(status) = compiler.current_dir(folder).status() else {
+        eprintln!("skipped: this machine has no cc");
+        return false;
+    };
+    assert!(status.success());
+    true
+}
+
+fn with_endless_library(folder: &Path, keys: &str) -> PathBuf {
+    robot_file(folder, |text| {
+        format!(
+            "{text}{}",
+            format_args!(
+                "\n[[module]]\nname = \"endless\"\nkind = \"library\"\npath = \"endless.so\"\n{keys}"
+            )
+        )
+    })
+}
+
+#[test]
+fn a_robot_that_does_not_stop_ends_at_the_second_request_with_a_whole_bag() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), 141);
+    if !endless_library(folder, Duration::from_secs(5)) {
+        return;
+    }
+    let (file, bag) = (with_endless_library(folder, ""), folder.join("bag"));
+    let arguments = ["run", file.to_str().unwrap(), "--record", bag.to_str().unwrap()];
+    let (mut program, peer) = (Program::start(command(&arguments, domain, folder)), peer(domain));
+    wait_until("the robot runs", || {
+        sees(&peer, "/darwin_op") && recorded_messages(&bag, "/joint_states") > 0
+    });
+    program.wait_for_output("spins");
+    program.signal(Signal::QUIT);
+    program.wait_for_output("modules whose callbacks run: endless");
+    program.signal(Signal::TERM);
+    std::thread::sleep(Duration::from_millis(1500));
+    assert!(program.child.try_wait().unwrap().is_none(), "{}", program.output());
+    let impatient = Instant::now();
+    program.signal(Signal::TERM);
+    assert_eq!(program.wait().code(), Some(128 + 15), "{}", program.output());
+    eprintln!("ended after {:?}", impatient.elapsed());
+    wait_until("the node is gone", || !sees(&peer, "/darwin_op"));
+    // The lease would keep it for much longer.
+    assert!(impatient.elapsed() < Duration::from_secs(5), "{:?}", impatient.elapsed());
+    assert_is_whole(&bag, "/joint_states", "impatient");
+    assert!(fs::symlink_metadata(folder.join("port")).is_err());
+}
+
+#[test]
+fn a_library_that_does_not_return_stops_neither_its_robot_nor_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), 142);
+    if !endless_library(folder, Duration::from_millis(300)) {
+        return;
+    }
+    let keys = "isolate = true\ntime_limit = \"500ms\"\nrestart = { times = 1000, backoff = \"1ms\" }\n";
+    for signal in [Signal::TERM, Signal::KILL] {
+        let file = with_endless_library(folder, keys);
+        let mut program = Program::start(command(&["run", file.to_str().unwrap()], domain, folder));
+        program.wait_for_output("did not return from `handle` for timer 0 within 500ms and was killed");
+        let mut children = Vec::new();
+        wait_until("it has another child", || {
+            children = descendants(program.child.id());
+            !children.is_empty()
+        });
+        program.signal(signal);
+        let status = program.wait();
+        assert!(status.success() || signal == Signal::KILL, "{status}\n{}", program.output());
+        for child in children {
+            wait_until("no child is left", || !is_running(child));
+        }
+    }
+}
+
+#[test]
+fn a_robot_whose_hang_ups_are_ignored_outlives_its_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), 143);
+    let (file, bag) = (robot_file(folder, |text| text), folder.join("bag"));
+    let robot = command(&["run", file.to_str().unwrap(), "--record", bag.to_str().unwrap()], domain, folder);
+    let mut nohup = Command::new("sh");
+    nohup.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]).arg(robot.get_program()).args(robot.get_args());
+    nohup.current_dir(robot.get_current_dir().unwrap());
+    for (name, value) in robot.get_envs() {
+        match value {
+            Some(value) => nohup.env(name, value),
+            None => nohup.env_remove(name),
+        };
+    }
+    let mut program = Program::start_on_terminal(&nohup);
+    wait_until("it records", || {
+        program.output();
+        recorded_messages(&bag, "/joint_states") > 0
+    });
+    program.ask(Way::Terminal);
+    let before = recorded_messages(&bag, "/joint_states");
+    wait_until("it goes on", || recorded_messages(&bag, "/joint_states") > before + 300);
+    assert!(program.child.try_wait().unwrap().is_none());
+    program.signal(Signal::INT);
+    assert_eq!(program.wait().code(), Some(0));
+    assert_is_whole(&bag, "/joint_states", "without a terminal");
+}
+
+/// systemd sends SIGTERM to all processes of a service, and SIGKILL to those that are left after a while.
+#[test]
+fn a_service_manager_need_not_kill() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), 146);
+    let (mut program, bag) = compose(folder, domain, Way::Signal(Signal::TERM));
+    wait_until("it records", || recorded_messages(&bag, "/joint_states") > 0);
+    let children = descendants(program.child.id());
+    for process in children.iter().copied().chain([program.child.id()]) {
+        let _ = kill_process(Pid::from_raw(process.cast_signed()).unwrap(), Signal::TERM);
+    }
+    let asked = Instant::now();
+    assert_eq!(program.wait().code(), Some(0));
+    assert!(asked.elapsed() < Duration::from_secs(10), "{:?}", asked.elapsed());
+    assert!(children.into_iter().all(|child| !is_running(child)));
+    assert_is_whole(&bag, "/joint_states", "systemd");
+}
