@@ -414,5 +414,5 @@ pub(crate) fn read_urdf(path: &Path) -> Result<String, DescriptionError> {
     if length > LONGEST_FILE {
         return Err(refuse(Problem::TooLong { length, limit: LONGEST_FILE }));
     }
-    std::fs::read_to_string(path).map_err(unreadable)
+    downbeat_msgs::user_file::read_text(path).map_err(unreadable)
 }
