@@ -5,7 +5,7 @@ use std::fmt;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use downbeat_msgs::printable;
 
-use crate::reader::{Reader, ReaderError, RecordedTopic, Selection, Truncation};
+use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, Truncation};
 use crate::topic::TopicId;
 
 /// A problem found in a bag.
@@ -72,12 +72,11 @@ pub struct Check {
 pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
     let mut check = Check { messages: 0, decoded: 0, problems: Vec::new() };
     check.problems.extend(reader.truncation().cloned().map(Problem::Truncated));
-    let mut types = Vec::new();
+    let mut decoding = Decoding::default();
     for topic in reader.topics() {
-        types.push(check.definition(topic));
+        decoding.add(topic, &mut check.problems);
     }
-    let mut counts = vec![0; types.len()];
-    let mut refused: Vec<(u64, String)> = vec![(0, String::new()); types.len()];
+    let mut counts = vec![0; reader.topics().len()];
     for message in reader.messages(Selection::all())? {
         let message = match message {
             Ok(message) => message,
@@ -86,38 +85,64 @@ pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, Re
                 continue;
             }
         };
-        let topic = message.topic.index();
-        counts[topic] += 1;
+        counts[message.topic.index()] += 1;
         check.messages += 1;
-        if let Some(of) = &types[topic] {
-            match DynamicMessage::from_cdr(of, &message.data) {
-                Ok(_) => check.decoded += 1,
-                Err(error) => {
-                    let (count, first) = &mut refused[topic];
-                    if *count == 0 {
-                        *first = error.to_string();
-                    }
-                    *count += 1;
-                }
-            }
-        }
+        check.decoded += u64::from(decoding.decodes(&message));
         if check.messages.is_multiple_of(256) {
             progress(check.messages);
         }
     }
     progress(check.messages);
-    for (topic, (count, first)) in reader.topics().iter().zip(refused) {
-        if count > 0 {
-            check.problems.push(Problem::Message { topic: topic.info.name.clone(), count, first });
-        }
-    }
+    check.problems.extend(decoding.problems(reader.topics()));
     check.compare_counts(reader, &counts);
     Ok(check)
 }
 
-impl Check {
+/// Decodes messages by the definitions of their types, and counts those that cannot be decoded.
+#[derive(Default)]
+pub(crate) struct Decoding {
+    /// By topic.
+    types: Vec<Option<DynamicType>>,
+    /// The number of messages that cannot be decoded, and the problem with the first one.
+    refused: Vec<(u64, String)>,
+}
+
+impl Decoding {
+    /// Adds a topic, and problems of its definition.
+    pub(crate) fn add(&mut self, topic: &RecordedTopic, problems: &mut Vec<Problem>) {
+        self.types.push(Self::definition(topic, problems));
+        self.refused.push((0, String::new()));
+    }
+
+    /// Returns whether the definition of the message's type is known and matches it.
+    pub(crate) fn decodes(&mut self, message: &BagMessage) -> bool {
+        let topic = message.topic.index();
+        let Some(Some(of)) = self.types.get(topic) else { return false };
+        match DynamicMessage::from_cdr(of, &message.data) {
+            Ok(_) => true,
+            Err(error) => {
+                let (count, first) = &mut self.refused[topic];
+                if *count == 0 {
+                    *first = error.to_string();
+                }
+                *count += 1;
+                false
+            }
+        }
+    }
+
+    /// The topics with messages that cannot be decoded.
+    pub(crate) fn problems(self, topics: &[RecordedTopic]) -> impl Iterator<Item = Problem> {
+        let refused = topics.iter().zip(self.refused).filter(|(_, (count, _))| *count > 0);
+        refused.map(|(topic, (count, first))| Problem::Message {
+            topic: topic.info.name.clone(),
+            count,
+            first,
+        })
+    }
+
     /// The type of a topic's messages, if they are CDR and the bag has its definition.
-    fn definition(&mut self, topic: &RecordedTopic) -> Option<DynamicType> {
+    fn definition(topic: &RecordedTopic, problems: &mut Vec<Problem>) -> Option<DynamicType> {
         let info = &topic.info;
         let schema = info.schema();
         if info.message_encoding() != "cdr" {
@@ -127,7 +152,7 @@ impl Check {
             // rosbag2 has no definitions of service events either.
             if topic.message_count > 0 && !info.type_name.contains("/srv/") {
                 let (topic, type_name) = (info.name.clone(), info.type_name.clone());
-                self.problems.push(Problem::NoDefinition { topic, type_name });
+                problems.push(Problem::NoDefinition { topic, type_name });
             }
             return None;
         }
@@ -136,12 +161,14 @@ impl Check {
             Ok(of) => Some(of),
             Err(error) => {
                 let (topic, found) = (info.name.clone(), error.to_string());
-                self.problems.push(Problem::Definition { topic, found });
+                problems.push(Problem::Definition { topic, found });
                 None
             }
         }
     }
+}
 
+impl Check {
     fn compare_counts(&mut self, reader: &Reader, counts: &[u64]) {
         let Some(metadata) = reader.metadata() else {
             if reader.path().is_dir() {

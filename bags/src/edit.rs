@@ -1,8 +1,9 @@
 //! Creates bags from bags.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 
+use crate::check::{Decoding, Problem};
 use crate::metadata::{
     self, FORMAT_VERSION, FileMetadata, Metadata, MetadataError, RecordedQos, TopicMetadata,
 };
@@ -35,6 +36,8 @@ pub struct Copied {
     pub summary: RecordingSummary,
     /// The parts that could not be read and are missing in the new bag.
     pub unreadable: Vec<ReaderError>,
+    /// The topics with messages that do not match the definition of their type. They are copied nevertheless.
+    pub undecodable: Vec<Problem>,
     /// The number of messages whose publish time was dropped, because the storage of the new bag only has the
     /// receive time.
     pub without_publish_time: u64,
@@ -109,6 +112,10 @@ impl<'a> Copy<'a> {
         let mut unreadable = Vec::new();
         let add = |topic: &RecordedTopic| writer.add_topic(topic.info.clone());
         let targets = self.bags.topics().iter().map(add).collect::<Result<Vec<_>, _>>()?;
+        let mut decoding = Decoding::default();
+        for topic in self.bags.topics() {
+            decoding.add(topic, &mut Vec::new());
+        }
         let keeps_publish_time = writer.storage().keeps_publish_time();
         let (mut written, mut without_publish_time) = (0, 0);
         let latched = self.latched(&mut unreadable)?.into_iter().map(Ok);
@@ -118,6 +125,7 @@ impl<'a> Copy<'a> {
                 Err(error) => unreadable.push(error),
                 Ok(message) => {
                     // Writers reject times before 1970, which occur only in damaged files.
+                    decoding.decodes(&message);
                     let times = (message.log_time.max(0), message.publish_time.max(0));
                     writer.write(targets[message.topic.index()], times.0, times.1, &message.data)?;
                     written += 1;
@@ -129,7 +137,8 @@ impl<'a> Copy<'a> {
             }
         }
         progress(written);
-        Ok(Copied { summary: writer.finish()?, unreadable, without_publish_time })
+        let undecodable = decoding.problems(self.bags.topics()).collect();
+        Ok(Copied { summary: writer.finish()?, unreadable, undecodable, without_publish_time })
     }
 
     /// The last messages of latched topics before the first time, at that time.
@@ -182,6 +191,8 @@ pub struct TypeConflict {
 pub struct MergedBags<'a> {
     bags: &'a [Reader],
     topics: Vec<RecordedTopic>,
+    /// The positions of topics by their names.
+    by_name: HashMap<String, usize>,
     maps: Vec<TopicMap>,
 }
 
@@ -194,7 +205,7 @@ impl<'a> MergedBags<'a> {
         bags: &'a [Reader],
         is_wanted: impl Fn(&TopicDescription) -> bool,
     ) -> Result<Self, TypeConflict> {
-        let mut merged = Self { bags, topics: Vec::new(), maps: Vec::new() };
+        let mut merged = Self { bags, topics: Vec::new(), by_name: HashMap::new(), maps: Vec::new() };
         for bag in bags {
             let topics = bag.topics().iter();
             let map = topics.map(|topic| is_wanted(&topic.info).then(|| merged.add(topic)).transpose());
@@ -282,8 +293,7 @@ impl<'a> MergedBags<'a> {
     }
 
     fn add(&mut self, topic: &RecordedTopic) -> Result<Option<TopicId>, TypeConflict> {
-        let known = self.topics.iter().position(|known| known.info.name == topic.info.name);
-        let index = known.unwrap_or_else(|| {
+        let index = *self.by_name.entry(topic.info.name.clone()).or_insert_with(|| {
             self.topics.push(RecordedTopic { message_count: 0, ..topic.clone() });
             self.topics.len() - 1
         });
@@ -348,6 +358,8 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
         _ => String::new(),
     };
     let files: Vec<FileMetadata> = reader.file_metadata().collect();
+    let known = recorded.map(|recorded| recorded.topics.as_slice()).unwrap_or_default().iter();
+    let known: HashMap<_, _> = known.rev().map(|topic| (topic.name.as_str(), topic)).collect();
     let metadata = Metadata {
         version: FORMAT_VERSION,
         storage_identifier: reader.storage_identifier().to_owned(),
@@ -361,7 +373,7 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
                 name: topic.info.name.clone(),
                 type_name: topic.info.type_name.clone(),
                 serialization_format: topic.serialization_format.clone(),
-                offered_qos: offered_qos(topic, recorded),
+                offered_qos: offered_qos(topic, &known),
                 type_hash: topic.info.type_hash.clone(),
                 message_count: topic.message_count,
             })
@@ -370,6 +382,7 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
         compression_mode: mode,
         relative_file_paths: files.iter().map(|file| file.path.clone()).collect(),
         files,
+        oddities: Vec::new(),
         custom_data: recorded.map(|recorded| recorded.custom_data.clone()).unwrap_or_default(),
         ros_distro: recorded.map(|recorded| recorded.ros_distro.clone()).unwrap_or_default(),
     };
@@ -381,9 +394,7 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
 }
 
 /// The profiles in the old metadata, which can contain more than one in the file, or else those in the file.
-fn offered_qos(topic: &RecordedTopic, recorded: Option<&Metadata>) -> Vec<RecordedQos> {
-    let topics = recorded.map(|recorded| recorded.topics.as_slice()).unwrap_or_default();
-    let recorded =
-        topics.iter().find(|recorded| recorded.name == topic.info.name && !recorded.offered_qos.is_empty());
+fn offered_qos(topic: &RecordedTopic, recorded: &HashMap<&str, &TopicMetadata>) -> Vec<RecordedQos> {
+    let recorded = recorded.get(&*topic.info.name).filter(|recorded| !recorded.offered_qos.is_empty());
     recorded.map_or(&topic.info.offered_qos, |recorded| &recorded.offered_qos).clone()
 }

@@ -62,7 +62,7 @@ pub use compare::{Comparer, FieldDifference, FieldRule, FieldRuleError};
 pub use diff::{BagDiff, DiffOptions, MessageDiff, MessageDiffKind, TopicDiff, diff};
 pub use edit::{Copied, Copy, CopyError, Merged, MergedBags, TypeConflict, reindex};
 pub use info::{BagInfo, ServiceEvents};
-pub use playback::{Playback, PlaybackOptions, PlayerError, Rate, Step};
+pub use playback::{Gap, Playback, PlaybackOptions, PlayerError, Rate, Step};
 pub use player::{Player, PlayerOptions};
 pub use reader::{
     BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection, Truncation, TruncationCause,

@@ -4,26 +4,17 @@ use std::io::Read;
 
 use lz4_flex::frame::FrameDecoder;
 
-/// Decompresses all frames in `compressed`, which must contain `expected` bytes. Memory grows with the
-/// output.
-///
-/// # Errors
-/// The problem, as the end of a sentence about the chunk.
-pub(crate) fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, String> {
+/// Decompresses all frames in `compressed` up to the first error, and to at most `limit` bytes and one more. Returns
+/// the content, and the problem, as the end of a sentence about the chunk. Memory grows with the output.
+pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Option<String>) {
     let mut content = Vec::new();
-    FrameDecoder::new(compressed)
-        .take(expected.saturating_add(1))
-        .read_to_end(&mut content)
-        .map_err(|error| format!("its LZ4 data is invalid ({error})"))?;
-    match content.len() as u64 {
-        length if length == expected => Ok(content),
-        length if length > expected => {
-            Err(format!("its header declares {expected} bytes of uncompressed content, found more"))
-        }
-        length => {
-            Err(format!("its header declares {expected} bytes of uncompressed content, found {length}"))
-        }
-    }
+    let read = FrameDecoder::new(compressed).take(limit.saturating_add(1)).read_to_end(&mut content);
+    let problem = match read {
+        Err(error) => Some(format!("its LZ4 data is invalid ({error})")),
+        Ok(length) if length as u64 > limit => Some(format!("it decompresses to more than {limit} bytes")),
+        Ok(_) => None,
+    };
+    (content, problem)
 }
 
 #[cfg(test)]
@@ -32,20 +23,22 @@ mod tests {
 
     use std::io::Write;
 
-    use lz4_flex::frame::FrameEncoder;
+    use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
 
     use super::*;
 
     #[test]
-    fn content_round_trips_and_a_wrong_length_is_reported() {
+    fn content_round_trips_and_the_part_before_damage_is_kept() {
         let content: Vec<u8> = (0..200_000_u32).map(|n| (n / 7) as u8).collect();
-        let mut encoder = FrameEncoder::new(Vec::new());
+        let frame = FrameInfo::new().block_size(BlockSize::Max64KB);
+        let mut encoder = FrameEncoder::with_frame_info(frame, Vec::new());
         encoder.write_all(&content).unwrap();
         let compressed = encoder.finish().unwrap();
         assert!(compressed.len() < content.len() / 4);
-        assert_eq!(decompress(&compressed, 200_000).unwrap(), content);
-        assert!(decompress(&compressed, 199_999).unwrap_err().contains("found more"));
-        assert!(decompress(&compressed, u64::MAX).unwrap_err().contains("found 200000"));
-        assert!(decompress(&compressed[..1000], 200_000).is_err());
+        assert_eq!(decompress_prefix(&compressed, 200_000), (content.clone(), None));
+        assert!(decompress_prefix(&compressed, 199_999).1.unwrap().contains("more than 199999 bytes"));
+        let (start, problem) = decompress_prefix(&compressed[..compressed.len() / 2], 200_000);
+        assert!(problem.is_some());
+        assert!(!start.is_empty() && content.starts_with(&start));
     }
 }

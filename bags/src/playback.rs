@@ -106,6 +106,9 @@ pub enum Step {
     Due(BagMessage),
     /// Nothing is due until this much real time has passed.
     Wait(Duration),
+    /// A gap before the next message was skipped; the bag's time is now that of the message. Only when
+    /// [skipping gaps](Playback::skipping_gaps).
+    Skipped(Gap),
     /// Nothing is due until [`Playback::resume`].
     Paused,
     /// A part of the bag cannot be read; the next call continues after it.
@@ -127,7 +130,32 @@ pub struct Playback<M = Messages> {
     rate: Rate,
     /// Bag time at which playing starts, in nanoseconds since the epoch.
     from: i64,
+    /// The time of the last message, or that from which messages were to follow.
+    previous: i64,
+    skips_gaps: bool,
     clock: Clock,
+}
+
+/// A part of a bag without messages that is longer than [`Gap::LEAST`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// The time of the message before it, in nanoseconds since the epoch.
+    pub from: i64,
+    /// The time of the message after it.
+    pub until: i64,
+    /// The topic of that message.
+    pub topic: TopicId,
+}
+
+impl Gap {
+    /// A time without messages is worth telling if it is longer than this.
+    pub const LEAST: Duration = Duration::from_secs(60);
+
+    /// Its length.
+    #[must_use]
+    pub fn length(&self) -> Duration {
+        Duration::from_nanos(self.until.abs_diff(self.from))
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -164,7 +192,23 @@ impl Playback {
 impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
     /// Plays messages sorted by log time, starting at bag time `from` (nanoseconds since the epoch).
     pub fn new(messages: M, from: i64, rate: Rate) -> Self {
-        Self { messages, next: None, rate, from, clock: Clock::NotStarted }
+        let (previous, skips_gaps, clock) = (from, false, Clock::NotStarted);
+        Self { messages, next: None, rate, from, previous, skips_gaps, clock }
+    }
+
+    /// Continues at once after a [`Gap`] instead of waiting for its end.
+    #[must_use]
+    pub fn skipping_gaps(mut self, skips: bool) -> Self {
+        self.skips_gaps = skips;
+        self
+    }
+
+    /// The gap before the next message, while playback waits for its end or has just skipped it.
+    #[must_use]
+    pub fn gap(&self) -> Option<Gap> {
+        let next = self.next.as_ref()?;
+        let gap = Gap { from: self.previous, until: next.log_time, topic: next.topic };
+        (gap.until > gap.from && gap.length() > Gap::LEAST).then_some(gap)
     }
 
     /// Returns the action at `now`.
@@ -184,11 +228,18 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
                 None => return Step::Finished,
             }
         }
+        let gap = self.gap();
         let Some(message) = self.next.take() else { return Step::Finished };
+        if let Some(gap) = gap.filter(|_| self.skips_gaps) {
+            self.next = Some(message);
+            self.jump(now, gap.until);
+            return Step::Skipped(gap);
+        }
         let bag_time = u64::try_from(message.log_time.saturating_sub(self.from)).unwrap_or(0);
         let due = self.rate.real_from_bag(Duration::from_nanos(bag_time));
         let wait = due.saturating_sub(now.saturating_sub(started));
         if wait.is_zero() {
+            self.previous = message.log_time;
             return Step::Due(message);
         }
         self.next = Some(message);
@@ -219,7 +270,7 @@ impl<M: Iterator<Item = Result<BagMessage, ReaderError>>> Playback<M> {
 
     /// Sets the bag's time, in nanoseconds since the epoch. The position in the messages does not change.
     pub(crate) fn jump(&mut self, now: Duration, bag_time: i64) {
-        self.from = bag_time;
+        (self.from, self.previous) = (bag_time, bag_time);
         self.clock = match self.clock {
             Clock::Running(_) => Clock::Running(now),
             Clock::NotStarted => Clock::NotStarted,
@@ -325,6 +376,41 @@ mod tests {
         assert_eq!(due(playback.step(at(25))), 100);
         assert_eq!(wait(playback.step(at(25))), 50);
         assert_eq!(playback.bag_time(at(50)), 200_000_000);
+    }
+
+    #[test]
+    fn a_gap_is_told_and_skipped_on_request() {
+        let second = 1_000_000_000;
+        let times = [0, second, 600 * second, 601 * second];
+        let mut playback = Playback::new(messages(&times).into_iter(), 0, Rate::ORIGINAL);
+        assert_eq!(due(playback.step(at(0))), 0);
+        assert_eq!(wait(playback.step(at(0))), 1000);
+        assert_eq!(playback.gap(), None, "a second is none");
+        assert_eq!(due(playback.step(at(1000))), 1000);
+        assert_eq!(wait(playback.step(at(1000))), 599_000);
+        let gap = playback.gap().unwrap();
+        assert_eq!((gap.from, gap.until, gap.length()), (second, 600 * second, Duration::from_secs(599)));
+
+        for rate in [1.0, 4.0] {
+            let rate = Rate::new(rate).unwrap();
+            // The gap before the first message too, after a start offset.
+            let from = -100 * second;
+            let mut playback = Playback::new(messages(&times).into_iter(), from, rate).skipping_gaps(true);
+            let mut now = at(0);
+            let (mut played, mut skipped) = (Vec::new(), Vec::new());
+            loop {
+                match playback.step(now) {
+                    Step::Due(message) => played.push((message.log_time / second, now - ORIGIN)),
+                    Step::Wait(wait) => now += wait,
+                    Step::Skipped(gap) => skipped.push(gap.length().as_secs()),
+                    _ => break,
+                }
+            }
+            let expected = [(0, 0.0), (1, 1.0), (600, 1.0), (601, 2.0)];
+            let expected = expected.map(|(time, real)| (time, Duration::from_secs_f64(real / rate.as_f64())));
+            assert_eq!(played, expected);
+            assert_eq!(skipped, [100, 599]);
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::edit::MergedBags;
-use crate::playback::{Playback, PlayerError, Rate, Step};
+use crate::playback::{Gap, Playback, PlayerError, Rate, Step};
 use crate::read_ahead::{AheadOf, ReadAhead};
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection};
 use crate::topic::TopicDescription;
@@ -30,6 +30,8 @@ pub struct PlayerOptions {
     /// Whether to first play the last messages of latched (transient local) topics before the start, which a
     /// subscriber joining then would have received.
     pub plays_latched: bool,
+    /// Whether to continue at once after a [`Gap`] between messages.
+    pub skips_gaps: bool,
     /// How many messages are read before they are due.
     pub read_ahead: usize,
 }
@@ -49,6 +51,7 @@ impl Default for PlayerOptions {
             repeats: false,
             starts_paused: false,
             plays_latched: true,
+            skips_gaps: false,
             read_ahead: Self::DEFAULT_READ_AHEAD,
         }
     }
@@ -97,7 +100,8 @@ impl<'a> Player<'a> {
         let read_ahead = ReadAhead::start(options.read_ahead).map_err(PlayerError::Thread)?;
         let messages = merged.messages(&Selection::all().from(begin).until(end), |_| true)?;
         let mut player = Self {
-            playback: Playback::new(read_ahead.read(messages), begin, options.rate),
+            playback: Playback::new(read_ahead.read(messages), begin, options.rate)
+                .skipping_gaps(options.skips_gaps),
             bags: merged,
             start,
             last,
@@ -209,6 +213,12 @@ impl<'a> Player<'a> {
     #[must_use]
     pub fn rate(&self) -> Rate {
         self.playback.rate()
+    }
+
+    /// The gap before the next message, while it is waited for.
+    #[must_use]
+    pub fn gap(&self) -> Option<Gap> {
+        self.playback.gap()
     }
 
     /// Stops the time of the bags.

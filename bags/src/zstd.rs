@@ -37,31 +37,75 @@ pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
     compress_to_vec(content, CompressionLevel::Fastest)
 }
 
-/// Decompresses all frames in `compressed`, which must contain `expected` bytes.
+/// Decompresses the frames in `compressed` up to the first damaged block, and to about `limit` bytes. Returns the
+/// content, and the problem, as the end of a sentence about the chunk.
 ///
-/// Neither that length nor those in the frames are trusted: memory grows with the decompressed data, and
-/// exceeds `expected` by at most a block (128 KiB) and a window.
-///
-/// # Errors
-/// The problem, as the end of a sentence about the chunk.
-pub(crate) fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, String> {
+/// The lengths in the frames are not trusted: memory grows with the decompressed data, and exceeds `limit` by at
+/// most a block (128 KiB) and a window.
+pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Option<String>) {
     let mut content = Vec::new();
     let mut rest = compressed;
-    let too_many = || format!("its header declares {expected} bytes of uncompressed content, found more");
-    unpack(&mut rest, &mut content, expected, too_many)?;
-    if content.len() as u64 != expected {
-        return Err(format!(
-            "its header declares {expected} bytes of uncompressed content, found {}",
-            content.len()
-        ));
+    let too_many = || format!("it decompresses to more than {limit} bytes");
+    let Err(problem) = unpack(&mut rest, &mut content, limit, too_many) else { return (content, None) };
+    let mut whole = Vec::new();
+    let mut rest = compressed;
+    // The decoder keeps a window of a frame until its end, which a damaged frame does not reach: its intact blocks
+    // are decoded again, followed by an empty last one.
+    while let Some(blocks) = intact_blocks(rest, limit) {
+        let mut frames = rest;
+        let is_ended = finish_after(&mut frames, blocks, &mut whole);
+        if !is_ended || whole.len() as u64 >= limit {
+            break;
+        }
+        rest = frames;
     }
-    Ok(content)
+    // The checksum of a frame is verified after its content.
+    if whole.len() > content.len() {
+        content = whole;
+    }
+    (content, Some(problem))
+}
+
+/// The number of blocks of the first frame that can be decoded; `None` if it has no valid header.
+fn intact_blocks(frame: &[u8], limit: u64) -> Option<usize> {
+    let mut decoder = FrameDecoder::new();
+    decoder.set_max_window_size(LARGEST_WINDOW);
+    let mut source = frame;
+    decoder.reset(&mut source).ok()?;
+    let (mut blocks, mut written) = (0, 0);
+    while !decoder.is_finished()
+        && written < limit
+        && decoder.decode_blocks(&mut source, BlockDecodingStrategy::UptoBlocks(1)).is_ok()
+    {
+        written += decoder.collect_to_writer(io::sink()).ok()? as u64;
+        blocks += 1;
+    }
+    Some(blocks)
+}
+
+/// Decodes that many blocks of a frame; returns whether they include its last one.
+fn finish_after(source: &mut &[u8], blocks: usize, content: &mut Vec<u8>) -> bool {
+    /// An empty raw block, marked as the last one, and a checksum, which is not compared.
+    const END: [u8; 7] = [1, 0, 0, 0, 0, 0, 0];
+    let mut decoder = FrameDecoder::new();
+    decoder.set_max_window_size(LARGEST_WINDOW);
+    if decoder.reset(&mut *source).is_err() {
+        return false;
+    }
+    for _ in 0..blocks {
+        if decoder.decode_blocks(&mut *source, BlockDecodingStrategy::UptoBlocks(1)).is_err() {
+            return false;
+        }
+    }
+    let is_ended = decoder.is_finished();
+    let end = is_ended || decoder.decode_blocks(END.as_slice(), BlockDecodingStrategy::UptoBlocks(1)).is_ok();
+    end && decoder.collect_to_writer(content).is_ok() && is_ended
 }
 
 /// Decompresses all frames in `compressed`, which must not contain more than `limit` bytes.
 ///
 /// # Errors
-/// See [`decompress`].
+/// The problem, as the end of a sentence about the content.
 pub(crate) fn decompress_within(compressed: &[u8], limit: u64) -> Result<Vec<u8>, String> {
     let mut content = Vec::new();
     let mut rest = compressed;
@@ -72,7 +116,7 @@ pub(crate) fn decompress_within(compressed: &[u8], limit: u64) -> Result<Vec<u8>
 /// Decompresses all frames of `source` into `content`, in bounded memory.
 ///
 /// # Errors
-/// See [`decompress`]. Data decompressed before the error is in `content`.
+/// See [`decompress_within`]. Data decompressed before the error is in `content`.
 pub(crate) fn unpack(
     source: &mut impl BufRead,
     content: &mut impl Write,
@@ -136,6 +180,14 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+
+    /// The content, which must have that length.
+    fn decompress(compressed: &[u8], expected: u64) -> Result<Vec<u8>, String> {
+        match decompress_prefix(compressed, expected) {
+            (content, None) if content.len() as u64 == expected => Ok(content),
+            (content, problem) => Err(problem.unwrap_or_else(|| format!("found {}", content.len()))),
+        }
+    }
 
     /// A frame that decodes to `blocks` times 128 KiB of zeros: RFC 8878 section 3.1.1, run-length blocks.
     fn frame_of_runs(blocks: u32) -> Vec<u8> {
@@ -231,16 +283,23 @@ mod tests {
         let blocks = bomb[6..].repeat(1000);
         bomb.extend_from_slice(&blocks);
         let error = decompress(&bomb, 1_000_000).unwrap_err();
-        assert!(error.contains("declares 1000000 bytes of uncompressed content, found more"), "{error}");
+        assert!(error.contains("it decompresses to more than 1000000 bytes"), "{error}");
     }
 
     #[test]
-    fn a_wrong_length_is_reported_however_large_it_is() {
-        let compressed = compress(&mixed(1000));
-        for wrong in [0, 999, 1001, 1 << 30, u64::MAX] {
-            let error = decompress(&compressed, wrong).unwrap_err();
-            assert!(error.contains(&format!("declares {wrong} bytes")), "{error}");
+    fn the_blocks_before_damage_are_kept() {
+        let content = mixed(600_000);
+        for compressed in [compress(&content), compress_fast(&content)] {
+            for damaged in [compressed.len() * 3 / 10, compressed.len() / 2, compressed.len() - 20] {
+                let (kept, problem) = decompress_prefix(&compressed[..damaged], 600_000);
+                assert!(problem.is_some());
+                assert!(kept.len() >= 128 * 1024 && content.starts_with(&kept), "{damaged}: {}", kept.len());
+            }
         }
+        // After a complete frame too.
+        let two = [compress(b"one"), compress(&content)].concat();
+        let (kept, _) = decompress_prefix(&two[..two.len() / 2], 600_003);
+        assert!(kept.len() > 128 * 1024 && kept[3..] == content[..kept.len() - 3]);
     }
 
     #[test]

@@ -39,6 +39,7 @@ mod printable;
 #[cfg(feature = "protobuf")]
 pub mod protobuf;
 pub mod qos;
+pub mod user_file;
 pub mod yaml;
 
 mod carried;

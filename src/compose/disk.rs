@@ -6,6 +6,8 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use crate::msgs::user_file;
+
 /// Longer files are no robot files.
 const LONGEST_FILE: u64 = 4 << 20;
 
@@ -54,7 +56,7 @@ impl Place {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Saved(None)),
             Err(error) => return Err(error),
         }
-        fs::read_to_string(&self.path).map(|text| Saved(Some(text)))
+        user_file::read_text(&self.path).map(|text| Saved(Some(text)))
     }
 
     /// Writes the whole file or nothing.
@@ -65,7 +67,7 @@ impl Place {
 
     /// The places of modules; none if the file is missing or damaged.
     pub(super) fn read_layout(&self) -> Map<String, Value> {
-        let text = fs::read_to_string(self.layout()).ok();
+        let text = user_file::read_text(self.layout()).ok();
         let layout: Option<Value> = text.and_then(|text| serde_json::from_str(&text).ok());
         let layout = layout.filter(|layout| layout["version"] == LAYOUT_VERSION);
         let mut modules =

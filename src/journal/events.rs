@@ -1,10 +1,10 @@
 //! Events of a cycle besides messages and settings: requests, answers, commands to modules and results of jobs.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use downbeat_edge::Interfaces;
 use downbeat_executor::{
-    CallError, CallOrigin, Core, Graph, GraphEdge, ModuleCommand, ModuleEvent as Event,
+    CallError, CallOrigin, Core, Graph, GraphEdge, GraphModule, ModuleCommand, ModuleEvent as Event,
     ModuleEventKind as Kind, SetupError,
 };
 use downbeat_msgs::builtin_interfaces::msg::Time;
@@ -33,18 +33,17 @@ pub(crate) struct UnrecordedService {
 /// The unrecorded services of a core.
 pub(crate) fn unrecorded_services(core: &Core, interfaces: &Interfaces) -> Vec<UnrecordedService> {
     let Graph { modules, services, edges, .. } = core.graph();
+    let mut users: HashMap<&str, Vec<&GraphModule>> = HashMap::new();
+    for edge in &edges {
+        if let GraphEdge::Calls { module, service } | GraphEdge::Serves { module, service } = edge
+            && let (Some(module), Some(service)) = (modules.get(*module), services.get(*service))
+        {
+            users.entry(&service.name).or_default().push(module);
+        }
+    }
     let infos = core.services().filter(|info| interfaces.service_in(core, &info.name).is_none());
     let unrecorded = infos.filter_map(|info| {
-        let is_it = |service: usize| services.get(service).is_some_and(|known| known.name == *info.name);
-        let of_it = edges.iter().filter_map(|edge| match edge {
-            GraphEdge::Calls { module, service } | GraphEdge::Serves { module, service }
-                if is_it(*service) =>
-            {
-                modules.get(*module)
-            }
-            _ => None,
-        });
-        let of_it: Vec<_> = of_it.collect();
+        let of_it = users.get(&*info.name).map(Vec::as_slice).unwrap_or_default();
         of_it.iter().any(|module| module.is_detached).then(|| UnrecordedService {
             service: info.name.to_string(),
             types: format!("{} -> {}", info.request_type, info.response_type),

@@ -51,6 +51,9 @@ impl Output {
 impl Force {
     /// Checks that `path` can be written, before a long operation starts.
     pub(crate) fn check(self, output: Output, path: &Path) -> anyhow::Result<()> {
+        if path.file_name().is_some_and(|name| name.to_str().is_none()) {
+            bail!("the name {} is not UTF-8; choose another for the {}", path.display(), output.name());
+        }
         let Ok(metadata) = fs::metadata(path) else { return Ok(()) };
         let shown = path.display();
         let is_directory = metadata.is_dir();

@@ -211,8 +211,8 @@ impl PortArguments {
 }
 
 fn own_model(path: &Path) -> anyhow::Result<Arc<Model>> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+    let text = crate::msgs::user_file::read_text(path)
+        .with_context(|| format!("cannot read the model {}", path.display()))?;
     Model::parse(&text).map(Arc::new).with_context(|| path.display().to_string())
 }
 

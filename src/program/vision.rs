@@ -119,7 +119,8 @@ fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<()> {
 }
 
 fn read_marks(path: &Path) -> anyhow::Result<Marks> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let text =
+        crate::msgs::user_file::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let marks: Marks = toml::from_str(&text).map_err(|error| {
         let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
         anyhow::anyhow!("{}:{}: {}", path.display(), before.matches('\n').count() + 1, error.message())
@@ -172,7 +173,7 @@ impl MarkedPicture {
 }
 
 fn read_png(path: &Path) -> anyhow::Result<Pixels> {
-    let file = std::io::BufReader::new(std::fs::File::open(path)?);
+    let file = std::io::BufReader::new(crate::msgs::user_file::open(path)?);
     let mut decoder = png::Decoder::new_with_limits(file, png::Limits { bytes: LARGEST });
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
     let mut reader = decoder.read_info()?;

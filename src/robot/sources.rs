@@ -44,7 +44,7 @@ impl Sources {
 fn hash(files: &[impl AsRef<Path>]) -> String {
     let mut hash = Sha256::new();
     for file in files {
-        let content = std::fs::read(file).unwrap_or_default();
+        let content = crate::msgs::user_file::read(file).unwrap_or_default();
         hash.update((content.len() as u64).to_le_bytes());
         hash.update(content);
     }

@@ -62,7 +62,7 @@ impl QosOverrides {
     /// If it cannot be read, or is not what rosbag2 takes.
     pub fn read(path: &Path) -> Result<Self, QosOverridesError> {
         let read = |source| QosOverridesError::Read { path: path.to_owned(), source };
-        Self::parse(&std::fs::read_to_string(path).map_err(read)?, path)
+        Self::parse(&crate::msgs::user_file::read_text(path).map_err(read)?, path)
     }
 
     /// Reads the text of a file; `path` is for errors.

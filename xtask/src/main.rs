@@ -1,5 +1,6 @@
 //! Developer commands. `cargo xtask test` runs all checks that a change must pass.
 
+mod bags;
 mod football;
 mod matrix;
 mod node;
@@ -29,6 +30,9 @@ enum Command {
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
+    /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and a million
+    /// mutations of small bag files.
+    Bags,
     /// The wheel of the Python package, for release, under target/wheels; prints its path.
     Wheel {
         /// Build it for development instead, and run its tests in a fresh environment.
@@ -58,6 +62,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Wire => wire::wire(),
+        Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true } => wheel::test(),
         Command::Wheel { test: false } => wheel::build("release").map(|path| println!("{}", path.display())),

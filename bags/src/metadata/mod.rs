@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use downbeat_msgs::qos::QosProfile;
-use downbeat_msgs::yaml;
+use downbeat_msgs::{user_file, yaml};
 
 pub use qos::{RecordedDurability, RecordedHistory, RecordedLiveliness, RecordedQos, RecordedReliability};
 
@@ -57,6 +57,9 @@ pub struct Metadata {
     pub custom_data: BTreeMap<String, String>,
     /// `jazzy`; empty before version 8.
     pub ros_distro: String,
+    /// What could not be understood of the entries of topics and files, and was replaced by a default or left out: a
+    /// sentence for each. Not written.
+    pub oddities: Vec<String>,
 }
 
 /// The entry of a topic in metadata.yaml.
@@ -119,7 +122,7 @@ impl Metadata {
     /// Returns an error if the file cannot be read or is not rosbag2 metadata; then the error names file and
     /// line.
     pub fn read(path: &Path) -> Result<Self, MetadataError> {
-        let text = fs::read_to_string(path)
+        let text = user_file::read_text(path)
             .map_err(|source| MetadataError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path)
     }
@@ -275,10 +278,47 @@ mod tests {
     }
 
     #[test]
-    fn an_error_inside_the_text_of_a_quality_of_service_says_so() {
-        let broken = OLD.replace("reliability: 1", "reliability: [");
-        let error = Metadata::parse(&broken, Path::new("m.yaml")).unwrap_err();
-        assert!(error.to_string().contains("offered_qos_profiles"), "{error}");
+    fn odd_quality_of_service_is_noted_and_the_rest_is_read() {
+        let line = OLD.lines().find(|line| line.contains("offered_qos_profiles")).unwrap();
+        let key = "        offered_qos_profiles: ";
+        for odd in [
+            r#""history: keep_all\n  depth: 5""#,
+            r#""history: keep_all\ndepth: 5\nreliability: reliable\ndurability: volatile""#,
+            r#""- history: 3\n  depth: 0\n  reliability: [""#,
+            "{history: keep_last}",
+            "[{history: keep_last, depth: -1, reliability: reliable, durability: volatile}]",
+            "[{history: [], depth: 1, reliability: reliable, durability: volatile}]",
+            "[7]",
+            "12",
+            "[{history: 1, reliability: 1, durability: 1, deadline: never}]",
+        ] {
+            let metadata =
+                Metadata::parse(&OLD.replace(line, &format!("{key}{odd}")), Path::new("m")).unwrap();
+            assert_eq!(metadata.topics[0].name, "/chatter", "{odd}");
+            assert_eq!(metadata.topics[0].offered_qos, [], "{odd}");
+            assert_eq!(metadata.oddities.len(), 1, "{odd}");
+            assert!(metadata.oddities[0].starts_with("/chatter: its offered_qos_profiles is odd"), "{odd}");
+        }
+        assert_eq!(Metadata::parse(OLD, Path::new("m")).unwrap().oddities, [""; 0]);
+    }
+
+    #[test]
+    fn odd_entries_of_topics_and_files_are_noted_and_the_rest_is_read() {
+        for (from, to, note) in [
+            ("type: std_msgs/msg/String", "type: [1]", "/chatter: its type is odd"),
+            ("serialization_format: cdr", "serialization_format: {}", "/chatter: its serialization_format"),
+            ("      message_count: 3\n", "      message_count: many\n", "/chatter: its message_count"),
+            ("name: /chatter", "name: [x]", "a topic without a name"),
+            ("relative_file_paths:", "files: [{path: 3}]\n  relative_file_paths:", "the entry of file 1"),
+            ("relative_file_paths:", "custom_data: {a: [1], b: 2}\n  relative_file_paths:", "custom_data"),
+        ] {
+            let text = OLD.replacen(from, to, 1);
+            assert_ne!(text, OLD, "{from}");
+            let metadata = Metadata::parse(&text, Path::new("m")).unwrap();
+            assert_eq!(metadata.message_count, 3);
+            assert_eq!(metadata.oddities.len(), 1, "{to}: {:?}", metadata.oddities);
+            assert!(metadata.oddities[0].contains(note), "{to}: {:?}", metadata.oddities);
+        }
     }
 
     #[test]

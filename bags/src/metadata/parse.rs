@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde::de::{
     DeserializeOwned, Deserializer, Error as _, SeqAccess, Visitor, value::SeqAccessDeserializer,
 };
+use serde_norway::Value;
 
 use super::emit::INFINITE;
 use super::{
@@ -31,16 +32,16 @@ pub(super) struct Information {
     duration: Nanoseconds,
     starting_time: SinceEpoch,
     message_count: u64,
-    topics_with_message_count: Vec<Topic>,
+    topics_with_message_count: Vec<TopicEntry>,
     #[serde(default)]
     compression_format: String,
     #[serde(default)]
     compression_mode: String,
     relative_file_paths: Vec<String>,
     #[serde(default)]
-    files: Vec<File>,
+    files: Vec<Lenient<File>>,
     #[serde(default)]
-    custom_data: Option<BTreeMap<String, AnyScalar>>,
+    custom_data: Option<BTreeMap<String, Lenient<AnyScalar>>>,
     #[serde(default)]
     ros_distro: String,
 }
@@ -55,22 +56,72 @@ struct SinceEpoch {
     nanoseconds_since_epoch: i64,
 }
 
-#[derive(Deserialize)]
-struct Topic {
-    topic_metadata: TopicBody,
-    message_count: u64,
+/// A value, or why it is not what it should be: an odd entry of one topic does not make a bag unreadable.
+struct Lenient<T>(Result<T, String>);
+
+impl<'de, T: DeserializeOwned> Deserialize<'de> for Lenient<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let value = Value::deserialize(deserializer)?;
+        Ok(Self(T::deserialize(value).map_err(|error| error.to_string())))
+    }
 }
 
-#[derive(Deserialize)]
-struct TopicBody {
-    name: String,
-    #[serde(rename = "type")]
-    type_name: String,
-    serialization_format: String,
-    #[serde(default)]
-    offered_qos_profiles: QosList,
-    #[serde(default)]
-    type_description_hash: String,
+/// The entry of a topic, if it has a name, and what is odd in it.
+struct TopicEntry {
+    topic: Option<TopicMetadata>,
+    oddities: Vec<String>,
+}
+
+impl<'de> Deserialize<'de> for TopicEntry {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(Self::of(&Value::deserialize(deserializer)?))
+    }
+}
+
+impl TopicEntry {
+    fn of(entry: &Value) -> Self {
+        let body = entry.get("topic_metadata").unwrap_or(&Value::Null);
+        let mut oddities = Vec::new();
+        let Some(name) = body.get("name").and_then(Value::as_str) else {
+            oddities.push("the entry of a topic without a name is left out".to_owned());
+            return Self { topic: None, oddities };
+        };
+        let mut odd = |key: &str, found: &str, taken: &str| {
+            oddities.push(format!("{name}: its {key} is odd, {taken}: {found}"));
+        };
+        let mut text = |key: &str, default: &str, is_required: bool| match body.get(key) {
+            Some(Value::String(text)) => text.clone(),
+            None | Some(Value::Null) if !is_required => default.to_owned(),
+            _ => {
+                odd(key, "it is not a text", &format!("{default:?} is taken"));
+                default.to_owned()
+            }
+        };
+        let type_name = text("type", "", true);
+        let serialization_format = text("serialization_format", "cdr", true);
+        let type_hash = text("type_description_hash", "", false);
+        let qos = body.get("offered_qos_profiles").cloned().unwrap_or_default();
+        let offered_qos = QosList::deserialize(qos).map_or_else(
+            |error| {
+                odd("offered_qos_profiles", &error.to_string(), "the default QoS is taken");
+                Vec::new()
+            },
+            |list| list.0,
+        );
+        let message_count = entry.get("message_count").and_then(Value::as_u64).unwrap_or_else(|| {
+            odd("message_count", "it is not a number", "0 is taken");
+            0
+        });
+        let topic = TopicMetadata {
+            name: name.to_owned(),
+            type_name,
+            serialization_format,
+            offered_qos,
+            type_hash,
+            message_count,
+        };
+        Self { topic: Some(topic), oddities }
+    }
 }
 
 #[derive(Deserialize)]
@@ -178,7 +229,6 @@ struct AnyScalar(String);
 
 impl<'de> Deserialize<'de> for AnyScalar {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        use serde_norway::Value;
         Ok(Self(match Value::deserialize(deserializer)? {
             Value::String(text) => text,
             Value::Bool(value) => value.to_string(),
@@ -199,37 +249,40 @@ impl From<Root> for Metadata {
 
 impl From<Information> for Metadata {
     fn from(read: Information) -> Self {
+        let mut oddities = Vec::new();
+        let mut topics = Vec::new();
+        for entry in read.topics_with_message_count {
+            oddities.extend(entry.oddities);
+            topics.extend(entry.topic);
+        }
+        let mut files = Vec::new();
+        for (file, number) in read.files.into_iter().zip(1..) {
+            match file.0 {
+                Ok(file) => files.push(FileMetadata::from(file)),
+                Err(found) => oddities.push(format!("the entry of file {number} is left out: {found}")),
+            }
+        }
+        let mut custom_data = BTreeMap::new();
+        for (key, value) in read.custom_data.unwrap_or_default() {
+            match value.0 {
+                Ok(value) => drop(custom_data.insert(key, value.0)),
+                Err(found) => oddities.push(format!("custom_data {key:?} is left out: {found}")),
+            }
+        }
         Self {
             version: read.version,
             storage_identifier: read.storage_identifier,
             duration: Duration::from_nanos(read.duration.nanoseconds),
             starting_time: read.starting_time.nanoseconds_since_epoch,
             message_count: read.message_count,
-            topics: read.topics_with_message_count.into_iter().map(TopicMetadata::from).collect(),
+            topics,
             compression_format: read.compression_format,
             compression_mode: read.compression_mode,
             relative_file_paths: read.relative_file_paths,
-            files: read.files.into_iter().map(FileMetadata::from).collect(),
-            custom_data: read
-                .custom_data
-                .unwrap_or_default()
-                .into_iter()
-                .map(|(key, value)| (key, value.0))
-                .collect(),
+            files,
+            custom_data,
             ros_distro: read.ros_distro,
-        }
-    }
-}
-
-impl From<Topic> for TopicMetadata {
-    fn from(read: Topic) -> Self {
-        Self {
-            name: read.topic_metadata.name,
-            type_name: read.topic_metadata.type_name,
-            serialization_format: read.topic_metadata.serialization_format,
-            offered_qos: read.topic_metadata.offered_qos_profiles.0,
-            type_hash: read.topic_metadata.type_description_hash,
-            message_count: read.message_count,
+            oddities,
         }
     }
 }

@@ -58,14 +58,14 @@ pub enum ReaderError {
         /// The error of the operating system.
         source: io::Error,
     },
-    /// A part of the file is damaged. The following parts can still be read.
-    #[error("{}: the part at byte {offset} cannot be read and is skipped: {found}", path.display())]
+    /// A part of the file is damaged. What is whole in it is read, and so are the following parts.
+    #[error("{}: the part at byte {offset} is damaged: {found}", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
         /// The offset of the part.
         offset: u64,
-        /// The problem.
+        /// The problem, and how many messages are lost where that is known.
         found: String,
     },
 }
@@ -91,9 +91,16 @@ pub enum TruncationCause {
     NoEnd,
     /// From here the file contains no complete record: recording or copying was interrupted.
     TornRecord,
+    /// The file ends within a chunk: recording or copying was interrupted. Its first messages are read.
+    TornChunk {
+        /// The number of messages of the chunk that are read.
+        messages: u64,
+    },
+    /// Some bytes are no record; the records behind them are read.
+    DamagedRecord,
     /// All messages are present, but the summary after them is missing or damaged.
     NoSummary,
-    /// A chunk is damaged; later ones are read.
+    /// A chunk is damaged; what is whole in it is read, and so are later ones. The text tells what is lost.
     DamagedChunk(String),
     /// A compressed file cannot be decompressed completely; the part before the error is read.
     Packed(String),
@@ -112,7 +119,9 @@ impl Truncation {
         match self.cause {
             TruncationCause::NoEnd | TruncationCause::NoSummary | TruncationCause::NotEnded => false,
             TruncationCause::TornRecord => self.lost_bytes > 0,
-            TruncationCause::DamagedChunk(_)
+            TruncationCause::TornChunk { .. }
+            | TruncationCause::DamagedRecord
+            | TruncationCause::DamagedChunk(_)
             | TruncationCause::Packed(_)
             | TruncationCause::DamagedRows(_) => true,
         }
@@ -148,11 +157,17 @@ impl fmt::Display for Truncation {
             TruncationCause::DamagedRows(found) => {
                 write!(f, "{path}: message rows cannot be read, starting at number {offset}: {found}")
             }
+            TruncationCause::TornChunk { messages } => write!(
+                f,
+                "{path}: recording or copying was interrupted; the last {lost_bytes} bytes are an incomplete chunk at byte \
+                 {offset}, of which {messages} messages are read and the others are lost"
+            ),
+            TruncationCause::DamagedRecord => write!(
+                f,
+                "{path}: the {lost_bytes} bytes at byte {offset} are no record and are skipped; the file continues behind them"
+            ),
             TruncationCause::DamagedChunk(found) => {
-                write!(
-                    f,
-                    "{path}: the chunk of {lost_bytes} bytes at byte {offset} is damaged and lost: {found}"
-                )
+                write!(f, "{path}: the chunk of {lost_bytes} bytes at byte {offset} is damaged: {found}")
             }
         }
     }

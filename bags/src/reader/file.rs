@@ -3,13 +3,17 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use mcap::MAGIC;
 use mcap::records::{self, ChunkIndex, Footer, MetadataIndex, Record, Statistics, op};
 
 use super::error::{ReaderError, Truncation, TruncationCause};
-use super::records::{Next, Place, RECORD_HEADER, RecordFile, parse, walk};
-use super::source::{self, Content, Segment, Source, decode};
+use super::message_index::{MessageIndex, declared_by_length};
+use super::records::{Next, Place, RECORD_HEADER, RecordFile, parse};
+use super::segment::{Content, Damage, Segment, SegmentKind, decode};
+use super::source::{self, Source};
+use super::walk::walk;
 use crate::storage::Storage;
 
 /// A footer record and the end mark: 9 + 20 + 8 bytes.
@@ -28,7 +32,7 @@ pub(super) struct BagFile {
     pub(super) source: Source,
     pub(super) length: u64,
     pub(super) schemas: HashMap<u16, Schema>,
-    pub(super) channels: BTreeMap<u16, records::Channel>,
+    pub(super) channels: Arc<BTreeMap<u16, records::Channel>>,
     /// Bytes of schemas and channels found in chunks.
     described: usize,
     /// Messages of each channel.
@@ -38,6 +42,14 @@ pub(super) struct BagFile {
     pub(super) truncations: Vec<Truncation>,
     /// The text of the last metadata record of rosbag2.
     pub(super) metadata: Option<String>,
+}
+
+/// What was found in a segment.
+pub(super) struct Looked {
+    /// The first and last log time.
+    pub(super) times: Option<(u64, u64)>,
+    pub(super) messages: u64,
+    pub(super) read: Result<(), Damage>,
 }
 
 #[derive(Debug)]
@@ -92,7 +104,7 @@ impl BagFile {
             source,
             length,
             schemas: HashMap::new(),
-            channels: BTreeMap::new(),
+            channels: Arc::default(),
             described: 0,
             counts: BTreeMap::new(),
             segments: Vec::new(),
@@ -115,7 +127,7 @@ impl BagFile {
         loop {
             match input.place_at(offset, end)? {
                 Next::End => break,
-                Next::Torn { .. } => return Ok(SummaryState::Damaged),
+                Next::Torn => return Ok(SummaryState::Damaged),
                 Next::Record(place) => {
                     if !self.add_summary_record(input, &place, &mut summary)? {
                         return Ok(SummaryState::Damaged);
@@ -132,10 +144,25 @@ impl BagFile {
         if !statistics.channel_message_counts.keys().all(|channel| self.describes(*channel)) {
             return Ok(SummaryState::Absent);
         }
+        let declared = |chunk: &ChunkIndex| {
+            declared_by_length(chunk.message_index_length, chunk.message_index_offsets.len() as u64)
+        };
+        let is_empty =
+            |chunk: &&ChunkIndex| chunk.message_end_time == 0 && chunk.message_index_offsets.is_empty();
+        let indexed = chunks.iter().filter(|chunk| !is_empty(chunk)).map(declared);
+        let indexed = indexed.sum::<Option<u64>>();
+        match indexed {
+            // There are messages outside of chunks, or chunks that are not indexed.
+            Some(indexed) if indexed < statistics.message_count => return Ok(SummaryState::Absent),
+            Some(indexed) if indexed > statistics.message_count => return Ok(SummaryState::Damaged),
+            _ => {}
+        }
         let is_consistent = chunks.len() as u64 == u64::from(statistics.chunk_count)
             && statistics.channel_message_counts.values().fold(0_u64, |sum, n| sum.saturating_add(*n))
                 == statistics.message_count
-            && lie_apart(&chunks, footer.summary_start);
+            && lie_apart(&chunks, footer.summary_start)
+            && self.is_checksum_right(input, &footer)?
+            && are_chunks(input, &chunks)?;
         if !is_consistent {
             return Ok(SummaryState::Damaged);
         }
@@ -153,6 +180,9 @@ impl BagFile {
                     last: chunk.message_end_time,
                     // `None` means a chunk whose messages have no index.
                     channels: (!channels.is_empty()).then(|| channels.keys().copied().collect()),
+                    kind: SegmentKind::Chunk,
+                    declared: declared(chunk),
+                    is_reported: false,
                 }
             })
             .collect();
@@ -162,6 +192,24 @@ impl BagFile {
             self.add_metadata(&input.read_record(&place)?);
         }
         Ok(SummaryState::Used)
+    }
+
+    /// Whether the checksum of the summary, if it has one, is right.
+    fn is_checksum_right(&self, input: &mut RecordFile, footer: &Footer) -> io::Result<bool> {
+        if footer.summary_crc == 0 {
+            return Ok(true);
+        }
+        // Up to the checksum itself, which is the last field of the footer.
+        let end = self.length - MAGIC.len() as u64 - 4;
+        input.seek(footer.summary_start)?;
+        let mut hasher = crc32fast::Hasher::new();
+        let mut left = end.saturating_sub(footer.summary_start);
+        while left > 0 {
+            let bytes = input.read(left.min(1024 * 1024))?;
+            hasher.update(&bytes);
+            left -= bytes.len() as u64;
+        }
+        Ok(hasher.finalize() == footer.summary_crc)
     }
 
     /// Returns whether a channel and its schema, if it has one, are known: a summary need not repeat them.
@@ -190,42 +238,57 @@ impl BagFile {
         Ok(true)
     }
 
-    /// Adds the contents of a segment, if it can be read completely; returns the first and last log time.
-    pub(super) fn look_into(&mut self, bytes: &[u8]) -> Result<Option<(u64, u64)>, String> {
-        let mut found = Self::empty(&self.path, self.source.clone(), 0);
+    /// Adds the contents of a segment as far as it can be read.
+    pub(super) fn look_into(
+        &mut self,
+        bytes: &[u8],
+        segment: (SegmentKind, Option<u64>),
+        index: impl FnOnce() -> MessageIndex,
+    ) -> Looked {
         let mut times: Option<(u64, u64)> = None;
-        let mut described = self.described;
-        decode(bytes, |content| match content {
+        let mut messages = 0;
+        let mut is_described = true;
+        let mut read = decode(bytes, segment, index, |content| match content {
             Content::Schema { header, .. } if self.schemas.contains_key(&header.id) => {}
             Content::Channel(channel) if self.channels.contains_key(&channel.id) => {}
             Content::Schema { header, data } => {
-                described += data.len();
-                if described <= MOST_DESCRIBED {
-                    found.add_schema(header, data);
+                if self.describe_more(data.len(), &mut is_described) {
+                    self.add_schema(header, data);
                 }
             }
             Content::Channel(channel) => {
-                described += length_of(&channel);
-                if described <= MOST_DESCRIBED {
-                    found.add_channel(channel);
+                if self.describe_more(length_of(&channel), &mut is_described) {
+                    self.add_channel(channel);
                 }
             }
             Content::Message { header, .. } => {
-                *found.counts.entry(header.channel_id).or_default() += 1;
+                *self.counts.entry(header.channel_id).or_default() += 1;
+                messages += 1;
                 let time = header.log_time;
                 times = Some(times.map_or((time, time), |(first, last)| (first.min(time), last.max(time))));
             }
-        })?;
+        });
+        if !is_described {
+            let found = format!("it brings schemas and channels to more than {MOST_DESCRIBED} bytes");
+            read = Err(Damage::undescribed(found));
+        }
+        Looked { times, messages, read }
+    }
+
+    /// Counts bytes of schemas and channels; returns false if they are too many.
+    fn describe_more(&mut self, length: usize, is_described: &mut bool) -> bool {
+        let described = self.described.saturating_add(length);
         if described > MOST_DESCRIBED {
-            return Err(format!("it brings schemas and channels to more than {MOST_DESCRIBED} bytes"));
+            *is_described = false;
+            return false;
         }
         self.described = described;
-        self.schemas.extend(found.schemas);
-        self.channels.extend(found.channels);
-        for (id, count) in found.counts {
-            *self.counts.entry(id).or_default() += count;
-        }
-        Ok(times)
+        true
+    }
+
+    /// The text about the damage of a segment.
+    pub(super) fn describe(&self, damage: &Damage) -> String {
+        damage.describe(|channel| self.channels.get(&channel).map(|channel| channel.topic.as_str()))
     }
 
     fn add_schema(&mut self, header: records::SchemaHeader, data: &[u8]) {
@@ -237,7 +300,7 @@ impl BagFile {
     }
 
     fn add_channel(&mut self, channel: records::Channel) {
-        self.channels.entry(channel.id).or_insert(channel);
+        Arc::make_mut(&mut self.channels).entry(channel.id).or_insert(channel);
     }
 
     /// Keeps the text if the record is that of rosbag2: the last one in the file was written at the end.
@@ -298,6 +361,19 @@ fn lie_apart(chunks: &[ChunkIndex], end: u64) -> bool {
     let ends = places.iter().map(|(start, length)| start.checked_add(*length));
     let limits = places.iter().skip(1).map(|(start, _)| *start).chain([end]);
     ends.zip(limits).all(|(end, limit)| end.is_some_and(|end| end <= limit))
+}
+
+/// Returns whether a chunk starts at each of the places: an index may point elsewhere.
+fn are_chunks(input: &mut RecordFile, chunks: &[ChunkIndex]) -> io::Result<bool> {
+    for chunk in chunks {
+        let length = chunk.chunk_length;
+        match input.place_at(chunk.chunk_start_offset, chunk.chunk_start_offset.saturating_add(length))? {
+            Next::Record(place)
+                if place.opcode == op::CHUNK && RECORD_HEADER + place.body_length == length => {}
+            _ => return Ok(false),
+        }
+    }
+    Ok(true)
 }
 
 /// The approximate memory of a channel.

@@ -6,14 +6,17 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, VecDeque};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use bytes::Bytes;
+use mcap::records::Channel;
 
 use super::Reader;
 use super::error::ReaderError;
 use super::file::BagFile;
+use super::message_index::MessageIndex;
 use super::records::RecordFile;
-use super::source::{Content, Segment, decode};
+use super::segment::{Content, Segment, decode};
 #[cfg(feature = "sqlite")]
 use super::sqlite::{SqliteFile, SqliteMessage};
 use crate::storage::Storage;
@@ -111,7 +114,9 @@ struct Room {
 struct OpenFile {
     path: PathBuf,
     input: Input,
-    topics: HashMap<u16, TopicId>,
+    topics: Arc<HashMap<u16, TopicId>>,
+    /// For the description of damage.
+    channels: Arc<BTreeMap<u16, Channel>>,
     /// Whether rosbag2 compressed each message (`--compression-mode message`).
     has_packed_messages: bool,
     /// The last segment that was read; kept to reuse its memory.
@@ -144,7 +149,8 @@ impl Messages {
             files.push(OpenFile {
                 path: file.path.clone(),
                 input: Input::open(file)?,
-                topics: reader.topics_of_channels[index].clone(),
+                topics: Arc::clone(&reader.topics_of_channels[index]),
+                channels: Arc::clone(&file.channels),
                 has_packed_messages: reader.has_packed_messages(),
                 segment: Vec::new(),
             });
@@ -205,6 +211,7 @@ impl Messages {
         (last, unreadable)
     }
 
+    /// Loads the selected messages of a segment: those that are whole, if it is damaged.
     fn load(&mut self, file_index: usize, segment: &Segment) -> Result<(), ReaderError> {
         let file = &mut self.files[file_index];
         let damaged = |found| ReaderError::Damaged { path: file.path.clone(), offset: segment.offset, found };
@@ -214,7 +221,12 @@ impl Messages {
         let mut room = self.room;
         let mut take = |channel: u16, log_time: u64, publish_time: u64, data: &[u8]| {
             number += 1;
-            let Some(&topic) = file.topics.get(&channel) else { return };
+            let Some(&topic) = file.topics.get(&channel) else {
+                problem.get_or_insert_with(|| {
+                    format!("a message is of channel {channel}, which has no description")
+                });
+                return;
+            };
             if !self.selection.includes(topic, signed(log_time)) {
                 return;
             }
@@ -235,17 +247,32 @@ impl Messages {
                 Err(found) => drop(problem.get_or_insert(found)),
             }
         };
+        let read = |source| ReaderError::Read { path: file.path.clone(), source };
+        let damage;
         match &mut file.input {
             Input::Mcap(input) => {
                 let bytes = &mut file.segment;
-                let read = input.seek(segment.offset).and_then(|()| input.read_into(bytes, segment.length));
-                read.map_err(|source| ReaderError::Read { path: file.path.clone(), source })?;
-                decode(bytes, |content| {
+                input
+                    .seek(segment.offset)
+                    .and_then(|()| input.read_into(bytes, segment.length))
+                    .map_err(read)?;
+                let mut failed = None;
+                let index = || {
+                    let index = MessageIndex::read(input, segment.offset + segment.length);
+                    index.map_err(|error| failed = Some(error)).unwrap_or_default()
+                };
+                let decoded = decode(bytes, (segment.kind, segment.declared), index, |content| {
                     if let Content::Message { header, data } = content {
                         take(header.channel_id, header.log_time, header.publish_time, data);
                     }
-                })
-                .map_err(damaged)?;
+                });
+                if let Some(error) = failed {
+                    return Err(read(error));
+                }
+                // Damage that was found when the file was opened is among its truncations.
+                let decoded = decoded.err().filter(|_| !segment.is_reported);
+                let name = |channel| file.channels.get(&channel).map(|channel| channel.topic.as_str());
+                damage = decoded.map(|damage| damage.describe(name));
             }
             #[cfg(feature = "sqlite")]
             Input::Sqlite(input) => {
@@ -253,14 +280,12 @@ impl Messages {
                     // The table has only one time.
                     take(message.channel, message.time, message.time, message.data);
                 };
-                if let Err(found) = input.read(segment, each) {
-                    problem = Some(found);
-                }
+                damage = input.read(segment, each).err();
             }
         }
         self.room = room;
         self.loaded.extend(found.into_iter().map(Reverse));
-        problem.map_or(Ok(()), |found| Err(damaged(found)))
+        damage.or(problem).map_or(Ok(()), |found| Err(damaged(found)))
     }
 }
 

@@ -1,17 +1,22 @@
 //! Reads bags: a directory or a single file, including those of interrupted recordings.
 
+mod chunk;
 mod error;
 mod file;
+mod message_index;
 mod messages;
 mod records;
+mod segment;
 mod source;
 #[cfg(feature = "sqlite")]
 mod sqlite;
 mod topics;
+mod walk;
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -31,8 +36,11 @@ pub struct Reader {
     metadata: Option<Metadata>,
     files: Vec<BagFile>,
     topics: Vec<RecordedTopic>,
+    by_name: HashMap<String, TopicId>,
     /// For each file, the topics of its channels.
-    topics_of_channels: Vec<HashMap<u16, TopicId>>,
+    topics_of_channels: Vec<Arc<HashMap<u16, TopicId>>>,
+    /// What could not be understood of the descriptions of topics, and was replaced by a default.
+    oddities: Vec<String>,
 }
 
 /// A topic of a bag.
@@ -110,8 +118,16 @@ impl Reader {
             // Optional: a bag without metadata.yaml can be opened even if this record is invalid.
             metadata = Metadata::parse_record(text, path).ok();
         }
-        let (topics, topics_of_channels) = topics::collect(&files, metadata.as_ref());
-        Self { path: path.to_owned(), metadata, files, topics, topics_of_channels }
+        let topics::Collected { topics, topics_of_channels, mut oddities } =
+            topics::collect(&files, metadata.as_ref());
+        let noted = metadata.as_ref().map(|metadata| metadata.oddities.as_slice()).unwrap_or_default();
+        oddities.splice(0..0, noted.iter().cloned());
+        // The first one of each name.
+        let by_name = topics.iter().enumerate().rev();
+        let by_name =
+            by_name.filter_map(|(at, topic)| Some((topic.info.name.clone(), TopicId::from_index(at)?)));
+        let by_name = by_name.collect();
+        Self { path: path.to_owned(), metadata, files, topics, by_name, topics_of_channels, oddities }
     }
 
     /// The opened path.
@@ -129,7 +145,7 @@ impl Reader {
     /// The topic of that name.
     #[must_use]
     pub fn topic(&self, name: &str) -> Option<TopicId> {
-        TopicId::from_index(self.topics.iter().position(|topic| topic.info.name == name)?)
+        self.by_name.get(name).copied()
     }
 
     /// The contents of metadata.yaml, or else of the metadata record in the bag's last file. After an
@@ -193,6 +209,12 @@ impl Reader {
         self.files.iter().flat_map(|file| &file.truncations)
     }
 
+    /// What could not be understood of the descriptions of topics and files, and was replaced by a default or left
+    /// out: a sentence for each, which names the topic.
+    pub fn oddities(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.oddities.iter().map(String::as_str)
+    }
+
     /// The messages sorted by receive time, read from the files on demand.
     ///
     /// # Errors
@@ -241,7 +263,7 @@ impl Reader {
         self.files.iter().map(|file| file.length).sum()
     }
 
-    fn segments(&self) -> impl Iterator<Item = &source::Segment> {
+    fn segments(&self) -> impl Iterator<Item = &segment::Segment> {
         self.files.iter().flat_map(|file| &file.segments)
     }
 }

@@ -13,7 +13,8 @@ use rusqlite::{Connection, Error, OpenFlags, Row};
 
 use super::error::{ReaderError, TruncationCause};
 use super::file::{BagFile, Schema};
-use super::source::{Segment, Source};
+use super::segment::{Segment, SegmentKind};
+use super::source::Source;
 use crate::storage::{Storage, write_ahead_log};
 
 /// The maximum number of rows read at a time, which bounds memory.
@@ -107,7 +108,7 @@ impl SqliteFile {
                 ("offered_qos_profiles", text(row, "offered_qos_profiles")),
                 ("topic_type_hash", text(row, "type_description_hash")),
             ];
-            file.channels.insert(
+            std::sync::Arc::make_mut(&mut file.channels).insert(
                 channel,
                 Channel {
                     id: channel,
@@ -189,7 +190,16 @@ impl SqliteFile {
             *file.counts.entry(*channel).or_default() += 1;
             let time = time(timestamp);
             let (segment, channels) = run.get_or_insert_with(|| {
-                let segment = Segment { offset: place, length: 0, first: time, last: time, channels: None };
+                let segment = Segment {
+                    offset: place,
+                    length: 0,
+                    first: time,
+                    last: time,
+                    channels: None,
+                    kind: SegmentKind::Run,
+                    declared: None,
+                    is_reported: false,
+                };
                 (segment, BTreeSet::new())
             });
             channels.insert(*channel);

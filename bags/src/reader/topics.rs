@@ -1,40 +1,49 @@
 //! Collects the topics of a bag from its files and its metadata.
 
 use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
 
 use downbeat_msgs::encoding::Schema;
 use mcap::records::Channel;
 
 use super::RecordedTopic;
 use super::file::{BagFile, MOST_DESCRIBED, Schema as FileSchema};
-use crate::metadata::{Metadata, TopicMetadata, qos_from_yaml};
+use crate::metadata::{Metadata, RecordedQos, TopicMetadata, qos_from_yaml};
 use crate::topic::{MessageFormat, TopicDescription, TopicId};
 
 /// The maximum total size of the definitions of topics, against files in which thousands of channels share a
 /// huge schema. Further topics have no definition.
 const MOST_DEFINED: usize = 4 * MOST_DESCRIBED;
 
+/// The topics of a bag.
+pub(super) struct Collected {
+    pub(super) topics: Vec<RecordedTopic>,
+    /// For each file, the topics of its channels.
+    pub(super) topics_of_channels: Vec<Arc<HashMap<u16, TopicId>>>,
+    /// What could not be understood.
+    pub(super) oddities: Vec<String>,
+}
+
 /// Returns the topics, in the order of the metadata if it contains them, and for each file the topic of each
 /// channel.
 ///
 /// Counts are those of the files, since metadata.yaml may be older.
-pub(super) fn collect(
-    files: &[BagFile],
-    metadata: Option<&Metadata>,
-) -> (Vec<RecordedTopic>, Vec<HashMap<u16, TopicId>>) {
+pub(super) fn collect(files: &[BagFile], metadata: Option<&Metadata>) -> Collected {
     let mut topics: Vec<RecordedTopic> =
         metadata.into_iter().flat_map(|metadata| &metadata.topics).map(from_metadata).collect();
     let mut known = HashMap::new();
     for (index, topic) in topics.iter().enumerate() {
         known.entry((topic.info.name.clone(), topic.info.type_name.clone())).or_insert(index);
     }
+    let mut profiles = Profiles::default();
     let mut ids = Vec::new();
     let mut defined = 0;
     for file in files {
         let mut ids_of_file = HashMap::new();
-        for (channel_id, channel) in &file.channels {
+        for (channel_id, channel) in file.channels.iter() {
             let schema = file.schemas.get(&channel.schema_id).filter(|_| defined <= MOST_DEFINED);
-            let seen = from_channel(file, channel, schema);
+            let seen = from_channel(file, channel, schema, &mut profiles);
             let name = (seen.info.name.clone(), seen.info.type_name.clone());
             let index = *known.entry(name).or_insert_with(|| {
                 let info = TopicDescription { definition: String::new(), format: None, ..seen.info.clone() };
@@ -50,9 +59,32 @@ pub(super) fn collect(
             defined += definition_length(&topic.info);
             ids_of_file.insert(*channel_id, id);
         }
-        ids.push(ids_of_file);
+        ids.push(Arc::new(ids_of_file));
     }
-    (topics, ids)
+    Collected { topics, topics_of_channels: ids, oddities: profiles.oddities }
+}
+
+/// The QoS profiles of channels: most have one of few texts.
+#[derive(Default)]
+struct Profiles {
+    read: HashMap<String, Result<Vec<RecordedQos>, String>>,
+    oddities: Vec<String>,
+}
+
+impl Profiles {
+    /// The profiles in the text; none if it is invalid, which is noted, since they are only needed for playing.
+    fn of(&mut self, text: &str, topic: &str, path: &Path) -> Vec<RecordedQos> {
+        let read = self.read.entry(text.to_owned());
+        let read = read.or_insert_with(|| qos_from_yaml(text, path).map_err(|error| error.to_string()));
+        match read {
+            Ok(profiles) => profiles.clone(),
+            Err(found) => {
+                self.oddities
+                    .push(format!("{topic}: its channel has no valid QoS, the default is taken: {found}"));
+                Vec::new()
+            }
+        }
+    }
 }
 
 fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
@@ -70,10 +102,14 @@ fn from_metadata(topic: &TopicMetadata) -> RecordedTopic {
     }
 }
 
-fn from_channel(file: &BagFile, channel: &Channel, schema: Option<&FileSchema>) -> RecordedTopic {
+fn from_channel(
+    file: &BagFile,
+    channel: &Channel,
+    schema: Option<&FileSchema>,
+    profiles: &mut Profiles,
+) -> RecordedTopic {
     let text = |key: &str| channel.metadata.get(key).map_or("", String::as_str);
-    // An invalid profile is treated like a missing one: it is only needed for playing.
-    let offered_qos = qos_from_yaml(text("offered_qos_profiles"), &file.path).unwrap_or_default();
+    let offered_qos = profiles.of(text("offered_qos_profiles"), &channel.topic, &file.path);
     RecordedTopic {
         info: TopicDescription {
             name: channel.topic.clone(),

@@ -2,7 +2,9 @@
 //!
 //! Like the MCAP C++ library, so that a topic without messages takes space only in the summary.
 
-use std::collections::BTreeMap;
+use std::collections::hash_map::DefaultHasher;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::{Hash, Hasher};
 use std::io;
 
 use downbeat_msgs::encoding::Schema;
@@ -16,6 +18,8 @@ use crate::topic::{RecordingSummary, TopicCount, TopicDescription};
 #[derive(Default)]
 pub(super) struct Channels {
     schemas: Vec<Described>,
+    /// The positions of schemas by a hash of their contents.
+    by_hash: HashMap<u64, Vec<usize>>,
     channels: Vec<Channel>,
 }
 
@@ -55,7 +59,10 @@ impl Channels {
         }
         let too_many = |_| io::Error::other("MCAP does not support more types and topics");
         let schema = topic.schema();
-        let known = self.schemas.iter().position(|described| described.schema == schema);
+        let mut hasher = DefaultHasher::new();
+        (&schema.name, &schema.encoding, &schema.data).hash(&mut hasher);
+        let alike = self.by_hash.entry(hasher.finish()).or_default();
+        let known = alike.iter().copied().find(|at| self.schemas[*at].schema == schema);
         let schema_index = known.unwrap_or(self.schemas.len());
         let schema_id = u16::try_from(schema_index + 1).map_err(too_many)?;
         let id = u16::try_from(self.channels.len() + 1).map_err(too_many)?;
@@ -64,6 +71,7 @@ impl Channels {
         if known.is_none() {
             let mut record = Vec::new();
             records::schema(&mut record, schema_id, &schema)?;
+            alike.push(schema_index);
             self.schemas.push(Described { schema, record, written: Written::No });
         }
         self.channels.push(Channel { schema: schema_index, record, written: Written::No });
@@ -177,6 +185,7 @@ impl Writer {
             relative_file_paths: self.files.iter().map(|file| file.name.clone()).collect(),
             files: self.files.iter().map(file_metadata).collect(),
             custom_data: self.custom_data(),
+            oddities: Vec::new(),
             ros_distro: metadata::ROS_DISTRO.to_owned(),
         }
     }

@@ -14,7 +14,7 @@ mod sqlite;
 mod storage;
 mod summary;
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -59,6 +59,8 @@ pub struct Writer {
     /// The number of the next file.
     next_number: u64,
     topics: Vec<Topic>,
+    /// The positions of topics by their names.
+    by_name: HashMap<String, usize>,
     /// The times of the messages in the open chunk.
     open: Times,
     /// When the first message was added to the open chunk.
@@ -124,7 +126,7 @@ impl Writer {
     /// topic, or recording has stopped.
     pub fn add_topic(&mut self, info: TopicDescription) -> Result<TopicId, WriterError> {
         self.check_recording()?;
-        if let Some(index) = self.topics.iter().position(|topic| topic.info.name == info.name) {
+        if let Some(&index) = self.by_name.get(&info.name) {
             let first = &self.topics[index].info.type_name;
             if *first != info.type_name {
                 return Err(WriterError::TypeConflict {
@@ -143,6 +145,7 @@ impl Writer {
             return Err(WriterError::NoPlace { topic: info.name, storage: self.storage(), found });
         }
         let channel = self.file.add_topic(&info).map_err(|source| self.fail(source))?;
+        self.by_name.insert(info.name.clone(), id.index());
         self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0, refused: 0 });
         self.metadata_has_all_topics = false;
         self.changes += 1;
@@ -236,6 +239,11 @@ impl Writer {
         let Some(name) = directory.file_name() else {
             return Err(WriterError::Unnamed { path: directory.to_owned() });
         };
+        if name.to_str().is_none() {
+            // metadata.yaml could not name its files.
+            let source = io::Error::new(io::ErrorKind::InvalidInput, "its name is not UTF-8; choose another");
+            return Err(WriterError::Create { path: directory.to_owned(), source });
+        }
         options::create_directory(directory)?;
 
         let failed = |path: &Path| {
@@ -253,6 +261,7 @@ impl Writer {
             file,
             next_number: 1,
             topics: Vec::new(),
+            by_name: HashMap::new(),
             open: Times::default(),
             open_since: None,
             metadata_written: Instant::now(),

@@ -256,7 +256,7 @@ impl McapOptions {
     /// Returns an error if the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         let read = |source| StorageConfigError::Read { path: path.to_owned(), source };
-        self.with_config(&std::fs::read_to_string(path).map_err(read)?, path)
+        self.with_config(&downbeat_msgs::user_file::read_text(path).map_err(read)?, path)
     }
 }
 

@@ -232,9 +232,9 @@ fn a_chunk_that_decompresses_to_thousands_of_times_the_file_is_left_out() {
         let reader = Reader::from_bytes("bomb.mcap", file).unwrap();
         (reader.message_count(), BagInfo::of(&reader).unwrap().to_string())
     });
-    assert!(memory < MIB, "{} MiB", memory / MIB);
+    assert!(memory < 4 * MIB, "{} MiB", memory / MIB);
     assert_eq!(count, 1);
-    assert!(text.contains("is damaged and lost") && text.contains("are decompressed"), "{text}");
+    assert!(text.contains("is damaged: ") && text.contains("are decompressed"), "{text}");
 }
 
 #[test]

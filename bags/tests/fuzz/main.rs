@@ -7,6 +7,7 @@
 
 mod bombs;
 mod corrupt;
+mod odd;
 mod parts;
 mod seeds;
 #[path = "../../fuzz/targets/mod.rs"]

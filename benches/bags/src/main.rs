@@ -1,5 +1,6 @@
 //! Benchmarks of bags: see `benches/README.md`.
 
+mod checks;
 mod readers;
 mod robot;
 mod writers;
@@ -34,6 +35,15 @@ enum What {
         #[arg(long, default_value_t = 5)]
         turns: u32,
     },
+    /// Check and repair bags, beside the bare readers of the mcap crate and of PyPI.
+    Checks {
+        /// Megabytes of messages in each bag.
+        #[arg(long, default_value_t = 400)]
+        megabytes: u64,
+        /// Number of turns; the best one counts.
+        #[arg(long, default_value_t = 3)]
+        turns: u32,
+    },
     /// Read one topic of a bag with two topics, as bytes and decoded, and compare with rosbags.
     Readers {
         /// Messages on the topic that is read; the other topic has three times as many.
@@ -54,6 +64,7 @@ fn main() -> anyhow::Result<()> {
     match what {
         What::Robot { seconds } => robot::run(folder.path(), seconds),
         What::Writers { megabytes, turns } => writers::run(folder.path(), megabytes * 1_000_000, turns),
+        What::Checks { megabytes, turns } => checks::run(folder.path(), megabytes * 1_000_000, turns),
         What::Readers { messages, turns } => readers::run(folder.path(), messages, turns),
     }
 }

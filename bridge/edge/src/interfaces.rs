@@ -196,7 +196,7 @@ impl Interfaces {
     /// The type of the service with this name in a core; the services of actions are found too.
     #[must_use]
     pub fn service_in(&self, core: &Core, service: &str) -> Option<KnownService> {
-        let find = |name: &str| core.services().find(|info| *info.name == *name);
+        let find = |name: &str| core.service(name);
         self.service_of(find(service)?).or_else(|| {
             let (action, part) = service.split_once("/_action/")?;
             let action = self.action_of(find(&format!("{action}/_action/send_goal"))?)?;

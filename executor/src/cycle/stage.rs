@@ -158,7 +158,7 @@ impl Stage {
     /// If `nth` is not less than [`runnable`](Self::runnable).
     pub fn run_nth(&self, nth: usize) {
         let Ready { order, slot, causes } = self.runnable[nth];
-        let mut cell = unpoisoned(self.cells.0[slot].lock());
+        let mut cell = unpoisoned(self.cells.cells[slot].lock());
         let Some(cell) = &mut *cell else { return };
         let mut stopwatch = Stopwatch::start(self.measuring);
         let asked = match spans_are_on() {
@@ -224,38 +224,47 @@ impl Askers {
 
 /// The modules that run inside cycles, by slot. A lock is taken only where threads share them.
 #[derive(Default)]
-pub(crate) struct Cells(Vec<Mutex<Option<ModuleCell>>>);
+pub(crate) struct Cells {
+    cells: Vec<Mutex<Option<ModuleCell>>>,
+    /// No slot before it is free.
+    free_from: usize,
+}
 
 impl Cells {
     pub(crate) fn free_slot(&mut self) -> usize {
         let is_free = |cell: &mut Mutex<Option<ModuleCell>>| unpoisoned(cell.get_mut()).is_none();
-        self.0.iter_mut().position(is_free).unwrap_or_else(|| {
-            self.0.push(Mutex::new(None));
-            self.0.len() - 1
-        })
+        let candidates = self.cells.get_mut(self.free_from..).unwrap_or_default();
+        let free = candidates.iter_mut().position(is_free).map(|position| self.free_from + position);
+        let slot = free.unwrap_or_else(|| {
+            self.cells.push(Mutex::new(None));
+            self.cells.len() - 1
+        });
+        self.free_from = slot;
+        slot
     }
 
     pub(crate) fn put(&mut self, slot: usize, cell: ModuleCell) {
-        self.0[slot] = Mutex::new(Some(cell));
+        self.cells[slot] = Mutex::new(Some(cell));
     }
 
     /// One more than the greatest slot there was.
     pub(crate) fn slots(&self) -> usize {
-        self.0.len()
+        self.cells.len()
     }
 
     #[inline]
     pub(crate) fn get(&mut self, slot: usize) -> Option<&mut ModuleCell> {
-        unpoisoned(self.0[slot].get_mut()).as_mut()
+        unpoisoned(self.cells[slot].get_mut()).as_mut()
     }
 
     pub(crate) fn take(&mut self, slot: usize) -> Option<ModuleCell> {
-        unpoisoned(self.0[slot].get_mut()).take()
+        self.free_from = self.free_from.min(slot);
+        unpoisoned(self.cells[slot].get_mut()).take()
     }
 
     /// Looks at a module while nobody runs it.
     pub(crate) fn look<T>(&self, slot: usize, look: impl FnOnce(&ModuleCell) -> T) -> Option<T> {
-        unpoisoned(self.0.get(slot)?.lock()).as_ref().map(look)
+        unpoisoned(self.cells.get(slot)?.lock()).as_ref().map(look)
     }
 }
 

@@ -121,6 +121,8 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
 pub(crate) struct Topics {
     entries: Vec<Entry>,
     by_name: HashMap<Arc<str>, usize>,
+    /// No entry before it is free.
+    free_from: usize,
     /// Counts the sync phases in which messages were looked for.
     epoch: u64,
     /// True if a topic has messages of this epoch.
@@ -242,8 +244,10 @@ impl Topics {
             publishers: 0,
             users: 0,
         };
-        let index = match self.entries.iter().position(|entry| entry.users == 0) {
-            Some(free) => {
+        let candidates = self.entries.get(self.free_from..).unwrap_or_default();
+        let index = match candidates.iter().position(|entry| entry.users == 0) {
+            Some(position) => {
+                let free = self.free_from + position;
                 self.entries[free] = entry;
                 free
             }
@@ -252,6 +256,7 @@ impl Topics {
                 self.entries.len() - 1
             }
         };
+        self.free_from = index;
         self.by_name.insert(name, index);
         Ok(index)
     }
@@ -298,6 +303,7 @@ impl Topics {
         let entry = &mut self.entries[topic];
         entry.users -= 1;
         if entry.users == 0 {
+            self.free_from = self.free_from.min(topic);
             self.by_name.remove(&entry.info.name);
             let forgotten = std::mem::replace(&mut entry.topic, Box::new(Forgotten));
             drop_guarded("a message", || drop(forgotten));

@@ -213,7 +213,7 @@ impl Field {
             let problem = format!("{length} bytes; the file of a field has at most {LONGEST}");
             return Err(FieldError::Syntax { file, line: 1, problem });
         }
-        Self::parse(&std::fs::read_to_string(path).map_err(unreadable)?, &file)
+        Self::parse(&downbeat_msgs::user_file::read_text(path).map_err(unreadable)?, &file)
     }
 
     /// Reads a field from text; `file` names it in errors.

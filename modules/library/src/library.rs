@@ -1,8 +1,8 @@
 //! Shared libraries: checked, loaded, never unloaded.
 
 use downbeat_library_abi::{ABI_VERSION, ModuleFunction, ModuleV1, SYMBOL};
-use std::fs::File;
-use std::io::{Read, Write};
+use downbeat_msgs::user_file;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use thiserror::Error;
@@ -190,12 +190,12 @@ fn with_causes(error: &dyn std::error::Error) -> String {
     }
 }
 
+/// The largest library, in bytes.
+const LARGEST: u64 = 1 << 30;
+
 fn read(path: &Path) -> Result<Vec<u8>, LibraryError> {
-    let read = |mut file: File| {
-        let mut content = Vec::new();
-        file.read_to_end(&mut content).map(|_| content)
-    };
-    File::open(path).and_then(read).map_err(|source| LibraryError::Read { path: path.to_owned(), source })
+    user_file::read_within(path, LARGEST)
+        .map_err(|source| LibraryError::Read { path: path.to_owned(), source })
 }
 
 /// ELF machine numbers and names (System V ABI, `e_machine`).

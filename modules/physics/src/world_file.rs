@@ -283,7 +283,7 @@ impl WorldFile {
             let problem = format!("{length} bytes; a world file has at most {LONGEST}");
             return Err(WorldFileError::Syntax { file, line: 1, problem });
         }
-        Self::parse(&std::fs::read_to_string(path).map_err(unreadable)?, &file)
+        Self::parse(&downbeat_msgs::user_file::read_text(path).map_err(unreadable)?, &file)
     }
 
     /// Reads a world from text; `file` names it in errors.

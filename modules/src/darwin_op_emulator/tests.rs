@@ -259,8 +259,8 @@ fn a_closed_port_fails_and_another_one_appears_under_the_same_link() {
 fn a_link_left_behind_is_replaced_but_a_file_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("port");
-    // No system has that many.
-    std::os::unix::fs::symlink("/dev/pts/4000000000", &link).unwrap();
+    // No system has that many. Emulators write the path with a dot.
+    std::os::unix::fs::symlink("/dev/./pts/4000000000", &link).unwrap();
     Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() }).unwrap().stop();
     std::fs::write(&link, "precious").unwrap();
     let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
@@ -272,7 +272,9 @@ fn a_link_left_behind_is_replaced_but_a_file_is_not() {
 fn a_link_not_created_by_an_emulator_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let (link, precious) = (folder.path().join("port"), folder.path().join("precious"));
-    for target in [&precious, Path::new("/nowhere"), Path::new("/dev/null")] {
+    // The third is of another program, socat for example, which may be about to come back.
+    let others = ["/nowhere", "/dev/null", "/dev/pts/4000000000", "/dev/./ptsx/7", "/dev/./pts/../shm/x"];
+    for target in others.map(Path::new).into_iter().chain([precious.as_path()]) {
         std::os::unix::fs::symlink(target, &link).unwrap();
         let refused = Emulator::start(EmulatorOptions { link: Some(link.clone()), ..options() });
         let error = refused.err().unwrap().to_string();

@@ -136,7 +136,7 @@ impl Motions {
         if bytes > MAX_BYTES {
             return Err(refuse(format!("it has {bytes} bytes, at most {MAX_BYTES} are allowed")));
         }
-        let text = std::fs::read_to_string(file).map_err(|error| refuse(error.to_string()))?;
+        let text = downbeat_msgs::user_file::read_text(file).map_err(|error| refuse(error.to_string()))?;
         Self::parse(file, &text)
     }
 

@@ -218,7 +218,7 @@ impl Description {
 }
 
 fn read(path: &Path) -> Result<String, DescriptionError> {
-    std::fs::read_to_string(path).map_err(|error| DescriptionError::Unreadable {
+    downbeat_msgs::user_file::read_text(path).map_err(|error| DescriptionError::Unreadable {
         path: path.display().to_string(),
         reason: error.to_string(),
     })

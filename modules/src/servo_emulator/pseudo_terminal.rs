@@ -6,6 +6,7 @@ use serialport::{SerialPort, TTYPort};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read, Write};
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -97,12 +98,16 @@ fn remove_link(link: &Path, path: &Path) {
 /// The directory of pseudo terminals.
 const TERMINALS: &str = "/dev/pts";
 
-/// Creates a link. Replaces one left by a killed emulator: a link to a pseudo terminal that no longer exists,
-/// or whose number is now that of `target`. Other links are not touched.
+/// The same directory as links of emulators write it: links of other programs are told apart by it, and not removed.
+const OWN_TERMINALS: &str = "/dev/./pts";
+
+/// Creates a link. Replaces one left by a killed emulator: a link of an emulator to a pseudo terminal that no longer
+/// exists, or whose number is now that of `target`. Other links are not touched.
 fn make_link(target: &Path, link: &Path) -> Result<(), EmulatorError> {
     let failed = |source| EmulatorError::Link { link: link.to_owned(), source };
     if let Ok(old) = fs::read_link(link) {
-        if old.parent() != Some(Path::new(TERMINALS)) {
+        let is_own = old.as_os_str().as_bytes().starts_with(OWN_TERMINALS.as_bytes());
+        if !is_own || old.parent() != Some(Path::new(TERMINALS)) {
             return Err(EmulatorError::OtherLink { link: link.to_owned(), target: old });
         }
         if old != target && old.exists() {
@@ -110,5 +115,6 @@ fn make_link(target: &Path, link: &Path) -> Result<(), EmulatorError> {
         }
         fs::remove_file(link).map_err(failed)?;
     }
-    symlink(target, link).map_err(failed)
+    let own = target.strip_prefix(TERMINALS).map(|name| Path::new(OWN_TERMINALS).join(name));
+    symlink(own.as_deref().unwrap_or(target), link).map_err(failed)
 }

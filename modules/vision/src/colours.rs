@@ -122,7 +122,7 @@ impl Colours {
             let problem = format!("{length} bytes; a colour file has at most {LONGEST}");
             return Err(ColoursError::Syntax { file, line: 1, problem });
         }
-        Self::parse(&std::fs::read_to_string(path).map_err(unreadable)?, &file)
+        Self::parse(&downbeat_msgs::user_file::read_text(path).map_err(unreadable)?, &file)
     }
 
     /// Reads colours from text; `file` names it in errors.

@@ -7,6 +7,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::output::Progress;
+use super::warn_of_oddities;
 use crate::bags::{Check, Reader, check as check_bag};
 
 #[derive(Args)]
@@ -20,6 +21,7 @@ pub(crate) struct CheckBagArguments {
 
 pub(crate) fn check(arguments: &CheckBagArguments) -> anyhow::Result<()> {
     let reader = Reader::open(&arguments.bag)?;
+    warn_of_oddities(&reader);
     let mut progress = Progress::new("reading", reader.message_count());
     let found = check_bag(&reader, |read| progress.at(read))?;
     drop(progress);

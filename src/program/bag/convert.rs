@@ -27,5 +27,5 @@ pub(crate) fn convert(arguments: &ConvertArguments) -> anyhow::Result<()> {
     let copy = Copy::of(&bags, |topic| filter.is_wanted(topic))?;
     let OutputArguments { output, layout } = &arguments.output;
     let copied = write(copy, &bags, output, layout)?;
-    carried_over(&bags, copied.unreadable.len())
+    carried_over(&bags, copied.unreadable.len() + copied.undecodable.len())
 }

@@ -89,7 +89,7 @@ pub(crate) fn cut(arguments: &CutArguments) -> anyhow::Result<()> {
         copy = copy.keep_latched();
     }
     let copied = write(copy, &bags, &arguments.output.output, &arguments.output.layout)?;
-    carried_over(&bags, copied.unreadable.len())
+    carried_over(&bags, copied.unreadable.len() + copied.undecodable.len())
 }
 
 #[cfg(test)]

@@ -30,7 +30,13 @@ pub(super) fn open(bag: &Path) -> anyhow::Result<Reader> {
     for truncation in reader.truncation() {
         tracing::warn!("{truncation}");
     }
+    warn_of_oddities(&reader);
     Ok(reader)
+}
+
+/// Logs what was not understood of the descriptions of topics.
+fn warn_of_oddities(reader: &Reader) {
+    reader.oddities().for_each(|oddity| tracing::warn!("{}: {oddity}", reader.path().display()));
 }
 
 /// The custom data of several bags; the first value of each key.

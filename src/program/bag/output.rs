@@ -96,6 +96,9 @@ pub(crate) fn write(
     for error in &copied.unreadable {
         tracing::warn!("{error}");
     }
+    for problem in &copied.undecodable {
+        tracing::warn!("{problem}");
+    }
     if copied.without_publish_time > 0 {
         tracing::warn!(
             "the publish times of {} messages are lost: {} only stores receive times",

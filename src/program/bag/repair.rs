@@ -2,10 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::bags::{Copy, Reader};
+use anyhow::bail;
 use clap::Args;
 
-use super::output::{LayoutArguments, write};
+use super::output::{LayoutArguments, Progress, write};
+use super::warn_of_oddities;
+use crate::bags::{Check, Copy, Reader, Truncation, check};
 
 #[derive(Args)]
 pub(crate) struct RepairArguments {
@@ -20,6 +22,7 @@ pub(crate) struct RepairArguments {
 
 pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
     let bags = [Reader::open(&arguments.bag)?];
+    warn_of_oddities(&bags[0]);
     let truncations: Vec<_> = bags[0].truncation().collect();
     for truncation in &truncations {
         println!("{truncation}");
@@ -28,7 +31,26 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
         println!("no file is truncated");
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
-    write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout)?;
+    let copied = write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout)?;
+    let is_damaged = !copied.unreadable.is_empty() || bags[0].truncation().any(Truncation::loses_messages);
+    if copied.summary.message_count() == 0 && is_damaged {
+        bail!("no message of {} can be read", arguments.bag.display());
+    }
+    ensure_whole(&output)
+}
+
+/// Fails if the new bag has problems, which were copied with the messages.
+fn ensure_whole(bag: &Path) -> anyhow::Result<()> {
+    let reader = Reader::open(bag)?;
+    let mut progress = Progress::new("checking", reader.message_count());
+    let Check { problems, .. } = check(&reader, |read| progress.at(read))?;
+    drop(progress);
+    for problem in &problems {
+        println!("{problem}");
+    }
+    if !problems.is_empty() {
+        bail!("{} has problems that cannot be repaired, see above", bag.display());
+    }
     Ok(())
 }
 

@@ -174,6 +174,20 @@ impl<'a> Source<'a> {
     }
 }
 
+/// Fails if the metadata of a bag declares more messages than its files have. (It declares fewer in an interrupted
+/// recording.)
+fn has_declared_messages(bag: &Reader) -> anyhow::Result<()> {
+    let (found, declared) =
+        (bag.message_count(), bag.metadata().map_or(0, |metadata| metadata.message_count));
+    if found < declared {
+        bail!(
+            "incomplete: the metadata of {} declares {declared} messages, its files have {found}",
+            bag.path().display()
+        );
+    }
+    Ok(())
+}
+
 /// Fails if parts of the bags were lost: missing or damaged parts of the files, and `unreadable` parts and
 /// messages found by the command. Readable parts have been written before.
 pub(super) fn carried_over(bags: &[Reader], unreadable: usize) -> anyhow::Result<()> {
@@ -182,7 +196,7 @@ pub(super) fn carried_over(bags: &[Reader], unreadable: usize) -> anyhow::Result
     let truncations = damaged.iter().flat_map(|bag| bag.truncation());
     let parts = truncations.filter(|truncation| truncation.loses_messages()).count() + unreadable;
     if parts == 0 {
-        return Ok(());
+        return bags.iter().try_for_each(has_declared_messages);
     }
     let shown = damaged.first().copied().or(bags.first()).map(|bag| bag.path().display().to_string());
     bail!(

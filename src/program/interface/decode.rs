@@ -1,6 +1,5 @@
 //! `downbeat interface decode`
 
-use std::fs::File;
 use std::io::{IsTerminal, Read};
 use std::path::Path;
 
@@ -10,6 +9,7 @@ use super::interfaces::{Definition, Interfaces};
 use super::{DecodeArguments, Registered};
 use crate::msgs::definitions::TypeName;
 use crate::msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
+use crate::msgs::user_file;
 
 /// More than DDS and bags permit for one message.
 const MOST_BYTES: u64 = 1 << 30;
@@ -46,7 +46,7 @@ fn check_is_message(interfaces: &Interfaces, name: &TypeName) -> anyhow::Result<
 
 fn read_file(path: &Path) -> anyhow::Result<Vec<u8>> {
     let context = || format!("cannot read {}", path.display());
-    read(File::open(path).with_context(context)?).with_context(context)
+    read(user_file::open(path).with_context(context)?).with_context(context)
 }
 
 fn read_standard_input() -> anyhow::Result<Vec<u8>> {

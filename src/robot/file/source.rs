@@ -46,18 +46,22 @@ pub enum RobotFileError {
 pub(crate) struct Source {
     path: PathBuf,
     text: String,
+    /// The offsets of the newlines.
+    newlines: Vec<usize>,
 }
 
 impl Source {
     pub(crate) fn read(path: &Path, what: &'static str) -> Result<Self, RobotFileError> {
-        match std::fs::read_to_string(path) {
+        match crate::msgs::user_file::read_text(path) {
             Ok(text) => Ok(Self::new(path, text)),
             Err(source) => Err(RobotFileError::Unreadable { what, path: path.into(), source }),
         }
     }
 
     pub(crate) fn new(path: &Path, text: String) -> Self {
-        Self { path: path.into(), text }
+        let newlines =
+            text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+        Self { path: path.into(), text, newlines }
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -69,8 +73,7 @@ impl Source {
     }
 
     pub(crate) fn line_of(&self, span: &Range<usize>) -> usize {
-        let start = span.start.min(self.text.len());
-        1 + self.text.as_bytes()[..start].iter().filter(|&&byte| byte == b'\n').count()
+        1 + self.newlines.partition_point(|newline| *newline < span.start)
     }
 
     pub(crate) fn error(&self, line: usize, problem: impl Into<String>) -> RobotFileError {

@@ -67,7 +67,7 @@ impl SqliteOptions {
     /// Returns an error if the file cannot be read, or rosbag2 would not accept it.
     pub fn with_config_file(self, path: &Path) -> Result<Self, StorageConfigError> {
         let read = |source| StorageConfigError::Read { path: path.to_owned(), source };
-        self.with_config(&std::fs::read_to_string(path).map_err(read)?, path)
+        self.with_config(&downbeat_msgs::user_file::read_text(path).map_err(read)?, path)
     }
 
     /// The settings of a connection, in the order in which they are applied: those of the config file first,

@@ -130,6 +130,7 @@ impl Player<'_> {
                     self.is_late = false;
                     return wait.min(TIME);
                 }
+                Step::Skipped(_) => {}
                 Step::Paused => return IDLE,
                 Step::Finished | Step::Repeats => {
                     self.is_late = false;

@@ -34,7 +34,7 @@ fn script(script: &PanelScript) -> Option<Cow<'static, [u8]>> {
         PanelScript::Text(Cow::Borrowed(text)) => Some(text.as_bytes().into()),
         PanelScript::Text(Cow::Owned(text)) => Some(text.clone().into_bytes().into()),
         PanelScript::File(path) => {
-            let read = std::fs::read(path);
+            let read = downbeat_msgs::user_file::read(path);
             let read = read.inspect_err(|error| tracing::warn!("the panel {}: {error}", path.display()));
             read.ok().map(Cow::Owned)
         }

@@ -619,6 +619,12 @@ impl Core {
         services.into_iter().flat_map(|services| services.registry.infos())
     }
 
+    /// The service of that name.
+    pub fn service(&self, name: &str) -> Option<&ServiceInfo> {
+        let services = self.mechanisms.get::<Services>(SERVICES)?;
+        services.registry.find(name).map(|service| &service.info)
+    }
+
     fn service_mechanism(&mut self) -> &mut Services {
         match self.mechanisms.get_mut(SERVICES) {
             Some(services) => services,

@@ -30,6 +30,8 @@ type EachStaged = fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any));
 pub(crate) struct ServiceRegistry {
     services: Vec<Service>,
     by_name: HashMap<Arc<str>, usize>,
+    /// No service before it is free.
+    free_from: usize,
 }
 
 pub(crate) struct Service {
@@ -137,8 +139,10 @@ impl ServiceRegistry {
             has_stand_in: false,
             encoder: None,
         };
-        let index = match self.services.iter().position(|service| service.users == 0) {
-            Some(free) => {
+        let candidates = self.services.get(self.free_from..).unwrap_or_default();
+        let index = match candidates.iter().position(|service| service.users == 0) {
+            Some(position) => {
+                let free = self.free_from + position;
                 self.services[free] = service;
                 free
             }
@@ -147,6 +151,7 @@ impl ServiceRegistry {
                 self.services.len() - 1
             }
         };
+        self.free_from = index;
         self.by_name.insert(name, index);
         Ok(index)
     }
@@ -181,6 +186,7 @@ impl ServiceRegistry {
         }
         service.users -= 1;
         if service.users == 0 {
+            self.free_from = self.free_from.min(index);
             self.by_name.remove(&service.info.name);
             service.staged = Box::new(());
             service.has_staged = false;

@@ -447,7 +447,7 @@ fn read_urdf(path: &Path) -> Result<(Robot, String), DescriptionError> {
     if length > LONGEST_FILE {
         return Err(refuse(Problem::TooLong { length, limit: LONGEST_FILE }));
     }
-    let bytes = std::fs::read(path).map_err(unreadable)?;
+    let bytes = downbeat_msgs::user_file::read_within(path, LONGEST_FILE).map_err(unreadable)?;
     // Often a degree sign or a name in a comment, in Latin-1.
     let (text, line) = match String::from_utf8(bytes) {
         Ok(text) => (text, None),

@@ -154,7 +154,7 @@ fn options(setup: &mut Setup<'_, Mqtt>) -> Result<Options, SetupError> {
         (user, _) if user.is_empty() => None,
         (user, file) if file.is_empty() => Some((user, String::new())),
         (user, file) => {
-            let content = std::fs::read_to_string(&file);
+            let content = downbeat_msgs::user_file::read_text(&file);
             let content =
                 content.map_err(|error| setup.refuse_value(password_file, format!("{file}: {error}")))?;
             Some((user, content.lines().next().unwrap_or_default().to_owned()))

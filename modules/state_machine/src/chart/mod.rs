@@ -268,7 +268,7 @@ impl Chart {
         if size > parse::LARGEST_FILE as u64 {
             return Err(unreadable(std::io::Error::other(parse::TOO_LARGE)));
         }
-        Self::parse(path, &std::fs::read_to_string(path).map_err(unreadable)?)
+        Self::parse(path, &downbeat_msgs::user_file::read_text(path).map_err(unreadable)?)
     }
 
     /// The name that the file gives it, or the name of the file.

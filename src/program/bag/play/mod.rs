@@ -77,6 +77,9 @@ pub(crate) struct PlayArguments {
     /// does.
     #[arg(long)]
     pub(crate) no_latched: bool,
+    /// Continue at once where a bag has no messages for more than a minute, instead of waiting.
+    #[arg(long)]
+    pub(crate) skip_gaps: bool,
     /// Send recorded service requests again, instead of publishing the service events.
     #[arg(long)]
     pub(crate) publish_service_requests: bool,
@@ -102,7 +105,7 @@ pub(crate) struct PlayArguments {
     /// of the bag, as fast as possible.
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
           "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
-          "clock_topics_all", "start_paused", "no_latched", "publish_service_requests", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
+          "clock_topics_all", "start_paused", "no_latched", "skip_gaps", "publish_service_requests", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
           "exclude_topic_types", "exclude_services"])]
     pub(crate) into: Option<PathBuf>,
     /// With --into: record what the modules publish into this new rosbag2 directory.

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use super::PlayArguments;
 use super::controls::{Control, Controls, answer};
 use super::target::{Target, targets};
-use crate::bags::{BagMessage, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
+use crate::bags::{BagMessage, Gap, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
 use crate::bridge::limiter::Limiter;
 use crate::bridge::middleware::WriteError;
 use crate::bridge::ros::{MessageType, Node, Publisher};
@@ -18,7 +18,7 @@ use crate::msgs::rosbag2_interfaces::srv::{
     ResumeResponse, SeekResponse, SetRateResponse, StopResponse, TogglePausedResponse,
 };
 use crate::msgs::rosgraph_msgs::msg::Clock;
-use crate::msgs::{Message, cdr};
+use crate::msgs::{Message, cdr, printable};
 use crate::program::bag::select::absolute;
 use crate::program::run::node;
 use crate::program::screen::Screen;
@@ -86,6 +86,7 @@ pub(super) fn play(
         refused: 0,
         refusals: Limiter::default(),
         unreadable: 0,
+        told_gap: None,
         is_over: false,
     };
     stop.sleep(run.delay);
@@ -110,6 +111,7 @@ fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {
         repeats: arguments.repeats,
         starts_paused: arguments.start_paused,
         plays_latched: !arguments.no_latched,
+        skips_gaps: arguments.skip_gaps,
         read_ahead: arguments.read_ahead_queue_size as usize,
     })
 }
@@ -205,7 +207,25 @@ struct Run<'a> {
     refused: u64,
     refusals: Limiter,
     unreadable: usize,
+    /// The gap that was reported last.
+    told_gap: Option<Gap>,
     is_over: bool,
+}
+
+/// The two largest units of a duration: `20 years 3 days`, `1 min 5 s`.
+fn humanly(duration: Duration) -> String {
+    const UNITS: [(&str, u64); 5] =
+        [("years", 365 * 86_400), ("days", 86_400), ("h", 3600), ("min", 60), ("s", 1)];
+    let mut left = duration.as_secs();
+    let mut parts = Vec::new();
+    for (unit, seconds) in UNITS {
+        if left >= seconds {
+            parts.push(format!("{} {unit}", left / seconds));
+            left %= seconds;
+        }
+    }
+    parts.truncate(2);
+    if parts.is_empty() { "less than 1 s".to_owned() } else { parts.join(" ") }
 }
 
 impl Run<'_> {
@@ -226,7 +246,14 @@ impl Run<'_> {
                     let _ = self.publish(message);
                     Duration::ZERO
                 }
-                Step::Wait(wait) => wait,
+                Step::Wait(wait) => {
+                    self.tell_gap(wait);
+                    wait
+                }
+                Step::Skipped(gap) => {
+                    tracing::info!("skipped {}", self.describe(&gap));
+                    Duration::ZERO
+                }
                 Step::Paused => POLL,
                 Step::Failed(error) => {
                     tracing::warn!("{error}");
@@ -245,6 +272,31 @@ impl Run<'_> {
                 self.obey(control, stop);
             }
         }
+    }
+
+    /// Reports a gap once: waiting in silence looks like a fault.
+    fn tell_gap(&mut self, wait: Duration) {
+        let gap = self.player.gap();
+        if let Some(gap) = gap.filter(|_| gap != self.told_gap) {
+            tracing::warn!(
+                "waiting {} for the end of {}; --skip-gaps continues at once",
+                humanly(wait),
+                self.describe(&gap)
+            );
+        }
+        self.told_gap = gap;
+    }
+
+    fn describe(&self, gap: &Gap) -> String {
+        let seconds = |time: i64| time as f64 / 1e9;
+        let topic = self.player.topics().get(gap.topic.index()).map_or("", |topic| &*topic.info.name);
+        format!(
+            "a gap of {} from {:.3} to {:.3}, where the next message is of {}",
+            humanly(gap.length()),
+            seconds(gap.from),
+            seconds(gap.until),
+            printable(topic)
+        )
     }
 
     /// Returns false if it could not be published.

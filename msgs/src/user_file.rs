@@ -1,0 +1,140 @@
+//! Reads files that a user names: robot files, descriptions, charts, parameters and the like.
+//!
+//! A pipe, a device or a socket in the place of a file would block the program or fill its memory, and so would a file
+//! of many gigabytes. They are refused by kind and size before anything is read.
+
+use std::fs::{File, Metadata};
+use std::io::{self, Read};
+use std::path::Path;
+
+/// The largest file that is read as a whole, in bytes.
+pub const LARGEST: u64 = 64 * 1024 * 1024;
+
+/// Opens a regular file, or a link to one.
+///
+/// # Errors
+/// Returns an error if it is something else, or cannot be opened.
+pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
+    let path = path.as_ref();
+    // Before opening: opening a pipe waits for its writer.
+    require_regular(&path.metadata()?)?;
+    let file = File::open(path)?;
+    // It may have been replaced.
+    require_regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// Reads a regular file of at most [`LARGEST`] bytes.
+///
+/// # Errors
+/// Returns an error if it is not a regular file, is larger, or cannot be read.
+pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
+    read_within(path, LARGEST)
+}
+
+/// Reads a regular file of at most `most` bytes.
+///
+/// # Errors
+/// Returns an error if it is not a regular file, is larger, or cannot be read.
+pub fn read_within(path: impl AsRef<Path>, most: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let too_large = |length: u64| {
+        io::Error::new(io::ErrorKind::FileTooLarge, format!("it has {length} bytes; at most {most} are read"))
+    };
+    let length = file.metadata()?.len();
+    if length > most {
+        return Err(too_large(length));
+    }
+    let mut bytes = Vec::new();
+    // Files of /proc say that they are empty, and others grow.
+    file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(too_large(bytes.len() as u64));
+    }
+    Ok(bytes)
+}
+
+/// Reads a regular file of at most [`LARGEST`] bytes as UTF-8.
+///
+/// # Errors
+/// Returns an error if it is not a regular file, is larger, is not UTF-8, or cannot be read.
+pub fn read_text(path: impl AsRef<Path>) -> io::Result<String> {
+    String::from_utf8(read(path)?).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        let line = error.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
+        io::Error::new(io::ErrorKind::InvalidData, format!("it is not UTF-8 text, from line {line} on"))
+    })
+}
+
+fn require_regular(metadata: &Metadata) -> io::Result<()> {
+    if metadata.is_file() {
+        return Ok(());
+    }
+    let kind = if metadata.is_dir() { io::ErrorKind::IsADirectory } else { io::ErrorKind::InvalidInput };
+    Err(io::Error::new(kind, format!("it is {}, and only regular files are read", name_of(metadata))))
+}
+
+#[cfg(unix)]
+fn name_of(metadata: &Metadata) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    let kind = metadata.file_type();
+    if kind.is_dir() {
+        "a directory"
+    } else if kind.is_fifo() {
+        "a pipe"
+    } else if kind.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    }
+}
+
+#[cfg(not(unix))]
+fn name_of(metadata: &Metadata) -> &'static str {
+    if metadata.is_dir() { "a directory" } else { "something else" }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn only_regular_files_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let fifo = folder.path().join("fifo");
+        assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+        let socket = folder.path().join("socket");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        let found = [
+            (fifo.as_path(), "a pipe"),
+            (&socket, "a socket"),
+            (&link, "a device"),
+            (Path::new("/dev/zero"), "a device"),
+            (Path::new("/dev/random"), "a device"),
+            (folder.path(), "a directory"),
+        ];
+        for (path, kind) in found {
+            let error = read_text(path).unwrap_err().to_string();
+            assert_eq!(error, format!("it is {kind}, and only regular files are read"), "{}", path.display());
+        }
+    }
+
+    #[test]
+    fn the_size_and_the_text_are_checked() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        File::create(&path).unwrap().set_len(1 << 40).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("it has 1099511627776 bytes"));
+        std::fs::write(&path, b"one\ntwo\xff").unwrap();
+        assert!(read_text(&path).unwrap_err().to_string().contains("not UTF-8 text, from line 2 on"));
+        std::fs::write(&path, "grün").unwrap();
+        assert_eq!(read_text(&path).unwrap(), "grün");
+        assert_eq!(read_within(&path, 5).unwrap(), "grün".as_bytes());
+        assert!(read_within(&path, 4).is_err());
+    }
+}
