@@ -250,3 +250,41 @@ fn names_in_a_bag_do_not_reach_the_terminal_as_control_characters() {
         assert!(!printed.lines().any(|line| line.starts_with("Topic: /forged")), "{printed}");
     }
 }
+
+#[test]
+fn a_flipped_bit_in_a_recording_costs_at_most_a_message_and_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "darwin_op_walk_simulated";
+    let whole = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("bags/recordings")
+        .join(name)
+        .join(format!("{name}_0.mcap"));
+    let (expected, bytes) = (count(&whole), std::fs::read(&whole).unwrap());
+    let damaged = folder.path().join("run_0.mcap");
+    let mut altered = bytes.clone();
+    altered[bytes.len() / 2] ^= 4;
+    std::fs::write(&damaged, &altered).unwrap();
+    let repaired = folder.path().join("repaired");
+    let printed = text_of(&["bag", "repair", text(&damaged), "--output", text(&repaired)]);
+    assert!(printed.contains("messages are read"), "{printed}");
+    assert!(count(&repaired) >= expected - 1, "{} of {expected}", count(&repaired));
+    assert!(text_of(&["bag", "check", text(&repaired)]).contains("found 0 problems"));
+    // All others process it too, and say so.
+    let converted = folder.path().join("converted");
+    let output = output_of(&["bag", "convert", text(&damaged), "--output", text(&converted)]);
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(count(&converted), count(&repaired));
+}
+
+#[test]
+fn a_bag_of_which_nothing_can_be_read_is_not_repaired() {
+    let folder = tempfile::tempdir().unwrap();
+    let damaged = folder.path().join("run_0.mcap");
+    let mut bytes = std::fs::read(real().join("jazzy_mcap_0.mcap")).unwrap();
+    bytes[8..].fill(0xff);
+    std::fs::write(&damaged, bytes).unwrap();
+    let output = output_of(&["bag", "repair", text(&damaged)]);
+    assert_eq!(output.status.code(), Some(1));
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("no message of") && error.contains("can be read"), "{error}");
+}

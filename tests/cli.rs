@@ -5,7 +5,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{Running, output_of, python, record_until, robot_file, text_of, wait_until};
+use common::{Running, downbeat, output_of, python, record_until, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::BusExchange;
@@ -276,4 +276,52 @@ fn has_joint_states_of_a_second_opening(bag: &Path) -> bool {
         openings += usize::from(is_opening);
     }
     has_states
+}
+
+#[cfg(unix)]
+#[test]
+fn a_pipe_or_a_device_in_place_of_a_file_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("fifo.toml");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let robot = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/darwin_op.toml");
+    let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/tests/data/jazzy_mcap");
+    let huge = folder.path().join("huge.toml");
+    std::fs::File::create(&huge).unwrap().set_len(1 << 40).unwrap();
+    let files = [
+        (fifo.to_str().unwrap(), "only regular files are read"),
+        ("/dev/zero", "only regular files are read"),
+        ("/dev/random", "only regular files are read"),
+        (huge.to_str().unwrap(), "at most 67108864 are read"),
+    ];
+    for (file, expected) in files {
+        let commands: [&[&str]; 5] = [
+            &["check", file],
+            &["run", file],
+            &["check", robot, "--ros-args", "--params-file", file],
+            &["bag", "record", "--all", "--qos-profile-overrides-path", file, "--output", "never"],
+            &["bag", "play", bag, "--qos-profile-overrides-path", file],
+        ];
+        for command in commands {
+            let output = output_of(command);
+            let error = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(1), "{command:?}: {error}");
+            assert!(error.contains(expected), "{command:?}: {error}");
+        }
+    }
+    assert_eq!(output_of(&["bag", "info", fifo.to_str().unwrap()]).status.code(), Some(1));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_bag_with_a_name_that_is_not_utf_8_is_refused_before_recording() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = tempfile::tempdir().unwrap();
+    let name = folder.path().join(std::ffi::OsStr::from_bytes(b"run_\xff"));
+    let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/tests/data/jazzy_mcap");
+    let output = downbeat(&["bag", "convert", bag, "--output"]).arg(&name).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("is not UTF-8"), "{error}");
+    assert!(!name.exists());
 }

@@ -1,8 +1,9 @@
 //! Checks the integrity of a bag.
 
+use std::collections::HashMap;
 use std::fmt;
 
-use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+use downbeat_msgs::dynamic::DynamicType;
 use downbeat_msgs::printable;
 
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, Truncation};
@@ -103,6 +104,8 @@ pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, Re
 pub(crate) struct Decoding {
     /// By topic.
     types: Vec<Option<DynamicType>>,
+    /// By type, encoding and definition, which many topics may share.
+    known: HashMap<(String, String, Vec<u8>), Result<DynamicType, String>>,
     /// The number of messages that cannot be decoded, and the problem with the first one.
     refused: Vec<(u64, String)>,
 }
@@ -110,7 +113,8 @@ pub(crate) struct Decoding {
 impl Decoding {
     /// Adds a topic, and problems of its definition.
     pub(crate) fn add(&mut self, topic: &RecordedTopic, problems: &mut Vec<Problem>) {
-        self.types.push(Self::definition(topic, problems));
+        let of = self.definition(topic, problems);
+        self.types.push(of);
         self.refused.push((0, String::new()));
     }
 
@@ -118,8 +122,8 @@ impl Decoding {
     pub(crate) fn decodes(&mut self, message: &BagMessage) -> bool {
         let topic = message.topic.index();
         let Some(Some(of)) = self.types.get(topic) else { return false };
-        match DynamicMessage::from_cdr(of, &message.data) {
-            Ok(_) => true,
+        match of.validate_cdr(&message.data) {
+            Ok(()) => true,
             Err(error) => {
                 let (count, first) = &mut self.refused[topic];
                 if *count == 0 {
@@ -142,7 +146,7 @@ impl Decoding {
     }
 
     /// The type of a topic's messages, if they are CDR and the bag has its definition.
-    fn definition(topic: &RecordedTopic, problems: &mut Vec<Problem>) -> Option<DynamicType> {
+    fn definition(&mut self, topic: &RecordedTopic, problems: &mut Vec<Problem>) -> Option<DynamicType> {
         let info = &topic.info;
         let schema = info.schema();
         if info.message_encoding() != "cdr" {
@@ -156,11 +160,15 @@ impl Decoding {
             }
             return None;
         }
-        let text = String::from_utf8_lossy(&schema.data);
-        match DynamicType::from_definition_text(&info.type_name, &schema.encoding, &text) {
-            Ok(of) => Some(of),
-            Err(error) => {
-                let (topic, found) = (info.name.clone(), error.to_string());
+        let known = self.known.entry((info.type_name.clone(), schema.encoding, schema.data));
+        let of = known.or_insert_with_key(|(name, encoding, data)| {
+            let text = String::from_utf8_lossy(data);
+            DynamicType::from_definition_text(name, encoding, &text).map_err(|error| error.to_string())
+        });
+        match of {
+            Ok(of) => Some(of.clone()),
+            Err(found) => {
+                let (topic, found) = (info.name.clone(), found.clone());
                 problems.push(Problem::Definition { topic, found });
                 None
             }

@@ -43,7 +43,10 @@ pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
 /// The lengths in the frames are not trusted: memory grows with the decompressed data, and exceeds `limit` by at
 /// most a block (128 KiB) and a window.
 pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Option<String>) {
-    let mut content = Vec::new();
+    /// Most content is not larger than this, so that its memory does not have to grow.
+    const USUAL_RATIO: usize = 16;
+    let usual = compressed.len().saturating_mul(USUAL_RATIO);
+    let mut content = Vec::with_capacity(usize::try_from(limit).unwrap_or(usize::MAX).min(usual));
     let mut rest = compressed;
     let too_many = || format!("it decompresses to more than {limit} bytes");
     let Err(problem) = unpack(&mut rest, &mut content, limit, too_many) else { return (content, None) };

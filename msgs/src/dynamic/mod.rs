@@ -31,6 +31,7 @@ mod layout;
 mod lookup;
 mod message;
 mod text;
+mod validate;
 mod value;
 mod view;
 mod wire;

@@ -27,6 +27,7 @@ pub(crate) struct InfoArguments {
 /// Prints the contents of a bag, and losses on standard error.
 pub(crate) fn info(arguments: &InfoArguments) -> anyhow::Result<()> {
     let reader = Reader::open(&arguments.bag)?;
+    super::warn_of_oddities(&reader);
     let mut info = BagInfo::of(&reader)?;
     if arguments.verbose {
         let mut progress = Progress::new("reading", reader.message_count());
