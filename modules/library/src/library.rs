@@ -2,6 +2,7 @@
 
 use downbeat_library_abi::{ABI_VERSION, ModuleFunction, ModuleV1, SYMBOL};
 use downbeat_msgs::user_file;
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
