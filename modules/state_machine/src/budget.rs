@@ -34,7 +34,7 @@ impl Budget {
 
     /// Whether no time is left. Looks at the clock after some operations only, of which there were `count`.
     pub(crate) fn is_over_after(&self, count: u64) -> bool {
-        count % INTERVAL == 0 && self.is_over()
+        count.is_multiple_of(INTERVAL) && self.is_over()
     }
 
     /// Whether no time is left.
