@@ -55,7 +55,8 @@ impl Listener {
         };
         let [_, _, unique @ ..] = Self::PREFIX.0;
         let now = Now { steady: Instant::now(), wall_ns: 1_795_000_000_000_000_000 };
-        let participant = Participant::new(Config::new(unique, 0, addresses), now);
+        let config = Config { secret: 0, ..Config::new(unique, 0, addresses) };
+        let participant = Participant::new(config, now);
         let mut listener = Self { participant, now, datagram: Vec::new(), samples: 0 };
         let writers = TOPICS.map(|(topic, type_name, durability)| {
             let history = History::KeepLast(5);

@@ -37,6 +37,9 @@ pub enum EndpointEvent {
     LivelinessLost,
     /// The liveliness of a matched writer changed.
     LivelinessChanged { peer: Guid, change: LivelinessChange },
+    /// A matched reader knows no samples of this writer any more: its participant had lost this one and has
+    /// found it again.
+    BegunAnew { peer: Guid },
     /// `count` samples of a writer will never arrive.
     Lost { peer: Guid, count: u64 },
 }
@@ -179,6 +182,7 @@ impl Listeners {
             }
             EndpointEvent::DeadlineMissed { .. }
             | EndpointEvent::LivelinessLost
+            | EndpointEvent::BegunAnew { .. }
             | EndpointEvent::Lost { .. } => false,
         }
     }

@@ -201,8 +201,11 @@ impl Engine {
 
     /// Sends everything that is ready to be sent. Called by the thread of the participant.
     pub(super) fn transmit_all(&self) {
-        let protocol = self.lock();
-        if let Ok(outgoing) = self.outgoing.try_lock() {
+        let mut protocol = self.lock();
+        if let Ok(mut outgoing) = self.outgoing.try_lock() {
+            for refused in outgoing.senders.take_refusals() {
+                protocol.participant.handle_refusal(now(), refused);
+            }
             self.transmit(protocol, outgoing, usize::MAX);
         }
     }
@@ -228,6 +231,9 @@ impl Engine {
             drop(protocol);
             let sent = outgoing.send(destination);
             protocol = self.lock();
+            for refused in outgoing.senders.take_refusals() {
+                protocol.participant.handle_refusal(now(), refused);
+            }
             if sent == Sent::Full {
                 outgoing.waiting = Some(destination);
                 result = Transmitted::Blocked;
@@ -272,6 +278,13 @@ impl Engine {
         let look = is_active.then(|| now + LOOK);
         protocol.looks_at = [protocol.participant.next_timeout(), latest, look].into_iter().flatten().min();
         protocol.looks_at.map(|at| at.saturating_duration_since(now))
+    }
+
+    /// Notes which ports answered that they are closed. Called when the sending socket reports an error.
+    pub(super) fn read_refusals(&self) {
+        if let Ok(mut outgoing) = self.outgoing.try_lock() {
+            outgoing.senders.read_refusals();
+        }
     }
 
     /// Runs the timers that are due.
@@ -325,6 +338,9 @@ impl Engine {
             }
             Event::Lost { reader, writer, count } => {
                 deliver(reader, EndpointEvent::Lost { peer: writer, count })
+            }
+            Event::BegunAnew { writer, reader } => {
+                deliver(writer, EndpointEvent::BegunAnew { peer: reader });
             }
             Event::Acknowledged { .. } => self.acknowledged.notify_all(),
             Event::EndpointLeft { remote } => {

@@ -21,6 +21,8 @@ const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 const BUFFER: usize = 4 << 20;
 /// Number of datagrams per system call.
 const BATCH: usize = 16;
+/// The most answers of closed ports that are read at once.
+const MOST_REFUSALS: usize = 64;
 /// Larger than any UDP datagram; also the most that the kernel coalesces.
 const LARGEST: usize = 65_536;
 
@@ -218,6 +220,8 @@ impl Receiver {
 /// The sending sockets of a participant.
 pub(super) struct Senders {
     unicast: UdpSocket,
+    /// Addresses whose hosts answered that no socket receives there.
+    refusals: Vec<SocketAddrV4>,
     multicast: Vec<(Interface, UdpSocket)>,
     address: Ipv4Addr,
     log: LogLimit,
@@ -237,7 +241,11 @@ impl Senders {
         let address = address(range);
         let mut unicast = sender(address)?;
         registry.register(&mut unicast, token, Interest::WRITABLE)?;
-        Ok(Self { unicast, multicast: Vec::new(), address, log: LogLimit::default() })
+        // Without it, Linux does not report closed ports to sockets that send to many addresses. Elsewhere they
+        // are not reported.
+        UdpSocketState::new((&unicast).into())?.enable_transport_errors((&unicast).into())?;
+        let refusals = Vec::new();
+        Ok(Self { unicast, refusals, multicast: Vec::new(), address, log: LogLimit::default() })
     }
 
     /// Sets the interfaces on which datagrams to groups are sent.
@@ -261,8 +269,38 @@ impl Senders {
 
     /// Sends a datagram to one address.
     pub(super) fn send(&mut self, to: SocketAddrV4, datagram: &[u8]) -> Sent {
-        let sent = send(&self.unicast, to, datagram);
+        let mut sent = send(&self.unicast, to, datagram);
+        for _ in 0..MOST_REFUSALS {
+            // The error of an earlier datagram, possibly to another address.
+            let Err(error) = &sent else { break };
+            if error.kind() != io::ErrorKind::ConnectionRefused {
+                break;
+            }
+            self.read_refusals();
+            sent = send(&self.unicast, to, datagram);
+        }
         self.outcome(to, sent)
+    }
+
+    /// Reads the addresses of earlier datagrams whose hosts answered that no socket receives there.
+    pub(super) fn read_refusals(&mut self) {
+        #[cfg(any(target_os = "linux", target_os = "android"))]
+        for _ in 0..MOST_REFUSALS {
+            const ERROR_QUEUE: i32 = 0x2000; // MSG_ERRQUEUE of socket.h
+            let mut to = SockAddr::from(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0));
+            let mut message = socket2::MsgHdrMut::new().with_addr(&mut to);
+            if SockRef::from(&self.unicast).recvmsg(&mut message, ERROR_QUEUE).is_err() {
+                break;
+            }
+            if let Some(to) = to.as_socket_ipv4().filter(|to| !self.refusals.contains(to)) {
+                self.refusals.push(to);
+            }
+        }
+    }
+
+    /// Takes the addresses whose hosts answered that no socket receives there.
+    pub(super) fn take_refusals(&mut self) -> Vec<SocketAddrV4> {
+        std::mem::take(&mut self.refusals)
     }
 
     /// Sends a datagram to a group, on every interface. Announcements are repeated, so one that does not fit

@@ -4,7 +4,7 @@
 use super::engine::{Engine, now};
 use super::interfaces::Interfaces;
 use super::sockets::{Buffers, Ports, Receivers};
-use super::{Range, TOKENS};
+use super::{Range, SENDER, TOKENS};
 use crate::protocol::Event;
 use mio::{Events, Poll, Token};
 use std::io;
@@ -82,6 +82,9 @@ impl Thread {
             if let Some(is_ready) = turn.may_hold_more.get_mut(event.token().0) {
                 *is_ready = true;
             }
+        }
+        if turn.ready.iter().any(|event| event.token() == SENDER && event.is_error()) {
+            self.engine.read_refusals();
         }
         for token in 0..TOKENS {
             if turn.may_hold_more[token] {

@@ -1,5 +1,6 @@
 //! Configuration of a participant and its endpoints.
 
+use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -26,6 +27,9 @@ pub struct Config {
     /// Time between two announcements, except for the first few.
     pub announcement_period: Duration,
     pub addresses: Addresses,
+    /// Unpredictable for others. The sequence numbers follow from it by which participants prove that they
+    /// receive at their addresses.
+    pub secret: u64,
     /// Size of a fragment to other hosts in bytes. On this host fragments have at least 32 kB.
     pub fragment_size: u16,
     /// Size of the socket's receive buffer in bytes. Announced to participants of this engine, which adapt
@@ -48,6 +52,7 @@ impl Config {
             lease: Duration::from_secs(20),
             announcement_period: Duration::from_secs(3),
             addresses,
+            secret: RandomState::new().hash_one(unique),
             fragment_size: 1264,
             receive_buffer: None,
             limits: Limits::default(),

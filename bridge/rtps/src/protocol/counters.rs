@@ -84,46 +84,6 @@ impl Warnings {
     }
 }
 
-/// Bytes from and to a peer whose address has not been validated yet.
-///
-/// Anyone can announce a participant with the address of a third party. Until an answer arrives from that
-/// address, at most three times the received bytes are sent (as in RFC 9000, section 8.1).
-#[derive(Debug, Default)]
-pub(crate) struct Account {
-    received: u64,
-    sent: u64,
-    is_known: bool,
-}
-
-impl Account {
-    const FACTOR: u64 = 3;
-
-    pub(crate) fn received(&mut self, bytes: usize) {
-        self.received = self.received.saturating_add(bytes as u64);
-    }
-
-    pub(crate) fn sent(&mut self, bytes: usize) {
-        self.sent = self.sent.saturating_add(bytes as u64);
-    }
-
-    pub(crate) fn answered(&mut self) {
-        self.is_known = true;
-    }
-
-    pub(crate) fn is_known(&self) -> bool {
-        self.is_known
-    }
-
-    /// Bytes that may be sent now.
-    pub(crate) fn allowance(&self) -> usize {
-        if self.is_known {
-            return usize::MAX;
-        }
-        let allowed = self.received.saturating_mul(Self::FACTOR).saturating_sub(self.sent);
-        usize::try_from(allowed).unwrap_or(usize::MAX)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -63,7 +63,9 @@ impl Participant {
     fn dispatch(&mut self, now: Now, origin: Origin, header: Header, submessages: Submessages<'_>) {
         if let Some(peer) = self.peers.get_mut(header.prefix) {
             peer.account.received(origin.length);
-            if !peer.withheld.is_empty() {
+            if peer.is_closed {
+                self.reopen(header.prefix);
+            } else if !peer.withheld.is_empty() {
                 self.release_withheld(header.prefix);
             }
         }
@@ -101,7 +103,7 @@ impl Participant {
             return self.hear_of_participant(now, context.source, origin.address, origin.length, data);
         }
         if is_addressed {
-            self.note_answer(context.source, *origin.address.ip());
+            self.note_answer(now, context.source, *origin.address.ip());
         }
         let from = |entity| Guid::new(context.source, entity);
         match submessage {
@@ -144,15 +146,17 @@ impl Participant {
             }
             Submessage::AckNack(ack_nack) => {
                 let reader = from(ack_nack.reader);
+                let ack_nack = self.translate_ack_nack(now, context.source, ack_nack);
                 self.with_writer(now, ack_nack.writer, |writer, links| {
-                    writer.handle_ack_nack(now, reader, ack_nack, links);
+                    writer.handle_ack_nack(now, reader, &ack_nack, links);
                 });
                 self.note_acquaintance(ack_nack.writer, reader);
             }
             Submessage::NackFragment(nack) => {
                 let reader = from(nack.reader);
+                let nack = self.translate_nack_fragment(context.source, nack);
                 self.with_writer(now, nack.writer, |writer, links| {
-                    writer.handle_nack_fragment(now, reader, nack, links);
+                    writer.handle_nack_fragment(now, reader, &nack, links);
                 });
             }
             Submessage::InfoTimestamp(_)
@@ -179,23 +183,6 @@ impl Participant {
         }
         if !is_heard {
             self.counters.unmatched += 1;
-        }
-    }
-
-    /// Handles a message that is addressed to this participant. If it comes from the announced address, that
-    /// address is validated.
-    fn note_answer(&mut self, source: GuidPrefix, from: Ipv4Addr) {
-        let Some(peer) = self.peers.get_mut(source) else { return };
-        if peer.account.is_known() {
-            return;
-        }
-        let addresses = &self.config.addresses;
-        let mut announced = peer.data.metatraffic_unicast.iter().chain(&peer.data.default_unicast);
-        let is_there =
-            announced.any(|address| *address.ip() == from) || addresses.is_own_host(from) && peer.is_own_host;
-        if is_there {
-            peer.account.answered();
-            self.release_withheld(source);
         }
     }
 
@@ -252,6 +239,7 @@ impl Participant {
             WriterEvent::DeadlineMissed { count } => Event::DeadlineMissed { local: writer, count },
             WriterEvent::LivelinessLost => Event::LivelinessLost { writer },
             WriterEvent::Acknowledged => Event::Acknowledged { writer },
+            WriterEvent::BegunAnew { reader } => Event::BegunAnew { writer, reader },
         });
     }
 }

@@ -70,6 +70,12 @@ pub enum Event {
     Acknowledged {
         writer: EntityId,
     },
+    /// A matched reader knows no samples of a writer any more: its participant had given this one up, for
+    /// example because it was suspended for longer than its lease, and has found it again.
+    BegunAnew {
+        writer: EntityId,
+        reader: Guid,
+    },
     /// There is room again after a write was refused because the window was full.
     WindowOpen {
         writer: EntityId,
@@ -135,6 +141,8 @@ pub enum Departure {
     Disposed,
     /// No message arrived from it within its lease.
     LeaseRanOut,
+    /// It never answered, and its host has no open port at its address.
+    Unreachable,
     /// It never answered, and the room was needed for others.
     Crowded,
     /// The guard no longer admits it.

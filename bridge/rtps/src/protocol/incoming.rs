@@ -13,6 +13,7 @@ use crate::wire::{
 use super::Now;
 
 use super::assembly::Assembly;
+use super::belief::Belief;
 use super::count::LastCount;
 use super::intervals::Intervals;
 use super::links::LinkId;
@@ -55,6 +56,12 @@ pub(super) struct Incoming {
     pub matched: MatchedWriter,
     /// The next sample to be delivered. All samples before it have been delivered or given up.
     next: SequenceNumber,
+    /// The number after the last delivered sample. The numbers from here to `next` were given up on the word of
+    /// a HEARTBEAT or GAP, which may be forged.
+    floor: SequenceNumber,
+    /// `floor` before the writer claimed to be far ahead.
+    before_jump: Option<SequenceNumber>,
+    belief: Belief,
     /// Whether the writer has sent a sample or knows this reader. Before that no samples count as lost.
     is_known: bool,
     /// Numbers above `next` that were received or will not arrive.
@@ -106,6 +113,9 @@ impl Incoming {
         Self {
             matched,
             next: SequenceNumber::FIRST,
+            floor: SequenceNumber::FIRST,
+            before_jump: None,
+            belief: Belief::default(),
             is_known: false,
             settled: Intervals::default(),
             waiting: BTreeMap::new(),
@@ -126,17 +136,39 @@ impl Incoming {
         }
     }
 
-    /// Returns whether the sample `number` is neither delivered nor received nor given up.
-    pub fn is_wanted(&self, number: SequenceNumber) -> bool {
-        let is_near = !self.matched.is_reliable || number.0 - self.next.0 < MAX_AHEAD;
-        number >= self.next && is_near && !self.settled.contains(number.0)
+    /// Returns whether the sample `number` is neither delivered nor received nor given up. Asks a reliable
+    /// writer for a heartbeat if it was given up. Updates what is believed about the numbers of a best-effort
+    /// writer, which sends no heartbeats.
+    pub fn wants(&mut self, number: SequenceNumber, now: Instant) -> bool {
+        if self.matched.is_reliable {
+            if (self.floor..self.next).contains(&number) && self.question.is_none() {
+                self.question = Some((now + FIRST_QUESTION, FIRST_QUESTION));
+            }
+            return self.is_wanted(number);
+        }
+        if number >= self.floor {
+            self.belief.trust();
+            return self.belief.believes(number.0, now) && !self.settled.contains(number.0);
+        }
+        let is_wrong = self.belief.doubt_order(number.0, now);
+        if is_wrong {
+            self.go_back(number, number, now);
+        }
+        is_wrong
+    }
+
+    fn is_wanted(&self, number: SequenceNumber) -> bool {
+        number >= self.next && number.0 - self.next.0 < MAX_AHEAD && !self.settled.contains(number.0)
     }
 
     /// Takes a wanted sample. If it has to wait and is larger than `room`, it is dropped and will be
     /// requested again.
     pub fn take_sample(&mut self, now: Now, sample: Sample, room: usize, out: &mut Vec<Received>) {
         let number = sample.number;
-        if !self.matched.is_reliable {
+        if !self.matched.is_reliable && number < self.next {
+            // Given up on the word of a GAP.
+            self.deliver(now, sample, out);
+        } else if !self.matched.is_reliable {
             self.lose_before(number, out);
             self.deliver(now, sample, out);
             self.advance(now, number.next(), out);
@@ -194,10 +226,19 @@ impl Incoming {
         out.push(Received::Lost { writer: self.matched.guid, count: 1 });
         self.settle(number.0..number.0 + 1);
         self.advance(now, self.next, out);
+        if number < self.next {
+            // It did arrive.
+            self.floor = self.floor.max(number.next());
+        }
     }
 
-    /// Handles samples that will not arrive because they are not for this reader.
+    /// Handles samples that will not arrive because they are not for this reader. A GAP beyond what the writer
+    /// can have written is ignored; the writer repeats a true one, because what it covers stays missing.
     pub fn take_gap(&mut self, now: Now, gap: &Gap, out: &mut Vec<Received>) {
+        let end = gap.list.iter().last().map_or(gap.list.base(), SequenceNumber::next);
+        if end.0 > self.belief.horizon(now.steady) {
+            return;
+        }
         self.settle(gap.start.0..gap.list.base().0);
         for number in gap.list.iter() {
             self.settle(number.0..number.0 + 1);
@@ -209,6 +250,23 @@ impl Incoming {
     pub fn take_heartbeat(&mut self, now: Now, heartbeat: &Heartbeat, out: &mut Vec<Received>) -> bool {
         if !self.matched.is_reliable || !self.last_heartbeat.accept(heartbeat.count, now.steady) {
             return false;
+        }
+        let is_far = heartbeat.last.0 > self.belief.horizon(now.steady);
+        if !self.belief.believes(heartbeat.last.0, now.steady) {
+            self.ask_now(now.steady);
+            return true;
+        }
+        if is_far {
+            self.before_jump.get_or_insert(self.floor);
+        }
+        if heartbeat.last.next() >= self.next {
+            self.belief.trust();
+        } else if self.belief.doubt(now.steady) {
+            let floor = self.before_jump.take().unwrap_or(self.floor);
+            self.go_back(floor.min(heartbeat.last.next()), heartbeat.last, now.steady);
+        } else {
+            self.ask_now(now.steady);
+            return true;
         }
         self.question = None;
         self.last = heartbeat.last;
@@ -223,6 +281,35 @@ impl Incoming {
             self.answer = Answer::Acknowledgement;
         }
         is_due
+    }
+
+    /// Asks the writer for a heartbeat, and again until it has answered.
+    fn ask_now(&mut self, now: Instant) {
+        if self.answer == Answer::None {
+            self.answer = Answer::Question;
+        }
+        if self.question.is_none() {
+            self.question = Some((now + FIRST_QUESTION, FIRST_QUESTION));
+        }
+    }
+
+    /// Requests all samples of the writer again, as a new reader does. The counts of messages continue, because
+    /// Fast DDS ignores lower ones.
+    pub fn start_over(&mut self, now: Instant) {
+        self.go_back(SequenceNumber::FIRST, self.last, now);
+        self.answer = Answer::Question;
+        self.question = Some((now + FIRST_QUESTION, FIRST_QUESTION));
+    }
+
+    /// Expects `next` again, after it turned out that the writer has only reached `last`.
+    fn go_back(&mut self, next: SequenceNumber, last: SequenceNumber, now: Instant) {
+        self.belief.go_back(last.0, now);
+        (self.next, self.floor) = (next, next);
+        self.settled.clear();
+        self.waiting.clear();
+        self.assemblies.clear();
+        self.size = 0;
+        self.asked = None;
     }
 
     /// Handles a heartbeat of fragments. Returns whether there is something to send.
@@ -293,7 +380,11 @@ impl Incoming {
         // Fast DDS answers a request for a heartbeat immediately only if its base is 0, and otherwise within
         // its heartbeat period of 3 s (`StatefulWriter::process_acknack`); other engines reject that base.
         let asks_from_zero = self.answer == Answer::Question && self.matched.vendor == VendorId::FAST_DDS;
-        let base = if asks_from_zero { SequenceNumber::ZERO } else { self.next };
+        let base = match self.answer {
+            _ if asks_from_zero => SequenceNumber::ZERO,
+            Answer::Question => self.floor,
+            _ => self.next,
+        };
         let mut missing = SequenceNumberSet::new(base);
         let mut partial = Vec::new();
         if self.answer == Answer::None {
@@ -420,6 +511,7 @@ impl Incoming {
 
     fn deliver(&mut self, now: Now, sample: Sample, out: &mut Vec<Received>) {
         self.is_known = true;
+        self.floor = sample.number.next();
         let is_expired = self.matched.lifespan.zip(sample.source_timestamp).is_some_and(|(span, stamp)| {
             let age = now.wall_ns.saturating_sub(stamp.to_nanos());
             u128::try_from(age).is_ok_and(|age| age > span.as_nanos())

@@ -131,6 +131,7 @@ impl Lane {
             gap_from: None,
             heartbeat: matched.is_reliable,
             has_answered: false,
+            has_acknowledged: false,
             last_ack_nack: LastCount::default(),
             last_nack_fragment: LastCount::default(),
         };
@@ -139,6 +140,7 @@ impl Lane {
                 reader.start = moved.start;
                 reader.acknowledged = moved.acknowledged.min(self.next);
                 reader.has_answered = moved.has_answered;
+                reader.has_acknowledged = moved.has_acknowledged;
                 reader.repair = moved.repair;
             }
             None => {
@@ -190,6 +192,21 @@ impl Lane {
         self.heartbeat = HeartbeatWish::Liveliness;
     }
 
+    /// Sends a heartbeat soon if a reader lacks samples.
+    pub fn resume(&mut self, now: Instant, history: &History) {
+        if self.is_behind(history) {
+            self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
+            self.heartbeat_period = HEARTBEAT_PERIOD;
+            self.heartbeat_at = Some(now + HEARTBEAT_PERIOD);
+        }
+    }
+
+    /// Sends a heartbeat to the reader at `index`, which it answers.
+    pub fn ask(&mut self, index: usize, sending: &Sending<'_>, links: &mut Links) {
+        self.readers[index].heartbeat = true;
+        links.request(self.link, sending.writer);
+    }
+
     /// Sends a heartbeat if one is due and a reader has not acknowledged all samples.
     pub fn handle_timeout(&mut self, sending: &Sending<'_>, links: &mut Links) {
         if self.heartbeat_at.is_none_or(|at| at > sending.now) {
@@ -204,7 +221,8 @@ impl Lane {
         }
     }
 
-    /// Handles an acknowledgement of the reader at `index`.
+    /// Handles an acknowledgement of the reader at `index`. Returns whether the reader has begun anew, as one
+    /// does whose participant had given this one up.
     pub fn handle_ack_nack(
         &mut self,
         index: usize,
@@ -212,15 +230,16 @@ impl Lane {
         sending: &Sending<'_>,
         depth: usize,
         links: &mut Links,
-    ) {
+    ) -> bool {
         let (now, history, next) = (sending.now, sending.history, self.next);
         let reader = &mut self.readers[index];
         let base = ack_nack.missing.base();
         if !reader.is_reliable || base > history.next() || !reader.last_ack_nack.accept(ack_nack.count, now) {
-            return;
+            return false;
         }
         reader.has_answered = true;
         let asks = !ack_nack.missing.is_empty();
+        let has_acknowledged = std::mem::replace(&mut reader.has_acknowledged, base > SequenceNumber::FIRST);
         if !asks && base <= SequenceNumber::FIRST {
             // The first acknowledgement of a reader, or the reader has lost its state.
             if reader.acknowledged > SequenceNumber::FIRST {
@@ -247,6 +266,7 @@ impl Lane {
             let soon = now + self.heartbeat_period;
             self.heartbeat_at = self.heartbeat_at.map(|at| at.min(soon));
         }
+        has_acknowledged && !asks && base <= SequenceNumber::FIRST
     }
 
     /// Handles a request for fragments, or an acknowledgement of fragments, of the reader at `index`.
@@ -306,6 +326,15 @@ impl Lane {
         builder: &mut MessageBuilder<'_>,
     ) -> Emitted {
         builder.info_destination(links.peer(self.link));
+        if links.is_restricted(self.link) {
+            let wishes =
+                self.heartbeat > HeartbeatWish::None || self.readers.iter().any(|reader| reader.heartbeat);
+            let is_due = wishes && sending.writer.is_builtin();
+            return match is_due && !self.emit_heartbeats(sending, links, builder) {
+                true => Emitted::More,
+                false => Emitted::Done,
+            };
+        }
         if self.heartbeat > HeartbeatWish::None
             && self.data_since_heartbeat() >= self.heartbeat_data(links)
             && !self.emit_heartbeats(sending, links, builder)

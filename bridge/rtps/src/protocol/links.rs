@@ -75,6 +75,10 @@ struct Link {
     blocked: Vec<EntityId>,
     /// When the pacer permits sending.
     opens: Option<Instant>,
+    /// Whether only what validates the address may be sent.
+    is_restricted: bool,
+    /// Added to the numbers of samples of builtin writers, see `validation`.
+    offset: i64,
 }
 
 impl Links {
@@ -96,6 +100,8 @@ impl Links {
             is_in_line: false,
             blocked: Vec::new(),
             opens: None,
+            is_restricted: false,
+            offset: 0,
         };
         link.limit_fragments();
         let free = self.links.iter().position(Option::is_none).unwrap_or(self.links.len());
@@ -127,6 +133,28 @@ impl Links {
     /// The destination of the link; `None` if it is closed.
     pub fn destination(&self, id: LinkId) -> Option<Destination> {
         Some(self.get(id)?.options.destination)
+    }
+
+    /// Sets whether only what validates the address may be sent.
+    pub(super) fn restrict(&mut self, id: LinkId, is_restricted: bool) {
+        if let Some(link) = self.get_mut(id) {
+            link.is_restricted = is_restricted;
+        }
+    }
+
+    pub(super) fn is_restricted(&self, id: LinkId) -> bool {
+        self.get(id).is_some_and(|link| link.is_restricted)
+    }
+
+    /// Sets what is added to the numbers of samples of builtin writers.
+    pub(super) fn set_offset(&mut self, id: LinkId, offset: i64) {
+        if let Some(link) = self.get_mut(id) {
+            link.offset = offset;
+        }
+    }
+
+    pub(super) fn offset(&self, id: LinkId) -> i64 {
+        self.get(id).map_or(0, |link| link.offset)
     }
 
     /// The participant at the destination.

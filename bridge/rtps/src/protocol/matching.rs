@@ -111,6 +111,7 @@ impl Participant {
         let theirs = &peer.endpoints.get(&remote.entity)?.data;
         let verdict = judge(ours, theirs);
         let is_admitted = peer.admission == Admission::Admit
+            && (peer.account.is_known() || local.is_reader())
             && self
                 .guard
                 .as_deref_mut()

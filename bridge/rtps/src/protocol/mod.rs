@@ -6,6 +6,7 @@
 
 mod addresses;
 mod assembly;
+mod belief;
 mod config;
 mod count;
 mod counters;
@@ -33,6 +34,7 @@ mod received;
 mod routes;
 mod timers;
 mod transmit;
+mod validation;
 mod writer;
 
 pub use addresses::{Addresses, Interface};

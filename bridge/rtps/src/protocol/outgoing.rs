@@ -62,6 +62,8 @@ pub(super) struct Outgoing {
     /// Whether the reader has acknowledged anything, so that it knows the writer. Until then heartbeats are
     /// repeated.
     pub has_answered: bool,
+    /// Whether the reader has acknowledged a sample since it last began anew.
+    pub has_acknowledged: bool,
     pub last_ack_nack: LastCount,
     pub last_nack_fragment: LastCount,
 }
@@ -94,12 +96,25 @@ impl Outgoing {
 
     pub fn acknowledge(&mut self, base: SequenceNumber, history: &History) {
         if base <= self.acknowledged {
-            return;
+            return self.retract(base, history);
         }
         self.acknowledged = base;
         self.position = self.position.max(history.position(base));
         self.repair.remove(0..base.0);
         self.fragments.retain(|(number, _)| *number >= base);
+    }
+
+    /// Handles an acknowledgement that lacks samples which an earlier one included: that one was forged. What is
+    /// left of them is offered again.
+    fn retract(&mut self, base: SequenceNumber, history: &History) {
+        let mut number = history.at_or_after(base);
+        while number < self.acknowledged {
+            if history.get(number).is_some_and(|entry| self.is_due(entry)) {
+                self.acknowledged = number;
+                return;
+            }
+            number = history.at_or_after(number.next());
+        }
     }
 
     /// Records samples to be sent again. Returns whether some were lost in the network.

@@ -61,6 +61,10 @@ pub(super) enum Timer {
     Announcement,
     Liveliness,
     Lease(GuidPrefix),
+    Doubt(GuidPrefix),
+    Audit(GuidPrefix),
+    /// Until it passes, nothing is sent to a participant whose port was closed.
+    Closed(GuidPrefix),
     Endpoint(EntityId),
 }
 
@@ -88,6 +92,8 @@ pub struct Participant {
     pub(super) grace_until: Instant,
     latest_call: Instant,
     latest_key: u32,
+    /// How often numbers were chosen for a participant.
+    pub(super) numbers_chosen: u64,
     /// Kept to reuse its allocation.
     received: Vec<Received>,
 }
@@ -118,6 +124,7 @@ impl Participant {
             grace_until: now.steady,
             latest_call: now.steady,
             latest_key: 0,
+            numbers_chosen: 0,
             received: Vec::new(),
             config,
         };
@@ -147,6 +154,9 @@ impl Participant {
                 Timer::Announcement => self.announce(now),
                 Timer::Liveliness => self.assert_automatic_writers(now),
                 Timer::Lease(prefix) => self.check_lease(now, prefix),
+                Timer::Doubt(prefix) => self.resolve_doubt(now, prefix),
+                Timer::Audit(prefix) => self.audit(now, prefix),
+                Timer::Closed(prefix) => self.reopen(prefix),
                 Timer::Endpoint(id) if self.locals.writers.contains_key(&id) => {
                     self.with_writer(now, id, |writer, links| writer.handle_timeout(now, links));
                 }

@@ -163,6 +163,17 @@ impl Reader {
         self.open_bytes = self.open_bytes + incoming.size - size;
     }
 
+    /// Requests all samples of a writer again.
+    pub(super) fn start_over(&mut self, now: Now, writer: Guid, links: &mut Links) {
+        let Some(incoming) = self.writers.get_mut(&writer) else { return };
+        let (link, size) = (incoming.matched.link, incoming.size);
+        incoming.start_over(now.steady);
+        self.open_bytes -= size;
+        let timeout = incoming.next_timeout();
+        self.set_timeout(timeout);
+        self.answer(link, writer, links);
+    }
+
     /// Handles a heartbeat of fragments.
     pub fn handle_heartbeat_fragment(
         &mut self,
@@ -255,8 +266,9 @@ impl Reader {
             let lease_ends = incoming.lease_ends();
             self.timeout = [self.timeout, lease_ends].into_iter().flatten().min();
         }
-        if !incoming.is_wanted(number) {
-            return;
+        if !incoming.wants(number, now.steady) {
+            let timeout = incoming.next_timeout();
+            return self.set_timeout(timeout);
         }
         let (size, received) = (incoming.size, out.len());
         take(incoming, self.config.max_open_bytes.saturating_sub(self.open_bytes), out);

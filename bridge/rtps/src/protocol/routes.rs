@@ -58,6 +58,7 @@ impl Participant {
         let Some(route) = self.route(&peer.data, peer.source) else { return false };
         let Some(peer) = self.peers.get_mut(prefix) else { return false };
         let mut has_moved = false;
+        peer.host = *route.metatraffic.ip();
         for (link, to) in [(peer.metatraffic, route.metatraffic), (peer.default, route.default)] {
             for (address, _) in
                 peer.links.iter_mut().filter(|(address, known)| *known == link && *address != to)
@@ -86,6 +87,7 @@ impl Participant {
         let options =
             LinkOptions { destination, peer: peer.data.prefix, max_datagram, fragment_size, receive_buffer };
         let link = self.links.open(options);
+        self.links.restrict(link, !peer.account.is_known());
         peer.links.push((to, link));
         link
     }

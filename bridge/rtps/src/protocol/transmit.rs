@@ -45,14 +45,17 @@ impl Participant {
         let max_len = self.links.max_datagram(link).min(allowance).saturating_sub(room);
         let is_limited = allowance <= self.links.max_datagram(link);
         datagram.clear();
-        if is_limited && max_len < SMALLEST {
+        let is_closed = self.peers.get(peer).is_some_and(|peer| peer.is_closed);
+        if is_limited && max_len < SMALLEST || is_closed {
             while let Some(id) = self.links.pop(link) {
                 self.withhold(peer, link, id);
             }
             return false;
         }
         let mut builder = MessageBuilder::new(datagram, max_len, Header::ours(self.config.prefix));
+        let offset = self.links.offset(link);
         while let Some(id) = self.links.pop(link) {
+            builder.shift_numbers(if id.is_builtin() { offset } else { 0 });
             let emitted = if let Some(local) = self.locals.writers.get_mut(&id) {
                 let emitted = local.machine.emit(now, link, &mut self.links, &mut builder);
                 self.follow_up(now, id);

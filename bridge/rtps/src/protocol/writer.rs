@@ -47,6 +47,8 @@ pub enum WriterEvent {
     LivelinessLost,
     /// All reliable readers have acknowledged all samples.
     Acknowledged,
+    /// A reader that had acknowledged samples knows none any more.
+    BegunAnew { reader: Guid },
 }
 
 /// The state of a writer, builtin or of the user.
@@ -94,6 +96,11 @@ impl Writer {
 
     pub fn qos(&self) -> &Qos {
         &self.qos
+    }
+
+    /// The number of the next sample.
+    pub(super) fn next(&self) -> SequenceNumber {
+        self.history.next()
     }
 
     /// Writes a sample. An empty `payload` means a sample without payload.
@@ -211,15 +218,35 @@ impl Writer {
     pub fn handle_ack_nack(&mut self, now: Now, reader: Guid, ack_nack: &AckNack, links: &mut Links) {
         let depth = self.depth();
         let was_behind = self.behind;
+        let mut begins_anew = false;
         self.with_reader(now, reader, |lane, index, sending| {
             let was_behind = lane.readers[index].is_behind(sending.history);
-            lane.handle_ack_nack(index, ack_nack, sending, depth, links);
+            begins_anew = lane.handle_ack_nack(index, ack_nack, sending, depth, links);
             isize::from(lane.readers[index].is_behind(sending.history)) - isize::from(was_behind)
         });
+        if begins_anew {
+            self.events.push_back(WriterEvent::BegunAnew { reader });
+        }
         if self.behind < was_behind {
             self.note_acknowledged();
             self.trim();
         }
+    }
+
+    /// Sends what could not be sent on a link before.
+    pub(super) fn resume(&mut self, now: Now, link: LinkId, links: &mut Links) {
+        if let Some(lane) = self.lanes.get_mut(&link) {
+            lane.resume(now.steady, &self.history);
+            links.request(link, self.guid.entity);
+        }
+    }
+
+    /// Requests an answer of a matched reader.
+    pub(super) fn ask(&mut self, now: Now, reader: Guid, links: &mut Links) {
+        self.with_reader(now, reader, |lane, index, sending| {
+            lane.ask(index, sending, links);
+            0
+        });
     }
 
     /// Handles a request for fragments. Readers that are not matched are ignored.

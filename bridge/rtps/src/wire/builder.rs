@@ -4,7 +4,7 @@ use super::bytes::Encoder;
 use super::message::{flag, id};
 use super::{
     AckNack, ByteOrder, Data, DataFragment, EntityId, Gap, GuidPrefix, Header, Heartbeat, HeartbeatFragment,
-    InlineQos, NackFragment, Payload, Timestamp,
+    InlineQos, NackFragment, Payload, SequenceNumber, Timestamp,
 };
 
 /// Fills one datagram with submessages, in little-endian order.
@@ -14,6 +14,8 @@ pub struct MessageBuilder<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
     max_len: usize,
+    /// Added to the numbers of samples.
+    offset: i64,
     order: ByteOrder,
     destination: Announced<GuidPrefix>,
     timestamp: Announced<Option<Timestamp>>,
@@ -56,6 +58,7 @@ impl<'a> MessageBuilder<'a> {
             out,
             start,
             max_len,
+            offset: 0,
             order: ByteOrder::Little,
             destination: Announced::new(GuidPrefix::UNKNOWN),
             timestamp: Announced::new(None),
@@ -83,6 +86,15 @@ impl<'a> MessageBuilder<'a> {
         self.max_len.saturating_sub(self.len() + destination + timestamp)
     }
 
+    /// Sets what is added to the numbers of samples in the following submessages of writers.
+    pub(crate) fn shift_numbers(&mut self, offset: i64) {
+        self.offset = offset;
+    }
+
+    fn shifted(&self, number: SequenceNumber) -> SequenceNumber {
+        SequenceNumber(number.0.saturating_add(self.offset))
+    }
+
     /// Sets the destination of the following submessages. Initially it is [`GuidPrefix::UNKNOWN`], which
     /// means all participants. An INFO_DST is written in front of the next submessage, if the destination
     /// differs by then.
@@ -108,9 +120,10 @@ impl<'a> MessageBuilder<'a> {
         if self.remaining() < Self::DATA_OVERHEAD + data.inline_qos.encoded_len() + padded {
             return false;
         }
+        let number = self.shifted(data.number);
         self.submessage(id::DATA, payload_flag | flag_of(&data.inline_qos), |out| {
             write_data_ends(out, DATA_OFFSET, data.reader, data.writer);
-            data.number.write(out);
+            number.write(out);
             data.inline_qos.write(out);
             match *payload {
                 [0, format, options_high, options_low, ref content @ ..] => {
@@ -131,9 +144,10 @@ impl<'a> MessageBuilder<'a> {
             return false;
         }
         let key_flag = if fragment.is_key { flag::FRAGMENT_OF_KEY } else { 0 };
+        let number = self.shifted(fragment.number);
         self.submessage(id::DATA_FRAGMENT, key_flag | flag_of(&fragment.inline_qos), |out| {
             write_data_ends(out, DATA_FRAGMENT_OFFSET, fragment.reader, fragment.writer);
-            fragment.number.write(out);
+            number.write(out);
             out.u32(fragment.first);
             out.u16(fragment.count);
             out.u16(fragment.fragment_size);
@@ -160,10 +174,11 @@ impl<'a> MessageBuilder<'a> {
     pub fn heartbeat(&mut self, heartbeat: &Heartbeat) -> bool {
         let is_final = if heartbeat.is_final { flag::FINAL } else { 0 };
         let is_liveliness = if heartbeat.is_liveliness { flag::LIVELINESS } else { 0 };
+        let (first, last) = (self.shifted(heartbeat.first), self.shifted(heartbeat.last));
         self.submessage(id::HEARTBEAT, is_final | is_liveliness, |out| {
             write_ends(out, heartbeat.reader, heartbeat.writer);
-            heartbeat.first.write(out);
-            heartbeat.last.write(out);
+            first.write(out);
+            last.write(out);
             out.u32(heartbeat.count);
         })
     }
@@ -171,10 +186,11 @@ impl<'a> MessageBuilder<'a> {
     /// Appends a gap.
     #[must_use]
     pub fn gap(&mut self, gap: &Gap) -> bool {
+        let (start, base) = (self.shifted(gap.start), self.shifted(gap.list.base()));
         self.submessage(id::GAP, 0, |out| {
             write_ends(out, gap.reader, gap.writer);
-            gap.start.write(out);
-            gap.list.base().write(out);
+            start.write(out);
+            base.write(out);
             gap.list.write_bits(out);
         })
     }
@@ -194,9 +210,10 @@ impl<'a> MessageBuilder<'a> {
     /// Appends a heartbeat of fragments.
     #[must_use]
     pub fn heartbeat_fragment(&mut self, heartbeat: &HeartbeatFragment) -> bool {
+        let number = self.shifted(heartbeat.number);
         self.submessage(id::HEARTBEAT_FRAGMENT, 0, |out| {
             write_ends(out, heartbeat.reader, heartbeat.writer);
-            heartbeat.number.write(out);
+            number.write(out);
             out.u32(heartbeat.last);
             out.u32(heartbeat.count);
         })

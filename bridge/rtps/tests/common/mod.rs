@@ -14,7 +14,7 @@ use downbeat_rtps::{
         Addresses, Config, Destination, EndpointConfig, Event, Interface, Now, Participant, WriteOptions,
     },
     qos::{Durability, History, Qos, Reliability},
-    wire::{EntityId, Guid},
+    wire::{EntityId, Guid, GuidPrefix, SequenceNumber, Submessage, parse},
 };
 
 /// The group of announcements.
@@ -70,6 +70,8 @@ pub struct Network {
     pub fate: Fate,
     /// Called for each datagram when it is sent.
     pub watch: Box<dyn FnMut(&Flight)>,
+    /// The range of the last heartbeat of each writer to each participant.
+    pub heartbeats: BTreeMap<(GuidPrefix, EntityId), (SequenceNumber, SequenceNumber)>,
     /// Pairs of nodes between which all datagrams are lost, in this direction.
     pub cut: Vec<(usize, usize)>,
     /// Offset by which the wall clocks were set forward.
@@ -90,6 +92,7 @@ impl Network {
             nodes: Vec::new(),
             fate: Box::new(|_| vec![DELAY]),
             watch: Box::new(|_| {}),
+            heartbeats: BTreeMap::new(),
             cut: Vec::new(),
             wall_offset_ns: 0,
             start: Instant::now(),
@@ -113,6 +116,7 @@ impl Network {
         unique[..4].copy_from_slice(&address.octets());
         unique[4..8].copy_from_slice(&(self.nodes.len() as u32).to_be_bytes());
         let mut config = Config::new(unique, 0, addresses(address));
+        config.secret = self.nodes.len() as u64;
         change(&mut config);
         let participant = Participant::new(config, self.now());
         let next_timeout = participant.next_timeout();
@@ -161,6 +165,7 @@ impl Network {
             let from = SocketAddrV4::new(node.address, METATRAFFIC_PORT);
             let flight = Flight { sender: index, from, to, bytes: datagram.clone() };
             (self.watch)(&flight);
+            self.note_heartbeats(&flight.bytes);
             for delay in (self.fate)(&flight) {
                 self.launched += 1;
                 let copy = Flight { bytes: flight.bytes.clone(), ..flight };
@@ -172,6 +177,21 @@ impl Network {
             node.events.push(event);
         }
         node.next_timeout = node.participant.next_timeout();
+    }
+
+    fn note_heartbeats(&mut self, datagram: &[u8]) {
+        let Ok((_, submessages)) = parse(datagram) else { return };
+        let mut destination = GuidPrefix::UNKNOWN;
+        for submessage in submessages.map_while(Result::ok) {
+            match submessage {
+                Submessage::InfoDestination(prefix) => destination = prefix,
+                Submessage::Heartbeat(heartbeat) => {
+                    let range = (heartbeat.first, heartbeat.last);
+                    self.heartbeats.insert((destination, heartbeat.writer), range);
+                }
+                _ => {}
+            }
+        }
     }
 
     /// Runs the network for a duration.

@@ -2,12 +2,14 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod amplification;
 mod attacks;
 #[path = "../golden/capture.rs"]
 mod capture;
 #[path = "../common/mod.rs"]
 mod common;
 mod conversations;
+mod forged;
 mod mutation;
 mod reading;
 mod robot;

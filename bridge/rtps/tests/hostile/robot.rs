@@ -18,8 +18,8 @@ const MOST_MEMORY: usize = 64 << 20;
 /// A test case takes milliseconds; one that iterates over a range of 2⁴⁰ numbers does not end.
 const LONGEST: Duration = Duration::from_secs(60);
 
-const ROBOT: usize = 0;
-const PEER: usize = 1;
+pub const ROBOT: usize = 0;
+pub const PEER: usize = 1;
 
 /// The address of the stranger.
 pub const STRANGER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 66), 7410);
@@ -34,8 +34,8 @@ pub struct Robot {
     pub reader: EntityId,
     /// A reliable writer of the robot on the topic that peer and stranger read.
     pub writer: EntityId,
-    peer_reader: EntityId,
-    peer_writer: EntityId,
+    pub peer_reader: EntityId,
+    pub peer_writer: EntityId,
     talks: u32,
 }
 
@@ -128,11 +128,12 @@ impl Robot {
     /// Announces the stranger as a participant with a reader and a writer on the robot's topics.
     pub fn meet(&mut self, stranger: GuidPrefix) {
         self.hear(&announcement(stranger));
-        // It answers from the announced address, which validates it.
+        // It answers a heartbeat that was sent to the announced address, which validates it.
         let robot = self.prefix();
+        let (first, _) = self.network.heartbeats[&(stranger, EntityId::SEDP_PUBLICATIONS_WRITER)];
         self.hear(&message(stranger, |message| {
             let (reader, writer) = (EntityId::SEDP_PUBLICATIONS_READER, EntityId::SEDP_PUBLICATIONS_WRITER);
-            let missing = SequenceNumberSet::new(SequenceNumber::FIRST);
+            let missing = SequenceNumberSet::new(first);
             message.info_destination(robot);
             message.ack_nack(&AckNack { reader, writer, missing, count: 1, is_final: false })
         }));
@@ -177,7 +178,7 @@ pub fn message(sender: GuidPrefix, write: impl FnOnce(&mut MessageBuilder<'_>) -
     datagram
 }
 
-fn sample(sender: GuidPrefix, writer: EntityId, number: SequenceNumber, payload: &[u8]) -> Vec<u8> {
+pub fn sample(sender: GuidPrefix, writer: EntityId, number: SequenceNumber, payload: &[u8]) -> Vec<u8> {
     let (reader, inline_qos) = (EntityId::UNKNOWN, InlineQos::default());
     let payload = Payload::Data(payload);
     message(sender, |message| message.data(&Data { reader, writer, number, inline_qos, payload }))

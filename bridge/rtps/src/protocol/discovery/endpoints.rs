@@ -3,16 +3,17 @@
 //! The SEDP topics have a key, the GUID. Writers do not support keys, so superseded samples are removed from
 //! the history here.
 
-use std::{collections::BTreeMap, net::SocketAddrV4};
+use std::{collections::BTreeMap, net::SocketAddrV4, time::Duration};
 
 use bytes::Bytes;
 
 use crate::{
     protocol::{
         Event, Fault, Now, Participant, Sample, WriteOptions,
+        participant::Timer,
         peers::{Full, Noted},
     },
-    wire::{EndpointData, EntityId, Guid, InlineQos, Payload, SequenceNumber, StatusInfo},
+    wire::{EndpointData, EntityId, Guid, GuidPrefix, InlineQos, Payload, SequenceNumber, StatusInfo},
 };
 
 /// The contents of the histories of the announcing writers.
@@ -22,6 +23,10 @@ pub(crate) struct Endpoints {
     /// Removals that not all peers have acknowledged yet, by announcing writer.
     removals: BTreeMap<EntityId, Vec<SequenceNumber>>,
 }
+
+/// Delay before the endpoints of a participant are requested again. Several changes share a request.
+const AUDIT_DELAY: Duration = Duration::from_millis(100);
+const AUDIT_PERIOD: Duration = Duration::from_secs(1);
 
 /// The builtin writer that announces an endpoint.
 fn announcing_writer(id: EntityId) -> EntityId {
@@ -88,7 +93,10 @@ impl Participant {
         let is_removal = sample.inline_qos.status.is_some_and(StatusInfo::is_removal);
         if is_removal {
             match sample.inline_qos.removed(payload) {
-                Some(guid) if guid.prefix == sample.writer.prefix => self.remove_remote(now, guid),
+                Some(guid) if guid.prefix == sample.writer.prefix => {
+                    self.remove_remote(now, guid);
+                    self.plan_audit(now, guid.prefix);
+                }
                 Some(_) => self.fault(now, Fault::ForeignEndpoint, from),
                 None => self.fault(now, Fault::MalformedDiscovery, from),
             }
@@ -118,14 +126,45 @@ impl Participant {
         });
         if moved {
             self.remove_remote(now, guid);
+            self.plan_audit(now, guid.prefix);
+        }
+        if self.peers.needs_room(guid, &self.config.limits) {
+            self.fault(now, Fault::TooManyEndpoints, from);
+            let Some(expendable) = self.peers.expendable_endpoint(guid.prefix) else { return };
+            self.remove_remote(now, expendable);
         }
         match self.peers.note(data, &self.config.limits) {
             Ok(Noted::Same) => return,
             Ok(Noted::New) => self.events.push_back(Event::EndpointFound { remote: guid }),
-            Ok(Noted::Changed) => self.events.push_back(Event::EndpointChanged { remote: guid }),
+            Ok(Noted::Changed) => {
+                self.plan_audit(now, guid.prefix);
+                self.events.push_back(Event::EndpointChanged { remote: guid });
+            }
             Err(Full::Participant | Full::All) => return self.fault(now, Fault::TooManyEndpoints, from),
         }
         self.match_remote(now, guid);
+    }
+
+    /// Plans to request the endpoints of a participant again after one was removed or changed: anybody can do
+    /// that in its name, and the participant does not announce them again by itself.
+    fn plan_audit(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get(prefix).filter(|peer| peer.account.is_known()) else { return };
+        let earliest = peer.audited.map_or(now.steady, |audited| audited + AUDIT_PERIOD);
+        self.timers.set(Timer::Audit(prefix), Some(earliest.max(now.steady + AUDIT_DELAY)));
+    }
+
+    /// Requests all endpoints of a participant again.
+    pub(in crate::protocol) fn audit(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        peer.audited = Some(now.steady);
+        for (writer, reader) in [
+            (EntityId::SEDP_PUBLICATIONS_WRITER, EntityId::SEDP_PUBLICATIONS_READER),
+            (EntityId::SEDP_SUBSCRIPTIONS_WRITER, EntityId::SEDP_SUBSCRIPTIONS_READER),
+        ] {
+            self.with_reader(now, reader, |reader, _, links| {
+                reader.start_over(now, Guid::new(prefix, writer), links);
+            });
+        }
     }
 
     /// Removes an endpoint of another participant.

@@ -1,17 +1,33 @@
 //! Discovery and removal of other participants (SPDP, section 8.5.3).
 
-use std::{net::SocketAddrV4, time::Duration};
+use std::{
+    net::{Ipv4Addr, SocketAddrV4},
+    time::Duration,
+};
 
 use crate::{
     protocol::{
-        Admission, Departure, Event, Fault, MatchedReader, MatchedWriter, Now, Participant,
-        counters::Account, participant::Timer, peers::Peer,
+        Admission, Departure, Destination, Event, Fault, MatchedReader, MatchedWriter, Now, Participant,
+        participant::Timer,
+        peers::{Change, Doubtful, Peer},
+        validation::Account,
     },
     wire::{BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo},
 };
 
 /// Lease of a participant that announces none (section 9.6.4.2, as interpreted by Cyclone DDS).
 const DEFAULT_LEASE: Duration = Duration::from_secs(100);
+
+/// An unknown participant is answered again after this time: without it, two that do not know each other would
+/// answer each other's answers.
+const REPEATED: Duration = Duration::from_millis(50);
+
+/// How long a participant may take to answer that it is still there.
+const ANSWER: Duration = Duration::from_millis(100);
+
+/// A participant that is still there answers more than once; one answer may have been on its way when the
+/// participant left.
+const ANSWERS: u32 = 1;
 
 /// Builtin endpoints: the writer, the reader, and the bits by which a participant announces them.
 const BUILTIN: [(EntityId, EntityId, u32, u32); 3] = [
@@ -44,7 +60,7 @@ impl Participant {
             let gone = announcement.inline_qos.removed(announcement.payload);
             // Without a GUID it can only refer to the sender.
             if gone.is_none_or(|guid| guid.prefix == source) {
-                self.remove_peer(now, source, Departure::Disposed);
+                self.hear_farewell(now, source);
             } else {
                 self.fault(now, Fault::ForeignEndpoint, from);
             }
@@ -69,6 +85,47 @@ impl Participant {
         }
     }
 
+    /// Handles the farewell of a participant.
+    fn hear_farewell(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get(prefix) else { return };
+        if peer.account.is_known() {
+            self.doubt(now, prefix, Change::Farewell, 0);
+        } else {
+            self.remove_peer(now, prefix, Departure::Disposed);
+        }
+    }
+
+    /// Asks a participant whether it is still there before a change in its name is applied, which anybody can
+    /// announce.
+    fn doubt(&mut self, now: Now, prefix: GuidPrefix, change: Change, answers: u32) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        if peer.doubtful.is_some() {
+            return;
+        }
+        peer.doubtful = Some(Doubtful { change, asked: now.steady, answers });
+        self.timers.set(Timer::Doubt(prefix), Some(now.steady + ANSWER));
+        for (writer, reader, ..) in BUILTIN {
+            let guid = Guid::new(prefix, reader);
+            self.with_writer(now, writer, |writer, links| writer.ask(now, guid, links));
+        }
+    }
+
+    /// Applies a doubtful change if the participant no longer answers.
+    pub(in crate::protocol) fn resolve_doubt(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        let Some(Doubtful { change, asked, answers }) = peer.doubtful.take() else { return };
+        if peer.answered > asked {
+            if answers < ANSWERS {
+                self.doubt(now, prefix, change, answers + 1);
+            }
+            return;
+        }
+        match change {
+            Change::Farewell => self.remove_peer(now, prefix, Departure::Disposed),
+            Change::Move(data, source, length) => self.relocate(now, prefix, *data, source, length),
+        }
+    }
+
     fn meet(&mut self, now: Now, from: SocketAddrV4, length: usize, data: ParticipantData) {
         let prefix = data.prefix;
         let Some(route) = self.route(&data, *from.ip()) else {
@@ -76,7 +133,7 @@ impl Participant {
         };
         if self.peers.len() >= self.config.limits.participants {
             self.fault(now, Fault::TooManyParticipants, from);
-            let Some(expendable) = self.peers.expendable() else { return };
+            let Some(expendable) = self.peers.expendable(*route.metatraffic.ip()) else { return };
             self.remove_peer(now, expendable, Departure::Crowded);
         }
         let admission = match self.guard.as_deref_mut() {
@@ -90,14 +147,19 @@ impl Participant {
         account.received(length);
         let mut peer = Peer {
             source: *from.ip(),
+            host: *route.metatraffic.ip(),
             is_own_host: self.config.addresses.is_own_host(*from.ip()),
             admission: Admission::Wait,
             metatraffic: self.own,
             default: self.own,
             links: Vec::new(),
             account,
+            is_closed: false,
             withheld: Vec::new(),
             heard: now.steady,
+            answered: now.steady,
+            doubtful: None,
+            audited: None,
             announced: now.steady,
             endpoints: Default::default(),
             data,
@@ -106,6 +168,7 @@ impl Participant {
         let buffer = peer.data.receive_buffer.filter(|_| peer.is_ours());
         peer.metatraffic = self.open_link(&mut peer, route.metatraffic, None);
         peer.default = self.open_link(&mut peer, route.default, buffer);
+        self.choose_numbers(prefix, peer.metatraffic);
         self.peers.insert(prefix, peer);
         self.events.push_back(Event::ParticipantFound { remote: prefix });
         self.arm_lease(now, prefix);
@@ -169,30 +232,59 @@ impl Participant {
         let prefix = data.prefix;
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         let is_news = peer.data != data;
-        if !peer.account.is_known() {
+        let is_known = peer.account.is_known();
+        let is_repeated = now.steady.saturating_duration_since(peer.announced) >= REPEATED;
+        if !is_known && is_repeated {
             // The peer may have missed the answer: Fast DDS announces itself before it receives.
             self.announce_to(now, prefix);
         }
         if !is_news {
             return;
         }
-        let Some(peer) = self.peers.get_mut(prefix) else { return };
-        peer.source = *from.ip();
-        peer.is_own_host = self.config.addresses.is_own_host(*from.ip());
-        peer.data = data;
-        self.arm_lease(now, prefix);
-        if self.reroute(prefix) {
-            self.doubt(now, prefix, length);
+        if is_known && self.would_move(prefix, &data, *from.ip()) {
+            return self.doubt(now, prefix, Change::Move(Box::new(data), *from.ip(), length), 0);
         }
+        self.relocate(now, prefix, data, *from.ip(), length);
     }
 
-    /// Handles a changed address of a known participant. Since anyone can forge it, the participant must
-    /// answer from the new address.
-    fn doubt(&mut self, now: Now, prefix: GuidPrefix, length: usize) {
+    /// Returns whether other data would change the host to which messages for a participant are sent.
+    fn would_move(&self, prefix: GuidPrefix, data: &ParticipantData, source: Ipv4Addr) -> bool {
+        let Some(peer) = self.peers.get(prefix) else { return false };
+        let Some(route) = self.route(data, source) else { return false };
+        let current = [peer.metatraffic, peer.default].map(|link| self.links.destination(link));
+        current != [route.metatraffic, route.default].map(|to| Some(Destination::Unicast(to)))
+    }
+
+    /// Applies changed data of a participant. A new address has to be validated.
+    fn relocate(
+        &mut self,
+        now: Now,
+        prefix: GuidPrefix,
+        data: ParticipantData,
+        source: Ipv4Addr,
+        length: usize,
+    ) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        peer.source = source;
+        peer.is_own_host = self.config.addresses.is_own_host(source);
+        peer.data = data;
+        self.arm_lease(now, prefix);
+        if !self.reroute(prefix) {
+            return;
+        }
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.account = Account::default();
         peer.account.received(length);
+        let metatraffic = peer.metatraffic;
+        for (_, link) in peer.links.clone() {
+            self.links.restrict(link, true);
+        }
+        self.choose_numbers(prefix, metatraffic);
         self.announce_to(now, prefix);
+        for (writer, reader, ..) in BUILTIN {
+            let guid = Guid::new(prefix, reader);
+            self.with_writer(now, writer, |writer, links| writer.unmatch_reader(now, guid, links));
+        }
         // This requests acknowledgements.
         self.let_in(now, prefix);
     }
@@ -236,7 +328,10 @@ impl Participant {
                 writer.unmatch_reader(now, Guid::new(prefix, reader), links)
             });
         }
-        self.timers.set(Timer::Lease(prefix), None);
+        for timer in [Timer::Lease(prefix), Timer::Doubt(prefix), Timer::Audit(prefix), Timer::Closed(prefix)]
+        {
+            self.timers.set(timer, None);
+        }
         for (_, link) in self.peers.remove(prefix).into_iter().flat_map(|peer| peer.links) {
             self.links.close(link);
         }

@@ -1,0 +1,133 @@
+//! Which sequence numbers a reader believes.
+//!
+//! Anybody can send a datagram in the name of a writer, and one HEARTBEAT, GAP or sample with an absurd number
+//! would make the reader wait for numbers that the writer never reaches. Three rules limit that:
+//!
+//! - A number beyond what a writer can have reached since it was last heard is a claim. It has no effect until
+//!   a second message continues it, and the writer is asked for a heartbeat meanwhile.
+//! - A sample that was given up but arrives is a reason to ask the writer for a heartbeat.
+//! - Heartbeats that end before the next expected sample are doubted first. If the writer, asked again, insists
+//!   ([`Belief::doubt`]), the reader goes back.
+
+use std::time::{Duration, Instant};
+
+/// How many numbers a writer may skip without any time passing.
+const SLACK: i64 = 4096;
+/// More samples per second than any writer produces.
+const RATE: i64 = 1_000_000;
+/// A contradiction must last this long: a heartbeat may be overtaken by samples.
+const DOUBT: Duration = Duration::from_millis(30);
+/// The same for samples of a best-effort writer, which the network may reorder.
+const STALE: Duration = Duration::from_millis(250);
+const STALE_SAMPLES: u32 = 3;
+
+/// The numbers that a writer is believed to have reached.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Belief {
+    /// The highest number that was believed, and when the writer was last heard.
+    reached: Option<(i64, Instant)>,
+    /// The number of an unbelievable message.
+    claim: Option<i64>,
+    /// The first of consecutive contradicting messages, with their number.
+    doubted: Option<(Instant, u32)>,
+    /// The last of these samples.
+    stale: i64,
+}
+
+impl Belief {
+    /// The highest number that the writer can have reached. Anything is possible for a writer that was never
+    /// heard.
+    pub fn horizon(&self, now: Instant) -> i64 {
+        self.reached.map_or(i64::MAX, |(reached, at)| {
+            let elapsed = now.saturating_duration_since(at).as_millis();
+            let new = i64::try_from(elapsed).unwrap_or(i64::MAX).saturating_mul(RATE / 1000);
+            reached.saturating_add(SLACK).saturating_add(new)
+        })
+    }
+
+    /// Returns whether a message that says that the writer has reached `number` is believed.
+    pub fn believes(&mut self, number: i64, now: Instant) -> bool {
+        if number > self.horizon(now) {
+            let continues = |claim: i64| (claim..=claim.saturating_add(SLACK)).contains(&number);
+            if !self.claim.is_some_and(continues) {
+                self.claim = Some(number);
+                return false;
+            }
+        }
+        let reached = self.reached.map_or(number, |(reached, _)| reached.max(number));
+        (self.reached, self.claim) = (Some((reached, now)), None);
+        true
+    }
+
+    /// Records a message that does not contradict the expected numbers.
+    pub fn trust(&mut self) {
+        self.doubted = None;
+    }
+
+    /// Records a heartbeat that ends before numbers that were already given up or delivered. Returns whether
+    /// the writer insists, so that it is right.
+    pub fn doubt(&mut self, now: Instant) -> bool {
+        let (since, count) = self.doubted.unwrap_or((now, 0));
+        self.doubted = Some((since, count.saturating_add(1)));
+        count > 0 && now.saturating_duration_since(since) >= DOUBT
+    }
+
+    /// Records a sample of a best-effort writer that is older than one that was delivered. Returns whether it
+    /// is one of a series, so that the number of the other one was wrong.
+    pub fn doubt_order(&mut self, number: i64, now: Instant) -> bool {
+        if number == self.stale && self.doubted.is_some() {
+            // Another fragment of the same sample.
+            return false;
+        }
+        let previous = self.doubted.filter(|_| self.stale < number);
+        let (since, count) = previous.unwrap_or((now, 0));
+        (self.doubted, self.stale) = (Some((since, count.saturating_add(1))), number);
+        count + 1 >= STALE_SAMPLES && now.saturating_duration_since(since) >= STALE
+    }
+
+    /// Forgets all numbers above `number`, which turned out to be wrong.
+    pub fn go_back(&mut self, number: i64, now: Instant) {
+        *self = Self { reached: Some((number, now)), ..Self::default() };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn a_jump_is_believed_after_enough_time_or_if_it_is_continued() {
+        let (mut belief, start) = (Belief::default(), Instant::now());
+        assert!(belief.believes(1 << 40, start));
+        assert!(belief.believes((1 << 40) + SLACK, start));
+        assert!(!belief.believes(1 << 50, start + MS));
+        assert!(!belief.believes(1 << 61, start + MS));
+        assert!(belief.believes((1 << 61) + 1, start + MS));
+        belief.go_back(5, start + 2 * MS);
+        assert!(!belief.believes(100_000, start + 3 * MS));
+        assert!(belief.believes(150_000, start + 203 * MS));
+    }
+
+    #[test]
+    fn one_late_message_does_not_cast_doubt() {
+        let (mut belief, start) = (Belief::default(), Instant::now());
+        assert!(!belief.doubt(start) && !belief.doubt(start + MS));
+        belief.trust();
+        assert!(!belief.doubt(start + 100 * MS) && !belief.doubt(start + 101 * MS));
+        assert!(belief.doubt(start + 131 * MS));
+    }
+
+    #[test]
+    fn reordered_samples_do_not_cast_doubt() {
+        let (mut belief, start) = (Belief::default(), Instant::now());
+        for number in [9, 8, 7, 6] {
+            assert!(!belief.doubt_order(number, start + 100 * MS));
+        }
+        for (number, ms) in [(7, 105), (8, 110), (9, 115), (10, 300)] {
+            assert!(!belief.doubt_order(number, start + ms * MS));
+        }
+        assert!(belief.doubt_order(11, start + 350 * MS));
+    }
+}

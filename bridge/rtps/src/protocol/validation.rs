@@ -1,0 +1,157 @@
+//! Validation of the addresses of other participants.
+//!
+//! Anybody can announce a participant with the address of a third party, and send any message in its name. An
+//! address is therefore validated by something that only its owner can know: the builtin writers send each
+//! participant the same samples with other sequence numbers, which begin at an unpredictable one. The first
+//! acknowledgement that continues these numbers proves that a heartbeat arrived at the address. Until then the
+//! participant is sent announcements, heartbeats and acknowledgements only, at most three times the bytes
+//! received from it (as in RFC 9000, section 8.1), and no local writer matches its readers.
+
+use std::{
+    hash::{DefaultHasher, Hash, Hasher},
+    net::{Ipv4Addr, SocketAddrV4},
+    time::Duration,
+};
+
+use super::{Departure, LinkId, Now, Participant, participant::Timer};
+use crate::wire::{AckNack, EntityId, GuidPrefix, NackFragment, SequenceNumber, SequenceNumberSet};
+
+/// Numbers begin within this range, so that guessing one is hopeless.
+const RANGE: u64 = 1 << 40;
+/// The lowest offset: acknowledgements of readers that have not heard anything are lower.
+const LOWEST: u64 = 1 << 20;
+/// How long nothing is sent to a port that answered that it is closed.
+const CLOSED: Duration = Duration::from_secs(1);
+
+/// Bytes from and to a peer whose address has not been validated yet.
+#[derive(Debug, Default)]
+pub(crate) struct Account {
+    received: u64,
+    sent: u64,
+    is_known: bool,
+}
+
+impl Account {
+    const FACTOR: u64 = 3;
+
+    pub(crate) fn received(&mut self, bytes: usize) {
+        self.received = self.received.saturating_add(bytes as u64);
+    }
+
+    pub(crate) fn sent(&mut self, bytes: usize) {
+        self.sent = self.sent.saturating_add(bytes as u64);
+    }
+
+    pub(crate) fn answered(&mut self) {
+        self.is_known = true;
+    }
+
+    pub(crate) fn is_known(&self) -> bool {
+        self.is_known
+    }
+
+    /// Bytes that may be sent now.
+    pub(crate) fn allowance(&self) -> usize {
+        if self.is_known {
+            return usize::MAX;
+        }
+        let allowed = self.received.saturating_mul(Self::FACTOR).saturating_sub(self.sent);
+        usize::try_from(allowed).unwrap_or(usize::MAX)
+    }
+}
+
+impl Participant {
+    /// Chooses new numbers for what the builtin writers send to a participant, above the previous ones.
+    pub(super) fn choose_numbers(&mut self, prefix: GuidPrefix, link: LinkId) {
+        let mut hasher = DefaultHasher::new();
+        self.numbers_chosen += 1;
+        (self.config.secret, self.numbers_chosen, prefix).hash(&mut hasher);
+        let offset = (LOWEST + hasher.finish() % RANGE) as i64;
+        self.links.set_offset(link, self.links.offset(link).saturating_add(offset));
+    }
+
+    /// Translates the numbers in an acknowledgement of a builtin writer, which validates the address of its
+    /// sender. A reader with other numbers than were last sent to it begins anew.
+    pub(super) fn translate_ack_nack(&mut self, now: Now, source: GuidPrefix, ack_nack: &AckNack) -> AckNack {
+        let Some(peer) = self.peers.get(source).filter(|_| ack_nack.writer.is_builtin()) else {
+            return *ack_nack;
+        };
+        let (offset, is_known) = (self.links.offset(peer.metatraffic), peer.account.is_known());
+        let base = ack_nack.missing.base();
+        let base = SequenceNumber(base.0.saturating_sub(offset));
+        let next = self.locals.writers.get(&ack_nack.writer).map(|local| local.machine.next());
+        if !(Some(SequenceNumber::FIRST)..=next).contains(&Some(base)) {
+            return AckNack { missing: SequenceNumberSet::new(SequenceNumber::ZERO), ..*ack_nack };
+        }
+        let mut missing = SequenceNumberSet::new(base);
+        for number in ack_nack.missing.iter() {
+            let _ = missing.insert(SequenceNumber(number.0 - offset));
+        }
+        if !is_known {
+            self.validate(now, source);
+        }
+        AckNack { missing, ..*ack_nack }
+    }
+
+    /// The same for a request for fragments.
+    pub(super) fn translate_nack_fragment(&self, source: GuidPrefix, nack: &NackFragment) -> NackFragment {
+        let offset = match self.peers.get(source).filter(|_| nack.writer.is_builtin()) {
+            Some(peer) => self.links.offset(peer.metatraffic),
+            None => 0,
+        };
+        NackFragment { number: SequenceNumber(nack.number.0.saturating_sub(offset)), ..*nack }
+    }
+
+    /// Lifts the limits of a participant whose address is validated.
+    fn validate(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        peer.account.answered();
+        let links: Vec<_> = peer.links.iter().map(|(_, link)| *link).collect();
+        let guids: Vec<_> = peer.endpoints.values().map(|remote| remote.data.guid).collect();
+        let writers: Vec<EntityId> = self.locals.writers.keys().copied().collect();
+        for link in links {
+            self.links.restrict(link, false);
+            for writer in &writers {
+                self.with_writer(now, *writer, |writer, links| writer.resume(now, link, links));
+            }
+        }
+        self.release_withheld(prefix);
+        guids.into_iter().for_each(|guid| self.match_remote(now, guid));
+    }
+
+    /// Handles a message that is addressed to this participant and comes from `from`.
+    pub(super) fn note_answer(&mut self, now: Now, source: GuidPrefix, from: Ipv4Addr) {
+        let Some(peer) = self.peers.get_mut(source) else { return };
+        let is_own_host = || peer.is_own_host && self.config.addresses.is_own_host(from);
+        if peer.host == from || is_own_host() {
+            peer.answered = now.steady;
+        }
+    }
+
+    /// Handles the answer of a host that no socket receives datagrams at `to`. A participant that was never
+    /// validated is removed; nothing is sent to others for a second, or until they are heard.
+    pub fn handle_refusal(&mut self, now: Now, to: SocketAddrV4) {
+        self.note_time(now);
+        let is_there = |links: &[(SocketAddrV4, LinkId)]| links.iter().any(|(address, _)| *address == to);
+        let refusing: Vec<_> =
+            self.peers.iter().filter(|(_, peer)| is_there(&peer.links)).map(|(prefix, _)| prefix).collect();
+        for prefix in refusing {
+            let Some(peer) = self.peers.get_mut(prefix) else { continue };
+            if !peer.account.is_known() {
+                self.remove_peer(now, prefix, Departure::Unreachable);
+                continue;
+            }
+            peer.is_closed = true;
+            self.timers.set(Timer::Closed(prefix), Some(now.steady + CLOSED));
+        }
+    }
+
+    /// Sends again to a participant whose port was closed.
+    pub(super) fn reopen(&mut self, prefix: GuidPrefix) {
+        if let Some(peer) = self.peers.get_mut(prefix) {
+            peer.is_closed = false;
+            self.timers.set(Timer::Closed(prefix), None);
+            self.release_withheld(prefix);
+        }
+    }
+}
