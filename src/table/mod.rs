@@ -92,7 +92,7 @@ impl Decoder {
     /// Returns an error if there is no definition of the type.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, DecodeError> {
         let info = &topic.info;
-        let is_cdr = info.format.is_none();
+        let is_cdr = info.is_cdr();
         let (name, definition, recorded) = if is_cdr {
             let unknown = |problem| DecodeError::Unknown { type_name: info.type_name.clone(), problem };
             let definition = match info.definition.as_str() {

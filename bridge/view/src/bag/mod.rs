@@ -210,7 +210,7 @@ fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, 
     if info.type_name.contains("/srv/") {
         return Err("it has the requests and responses of a service, which viewers cannot read".to_owned());
     }
-    let (encoding, name, schema_encoding, schema) = match &info.format {
+    let (encoding, name, schema_encoding, schema) = match info.format.as_ref().filter(|_| info.definition.is_empty()) {
         Some(format) => {
             let schema = &format.schema;
             let text = match std::str::from_utf8(&schema.data) {

@@ -181,12 +181,7 @@ impl Catalog {
     pub(crate) fn insert_service(&mut self, service: ServiceDefinition) -> Result<(), Error> {
         self.insert(service.request.clone())?;
         self.insert(service.response.clone())?;
-        let mut event = event_of(&service);
-        if service.name.kind == Kind::Service {
-            // As in rosbag2, which has no text for events.
-            event.text.clone_from(&service.text);
-        }
-        self.insert(event)?;
+        self.insert(event_of(&service))?;
         self.services.entry(service.name.clone()).or_insert(service);
         Ok(())
     }

@@ -164,7 +164,7 @@ fn blocks<'a>(text: &'a str, origin: &str) -> Result<Vec<Block<'a>>, Error> {
 }
 
 /// Returns whether the line consists of `=` only, usually 80 of them; no line of a definition does.
-fn is_rule(line: &str) -> bool {
+pub(super) fn is_rule(line: &str) -> bool {
     let line = line.trim_end();
     line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
 }

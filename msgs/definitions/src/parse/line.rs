@@ -242,7 +242,10 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
     if let Some(name) = name.strip_prefix("msg/") {
         return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
     }
-    TypeName::from_short(package, name).map(Element::Message).ok_or_else(|| {
+    // Only parts of services and actions have underscores: the full name of one is not ambiguous.
+    let full = name.split_once('/').filter(|(_, name)| name.contains('_'));
+    let named = full.map_or_else(|| TypeName::from_short(package, name), |_| text.parse().ok());
+    named.map(Element::Message).ok_or_else(|| {
         format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`")
     })
 }

@@ -7,6 +7,7 @@
 
 mod grammar;
 mod peer;
+mod schemas;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -17,7 +18,7 @@ use serde_json::Value;
 
 use peer::{ask, files_of};
 
-fn carried() -> Catalog {
+pub(crate) fn carried() -> Catalog {
     let mut catalog = Catalog::new();
     catalog.add_packages(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../interfaces")).unwrap();
     catalog.check().unwrap();
