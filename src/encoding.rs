@@ -8,6 +8,7 @@ use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MessageFormat, RecordedTopic, TopicDescription};
 use downbeat_edge::{Interfaces, KnownType, UnknownType};
+use downbeat_msgs::dynamic::{Definitions, RecordedDefinition, TypeLookupError};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
 
@@ -51,6 +52,19 @@ pub fn described_topic_info(
         schema: codec.schema().clone(),
     });
     Ok((info, codec))
+}
+
+/// The definition of a topic's messages in CDR, completed from what this program knows.
+///
+/// # Errors
+/// If there is no definition that agrees with what is recorded.
+pub fn recorded_definition(
+    topic: &TopicDescription,
+    interfaces: &Interfaces,
+) -> Result<RecordedDefinition, TypeLookupError> {
+    // Usually a bag says it all.
+    let found = topic.definition_with(&Definitions::new().with_carried());
+    found.or_else(|_| topic.definition_with(&interfaces.definitions()))
 }
 
 /// The type of a topic in a bag, which converts its messages to CDR.

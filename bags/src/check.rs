@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
+use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType};
 use downbeat_msgs::printable;
 
 use crate::reader::{Reader, ReaderError, RecordedTopic, Selection, Truncation};
@@ -26,7 +26,7 @@ pub enum Problem {
     },
     /// There is no metadata.yaml.
     NoMetadata,
-    /// A topic has no definition of its type, so that other programs cannot read its messages.
+    /// A topic has no definition of its type, and none is known.
     NoDefinition {
         /// The topic.
         topic: String,
@@ -62,19 +62,33 @@ pub struct Check {
     pub decoded: u64,
     /// The problems found.
     pub problems: Vec<Problem>,
+    /// What the check took from elsewhere to decode messages, as sentences: definitions that the bag lacks.
+    pub notes: Vec<String>,
 }
 
 /// Reads a whole bag: checksums, counts, definitions and every message. `progress` is called with the number
-/// of messages read.
+/// of messages read. Definitions that the bag lacks are looked up in the built-in interfaces; see [`check_with`].
 ///
 /// # Errors
 /// Returns an error if a file can no longer be opened.
-pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
-    let mut check = Check { messages: 0, decoded: 0, problems: Vec::new() };
+pub fn check(reader: &Reader, progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
+    check_with(reader, &Definitions::new().with_carried(), progress)
+}
+
+/// Like [`check`], with these definitions.
+///
+/// # Errors
+/// Returns an error if a file can no longer be opened.
+pub fn check_with(
+    reader: &Reader,
+    known: &Definitions,
+    mut progress: impl FnMut(u64),
+) -> Result<Check, ReaderError> {
+    let mut check = Check { messages: 0, decoded: 0, problems: Vec::new(), notes: Vec::new() };
     check.problems.extend(reader.truncation().cloned().map(Problem::Truncated));
     let mut types = Vec::new();
     for topic in reader.topics() {
-        types.push(check.definition(topic));
+        types.push(check.definition(topic, known));
     }
     let mut counts = vec![0; types.len()];
     let mut refused: Vec<(u64, String)> = vec![(0, String::new()); types.len()];
@@ -116,30 +130,30 @@ pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, Re
 }
 
 impl Check {
-    /// The type of a topic's messages, if they are CDR and the bag has its definition.
-    fn definition(&mut self, topic: &RecordedTopic) -> Option<DynamicType> {
+    /// The type of a topic's messages, if they are CDR and its definition is known.
+    fn definition(&mut self, topic: &RecordedTopic, known: &Definitions) -> Option<DynamicType> {
         let info = &topic.info;
-        let schema = info.schema();
-        if info.message_encoding() != "cdr" {
+        if !info.is_cdr() {
             return None;
         }
-        if schema.encoding.is_empty() {
-            // rosbag2 has no definitions of service events either.
-            if topic.message_count > 0 && !info.type_name.contains("/srv/") {
-                let (topic, type_name) = (info.name.clone(), info.type_name.clone());
-                self.problems.push(Problem::NoDefinition { topic, type_name });
+        match info.definition_with(known) {
+            Ok(found) => {
+                self.notes.extend(found.taken.map(|taken| format!("{}: {taken}", info.name)));
+                return Some(found.definition.message_type);
             }
-            return None;
-        }
-        let text = String::from_utf8_lossy(&schema.data);
-        match DynamicType::from_definition_text(&info.type_name, &schema.encoding, &text) {
-            Ok(of) => Some(of),
+            Err(_) if info.definition.is_empty() && info.schema().encoding.is_empty() => {
+                // rosbag2 has no definitions of service events either.
+                if topic.message_count > 0 && !info.type_name.contains("/srv/") {
+                    let (topic, type_name) = (info.name.clone(), info.type_name.clone());
+                    self.problems.push(Problem::NoDefinition { topic, type_name });
+                }
+            }
             Err(error) => {
                 let (topic, found) = (info.name.clone(), error.to_string());
                 self.problems.push(Problem::Definition { topic, found });
-                None
             }
         }
+        None
     }
 
     fn compare_counts(&mut self, reader: &Reader, counts: &[u64]) {
@@ -181,7 +195,7 @@ impl fmt::Display for Problem {
             Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` creates it"),
             Self::NoDefinition { topic, type_name } => {
                 let (topic, type_name) = (printable(topic), printable(type_name));
-                write!(f, "{topic}: the bag has no definition of {type_name}")
+                write!(f, "{topic}: the bag has no definition of {type_name}, and none is known")
             }
             Self::Definition { topic, found } => {
                 let (topic, found) = (printable(topic), printable(found));

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use downbeat_msgs::definitions::{Catalog, DefinitionEncoding, Kind, TypeName, portable_definition_text};
+use downbeat_msgs::dynamic::{Definitions, RecordedDefinition, TypeLookupError};
 use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::{Durability, History, QosProfile};
 
@@ -51,11 +52,35 @@ impl TopicDescription {
         self.message_encoding() == "cdr"
     }
 
+    /// The definition of its messages in CDR: the recorded one, completed from `known` where it is damaged or incomplete.
+    ///
+    /// # Errors
+    /// Returns an error if there is no definition that agrees with the recorded text and hash.
+    pub fn definition_with(&self, known: &Definitions) -> Result<RecordedDefinition, TypeLookupError> {
+        if !self.definition.is_empty() {
+            return known.recorded(&self.type_name, "ros2msg", &self.definition, &self.type_hash);
+        }
+        let schema = self.schema();
+        let text = String::from_utf8_lossy(&schema.data);
+        known.recorded(&self.type_name, &schema.encoding, &text, &self.type_hash)
+    }
+
     /// Takes the schema of messages in CDR from a bag.
     pub(crate) fn take_schema(&mut self, name: &str, encoding: &str, data: &[u8]) {
         let text = String::from_utf8_lossy(data);
-        if encoding == "ros2msg" && !text.starts_with(RULE) {
+        if encoding == "ros2msg" && !text.starts_with(RULE) && (!text.is_empty() || self.has_no_fields()) {
             self.definition = text.into_owned();
+            return;
+        }
+        let keep = |of: &mut Self| {
+            of.format = Some(MessageFormat {
+                message_encoding: "cdr".to_owned(),
+                schema: Schema { name: name.to_owned(), encoding: encoding.to_owned(), data: data.to_vec() },
+            });
+        };
+        // The hash does not say that the message is empty, but the text does.
+        if encoding == "ros2msg" && data.is_empty() {
+            keep(self);
             return;
         }
         // The real recorder writes the encoding `unknown` without a text for parts of actions.
@@ -68,14 +93,7 @@ impl TopicDescription {
         // The text of a service stands for the text of its events, which contains as much; IDL may contain more. A text that
         // could not be read is kept as it is.
         if !is_known || (encoding == "ros2idl" && self.schema().data != data) {
-            self.format = Some(MessageFormat {
-                message_encoding: "cdr".to_owned(),
-                schema: Schema {
-                    name: name.to_owned(),
-                    encoding: encoding.to_owned(),
-                    data: data.to_vec(),
-                },
-            });
+            keep(self);
         }
     }
 

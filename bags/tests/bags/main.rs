@@ -19,6 +19,7 @@ mod node;
 mod order;
 mod others;
 mod python;
+mod recorded;
 mod splits;
 #[cfg(feature = "sqlite")]
 mod sqlite;

@@ -210,7 +210,7 @@ fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, 
     if info.type_name.contains("/srv/") {
         return Err("it has the requests and responses of a service, which viewers cannot read".to_owned());
     }
-    let (encoding, name, schema_encoding, schema) = match info.format.as_ref().filter(|_| info.definition.is_empty()) {
+    let (encoding, name, schema_encoding, schema) = match info.format.as_ref().filter(|_| !info.is_cdr()) {
         Some(format) => {
             let schema = &format.schema;
             let text = match std::str::from_utf8(&schema.data) {
@@ -222,14 +222,11 @@ fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, 
             (format.message_encoding.as_str(), schema.name.as_str(), schema.encoding.as_str(), text)
         }
         None => {
-            let definition = match info.definition.as_str() {
-                "" => interfaces
-                    .message(&info.type_name)
-                    .map_err(|error| error.to_string())?
-                    .definition()
-                    .to_owned(),
-                recorded => recorded.to_owned(),
-            };
+            let found = info.definition_with(&interfaces.definitions()).map_err(|error| error.to_string())?;
+            if let Some(taken) = found.taken {
+                tracing::warn!("{}: {taken}", info.name);
+            }
+            let definition = found.definition.text;
             ("cdr", info.type_name.as_str(), "ros2msg", definition)
         }
     };

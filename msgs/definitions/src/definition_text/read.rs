@@ -69,16 +69,44 @@ impl Catalog {
         text: &str,
         origin: &str,
     ) -> Result<(), Error> {
-        for block in blocks(text, origin)? {
-            let (keyword, name) = match block.head {
-                Some(head) => head,
-                None => (Keyword::of(name, encoding), name.clone()),
-            };
-            for definition in keyword.parse(name, block.text, origin, block.first_line)? {
-                self.insert_definition(definition)?;
-            }
-        }
+        blocks(text, origin)?.into_iter().try_for_each(|block| self.add_block(name, encoding, block, origin))?;
         self.add_implied()
+    }
+
+    /// Like [`Catalog::add_definition_text`], for a text that may be damaged: adds the parts of it that are definitions, and
+    /// returns the errors of the others.
+    pub fn add_readable_definitions(
+        &mut self,
+        name: &TypeName,
+        encoding: DefinitionEncoding,
+        text: &str,
+        origin: &str,
+    ) -> Vec<Error> {
+        let mut errors = Vec::new();
+        match blocks(text, origin) {
+            Ok(blocks) => {
+                let added = blocks.into_iter().map(|block| self.add_block(name, encoding, block, origin));
+                errors.extend(added.filter_map(Result::err));
+            }
+            Err(error) => errors.push(error),
+        }
+        errors.extend(self.add_implied().err());
+        errors
+    }
+
+    fn add_block(
+        &mut self,
+        root: &TypeName,
+        encoding: DefinitionEncoding,
+        block: Block<'_>,
+        origin: &str,
+    ) -> Result<(), Error> {
+        let (keyword, name) = match block.head {
+            Some(head) => head,
+            None => Keyword::of(root, encoding, block.text),
+        };
+        let definitions = keyword.parse(name, block.text, origin, block.first_line)?;
+        definitions.into_iter().try_for_each(|definition| self.insert_definition(definition))
     }
 
     /// Adds types that parts of services and actions refer to, if they are missing.
@@ -108,14 +136,18 @@ enum Keyword {
 }
 
 impl Keyword {
-    /// The kind of a block without a header: a part of a service or an action is a message itself.
-    fn of(name: &TypeName, encoding: DefinitionEncoding) -> Self {
-        match name.kind {
+    /// The kind of a block without a header, and the name of what it defines. A part of a service or an action is a message
+    /// itself, unless the text is that of the whole file.
+    fn of(name: &TypeName, encoding: DefinitionEncoding, text: &str) -> (Self, TypeName) {
+        let is_whole = !name.name.contains('_') || text.lines().any(|line| line == "---");
+        let keyword = match name.kind {
             _ if encoding == DefinitionEncoding::Ros2Idl => Self::Idl,
-            Kind::Service if !name.name.contains('_') => Self::Service,
-            Kind::Action if !name.name.contains('_') => Self::Action,
-            _ => Self::Message,
-        }
+            Kind::Service if is_whole => Self::Service,
+            Kind::Action if is_whole => Self::Action,
+            _ => return (Self::Message, name.clone()),
+        };
+        let stem = name.name.split('_').next().unwrap_or_default();
+        (keyword, TypeName::new(&name.package, name.kind, stem))
     }
 
     fn parse(self, name: TypeName, text: &str, origin: &str, line: usize) -> Result<Vec<Definition>, Error> {
