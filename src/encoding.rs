@@ -119,12 +119,12 @@ impl RecordedType {
                 message_encoding: format.message_encoding.clone(),
             });
         };
-        // Other programs that write Foxglove's schemas do not use ROS 2 types.
-        let foreign = foxglove::types().find(|(_, foxglove)| *foxglove == topic.info.type_name);
+        // Other programs that write Foxglove's schemas do not use ROS 2 types. In JSON, their messages have Foxglove's fields.
+        let is_foxglove = matches!(encoding, Encoding::FoxgloveProtobuf | Encoding::FoxgloveFlatBuffers);
+        let foreign = foxglove::types().find(|(_, name)| is_foxglove && *name == topic.info.type_name);
         let message_type = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros))?;
         let codec = encoding.codec_of_text(message_type.name(), message_type.definition())?;
         // Foxglove's schemas are the same in all programs, and are only extended.
-        let is_foxglove = schema.name.starts_with("foxglove.");
         let is_same = topic.info.type_hash == message_type.hash()
             || (topic.info.type_hash.is_empty() && schema.data == codec.schema().data);
         if !is_foxglove && !is_same {

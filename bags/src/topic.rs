@@ -52,6 +52,12 @@ impl TopicDescription {
         self.message_encoding() == "cdr"
     }
 
+    /// Whether its messages are JSON, of whatever schema.
+    #[must_use]
+    pub fn is_json(&self) -> bool {
+        self.message_encoding() == "json"
+    }
+
     /// The definition of its messages in CDR: the recorded one, completed from `known` where it is damaged or incomplete.
     ///
     /// # Errors

@@ -83,6 +83,9 @@ pub enum DecodeError {
     /// The definition cannot be parsed.
     #[error(transparent)]
     Type(#[from] TypeError),
+    /// A message is not JSON.
+    #[error("it is not JSON: {0}")]
+    Json(serde_json::Error),
     /// A message is not valid in its encoding.
     #[error(transparent)]
     Message(#[from] encoding::Error),

@@ -11,6 +11,7 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MergedBags, PlayerError, Rate, Reader, RecordedTopic, TopicDescription};
 use downbeat_edge::Interfaces;
+use downbeat_msgs::dynamic::Definitions;
 use downbeat_msgs::qos::Durability;
 use parking_lot::Mutex;
 use serde_json::{Value, json};
@@ -207,9 +208,6 @@ fn kept(topic: &TopicDescription) -> usize {
 /// In words, if viewers cannot read its messages.
 fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, String> {
     let info = &topic.info;
-    if info.type_name.contains("/srv/") {
-        return Err("it has the requests and responses of a service, which viewers cannot read".to_owned());
-    }
     let (encoding, name, schema_encoding, schema) = match info.format.as_ref().filter(|_| !info.is_cdr()) {
         Some(format) => {
             let schema = &format.schema;
@@ -222,7 +220,10 @@ fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, 
             (format.message_encoding.as_str(), schema.name.as_str(), schema.encoding.as_str(), text)
         }
         None => {
-            let found = info.definition_with(&interfaces.definitions()).map_err(|error| error.to_string())?;
+            // Usually a bag says it all.
+            let found = info.definition_with(&Definitions::new().with_carried());
+            let found = found.or_else(|_| info.definition_with(&interfaces.definitions()));
+            let found = found.map_err(|error| error.to_string())?;
             if let Some(taken) = found.taken {
                 tracing::warn!("{}: {taken}", info.name);
             }

@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use crate::definition::MOST_MEMBERS_OF_TEXT;
 use crate::derived::IMPLIED;
 use crate::idl::parse_idl_from;
 use crate::parse::{Source, parse_action_from, parse_message_from, parse_service_from};
@@ -69,7 +70,10 @@ impl Catalog {
         text: &str,
         origin: &str,
     ) -> Result<(), Error> {
-        blocks(text, origin)?.into_iter().try_for_each(|block| self.add_block(name, encoding, block, origin))?;
+        let mut members = 0;
+        for block in blocks(text, origin)? {
+            self.add_block(name, encoding, block, origin, &mut members)?;
+        }
         self.add_implied()
     }
 
@@ -85,8 +89,10 @@ impl Catalog {
         let mut errors = Vec::new();
         match blocks(text, origin) {
             Ok(blocks) => {
-                let added = blocks.into_iter().map(|block| self.add_block(name, encoding, block, origin));
-                errors.extend(added.filter_map(Result::err));
+                let mut members = 0;
+                for block in blocks {
+                    errors.extend(self.add_block(name, encoding, block, origin, &mut members).err());
+                }
             }
             Err(error) => errors.push(error),
         }
@@ -100,12 +106,20 @@ impl Catalog {
         encoding: DefinitionEncoding,
         block: Block<'_>,
         origin: &str,
+        members: &mut usize,
     ) -> Result<(), Error> {
+        if *members > MOST_MEMBERS_OF_TEXT {
+            return Err(Error::Syntax {
+                place: Place { origin: origin.into(), line: block.first_line, column: 1 },
+                message: format!("a text of more than {MOST_MEMBERS_OF_TEXT} fields and constants is not supported"),
+            });
+        }
         let (keyword, name) = match block.head {
             Some(head) => head,
             None => Keyword::of(root, encoding, block.text),
         };
         let definitions = keyword.parse(name, block.text, origin, block.first_line)?;
+        *members += definitions.iter().map(Definition::members).sum::<usize>();
         definitions.into_iter().try_for_each(|definition| self.insert_definition(definition))
     }
 
@@ -323,6 +337,20 @@ mod tests {
             let error = read("a/msg/A", Ros2Msg, &text).unwrap_err().to_string();
             assert!(error.starts_with(fault), "{text:?} gave {error}");
         }
+    }
+
+    #[test]
+    fn a_text_with_more_fields_than_any_interface_is_refused_early() {
+        let fields: String = (0..(1 << 16) + 1).map(|n| format!("int8 f{n}\n")).collect();
+        let error = read("a/msg/A", Ros2Msg, &fields).unwrap_err().to_string();
+        assert!(error.starts_with("bag:65537:1: a message of more than 65536 fields"), "{error}");
+        let half: String = (0..60_000).map(|n| format!("int8 f{n}\n")).collect();
+        let many: String = (0..5).map(|n| format!("\n=====\nMSG: a/B{n}\n{half}")).collect();
+        let error = read("a/msg/A", Ros2Msg, &many).unwrap_err().to_string();
+        assert!(error.contains("a text of more than 131072 fields"), "{error}");
+        let members: String = (0..(1 << 16) + 1).map(|n| format!("int8 f{n};\n")).collect();
+        let idl = format!("module a {{ module msg {{ struct A {{ {members} }}; }}; }};");
+        assert!(read("a/msg/A", Ros2Idl, &idl).unwrap_err().to_string().contains("more than 65536"), "{idl:.20}");
     }
 
     #[test]

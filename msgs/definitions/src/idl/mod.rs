@@ -30,6 +30,16 @@ pub enum Definition {
 }
 
 impl Definition {
+    /// The number of fields and constants of its parts.
+    pub(crate) fn members(&self) -> usize {
+        let of = |message: &MessageDefinition| message.fields.len() + message.constants.len();
+        match self {
+            Self::Message(message) => of(message),
+            Self::Service(service) => of(&service.request) + of(&service.response),
+            Self::Action(action) => of(&action.goal) + of(&action.result) + of(&action.feedback),
+        }
+    }
+
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &TypeName {

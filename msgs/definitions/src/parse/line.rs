@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use super::literal::{parse_element, parse_value, without_underscores};
 use super::{Names, Source};
+use crate::definition::MOST_MEMBERS;
 use crate::name::{is_constant_name, is_identifier, is_package_name};
 use crate::{
     Constant, Element, Error, Field, FieldType, MessageDefinition, Place, Primitive, Shape, TypeName,
@@ -49,6 +50,10 @@ pub(super) fn parse_message(
             continue;
         }
         let line = Line { source, number: source.first_line + index, code };
+        if message.fields.len() + message.constants.len() == MOST_MEMBERS {
+            let fault = format!("a message of more than {MOST_MEMBERS} fields and constants is not supported");
+            return Err(line.fault(line.start(), fault));
+        }
         match line.parse(&message.name.package, std::mem::take(&mut comments))? {
             Member::Field(field) => {
                 last_is_constant = false;
