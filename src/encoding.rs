@@ -108,8 +108,7 @@ impl RecordedType {
     /// Returns an error if the type is not registered or has another definition in the bag, or the encoding
     /// is not supported.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, RecordedTypeError> {
-        let Some(format) = topic.info.format.as_ref().filter(|_| !topic.info.is_cdr())
-        else {
+        let Some(format) = topic.info.format.as_ref().filter(|_| !topic.info.is_cdr()) else {
             return Ok(Self { message_type: interfaces.message(&topic.info.type_name)?, codec: None });
         };
         let schema = &format.schema;

@@ -106,7 +106,8 @@ impl TopicDescription {
     /// The `ros2msg` text of the type in a text with headers, or in IDL.
     fn converted(&self, encoding: &str, text: &str) -> Option<String> {
         let name: TypeName = self.type_name.parse().ok()?;
-        let encoding = if encoding == "ros2idl" { DefinitionEncoding::Ros2Idl } else { DefinitionEncoding::Ros2Msg };
+        let encoding =
+            if encoding == "ros2idl" { DefinitionEncoding::Ros2Idl } else { DefinitionEncoding::Ros2Msg };
         let mut catalog = Catalog::new();
         catalog.add_definition_text(&name, encoding, text, &self.name).ok()?;
         catalog.check_type(&name).ok()?;
@@ -124,7 +125,11 @@ impl TopicDescription {
             return format.schema.clone();
         }
         let (encoding, text) = self.schema_text();
-        Schema { name: self.type_name.clone(), encoding: encoding.to_owned(), data: text.into_owned().into_bytes() }
+        Schema {
+            name: self.type_name.clone(),
+            encoding: encoding.to_owned(),
+            data: text.into_owned().into_bytes(),
+        }
     }
 
     /// Encoding and text of the schema that describes its messages in CDR.
@@ -134,10 +139,13 @@ impl TopicDescription {
             // The format requires an empty encoding if there is no text.
             return (if self.has_no_fields() { "ros2msg" } else { "" }, definition);
         }
-        let Ok(name) = self.type_name.parse::<TypeName>() else { return (encoding_of(&definition), definition) };
+        let Ok(name) = self.type_name.parse::<TypeName>() else {
+            return (encoding_of(&definition), definition);
+        };
         if name.kind == Kind::Service || definition.starts_with(RULE) {
             let mut catalog = Catalog::new();
-            let added = catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, &definition, &self.name);
+            let added =
+                catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, &definition, &self.name);
             if let Some((encoding, text)) = added.ok().and_then(|()| catalog.schema_text(&name).ok()) {
                 return (encoding.as_str(), Cow::Owned(text));
             }

@@ -86,7 +86,9 @@ fn from_channel(file: &BagFile, channel: &Channel, schema: Option<&FileSchema>) 
         format: None,
     };
     match schema {
-        Some(schema) if channel.message_encoding == "cdr" => info.take_schema(&schema.name, &schema.encoding, &schema.data),
+        Some(schema) if channel.message_encoding == "cdr" => {
+            info.take_schema(&schema.name, &schema.encoding, &schema.data)
+        }
         None if channel.message_encoding == "cdr" => {}
         _ => {
             info.format = Some(MessageFormat {

@@ -154,7 +154,9 @@ mod tests {
         assert_eq!(encoding("std_srvs/srv/SetBool").as_deref(), Some("srv"));
         assert_eq!(encoding("std_srvs/srv/SetBool_Request").as_deref(), Some("implicit"));
         assert_eq!(encoding("service_msgs/msg/ServiceEventInfo").as_deref(), Some("msg"));
-        assert!(service.type_sources[0].raw_file_contents.starts_with("bool data # e.g. for hardware enabling"));
+        assert!(
+            service.type_sources[0].raw_file_contents.starts_with("bool data # e.g. for hardware enabling")
+        );
         assert_eq!(asked(SetBoolRequest::TYPE_HASH).type_sources[0].encoding, "implicit");
     }
 

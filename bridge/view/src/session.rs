@@ -148,7 +148,10 @@ impl<'a> Session<'a> {
             Request::Advertise { channels } => channels.iter().try_for_each(|channel| {
                 if self.publications.contains_key(&channel.id) {
                     // As Foxglove's own servers answer.
-                    let text = format!("channel {} is advertised already: this advertisement is ignored", channel.id);
+                    let text = format!(
+                        "channel {} is advertised already: this advertisement is ignored",
+                        channel.id
+                    );
                     return self.report(Level::Warning, &text);
                 }
                 match self.advertise(channel) {

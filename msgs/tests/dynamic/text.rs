@@ -229,7 +229,9 @@ fn an_empty_value_in_yaml_is_refused_by_the_name_of_its_field() {
     assert_eq!(message.get("s").unwrap().as_str(), Some("null"));
     assert!(message.get("x").unwrap().as_f64().unwrap().is_nan());
     // JSON has no other word for NaN.
-    assert!(DynamicMessage::from_json(&of, "{\"x\": null}").unwrap().get("x").unwrap().as_f64().unwrap().is_nan());
+    assert!(
+        DynamicMessage::from_json(&of, "{\"x\": null}").unwrap().get("x").unwrap().as_f64().unwrap().is_nan()
+    );
 }
 
 #[test]
@@ -244,12 +246,18 @@ fn bytes_in_base64_are_accepted_for_arrays_of_bytes() {
     let yaml = "# !!binary\ndata: !!binary |\n  AQID\n  BA==\nmore: !!binary \"/w==\"\nthree: !!binary AAEC\none: !!binary Bw==\n\
                 text: 'a !!binary b'\n";
     let message = fill(yaml).unwrap();
-    assert_eq!(message, fill("{data: [1, 2, 3, 4], more: [255], three: [0, 1, 2], one: 7, text: a !!binary b}").unwrap());
+    assert_eq!(
+        message,
+        fill("{data: [1, 2, 3, 4], more: [255], three: [0, 1, 2], one: 7, text: a !!binary b}").unwrap()
+    );
     assert_eq!(fill("{data: !!binary AQID}").unwrap(), fill("data: [1, 2, 3]").unwrap());
     assert_eq!(fill("{data: !!binary ''}").unwrap(), fill("{}").unwrap());
-    for (yaml, field) in
-        [("three: !!binary AQ==", "three"), ("data: !!binary A?==", "data"), ("data: !other AQ==", "data"), ("numbers: !!binary AQID", "numbers")]
-    {
+    for (yaml, field) in [
+        ("three: !!binary AQ==", "three"),
+        ("data: !!binary A?==", "data"),
+        ("data: !other AQ==", "data"),
+        ("numbers: !!binary AQID", "numbers"),
+    ] {
         let error = fill(yaml).unwrap_err().to_string();
         assert!(error.contains(&format!("`{field}`")), "{yaml}: {error}");
     }

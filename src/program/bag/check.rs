@@ -7,9 +7,9 @@ use clap::Args;
 use serde_json::json;
 
 use super::output::Progress;
+use crate::bags::{Check, Reader, check_with};
 use crate::msgs::printable;
 use crate::robot::Catalog;
-use crate::bags::{Check, Reader, check_with};
 
 #[derive(Args)]
 pub(crate) struct CheckBagArguments {
@@ -28,7 +28,8 @@ pub(crate) fn check(arguments: &CheckBagArguments, catalog: &Catalog) -> anyhow:
     let Check { messages, decoded, problems, notes } = &found;
     if arguments.json {
         let problems: Vec<_> = problems.iter().map(ToString::to_string).collect();
-        let report = json!({ "messages": messages, "decoded": decoded, "problems": problems, "notes": notes });
+        let report =
+            json!({ "messages": messages, "decoded": decoded, "problems": problems, "notes": notes });
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
         for note in notes {

@@ -84,9 +84,15 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
         let file = output.join(format!("{stem}.{}", format.extension()));
         let result = match format {
             _ if is_foreign_json => write_foreign_json(&source, &file),
-            Format::Csv => decoder.map_err(Into::into).and_then(|decoder| write_csv(&source, &decoder, &file)),
-            Format::Jsonl => decoder.map_err(Into::into).and_then(|decoder| write_jsonl(&source, &decoder, &file)),
-            Format::Parquet => decoder.map_err(Into::into).and_then(|decoder| write_parquet(&source, &decoder, &file)),
+            Format::Csv => {
+                decoder.map_err(Into::into).and_then(|decoder| write_csv(&source, &decoder, &file))
+            }
+            Format::Jsonl => {
+                decoder.map_err(Into::into).and_then(|decoder| write_jsonl(&source, &decoder, &file))
+            }
+            Format::Parquet => {
+                decoder.map_err(Into::into).and_then(|decoder| write_parquet(&source, &decoder, &file))
+            }
         };
         if result.is_ok() && stem.len() < topic.info.name.trim_start_matches('/').len() {
             tracing::warn!("{name}: the name of its file is shortened to {}", printable(&stem));

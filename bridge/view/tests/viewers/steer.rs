@@ -87,9 +87,17 @@ fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
     let robot = robot(|_| ());
     let mut viewer = robot.viewer();
     viewer.send(advertise(5, "/cmd_vel", "json", "geometry_msgs/msg/Twist"));
-    let good = |x: f64| format!(r#"{{"linear": {{"x": {x}, "y": 0, "z": 0}}, "angular": {{"x": 0, "y": 0, "z": 0}}}}"#);
+    let good = |x: f64| {
+        format!(r#"{{"linear": {{"x": {x}, "y": 0, "z": 0}}, "angular": {{"x": 0, "y": 0, "z": 0}}}}"#)
+    };
     let mut told = Vec::new();
-    for wrong in [r#"{"linear": {"x": NaN}}"#, r#"{"linar": {"x": 1}}"#, r#"{"linear": {"x": "fast"}}"#, "[1]", "\u{7f}"] {
+    for wrong in [
+        r#"{"linear": {"x": NaN}}"#,
+        r#"{"linar": {"x": 1}}"#,
+        r#"{"linear": {"x": "fast"}}"#,
+        "[1]",
+        "\u{7f}",
+    ] {
         for _ in 0..3 {
             viewer.send_binary(publish(5, wrong.as_bytes()));
         }
@@ -101,7 +109,10 @@ fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
     // The next status is that of the second advertisement, so repetitions had none; the first advertisement still counts.
     viewer.send(advertise(5, "/other", "json", "std_msgs/msg/Bool"));
     let status = viewer.json("status");
-    assert_eq!((&status["level"], &status["message"]), (&json!(1), &json!("channel 5 is advertised already: this advertisement is ignored")));
+    assert_eq!(
+        (&status["level"], &status["message"]),
+        (&json!(1), &json!("channel 5 is advertised already: this advertisement is ignored"))
+    );
     viewer.send_binary(publish(5, good(0.5).as_bytes()));
     assert_eq!(robot.heard.recv_timeout(WATCHDOG), Ok(0.5));
 }

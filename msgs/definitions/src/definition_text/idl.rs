@@ -7,7 +7,9 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use super::{RULE, dependencies_backwards};
-use crate::{Catalog, Constant, Element, Error, FieldType, Kind, MessageDefinition, Primitive, Shape, TypeName, Value};
+use crate::{
+    Catalog, Constant, Element, Error, FieldType, Kind, MessageDefinition, Primitive, Shape, TypeName, Value,
+};
 
 impl Catalog {
     /// The definition text of a message in `ros2idl`, with its dependencies: those of the same package and kind in the first
@@ -40,8 +42,13 @@ impl Catalog {
         while let Some(next) = waiting.pop() {
             if seen.insert(next.clone()) {
                 let message = self.message(next)?;
-                let is_part = name.kind != Kind::Message && (&next.package, next.kind) == (&name.package, name.kind);
-                if is_part { together.push(message) } else { apart.push(message) }
+                let is_part =
+                    name.kind != Kind::Message && (&next.package, next.kind) == (&name.package, name.kind);
+                if is_part {
+                    together.push(message)
+                } else {
+                    apart.push(message)
+                }
                 waiting.extend(dependencies_backwards(&[message]));
             }
         }
@@ -59,7 +66,8 @@ impl Catalog {
 
 fn block(text: &mut String, name: &TypeName, messages: &[&MessageDefinition]) {
     // Writing to a string does not fail.
-    let _ = write!(text, "{RULE}\nIDL: {name}\nmodule {} {{\n  module {} {{\n", name.package, name.kind.as_str());
+    let _ =
+        write!(text, "{RULE}\nIDL: {name}\nmodule {} {{\n  module {} {{\n", name.package, name.kind.as_str());
     let mut arrays = BTreeSet::new();
     for message in messages {
         for field in &message.fields {
@@ -131,7 +139,10 @@ fn bounded(text: &str, bound: Option<u64>) -> String {
 
 /// The name of the typedef of an array: `double__36`, `legs__msg__Leg__2`.
 fn array_name(element: &Element, count: u64) -> String {
-    let element: String =
-        element_type(element).replace("::", "__").chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    let element: String = element_type(element)
+        .replace("::", "__")
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
+        .collect();
     format!("{element}__{count}")
 }

@@ -91,7 +91,8 @@ fn own_text(message: &MessageDefinition) -> Cow<'_, str> {
 }
 
 /// The line before each header.
-pub(crate) const RULE: &str = "================================================================================";
+pub(crate) const RULE: &str =
+    "================================================================================";
 
 fn dependencies_backwards<'a>(of: &[&'a MessageDefinition]) -> Vec<&'a TypeName> {
     let names: BTreeSet<&TypeName> = of

@@ -118,7 +118,9 @@ mod tests {
 
     #[test]
     fn parts_of_actions_are_named_in_full_and_so_are_the_types_in_them() {
-        let old = format!("b/UUID id\na/W_Feedback feedback\n\n{RULE}\nMSG: a/W_Feedback\nLeg[2] l\nbool b\n\n{RULE}\nMSG: a/Leg\nB b\n");
+        let old = format!(
+            "b/UUID id\na/W_Feedback feedback\n\n{RULE}\nMSG: a/W_Feedback\nLeg[2] l\nbool b\n\n{RULE}\nMSG: a/Leg\nB b\n"
+        );
         let new = format!(
             "b/UUID id\na/action/W_Feedback feedback\n\n{RULE}\nMSG: a/action/W_Feedback\na/Leg[2] l\nbool b\n\n{RULE}\nMSG: a/Leg\nB b\n"
         );
@@ -128,7 +130,19 @@ mod tests {
 
     #[test]
     fn no_text_makes_it_panic() {
-        for text in ["", "=", "===", "===\n", "===\nMSG:", "===\nMSG: /\nchar", "é char", "char", "\r\n", "char\r", "/"] {
+        for text in [
+            "",
+            "=",
+            "===",
+            "===\n",
+            "===\nMSG:",
+            "===\nMSG: /\nchar",
+            "é char",
+            "char",
+            "\r\n",
+            "char\r",
+            "/",
+        ] {
             portable("a/msg/A", text);
             portable("a/action/A_Goal", &format!("{text}\n{text}"));
         }

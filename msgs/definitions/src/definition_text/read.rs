@@ -111,7 +111,9 @@ impl Catalog {
         if *members > MOST_MEMBERS_OF_TEXT {
             return Err(Error::Syntax {
                 place: Place { origin: origin.into(), line: block.first_line, column: 1 },
-                message: format!("a text of more than {MOST_MEMBERS_OF_TEXT} fields and constants is not supported"),
+                message: format!(
+                    "a text of more than {MOST_MEMBERS_OF_TEXT} fields and constants is not supported"
+                ),
             });
         }
         let (keyword, name) = match block.head {
@@ -350,7 +352,10 @@ mod tests {
         assert!(error.contains("a text of more than 131072 fields"), "{error}");
         let members: String = (0..(1 << 16) + 1).map(|n| format!("int8 f{n};\n")).collect();
         let idl = format!("module a {{ module msg {{ struct A {{ {members} }}; }}; }};");
-        assert!(read("a/msg/A", Ros2Idl, &idl).unwrap_err().to_string().contains("more than 65536"), "{idl:.20}");
+        assert!(
+            read("a/msg/A", Ros2Idl, &idl).unwrap_err().to_string().contains("more than 65536"),
+            "{idl:.20}"
+        );
     }
 
     #[test]

@@ -51,7 +51,8 @@ pub(super) fn parse_message(
         }
         let line = Line { source, number: source.first_line + index, code };
         if message.fields.len() + message.constants.len() == MOST_MEMBERS {
-            let fault = format!("a message of more than {MOST_MEMBERS} fields and constants is not supported");
+            let fault =
+                format!("a message of more than {MOST_MEMBERS} fields and constants is not supported");
             return Err(line.fault(line.start(), fault));
         }
         match line.parse(&message.name.package, std::mem::take(&mut comments))? {

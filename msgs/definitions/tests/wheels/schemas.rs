@@ -22,8 +22,14 @@ fn users(catalog: &mut Catalog) {
     }
     for (name, text) in [
         ("walker_msgs/msg/Header", "# Their own.\r\nchar\tkind\r\nuint8 KIND=1\r\n"),
-        ("walker_msgs/msg/Leg", "Header header\nHeader[2] before\nstd_msgs/Header sent\nchar[<=4] name \"ab\" # char\n"),
-        ("walker_msgs/msg/Legs", "# Of a walker.\nLeg[] legs\nstring<=10[<=5] names\nfloat32 X=1.5e3\nbool B=True\nbyte[4] b\n"),
+        (
+            "walker_msgs/msg/Leg",
+            "Header header\nHeader[2] before\nstd_msgs/Header sent\nchar[<=4] name \"ab\" # char\n",
+        ),
+        (
+            "walker_msgs/msg/Legs",
+            "# Of a walker.\nLeg[] legs\nstring<=10[<=5] names\nfloat32 X=1.5e3\nbool B=True\nbyte[4] b\n",
+        ),
         ("walker_msgs/msg/Nothing", ""),
     ] {
         let text = if name.ends_with("Leg") { text.replace(" \"ab\"", "") } else { text.to_owned() };
@@ -65,7 +71,10 @@ fn rosbags_computes_the_hash_of_every_type_from_its_schema() {
     assert_eq!(equal + different.len() + wide, names.len());
     assert!(different.is_empty(), "{} different:\n{}", different.len(), different.join("\n"));
     let parts = names.iter().filter(|name| name.kind != Kind::Message).count();
-    assert!(equal > 400 && parts > 200 && wide < 20, "{equal} equal, {parts} parts, {wide} with wide strings");
+    assert!(
+        equal > 400 && parts > 200 && wide < 20,
+        "{equal} equal, {parts} parts, {wide} with wide strings"
+    );
 }
 
 #[test]

@@ -55,7 +55,8 @@ impl Definitions {
         let language = if is_idl { DefinitionEncoding::Ros2Idl } else { DefinitionEncoding::Ros2Msg };
         let mut catalog = Catalog::new();
         let mut faults = catalog.add_readable_definitions(&name, language, text, TEXT);
-        let read = if faults.is_empty() { compiled(&catalog, &name) } else { Err(faults.swap_remove(0).into()) };
+        let read =
+            if faults.is_empty() { compiled(&catalog, &name) } else { Err(faults.swap_remove(0).into()) };
         let problem = match read {
             Ok(definition) => {
                 let is_other = !hash.is_empty() && definition.hash != hash;
@@ -87,22 +88,35 @@ impl Definitions {
     }
 
     /// Without a text, or with an empty one, which is the definition of an empty message that no source knows.
-    fn without_text(&self, name: &TypeName, encoding: &str, hash: &str) -> Result<RecordedDefinition, TypeLookupError> {
+    fn without_text(
+        &self,
+        name: &TypeName,
+        encoding: &str,
+        hash: &str,
+    ) -> Result<RecordedDefinition, TypeLookupError> {
         let found = self.whole(name).and_then(|(definition, place)| {
             if !hash.is_empty() && definition.hash != hash {
                 let (expected, found) = (hash.to_owned(), definition.hash);
-                return Err(unusable(name, &place, TypeError::Hash { name: name.to_string(), expected, found }));
+                return Err(unusable(
+                    name,
+                    &place,
+                    TypeError::Hash { name: name.to_string(), expected, found },
+                ));
             }
-            let taken = Some(format!("the definition of {name}, of which there is no text, is taken from {place}"));
+            let taken =
+                Some(format!("the definition of {name}, of which there is no text, is taken from {place}"));
             Ok(RecordedDefinition { definition, taken })
         });
         let mut catalog = Catalog::new();
         match found {
             Err(_) if encoding == "ros2msg" && catalog.add_message(name.clone(), "", TEXT).is_ok() => {
-                let empty = compiled(&catalog, name).ok().filter(|empty| hash.is_empty() || empty.hash == hash);
+                let empty =
+                    compiled(&catalog, name).ok().filter(|empty| hash.is_empty() || empty.hash == hash);
                 empty.map_or(found, |definition| Ok(RecordedDefinition { definition, taken: None }))
             }
-            Ok(mut found) if encoding == "ros2msg" && found.definition.message_type.fields().next().is_none() => {
+            Ok(mut found)
+                if encoding == "ros2msg" && found.definition.message_type.fields().next().is_none() =>
+            {
                 found.taken = None;
                 Ok(found)
             }
@@ -186,8 +200,12 @@ mod tests {
         // Of a user's type, as long as the hash does not say otherwise.
         let text = "std_msgs/Header header\nint8 n\n";
         assert!(known().recorded("my_msgs/msg/A", "ros2msg", text, "").is_ok());
-        let error = known().recorded("my_msgs/msg/A", "ros2msg", text, Path::TYPE_HASH).unwrap_err().to_string();
-        assert!(error.contains("unknown type `std_msgs/msg/Header`") || error.contains("std_msgs/msg/Header"), "{error}");
+        let error =
+            known().recorded("my_msgs/msg/A", "ros2msg", text, Path::TYPE_HASH).unwrap_err().to_string();
+        assert!(
+            error.contains("unknown type `std_msgs/msg/Header`") || error.contains("std_msgs/msg/Header"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -207,9 +225,14 @@ mod tests {
 
     #[test]
     fn the_text_of_a_service_file_defines_its_event() {
-        for text in ["bool data # on\n---\nbool success\nstring message\n", "bool data\n---\nbool success\nstring mess"] {
-            let found = known().recorded(SetBoolEvent::TYPE_NAME, "ros2msg", text, SetBoolEvent::TYPE_HASH).unwrap();
-            assert_eq!(found.definition.hash == SetBoolEvent::TYPE_HASH, text.ends_with("message\n"), "{text}");
+        for text in [
+            "bool data # on\n---\nbool success\nstring message\n",
+            "bool data\n---\nbool success\nstring mess",
+        ] {
+            let found =
+                known().recorded(SetBoolEvent::TYPE_NAME, "ros2msg", text, SetBoolEvent::TYPE_HASH).unwrap();
+            assert_eq!(found.definition.hash, SetBoolEvent::TYPE_HASH, "{text}");
+            assert_eq!(found.taken.is_none(), text.ends_with("message\n"), "{text}");
         }
     }
 

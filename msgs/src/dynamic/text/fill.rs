@@ -9,7 +9,8 @@ use std::fmt;
 
 use downbeat_msgs_definitions::{Element, Primitive, Shape, TypeName};
 use serde::de::{
-    DeserializeSeed, Deserializer, EnumAccess, Error, IgnoredAny, MapAccess, SeqAccess, VariantAccess, Visitor,
+    DeserializeSeed, Deserializer, EnumAccess, Error, IgnoredAny, MapAccess, SeqAccess, VariantAccess,
+    Visitor,
 };
 
 use super::scalar;

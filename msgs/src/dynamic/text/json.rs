@@ -35,7 +35,9 @@ impl DynamicMessage {
         let failed = |error: serde_json::Error, field| {
             TextError::new("JSON", error.line(), error.column(), &error, field)
         };
-        let stamps = filled.fill_from(&mut deserializer, Nothing::IsNan).map_err(|(error, field)| failed(error, field))?;
+        let stamps = filled
+            .fill_from(&mut deserializer, Nothing::IsNan)
+            .map_err(|(error, field)| failed(error, field))?;
         deserializer.end().map_err(|error| failed(error, None))?;
         *self = filled;
         Ok(stamps)

@@ -166,16 +166,19 @@ fn with_local_tag(yaml: &str) -> Cow<'_, str> {
     }
     let mut replaced = String::with_capacity(yaml.len());
     let (mut quote, mut is_escaped, mut is_comment, mut previous, mut skipped) = (None, false, false, ' ', 0);
+    // The last character that is neither white space nor in a comment: a value begins after a few of them only.
+    let mut last = ':';
     for (at, c) in yaml.char_indices() {
         if at < skipped {
             continue;
         }
-        let begins = previous.is_whitespace() || "[{,:-".contains(previous);
+        let begins = (previous.is_whitespace() || "[{,".contains(previous)) && "[{,:-?".contains(last);
         match quote {
             _ if is_comment => is_comment = c != '\n',
             Some('"') if is_escaped => is_escaped = false,
             Some('"') if c == '\\' => is_escaped = true,
             Some(open) => quote = Some(open).filter(|open| *open != c),
+            None if c == '\n' => last = if last == '|' || last == '>' { last } else { ':' },
             None if begins && (c == '"' || c == '\'') => quote = Some(c),
             None if c == '#' && previous.is_whitespace() => is_comment = true,
             None if begins && yaml[at..].starts_with(&tag) => {
@@ -183,13 +186,17 @@ fn with_local_tag(yaml: &str) -> Cow<'_, str> {
                 replaced.push_str(BINARY);
                 replaced.push(' ');
                 skipped = at + tag.len();
-                previous = 'y';
+                // Quotes may follow.
+                (previous, last) = (' ', ':');
                 continue;
             }
             None => {}
         }
         replaced.push(c);
         previous = c;
+        if !c.is_whitespace() && !is_comment {
+            last = c;
+        }
     }
     Cow::Owned(replaced)
 }

@@ -69,7 +69,9 @@ pub(super) fn play(
     let targets = targets(&player, &node, &overrides, requests, &stop)?;
     let left_out = left_out(&player, &targets);
     let is_asked_for = |name: &String| arguments.topics.names().contains(name);
-    if !stop.is_due() && (left_out.iter().any(is_asked_for) || left_out.len() == targets.len() && !targets.is_empty()) {
+    if !stop.is_due()
+        && (left_out.iter().any(is_asked_for) || left_out.len() == targets.len() && !targets.is_empty())
+    {
         bail!("nothing of {} can be played; see above", left_out.join(", "));
     }
     let clock = PublishedClock::new(&node, arguments)?;
