@@ -8,6 +8,7 @@ use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MessageFormat, RecordedTopic, TopicDescription};
 use downbeat_edge::{Interfaces, KnownType, UnknownType};
+use downbeat_msgs::dynamic::{Definitions, RecordedDefinition, TypeLookupError};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
 
@@ -53,6 +54,19 @@ pub fn described_topic_info(
     Ok((info, codec))
 }
 
+/// The definition of a topic's messages in CDR, completed from what this program knows.
+///
+/// # Errors
+/// If there is no definition that agrees with what is recorded.
+pub fn recorded_definition(
+    topic: &TopicDescription,
+    interfaces: &Interfaces,
+) -> Result<RecordedDefinition, TypeLookupError> {
+    // Usually a bag says it all.
+    let found = topic.definition_with(&Definitions::new().with_carried());
+    found.or_else(|_| topic.definition_with(&interfaces.definitions()))
+}
+
 /// The type of a topic in a bag, which converts its messages to CDR.
 #[derive(Clone, Debug)]
 pub struct RecordedType {
@@ -94,8 +108,7 @@ impl RecordedType {
     /// Returns an error if the type is not registered or has another definition in the bag, or the encoding
     /// is not supported.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, RecordedTypeError> {
-        let Some(format) = topic.info.format.as_ref().filter(|format| format.message_encoding != "cdr")
-        else {
+        let Some(format) = topic.info.format.as_ref().filter(|_| !topic.info.is_cdr()) else {
             return Ok(Self { message_type: interfaces.message(&topic.info.type_name)?, codec: None });
         };
         let schema = &format.schema;
@@ -105,12 +118,12 @@ impl RecordedType {
                 message_encoding: format.message_encoding.clone(),
             });
         };
-        // Other programs that write Foxglove's schemas do not use ROS 2 types.
-        let foreign = foxglove::types().find(|(_, foxglove)| *foxglove == topic.info.type_name);
+        // Other programs that write Foxglove's schemas do not use ROS 2 types. In JSON, their messages have Foxglove's fields.
+        let is_foxglove = matches!(encoding, Encoding::FoxgloveProtobuf | Encoding::FoxgloveFlatBuffers);
+        let foreign = foxglove::types().find(|(_, name)| is_foxglove && *name == topic.info.type_name);
         let message_type = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros))?;
         let codec = encoding.codec_of_text(message_type.name(), message_type.definition())?;
         // Foxglove's schemas are the same in all programs, and are only extended.
-        let is_foxglove = schema.name.starts_with("foxglove.");
         let is_same = topic.info.type_hash == message_type.hash()
             || (topic.info.type_hash.is_empty() && schema.data == codec.schema().data);
         if !is_foxglove && !is_same {

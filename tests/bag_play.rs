@@ -226,3 +226,19 @@ fn messages_latched_before_the_start_are_played_and_the_end_is_respected() {
     let played = text_of(&[&["bag", "play", text(&bag)], &until[..]].concat());
     assert!(played.contains("played 2 messages"), "{played}");
 }
+
+#[test]
+fn messages_of_types_in_idl_are_played_and_topics_that_cannot_be_are_an_error() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bags");
+    let played = |bag: &str, arguments: &[&str]| {
+        let bag = folder.join(bag);
+        let always = ["bag", "play", text(&bag), "--domain", "213", "--disable-keyboard-controls"];
+        let output = output_of(&[&always, arguments].concat());
+        let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        (output.status.success(), said)
+    };
+    let (is_success, said) = played("idl_simple.mcap", &[]);
+    assert!(is_success && said.contains("played 3 messages; 0 were refused"), "{said}");
+    let (is_success, said) = played("foxlog.mcap", &["--topics", "/log"]);
+    assert!(!is_success && said.contains("nothing of /log can be played"), "{said}");
+}

@@ -6,7 +6,7 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use common::{output_of, python, text_of};
-use downbeat::bags::Reader;
+use downbeat::bags::{Reader, TopicDescription, WriterOptions};
 
 fn recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/recordings/darwin_op_emulated")
@@ -132,4 +132,95 @@ fn errors_of_plot_and_export_list_the_valid_choices() {
     assert!(field("joint_states:position", &folder.path().join("plot.pdf")).contains(".svg or .png"));
     let there = refused(&["bag", "export", text(&bag), "-o", text(folder.path())]);
     assert!(there.contains("exists already") && there.contains("--force"), "{there}");
+}
+
+/// A bag of another program; see `tests/data/bags/README.md`.
+fn foreign(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bags").join(name).with_extension("mcap")
+}
+
+/// The rows of the only topic, exported as JSON lines, and what was logged.
+fn exported(bag: &Path, folder: &Path) -> (Vec<serde_json::Value>, String) {
+    let output = folder.join("exported");
+    let done = output_of(&["bag", "export", text(bag), "--force", "-f", "jsonl", "-o", text(&output)]);
+    let logged = String::from_utf8(done.stderr).unwrap();
+    assert!(done.status.success(), "{logged}");
+    let mut rows = Vec::new();
+    for file in std::fs::read_dir(&output).unwrap() {
+        let lines = std::fs::read_to_string(file.unwrap().path()).unwrap();
+        rows.extend(lines.lines().map(|line| serde_json::from_str(line).unwrap()));
+    }
+    (rows, logged)
+}
+
+#[test]
+fn types_that_are_defined_in_idl_are_read_by_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = foreign("idl_simple");
+    assert!(text_of(&["bag", "check", text(&bag)]).contains("decoded 3 of them, found 0 problems"));
+    let (rows, _) = exported(&bag, folder.path());
+    assert_eq!(rows.len(), 3);
+    assert_eq!(rows[2]["message"], serde_json::json!({ "a": 2, "b": 0.5 }));
+    let plot = folder.path().join("plot.svg");
+    assert!(text_of(&["bag", "plot", text(&bag), "simple:a", "-o", text(&plot)]).starts_with("1 curve in"));
+    // The schema of a copy is the same.
+    let copy = folder.path().join("copy");
+    text_of(&["bag", "convert", text(&bag), "-o", text(&copy)]);
+    assert_eq!(exported(&copy, folder.path()).0, rows);
+    assert!(text_of(&["bag", "info", "--json", text(&bag)]).contains("my_msgs/msg/Simple"));
+}
+
+#[test]
+fn packages_with_idl_files_alone_are_found() {
+    let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/my_idl");
+    let shown = text_of(&["interface", "show", "my_idl/msg/Simple", "--from", text(&package)]);
+    assert_eq!(shown.trim(), "int32 a\nfloat64 b");
+}
+
+#[test]
+fn incomplete_definitions_are_completed_and_empty_ones_are_definitions() {
+    let folder = tempfile::tempdir().unwrap();
+    let (rows, logged) = exported(&foreign("nested"), folder.path());
+    assert_eq!(rows[0]["message"], serde_json::json!({ "where": { "x": 1.0, "y": 2.0, "z": 3.0 } }));
+    assert!(logged.contains("geometry_msgs/msg/Point from the built-in interfaces"), "{logged}");
+    let checked = text_of(&["bag", "check", text(&foreign("nested"))]);
+    assert!(checked.contains("note: /spot: the definition of my_msgs/msg/Spot lacks types"), "{checked}");
+    let (rows, logged) = exported(&foreign("custom_nothing"), folder.path());
+    assert_eq!(rows.len(), 3);
+    assert!(rows.iter().all(|row| row["message"] == serde_json::json!({})) && logged.is_empty(), "{logged}");
+    let checked = text_of(&["bag", "check", text(&foreign("custom_nothing"))]);
+    assert!(checked.contains("decoded 3 of them, found 0 problems"), "{checked}");
+}
+
+#[test]
+fn json_of_other_schemas_is_exported_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let (rows, _) = exported(&foreign("foxlog"), folder.path());
+    let hello = rows.iter().find(|row| row["message"]["message"] == "hi 0").unwrap();
+    assert_eq!(hello["message"]["timestamp"], serde_json::json!({ "sec": 5, "nsec": 6 }));
+    assert!(rows.iter().any(|row| row["message"]["nested"]["x"] == serde_json::json!([1, 2])));
+    assert!(rows.iter().any(|row| row["message"]["frame_id"] == "map"));
+    let csv = folder.path().join("csv");
+    text_of(&["bag", "export", text(&foreign("foxlog")), "-o", text(&csv)]);
+    assert!(csv.join("log.jsonl").exists());
+}
+
+#[test]
+fn a_topic_with_a_long_name_has_a_file_with_a_shorter_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    for end in ["a", "b"] {
+        let topic = TopicDescription {
+            name: format!("/{}/{end}", "long".repeat(300)),
+            type_name: "std_msgs/msg/Empty".into(),
+            ..TopicDescription::default()
+        };
+        let topic = writer.add_topic(topic).unwrap();
+        writer.write(topic, 1, 1, &[0, 1, 0, 0, 0]).unwrap();
+    }
+    writer.finish().unwrap();
+    let (rows, logged) = exported(&bag, folder.path());
+    assert_eq!(rows.len(), 2);
+    assert!(logged.contains("is shortened to"), "{logged}");
 }

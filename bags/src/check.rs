@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use downbeat_msgs::dynamic::DynamicType;
+use downbeat_msgs::dynamic::{Definitions, DynamicType};
 use downbeat_msgs::printable;
 
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, Truncation};
@@ -27,7 +27,7 @@ pub enum Problem {
     },
     /// There is no metadata.yaml.
     NoMetadata,
-    /// A topic has no definition of its type, so that other programs cannot read its messages.
+    /// A topic has no definition of its type, and none is known.
     NoDefinition {
         /// The topic.
         topic: String,
@@ -63,19 +63,33 @@ pub struct Check {
     pub decoded: u64,
     /// The problems found.
     pub problems: Vec<Problem>,
+    /// What the check took from elsewhere to decode messages, as sentences: definitions that the bag lacks.
+    pub notes: Vec<String>,
 }
 
 /// Reads a whole bag: checksums, counts, definitions and every message. `progress` is called with the number
-/// of messages read.
+/// of messages read. Definitions that the bag lacks are looked up in the built-in interfaces; see [`check_with`].
 ///
 /// # Errors
 /// Returns an error if a file can no longer be opened.
-pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
-    let mut check = Check { messages: 0, decoded: 0, problems: Vec::new() };
+pub fn check(reader: &Reader, progress: impl FnMut(u64)) -> Result<Check, ReaderError> {
+    check_with(reader, &Definitions::new().with_carried(), progress)
+}
+
+/// Like [`check`], with these definitions.
+///
+/// # Errors
+/// Returns an error if a file can no longer be opened.
+pub fn check_with(
+    reader: &Reader,
+    known: &Definitions,
+    mut progress: impl FnMut(u64),
+) -> Result<Check, ReaderError> {
+    let mut check = Check { messages: 0, decoded: 0, problems: Vec::new(), notes: Vec::new() };
     check.problems.extend(reader.truncation().cloned().map(Problem::Truncated));
-    let mut decoding = Decoding::default();
+    let mut decoding = Decoding::new(known);
     for topic in reader.topics() {
-        decoding.add(topic, &mut check.problems);
+        decoding.add(topic, &mut check.problems, &mut check.notes);
     }
     let mut counts = vec![0; reader.topics().len()];
     for message in reader.messages(Selection::all())? {
@@ -100,20 +114,35 @@ pub fn check(reader: &Reader, mut progress: impl FnMut(u64)) -> Result<Check, Re
 }
 
 /// Decodes messages by the definitions of their types, and counts those that cannot be decoded.
-#[derive(Default)]
-pub(crate) struct Decoding {
+pub(crate) struct Decoding<'a> {
+    known: &'a Definitions,
     /// By topic.
     types: Vec<Option<DynamicType>>,
-    /// By type, encoding and definition, which many topics may share.
-    known: HashMap<(String, String, Vec<u8>), Result<DynamicType, String>>,
+    /// Topics may share them.
+    found: HashMap<DefinitionKey, Found>,
     /// The number of messages that cannot be decoded, and the problem with the first one.
     refused: Vec<(u64, String)>,
 }
 
-impl Decoding {
-    /// Adds a topic, and problems of its definition.
-    pub(crate) fn add(&mut self, topic: &RecordedTopic, problems: &mut Vec<Problem>) {
-        let of = self.definition(topic, problems);
+/// Type, definition, hash, and the encoding and data of the schema.
+type DefinitionKey = (String, String, String, Option<(String, Vec<u8>)>);
+/// A type, and what was taken from elsewhere; or why there is none.
+type Found = Result<(DynamicType, Option<String>), String>;
+
+impl<'a> Decoding<'a> {
+    /// Looks up in `known` what the bag lacks.
+    pub(crate) fn new(known: &'a Definitions) -> Self {
+        Self { known, types: Vec::new(), found: HashMap::new(), refused: Vec::new() }
+    }
+
+    /// Adds a topic, with problems of its definition and notes about it.
+    pub(crate) fn add(
+        &mut self,
+        topic: &RecordedTopic,
+        problems: &mut Vec<Problem>,
+        notes: &mut Vec<String>,
+    ) {
+        let of = self.definition(topic, problems, notes);
         self.types.push(of);
         self.refused.push((0, String::new()));
     }
@@ -145,34 +174,42 @@ impl Decoding {
         })
     }
 
-    /// The type of a topic's messages, if they are CDR and the bag has its definition.
-    fn definition(&mut self, topic: &RecordedTopic, problems: &mut Vec<Problem>) -> Option<DynamicType> {
+    /// The type of a topic's messages, if they are CDR and its definition is known.
+    fn definition(
+        &mut self,
+        topic: &RecordedTopic,
+        problems: &mut Vec<Problem>,
+        notes: &mut Vec<String>,
+    ) -> Option<DynamicType> {
         let info = &topic.info;
-        let schema = info.schema();
-        if info.message_encoding() != "cdr" {
+        if !info.is_cdr() {
             return None;
         }
-        if schema.encoding.is_empty() {
-            // rosbag2 has no definitions of service events either.
-            if topic.message_count > 0 && !info.type_name.contains("/srv/") {
-                let (topic, type_name) = (info.name.clone(), info.type_name.clone());
-                problems.push(Problem::NoDefinition { topic, type_name });
-            }
-            return None;
-        }
-        let known = self.known.entry((info.type_name.clone(), schema.encoding, schema.data));
-        let of = known.or_insert_with_key(|(name, encoding, data)| {
-            let text = String::from_utf8_lossy(data);
-            DynamicType::from_definition_text(name, encoding, &text).map_err(|error| error.to_string())
+        let schema = info.format.as_ref().map(|format| &format.schema);
+        let schema = schema.map(|schema| (schema.encoding.clone(), schema.data.clone()));
+        let key = (info.type_name.clone(), info.definition.clone(), info.type_hash.clone(), schema);
+        let found = self.found.entry(key).or_insert_with(|| {
+            let found = info.definition_with(self.known).map_err(|error| error.to_string())?;
+            Ok((found.definition.message_type, found.taken))
         });
-        match of {
-            Ok(of) => Some(of.clone()),
+        match found {
+            Ok((of, taken)) => {
+                notes.extend(taken.as_ref().map(|taken| format!("{}: {taken}", info.name)));
+                return Some(of.clone());
+            }
+            Err(_) if info.definition.is_empty() && info.schema().encoding.is_empty() => {
+                // rosbag2 has no definitions of service events either.
+                if topic.message_count > 0 && !info.type_name.contains("/srv/") {
+                    let (topic, type_name) = (info.name.clone(), info.type_name.clone());
+                    problems.push(Problem::NoDefinition { topic, type_name });
+                }
+            }
             Err(found) => {
                 let (topic, found) = (info.name.clone(), found.clone());
                 problems.push(Problem::Definition { topic, found });
-                None
             }
         }
+        None
     }
 }
 
@@ -216,7 +253,7 @@ impl fmt::Display for Problem {
             Self::NoMetadata => f.write_str("there is no metadata.yaml; `downbeat bag reindex` creates it"),
             Self::NoDefinition { topic, type_name } => {
                 let (topic, type_name) = (printable(topic), printable(type_name));
-                write!(f, "{topic}: the bag has no definition of {type_name}")
+                write!(f, "{topic}: the bag has no definition of {type_name}, and none is known")
             }
             Self::Definition { topic, found } => {
                 let (topic, found) = (printable(topic), printable(found));

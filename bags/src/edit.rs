@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 
+use downbeat_msgs::dynamic::Definitions;
+
 use crate::check::{Decoding, Problem};
 use crate::metadata::{
     self, FORMAT_VERSION, FileMetadata, Metadata, MetadataError, RecordedQos, TopicMetadata,
@@ -112,9 +114,10 @@ impl<'a> Copy<'a> {
         let mut unreadable = Vec::new();
         let add = |topic: &RecordedTopic| writer.add_topic(topic.info.clone());
         let targets = self.bags.topics().iter().map(add).collect::<Result<Vec<_>, _>>()?;
-        let mut decoding = Decoding::default();
+        let known = Definitions::new().with_carried();
+        let mut decoding = Decoding::new(&known);
         for topic in self.bags.topics() {
-            decoding.add(topic, &mut Vec::new());
+            decoding.add(topic, &mut Vec::new(), &mut Vec::new());
         }
         let keeps_publish_time = writer.storage().keeps_publish_time();
         let (mut written, mut without_publish_time) = (0, 0);

@@ -57,7 +57,7 @@ mod topic;
 mod writer;
 mod zstd;
 
-pub use check::{Check, Problem, check};
+pub use check::{Check, Problem, check, check_with};
 pub use compare::{Comparer, FieldDifference, FieldRule, FieldRuleError};
 pub use diff::{BagDiff, DiffOptions, MessageDiff, MessageDiffKind, TopicDiff, diff};
 pub use edit::{Copied, Copy, CopyError, Merged, MergedBags, TypeConflict, reindex};

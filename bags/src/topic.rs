@@ -1,9 +1,11 @@
 //! The description of a topic in a bag.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use downbeat_msgs::definitions::{Catalog, TypeName};
+use downbeat_msgs::definitions::{Catalog, DefinitionEncoding, Kind, TypeName, portable_definition_text};
+use downbeat_msgs::dynamic::{Definitions, RecordedDefinition, TypeLookupError};
 use downbeat_msgs::encoding::Schema;
 use downbeat_msgs::qos::{Durability, History, QosProfile};
 
@@ -17,11 +19,11 @@ pub struct TopicDescription {
     pub name: String,
     /// ROS type name, `sensor_msgs/msg/JointState`.
     pub type_name: String,
-    /// The definition text of the type, including its dependencies, as in rosbag2: that of a message or, for
-    /// service events, that of the service, which starts with a line `SRV: package/srv/Name` below a rule.
+    /// The `ros2msg` text of the type, including its dependencies.
     ///
-    /// Empty if unknown. A reader also leaves it empty if the bag contains a format other than `ros2msg`, and
-    /// a writer does not write it if [`TopicDescription::format`] has a schema.
+    /// Empty if unknown. A reader converts definitions in IDL and texts of services, and leaves it empty for messages that are
+    /// not CDR. A writer writes its portable form ([`portable_definition_text`]; IDL for types of services), or
+    /// nothing of it if [`TopicDescription::format`] has a schema.
     pub definition: String,
     /// Type hash as in REP-2016, `RIHS01_…`; empty if unknown.
     pub type_hash: String,
@@ -44,6 +46,74 @@ impl TopicDescription {
         self.offered_qos.iter().map(RecordedQos::to_profile).map(depth).max().unwrap_or(0)
     }
 
+    /// Whether its messages are CDR.
+    #[must_use]
+    pub fn is_cdr(&self) -> bool {
+        self.message_encoding() == "cdr"
+    }
+
+    /// Whether its messages are JSON, of whatever schema.
+    #[must_use]
+    pub fn is_json(&self) -> bool {
+        self.message_encoding() == "json"
+    }
+
+    /// The definition of its messages in CDR: the recorded one, completed from `known` where it is damaged or incomplete.
+    ///
+    /// # Errors
+    /// Returns an error if there is no definition that agrees with the recorded text and hash.
+    pub fn definition_with(&self, known: &Definitions) -> Result<RecordedDefinition, TypeLookupError> {
+        if !self.definition.is_empty() {
+            return known.recorded(&self.type_name, "ros2msg", &self.definition, &self.type_hash);
+        }
+        let schema = self.schema();
+        let text = String::from_utf8_lossy(&schema.data);
+        known.recorded(&self.type_name, &schema.encoding, &text, &self.type_hash)
+    }
+
+    /// Takes the schema of messages in CDR from a bag.
+    pub(crate) fn take_schema(&mut self, name: &str, encoding: &str, data: &[u8]) {
+        let text = String::from_utf8_lossy(data);
+        if encoding == "ros2msg" && !text.starts_with(RULE) && (!text.is_empty() || self.has_no_fields()) {
+            self.definition = text.into_owned();
+            return;
+        }
+        let keep = |of: &mut Self| {
+            of.format = Some(MessageFormat {
+                message_encoding: "cdr".to_owned(),
+                schema: Schema { name: name.to_owned(), encoding: encoding.to_owned(), data: data.to_vec() },
+            });
+        };
+        // The hash does not say that the message is empty, but the text does.
+        if encoding == "ros2msg" && data.is_empty() {
+            keep(self);
+            return;
+        }
+        // The real recorder writes the encoding `unknown` without a text for parts of actions.
+        if encoding.is_empty() || data.is_empty() {
+            return;
+        }
+        let converted = self.converted(encoding, &text);
+        let is_known = converted.is_some();
+        self.definition = converted.unwrap_or_default();
+        // The text of a service stands for the text of its events, which contains as much; IDL may contain more. A text that
+        // could not be read is kept as it is.
+        if !is_known || (encoding == "ros2idl" && self.schema().data != data) {
+            keep(self);
+        }
+    }
+
+    /// The `ros2msg` text of the type in a text with headers, or in IDL.
+    fn converted(&self, encoding: &str, text: &str) -> Option<String> {
+        let name: TypeName = self.type_name.parse().ok()?;
+        let encoding =
+            if encoding == "ros2idl" { DefinitionEncoding::Ros2Idl } else { DefinitionEncoding::Ros2Msg };
+        let mut catalog = Catalog::new();
+        catalog.add_definition_text(&name, encoding, text, &self.name).ok()?;
+        catalog.check_type(&name).ok()?;
+        catalog.definition_text(&name).ok()
+    }
+
     /// The name of the serialisation in a channel and in the metadata of a bag.
     pub(crate) fn message_encoding(&self) -> &str {
         self.format.as_ref().map_or("cdr", |format| &format.message_encoding)
@@ -51,15 +121,37 @@ impl TopicDescription {
 
     /// The schema for reading the messages.
     pub(crate) fn schema(&self) -> Schema {
-        self.format.as_ref().map_or_else(
-            || Schema {
-                name: self.type_name.clone(),
-                encoding: if self.has_no_fields() { "ros2msg" } else { encoding_of(&self.definition) }
-                    .to_owned(),
-                data: self.definition.clone().into_bytes(),
-            },
-            |format| format.schema.clone(),
-        )
+        if let Some(format) = &self.format {
+            return format.schema.clone();
+        }
+        let (encoding, text) = self.schema_text();
+        Schema {
+            name: self.type_name.clone(),
+            encoding: encoding.to_owned(),
+            data: text.into_owned().into_bytes(),
+        }
+    }
+
+    /// Encoding and text of the schema that describes its messages in CDR.
+    fn schema_text(&self) -> (&'static str, Cow<'_, str>) {
+        let definition = Cow::Borrowed(self.definition.as_str());
+        if definition.is_empty() {
+            // The format requires an empty encoding if there is no text.
+            return (if self.has_no_fields() { "ros2msg" } else { "" }, definition);
+        }
+        let Ok(name) = self.type_name.parse::<TypeName>() else {
+            return (encoding_of(&definition), definition);
+        };
+        if name.kind == Kind::Service || definition.starts_with(RULE) {
+            let mut catalog = Catalog::new();
+            let added =
+                catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, &definition, &self.name);
+            if let Some((encoding, text)) = added.ok().and_then(|()| catalog.schema_text(&name).ok()) {
+                return (encoding.as_str(), Cow::Owned(text));
+            }
+            return (encoding_of(&definition), definition);
+        }
+        ("ros2msg", portable_definition_text(&name, &self.definition))
     }
 
     /// Returns whether the definition is known and empty, as for `std_msgs/msg/Empty`: the hash distinguishes

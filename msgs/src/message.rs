@@ -206,7 +206,9 @@ mod tests {
         type SetBool = crate::std_srvs::srv::SetBool;
         assert_eq!(SetBool::TYPE_NAME, "std_srvs/srv/SetBool");
         assert_eq!(<SetBool as Service>::Request::TYPE_NAME, "std_srvs/srv/SetBool_Request");
-        assert_eq!(<SetBool as Service>::Event::DEFINITION, SetBool::DEFINITION);
+        let event = <SetBool as Service>::Event::DEFINITION;
+        assert!(event.contains("\nstd_srvs/srv/SetBool_Request[<=1] request\n"), "{event}");
+        assert!(event.contains("\nMSG: std_srvs/srv/SetBool_Request\nbool data"), "{event}");
     }
 
     #[test]

@@ -94,7 +94,7 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
             bag::play::play(&arguments, catalog, &ros, &screen, &log)
         }
         Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, catalog, &ros, &log),
-        Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments),
+        Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments, catalog),
         Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),
         Command::Bag(BagCommand::Reindex(arguments)) => bag::reindex::reindex(&arguments),
         Command::Bag(BagCommand::Convert(arguments)) => bag::convert::convert(&arguments),

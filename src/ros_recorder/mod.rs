@@ -27,7 +27,7 @@ use downbeat_msgs::{Message, cdr};
 
 use crate::encoding::described_topic_info;
 use channel::{Channel, RecorderClock};
-pub(crate) use definitions::at_hand as definition_at_hand;
+
 use definitions::{Definition, Inquiry};
 pub use filter::{SeenTopic, TopicFilter};
 pub use qos_overrides::{QosOverrides, QosOverridesError};

@@ -30,7 +30,6 @@ mod numbers;
 mod parquet;
 mod series;
 
-use std::borrow::Cow;
 use std::fmt::Write as _;
 
 use bytes::Bytes;
@@ -40,8 +39,7 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::dynamic::{Array, DynamicMessage, DynamicType, MessageRef, TypeError, ValueRef};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 
-use crate::encoding::{RecordedType, RecordedTypeError};
-use crate::ros_recorder::definition_at_hand;
+use crate::encoding::{RecordedType, RecordedTypeError, recorded_definition};
 pub use columns::{Cell, Column, ColumnKind, Columns, Survey};
 #[cfg(feature = "plots")]
 pub(crate) use numbers::ELEMENT_NAMES;
@@ -71,12 +69,23 @@ pub enum DecodeError {
         /// Why the registry has no definition.
         problem: String,
     },
+    /// The definition in the bag cannot be used, and no other one agrees with it.
+    #[error("the bag's definition of {type_name} cannot be used: {problem}")]
+    Definition {
+        /// The type.
+        type_name: String,
+        /// The problem.
+        problem: String,
+    },
     /// The encoding is not supported.
     #[error(transparent)]
     Encoding(#[from] RecordedTypeError),
     /// The definition cannot be parsed.
     #[error(transparent)]
     Type(#[from] TypeError),
+    /// A message is not JSON.
+    #[error("it is not JSON: {0}")]
+    Json(serde_json::Error),
     /// A message is not valid in its encoding.
     #[error(transparent)]
     Message(#[from] encoding::Error),
@@ -92,24 +101,25 @@ impl Decoder {
     /// Returns an error if there is no definition of the type.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, DecodeError> {
         let info = &topic.info;
-        let is_cdr = info.format.is_none();
-        let (name, definition, recorded) = if is_cdr {
-            let unknown = |problem| DecodeError::Unknown { type_name: info.type_name.clone(), problem };
-            let definition = match info.definition.as_str() {
-                "" => {
-                    Cow::Owned(definition_at_hand(interfaces, &info.type_name, None).map_err(unknown)?.text)
+        if info.is_cdr() {
+            let found = recorded_definition(info, interfaces).map_err(|error| {
+                let (type_name, problem) = (info.type_name.clone(), error.to_string());
+                match info.definition.as_str() {
+                    "" => DecodeError::Unknown { type_name, problem },
+                    _ => DecodeError::Definition { type_name, problem },
                 }
-                recorded => Cow::Borrowed(recorded),
-            };
-            (info.type_name.as_str(), definition, None)
-        } else {
-            let recorded = RecordedType::of(topic, interfaces)?;
-            let known = recorded.message_type();
-            (known.name(), Cow::Borrowed(known.definition()), Some(recorded))
-        };
-        let message_type = DynamicType::from_definition_text(name, "ros2msg", &definition)?;
-        let json = Encoding::Json.codec_of_text(name, &definition)?;
-        Ok(Self { message_type, json, recorded })
+            })?;
+            if let Some(taken) = found.taken {
+                tracing::warn!("{}: {taken}", info.name);
+            }
+            let json = Encoding::Json.codec_of_text(&info.type_name, &found.definition.text)?;
+            return Ok(Self { message_type: found.definition.message_type, json, recorded: None });
+        }
+        let recorded = RecordedType::of(topic, interfaces)?;
+        let known = recorded.message_type();
+        let message_type = DynamicType::from_definition_text(known.name(), "ros2msg", known.definition())?;
+        let json = Encoding::Json.codec_of_text(known.name(), known.definition())?;
+        Ok(Self { message_type, json, recorded: Some(recorded) })
     }
 
     /// The type of the messages.

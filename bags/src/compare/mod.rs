@@ -90,10 +90,8 @@ impl Comparer {
 
 /// The definition of the topic's type: that of the bag, or else the built-in one.
 fn message_type(topic: &TopicDescription) -> Option<DynamicType> {
-    DynamicType::from_definition_text(&topic.type_name, "ros2msg", &topic.definition)
-        .ok()
-        .filter(|_| !topic.definition.is_empty())
-        .or_else(|| Definitions::new().with_carried().find(&topic.type_name).ok())
+    let found = topic.definition_with(&Definitions::new().with_carried());
+    found.ok().map(|found| found.definition.message_type)
 }
 
 fn bytes_difference(first: &[u8], second: &[u8]) -> FieldDifference {

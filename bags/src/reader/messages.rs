@@ -230,6 +230,16 @@ impl Messages {
             if !self.selection.includes(topic, signed(log_time)) {
                 return;
             }
+            // Other numbers in their place would be written to new bags.
+            if i64::try_from(log_time.max(publish_time)).is_err() {
+                problem.get_or_insert_with(|| {
+                    format!(
+                        "messages with times after the year 2262, which ROS 2 cannot represent, are left out; the first has the log \
+                         time {log_time} and the publish time {publish_time}"
+                    )
+                });
+                return;
+            }
             let data = if file.has_packed_messages {
                 zstd::decompress_within(data, zstd::most_from(data.len() as u64).min(room.left()))
                     .map(Bytes::from)
@@ -377,7 +387,7 @@ impl Ord for Pending {
     }
 }
 
-/// Converts to ROS times, which are signed; times after the year 2262 saturate.
+/// Converts the bounds of a part of a file to ROS times, which are signed; times after the year 2262 saturate.
 pub(super) fn signed(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }

@@ -110,32 +110,34 @@ fn from_channel(
 ) -> RecordedTopic {
     let text = |key: &str| channel.metadata.get(key).map_or("", String::as_str);
     let offered_qos = profiles.of(text("offered_qos_profiles"), &channel.topic, &file.path);
-    RecordedTopic {
-        info: TopicDescription {
-            name: channel.topic.clone(),
-            type_name: match text("topic_type") {
-                "" => schema.map_or_else(String::new, |schema| schema.name.clone()),
-                type_name => type_name.to_owned(),
-            },
-            definition: schema
-                .filter(|schema| schema.encoding == "ros2msg")
-                .map_or_else(String::new, |schema| String::from_utf8_lossy(&schema.data).into_owned()),
-            type_hash: text("topic_type_hash").to_owned(),
-            offered_qos,
-            format: (channel.message_encoding != "cdr"
-                || schema.is_some_and(|schema| !["ros2msg", ""].contains(&schema.encoding.as_str())))
-            .then(|| MessageFormat {
+    let mut info = TopicDescription {
+        name: channel.topic.clone(),
+        type_name: match text("topic_type") {
+            "" => schema.map_or_else(String::new, |schema| schema.name.clone()),
+            type_name => type_name.to_owned(),
+        },
+        definition: String::new(),
+        type_hash: text("topic_type_hash").to_owned(),
+        offered_qos,
+        format: None,
+    };
+    match schema {
+        Some(schema) if channel.message_encoding == "cdr" => {
+            info.take_schema(&schema.name, &schema.encoding, &schema.data)
+        }
+        None if channel.message_encoding == "cdr" => {}
+        _ => {
+            info.format = Some(MessageFormat {
                 message_encoding: channel.message_encoding.clone(),
                 schema: schema.map_or_else(Schema::default, |schema| Schema {
                     name: schema.name.clone(),
                     encoding: schema.encoding.clone(),
                     data: schema.data.to_vec(),
                 }),
-            }),
-        },
-        serialization_format: channel.message_encoding.clone(),
-        message_count: 0,
+            });
+        }
     }
+    RecordedTopic { info, serialization_format: channel.message_encoding.clone(), message_count: 0 }
 }
 
 fn definition_length(info: &TopicDescription) -> usize {

@@ -171,6 +171,11 @@ fn schemas_and_channels_equal_those_of_the_real_recorder() {
         assert_eq!(ours.channels, real.channels, "{name}");
         assert_eq!(ours.schemas.len(), real.schemas.len(), "{name}");
         for ((our_header, our_text), (header, text)) in ours.schemas.iter().zip(&real.schemas) {
+            if header.name.contains("/srv/") {
+                // The real recorder writes a text that other readers, `rosbags` among them, refuse together with the whole bag.
+                assert_eq!((&*header.encoding, &*our_header.encoding), ("unknown", "ros2idl"), "{name}");
+                continue;
+            }
             let encoding = |header: &SchemaHeader| (header.id, header.name.clone(), header.encoding.clone());
             assert_eq!(encoding(our_header), encoding(header), "{name}");
             assert_eq!(comparable(our_text), comparable(text), "{name}: {}", header.name);
@@ -194,7 +199,8 @@ fn the_records_of_the_file_are_those_of_the_real_recorder() {
             let (our_content, content) = (content(our_chunk), content(chunk));
             let kinds = |content: &[u8]| records(content).map(|(opcode, _)| opcode).collect::<Vec<_>>();
             assert_eq!(kinds(&our_content), kinds(&content), "{name}");
-            if definitions().1 {
+            let has_services = content.windows(5).any(|bytes| bytes == b"/srv/");
+            if definitions().1 && !has_services {
                 assert!(our_content == content, "{name}: byte for byte");
                 let header = |header: &ChunkHeader| ChunkHeader { compressed_size: 0, ..header.clone() };
                 assert_eq!(header(&our_chunk.0), header(&chunk.0), "{name}");

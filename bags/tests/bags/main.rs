@@ -19,6 +19,7 @@ mod node;
 mod order;
 mod others;
 mod python;
+mod recorded;
 mod salvage;
 mod splits;
 #[cfg(feature = "sqlite")]

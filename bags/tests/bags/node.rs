@@ -98,10 +98,10 @@ fn mcap_core_reads_every_message_of_our_bags() {
                 let channel = &read["channels"][&topic.name];
                 let schema = &channel["schema"];
                 assert_eq!(schema["name"], topic.type_name.as_str(), "{name}, {by}");
-                // As in rosbag2: see `encoding_of` in `src/topic.rs`.
-                let encoding = if topic.type_name.ends_with("_Event") { "unknown" } else { "ros2msg" };
-                assert_eq!(schema["encoding"], encoding, "{name}, {by}");
-                assert_eq!(schema["text"], topic.definition.as_str(), "{name}, {by}");
+                let of = topic.type_name.parse().unwrap();
+                let (encoding, text) = downbeat_msgs::carried().schema_text(&of).unwrap();
+                assert_eq!(schema["encoding"], encoding.as_str(), "{name}, {by}");
+                assert_eq!(schema["text"], text, "{name}, {by}");
                 assert_eq!(channel["encoding"], "cdr", "{name}, {by}");
                 assert_eq!(channel["metadata"]["topic_type_hash"], topic.type_hash.as_str(), "{name}, {by}");
                 let qos = channel["metadata"]["offered_qos_profiles"].as_str().unwrap();

@@ -177,3 +177,31 @@ fn playback_starts_at_its_offset_with_the_chosen_topics() {
     assert!(matches!(error, PlayerError::UnknownTopic { .. }), "{error}");
     assert_eq!(error.to_string(), "cannot play topic /nubmers: the bag has /numbers, /other");
 }
+
+/// Numbers in their place would be written to new bags.
+#[test]
+fn times_that_ros_2_cannot_represent_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("late.mcap");
+    let mut writer = mcap::Writer::new(std::fs::File::create(&file).unwrap()).unwrap();
+    let schema = writer.add_schema("std_msgs/msg/Int64", "ros2msg", b"int64 data\n").unwrap();
+    let channel = writer.add_channel(schema, "/n", "cdr", &std::collections::BTreeMap::new()).unwrap();
+    for (sequence, times) in (0..).zip([(5, 5), (6, u64::MAX), (u64::MAX - 1, 7), (8, 8)]) {
+        let (log_time, publish_time) = times;
+        let header = mcap::records::MessageHeader { channel_id: channel, sequence, log_time, publish_time };
+        writer.write_to_known_channel(&header, &[0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+    }
+    writer.finish().unwrap();
+    let reader = downbeat_bags::Reader::open(&file).unwrap();
+    let (mut times, mut refused) = (Vec::new(), Vec::new());
+    for message in reader.messages(downbeat_bags::Selection::all()).unwrap() {
+        match message {
+            Ok(message) => times.push((message.log_time, message.publish_time)),
+            Err(error) => refused.push(error.to_string()),
+        }
+    }
+    assert_eq!(times, [(5, 5), (8, 8)]);
+    assert!(refused.len() == 1 && refused[0].contains("after the year 2262"), "{refused:?}");
+    assert!(refused[0].contains("18446744073709551615"), "{refused:?}");
+    assert!(!downbeat_bags::check(&reader, |_| ()).unwrap().problems.is_empty());
+}

@@ -115,10 +115,7 @@ const READERS: [Peer; 3] = [
     Peer {
         name: "rosbags",
         with: With::Rosbags,
-        exception: |of| match of.is_event() {
-            true => Some("it reads no definitions of services, and these are used for their events"),
-            false => of.has_a("wstring").then_some("it does not support wide strings"),
-        },
+        exception: |of| of.has_a("wstring").then_some("it does not support wide strings"),
     },
     // Types of packages without wheels are excluded below.
     Peer { name: "rclpy", with: With::Rclpy, exception: |_| None },
@@ -235,7 +232,8 @@ fn mcap_core_reads_every_message_of_every_carried_type() {
             for of in &types {
                 let channel = &read["channels"][of.topic()];
                 assert_eq!(channel["schema"]["name"], of.name, "{bag}, {by}");
-                assert_eq!(channel["schema"]["text"], of.definition, "{bag}, {by}");
+                let (_, text) = carried().schema_text(&of.name.parse().unwrap()).unwrap();
+                assert_eq!(channel["schema"]["text"], text, "{bag}, {by}");
                 assert_eq!(channel["metadata"]["topic_type_hash"], of.hash, "{bag}, {by}");
             }
         }
@@ -265,19 +263,10 @@ fn hashes_in_bags_are_those_that_ros_2_publishes_and_rosbags_computes() {
         assert!(published > 150, "{published} of {}", types.len());
     }
     let _check = noted("type hashes", With::Rosbags, Way::Out);
-    // It treats parts of actions as messages, and computes different hashes from their names.
-    for of in types.iter().filter(|of| of.is_message() && !of.has_a("wstring")) {
+    for of in types.iter().filter(|of| !of.has_a("wstring")) {
         let theirs = read["computed"][of.topic()].as_str();
-        let theirs = theirs.unwrap_or_else(|| panic!("rosbags has no hash of {}", of.name));
-        if of.has_a("char") {
-            // It hashes `char` as a character. In ROS 2 definitions it is an alias of uint8 (rosidl_adapter,
-            // `msg2idl`), also in the hashes that ROS 2 publishes.
-            assert_ne!(theirs, of.hash, "{}: the exception is no longer needed", of.name);
-            assert!(read["published"].get(of.name).is_none_or(|hash| hash == of.hash), "{}", of.name);
-        } else {
-            assert_eq!(theirs, of.hash, "{}", of.name);
-            computed += 1;
-        }
+        assert_eq!(theirs, Some(of.hash), "{}", of.name);
+        computed += 1;
     }
-    assert!(computed > 100, "{computed} of {}", types.len());
+    assert!(computed > 200, "{computed} of {}", types.len());
 }

@@ -18,7 +18,8 @@ from mcap_ros2.decoder import DecoderFactory  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from ros import MessageType  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+from schemas import types_of  # noqa: E402
 
 
 def with_mcap_ros2(bag: Path, values: dict) -> dict:
@@ -61,7 +62,7 @@ def with_rosbags(bag: Path) -> dict:
         for connection in reader.connections:
             try:
                 store = get_typestore(Stores.EMPTY)
-                store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+                store.register(types_of(connection))
                 types[connection.topic] = store, plain_of(store, connection.msgtype)
                 found[connection.topic] = []
             except Exception as error:  # reported to the test, which knows what it cannot read
@@ -95,7 +96,7 @@ def main() -> None:
     packages = {path.parent.name for path in (Path(sys.prefix) / "share").glob("*/package.xml")}
     found = {
         "mcap_ros2": with_mcap_ros2(bags[0], values) | with_mcap_ros2(bags[1], values),
-        "rosbags": with_rosbags(bags[0]),
+        "rosbags": with_rosbags(bags[0]) | with_rosbags(bags[1]),
         "rclpy": with_rclpy(bags[0], packages) | with_rclpy(bags[1], packages),
         "packages": sorted(packages),
     }

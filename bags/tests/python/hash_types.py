@@ -7,7 +7,8 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
+from schemas import types_of
 
 folder = Path(sys.argv[1])
 recorded, computed, published = {}, {}, {}
@@ -15,16 +16,16 @@ for name in ("messages", "events"):
     with (folder / name / f"{name}_0.mcap").open("rb") as stream:
         for channel in make_reader(stream).get_summary().channels.values():
             recorded[channel.topic] = channel.metadata["topic_type_hash"]
-# rosbags cannot open bags with service events whose definition refers to no message.
-with Reader(folder / "messages") as reader:
-    for connection in reader.connections:
-        assert connection.digest == recorded[connection.topic], connection.topic
-        try:
-            store = get_typestore(Stores.EMPTY)
-            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-            computed[connection.topic] = store.hash_rihs01(connection.msgtype)
-        except Exception as error:  # the test knows what it cannot read
-            print(f"{connection.topic}: {error!r}", file=sys.stderr)
+for name in ("messages", "events"):
+    with Reader(folder / name) as reader:
+        for connection in reader.connections:
+            assert connection.digest == recorded[connection.topic], connection.topic
+            try:
+                store = get_typestore(Stores.EMPTY)
+                store.register(types_of(connection))
+                computed[connection.topic] = store.hash_rihs01(connection.msgtype)
+            except Exception as error:  # the test knows what it cannot read
+                print(f"{connection.topic}: {error!r}", file=sys.stderr)
 for kind in ("msg", "srv", "action"):
     for path in (Path(sys.prefix) / "share").glob(f"*/{kind}/*.json"):
         for entry in json.loads(path.read_text())["type_hashes"]:

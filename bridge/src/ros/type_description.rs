@@ -4,6 +4,7 @@
 //! that are registered, not only those the node uses now.
 
 use crate::edge::Interfaces;
+use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::description::Description;
 use downbeat_msgs::type_description_interfaces::msg::{TypeDescription, TypeSource};
 use downbeat_msgs::type_description_interfaces::srv::{
@@ -45,29 +46,40 @@ fn is_hash(text: &str) -> bool {
         .is_some_and(|digits| digits.len() == 64 && digits.bytes().all(|digit| digit.is_ascii_hexdigit()))
 }
 
-/// The definitions of the type and of all that it refers to, the type itself first, the others in the order of their names.
-/// A type without its own file, such as the request of a service, has no text: rosidl calls that implicit.
+/// The files that define the type and all that it refers to, as they are: the type itself first, the others in the order of their
+/// names. A type without its own file, such as the request of a service, has no text: rosidl calls that implicit.
 fn sources(known: &Description, described: &TypeDescription) -> Vec<TypeSource> {
     let texts = texts(known);
     let names = described.referenced_type_descriptions.iter().map(|referenced| referenced.type_name.as_str());
     std::iter::once(known.type_name)
         .chain(names)
         .map(|name| {
-            let found = texts.get(name);
+            // The text of a service leaves out what its events refer to.
+            let found = texts.get(name).copied().or_else(|| Some(("msg", carried_file(name)?)));
+            let (encoding, text) = found.unwrap_or(("implicit", ""));
             TypeSource {
                 type_name: name.to_owned(),
-                encoding: found.map_or("implicit", |(encoding, _)| *encoding).to_owned(),
-                raw_file_contents: found.map(|(_, text)| (*text).to_owned()).unwrap_or_default(),
+                encoding: encoding.to_owned(),
+                raw_file_contents: text.to_owned(),
             }
         })
         .collect()
+}
+
+/// The file of a carried message.
+fn carried_file(name: &str) -> Option<&'static str> {
+    let name: TypeName = name.parse().ok().filter(|name: &TypeName| name.kind == Kind::Message)?;
+    downbeat_msgs::carried().message(&name).ok().map(|message| message.text.as_str())
 }
 
 /// The parts of a definition text: encoding and text by name of the type.
 fn texts(known: &Description) -> HashMap<String, (&'static str, &'static str)> {
     let rule = "=".repeat(80) + "\n";
     let mut texts = HashMap::new();
-    for part in known.definition.split(rule.as_str()) {
+    let mut parts = known.definition.split(rule.as_str()).peekable();
+    while let Some(part) = parts.next() {
+        // The line break before a rule belongs to the rule.
+        let part = part.strip_suffix('\n').filter(|_| parts.peek().is_some()).unwrap_or(part);
         let headed = part.split_once('\n').and_then(|(header, text)| {
             let (kind, name) = header.split_once(": ")?;
             let encoding = match kind {
@@ -124,7 +136,11 @@ mod tests {
                 ("std_msgs/msg/Header", "msg"),
             ]
         );
-        assert!(response.type_sources.iter().all(|source| source.raw_file_contents.contains('\n')));
+        for source in &response.type_sources {
+            let file = carried_file(&source.type_name).unwrap();
+            assert_eq!(source.raw_file_contents, file, "{}", source.type_name);
+            assert!(file.contains("# "), "{}", source.type_name);
+        }
         assert!(response.type_sources[0].raw_file_contents.contains("angular_velocity"));
     }
 
@@ -137,6 +153,10 @@ mod tests {
         };
         assert_eq!(encoding("std_srvs/srv/SetBool").as_deref(), Some("srv"));
         assert_eq!(encoding("std_srvs/srv/SetBool_Request").as_deref(), Some("implicit"));
+        assert_eq!(encoding("service_msgs/msg/ServiceEventInfo").as_deref(), Some("msg"));
+        assert!(
+            service.type_sources[0].raw_file_contents.starts_with("bool data # e.g. for hardware enabling")
+        );
         assert_eq!(asked(SetBoolRequest::TYPE_HASH).type_sources[0].encoding, "implicit");
     }
 

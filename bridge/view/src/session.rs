@@ -63,8 +63,35 @@ struct Publication {
     inlet: EncodedInlet,
     /// From JSON to CDR.
     codec: Option<Codec>,
-    /// Errors after the first are not reported.
-    has_failed: bool,
+    failures: Failures,
+}
+
+/// The messages of a publication that were refused. Each reason is reported, but not for each message.
+#[derive(Default)]
+struct Failures {
+    /// When each reason was reported last.
+    reported: HashMap<String, Instant>,
+    /// How many messages have been refused since without a report.
+    silent: u64,
+}
+
+impl Failures {
+    /// What to report of a message that was refused at that time, if anything.
+    fn report(&mut self, reason: String, now: Instant) -> Option<String> {
+        let is_recent = |reported: &Instant| now.saturating_duration_since(*reported) < REPORT_PERIOD;
+        self.reported.retain(|_, reported| is_recent(reported));
+        if self.reported.contains_key(&reason) || self.reported.len() >= MOST_REASONS {
+            self.silent = self.silent.saturating_add(1);
+            return None;
+        }
+        let others = match std::mem::take(&mut self.silent) {
+            0 => String::new(),
+            silent => format!(" ({silent} more were refused since the last report)"),
+        };
+        let report = format!("a message was not published: {reason}{others}");
+        self.reported.insert(reason, now);
+        Some(report)
+    }
 }
 
 impl<'a> Session<'a> {
@@ -118,8 +145,16 @@ impl<'a> Session<'a> {
                 subscription_ids.into_iter().for_each(|id| self.unsubscribe(id));
                 Ok(())
             }
-            Request::Advertise { channels } => {
-                channels.iter().try_for_each(|channel| match self.advertise(channel) {
+            Request::Advertise { channels } => channels.iter().try_for_each(|channel| {
+                if self.publications.contains_key(&channel.id) {
+                    // As Foxglove's own servers answer.
+                    let text = format!(
+                        "channel {} is advertised already: this advertisement is ignored",
+                        channel.id
+                    );
+                    return self.report(Level::Warning, &text);
+                }
+                match self.advertise(channel) {
                     Ok(publication) => {
                         self.publications.insert(channel.id, publication);
                         Ok(())
@@ -127,8 +162,8 @@ impl<'a> Session<'a> {
                     Err(reason) => {
                         self.report(Level::Error, &format!("cannot publish on {}: {reason}", channel.topic))
                     }
-                })
-            }
+                }
+            }),
             Request::Unadvertise { channel_ids } => {
                 self.publications.retain(|id, _| !channel_ids.contains(id));
                 Ok(())
@@ -268,7 +303,7 @@ impl<'a> Session<'a> {
         let inlet =
             message_type.inlet_with(&mut core, topic, Waiting::All).map_err(|error| error.to_string())?;
         tracing::info!("a viewer publishes on /{topic} [{message_type}]");
-        Ok(Publication { inlet, codec, has_failed: false })
+        Ok(Publication { inlet, codec, failures: Failures::default() })
     }
 
     /// The type that the topic carries, or if it is a new topic that of the name.
@@ -302,10 +337,11 @@ impl<'a> Session<'a> {
                 .and_then(|cdr| publication.inlet.publish(&cdr).map_err(|error| error.to_string())),
         };
         match published {
-            Err(reason) if !std::mem::replace(&mut publication.has_failed, true) => {
-                self.report(Level::Error, &format!("a message was not published: {reason}"))
-            }
-            _ => Ok(()),
+            Err(reason) => match publication.failures.report(reason, Instant::now()) {
+                Some(report) => self.report(Level::Error, &report),
+                None => Ok(()),
+            },
+            Ok(()) => Ok(()),
         }
     }
 
@@ -402,6 +438,10 @@ impl<'a> Session<'a> {
         self.client.outbox.answer(frame, self.shared.options.limits.stall)
     }
 }
+
+/// How long a reason is not reported again, and how many reasons are reported in that time.
+const REPORT_PERIOD: Duration = Duration::from_secs(5);
+const MOST_REASONS: usize = 32;
 
 /// Questions of one viewer that wait for an answer.
 const MOST_ASKS: usize = 16;

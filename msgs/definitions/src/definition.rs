@@ -2,6 +2,12 @@
 
 use crate::{Place, TypeName};
 
+/// The most fields and constants of a message: no interface has a hundredth of them, and each takes half a kilobyte.
+pub(crate) const MOST_MEMBERS: usize = 1 << 16;
+
+/// The most fields and constants of all messages in one definition text, which may come from anywhere.
+pub(crate) const MOST_MEMBERS_OF_TEXT: usize = 1 << 17;
+
 /// A parsed message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MessageDefinition {
@@ -367,7 +373,7 @@ impl std::fmt::Display for FieldType {
             Element::String { bound: Some(bound) } => write!(f, "string<={bound}")?,
             Element::WString { bound: None } => f.write_str("wstring")?,
             Element::WString { bound: Some(bound) } => write!(f, "wstring<={bound}")?,
-            Element::Message(name) => f.write_str(&name.short())?,
+            Element::Message(name) => f.write_str(&crate::definition_text::in_texts(name))?,
         }
         match self.shape {
             Shape::Single => Ok(()),

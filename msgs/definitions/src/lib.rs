@@ -38,7 +38,7 @@ pub use definition::{
     ActionDefinition, Constant, Element, Field, FieldType, MessageDefinition, Primitive, ServiceDefinition,
     Shape, Value,
 };
-pub use definition_text::DefinitionEncoding;
+pub use definition_text::{DefinitionEncoding, portable_definition_text};
 pub use description::{FieldTypeDescription, IndividualTypeDescription, TypeDescription};
 pub use error::{Error, Place};
 pub use idl::{Definition, parse_idl};

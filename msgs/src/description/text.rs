@@ -122,10 +122,13 @@ impl<const N: usize> Text<N> {
         }
     }
 
-    /// `sensor_msgs/JointState` for `sensor_msgs/msg/JointState`.
+    /// `sensor_msgs/JointState` for `sensor_msgs/msg/JointState`; parts of services and actions are named in full.
     const fn short_name(&mut self, name: &str) {
         let (package, rest) = split_at_slash(name);
-        let (_, type_name) = split_at_slash(rest);
+        let (kind, type_name) = split_at_slash(rest);
+        if compare(kind, "msg") != 0 {
+            return self.push(name);
+        }
         self.push(package);
         self.push("/");
         self.push(type_name);
@@ -269,8 +272,7 @@ mod tests {
         let mut count = 0;
         macro_rules! check {
             ($($message:ty),* $(,)?) => {$(
-                // The text of an event is that of its service.
-                if !<$message>::TYPE_NAME.ends_with("_Event") {
+                {
                     const LENGTH: usize = definition::<0>(OwnText::File(own_text(<$message>::DEFINITION)), <$message>::FIELDS).len();
                     let text = definition::<LENGTH>(OwnText::File(own_text(<$message>::DEFINITION)), <$message>::FIELDS);
                     assert_eq!(text.as_str(), <$message>::DEFINITION);

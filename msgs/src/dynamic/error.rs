@@ -118,6 +118,9 @@ pub enum FieldProblem {
         /// The given value.
         found: String,
     },
+    /// A key without a value, or with `null`.
+    #[error("is empty: give it a value, or leave it out")]
+    Empty,
     /// The number is too small or too great.
     #[error("takes {expected}, which cannot hold {found}")]
     Range {

@@ -201,3 +201,64 @@ fn json_is_that_of_the_structs() {
     }
     downbeat_msgs::for_each_message!(check_each);
 }
+
+#[test]
+fn an_empty_value_in_yaml_is_refused_by_the_name_of_its_field() {
+    let of = DynamicType::from_definition_text(
+        "a/msg/A",
+        "ros2msg",
+        &format!("B b\nfloat64 x\nstring s\nuint8[] bytes\nstring[] names\nint8 n\nbool ok\n\n{}\nMSG: a/B\nfloat64 y\n", "=".repeat(80)),
+    )
+    .unwrap();
+    for (yaml, field) in [
+        ("{x: }", "x"),
+        ("x: ~", "x"),
+        ("{b: {y: null}}", "b.y"),
+        ("{b: }", "b"),
+        ("{s: }", "s"),
+        ("s: null", "s"),
+        ("{bytes: }", "bytes"),
+        ("names: [a, ~]", "names[1]"),
+        ("n: NULL", "n"),
+        ("{ok: }", "ok"),
+    ] {
+        let error = DynamicMessage::from_yaml(&of, yaml).unwrap_err().to_string();
+        assert!(error.contains(&format!("field `{field}`: is empty")), "{yaml}: {error}");
+    }
+    let message = DynamicMessage::from_yaml(&of, "{s: 'null', x: .nan, names: ['~', \"\"]}").unwrap();
+    assert_eq!(message.get("s").unwrap().as_str(), Some("null"));
+    assert!(message.get("x").unwrap().as_f64().unwrap().is_nan());
+    // JSON has no other word for NaN.
+    assert!(
+        DynamicMessage::from_json(&of, "{\"x\": null}").unwrap().get("x").unwrap().as_f64().unwrap().is_nan()
+    );
+}
+
+#[test]
+fn bytes_in_base64_are_accepted_for_arrays_of_bytes() {
+    let of = DynamicType::from_definition_text(
+        "a/msg/A",
+        "ros2msg",
+        "uint8[] data\nbyte[] more\nuint8[3] three\nbyte one\nstring text\nint32[] numbers\n",
+    )
+    .unwrap();
+    let fill = |yaml: &str| DynamicMessage::from_yaml(&of, yaml);
+    let yaml = "# !!binary\ndata: !!binary |\n  AQID\n  BA==\nmore: !!binary \"/w==\"\nthree: !!binary AAEC\none: !!binary Bw==\n\
+                text: 'a !!binary b'\n";
+    let message = fill(yaml).unwrap();
+    assert_eq!(
+        message,
+        fill("{data: [1, 2, 3, 4], more: [255], three: [0, 1, 2], one: 7, text: a !!binary b}").unwrap()
+    );
+    assert_eq!(fill("{data: !!binary AQID}").unwrap(), fill("data: [1, 2, 3]").unwrap());
+    assert_eq!(fill("{data: !!binary ''}").unwrap(), fill("{}").unwrap());
+    for (yaml, field) in [
+        ("three: !!binary AQ==", "three"),
+        ("data: !!binary A?==", "data"),
+        ("data: !other AQ==", "data"),
+        ("numbers: !!binary AQID", "numbers"),
+    ] {
+        let error = fill(yaml).unwrap_err().to_string();
+        assert!(error.contains(&format!("`{field}`")), "{yaml}: {error}");
+    }
+}

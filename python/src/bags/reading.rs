@@ -212,8 +212,8 @@ impl Topic {
     fn reading(&self, py: Python<'_>) -> PyResult<&Reading> {
         self.reading.get_or_try_init(py, || {
             let info = &self.recorded.info;
-            let schema = info.format.as_ref().filter(|format| format.message_encoding == "cdr");
-            if info.format.is_some() && schema.is_none() {
+            let schema = info.format.as_ref().filter(|_| info.definition.is_empty());
+            if !info.is_cdr() {
                 let recorded = RecordedType::of(&self.recorded, &Interfaces::carried())
                     .map_err(|error| PyValueError::new_err(error.to_string()))?;
                 let of = message_type(py, recorded.message_type().name())?;

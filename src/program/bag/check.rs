@@ -8,7 +8,9 @@ use serde_json::json;
 
 use super::output::Progress;
 use super::warn_of_oddities;
-use crate::bags::{Check, Reader, check as check_bag};
+use crate::bags::{Check, Reader, check_with};
+use crate::msgs::printable;
+use crate::robot::Catalog;
 
 #[derive(Args)]
 pub(crate) struct CheckBagArguments {
@@ -19,18 +21,22 @@ pub(crate) struct CheckBagArguments {
     pub(crate) json: bool,
 }
 
-pub(crate) fn check(arguments: &CheckBagArguments) -> anyhow::Result<()> {
+pub(crate) fn check(arguments: &CheckBagArguments, catalog: &Catalog) -> anyhow::Result<()> {
     let reader = Reader::open(&arguments.bag)?;
     warn_of_oddities(&reader);
     let mut progress = Progress::new("reading", reader.message_count());
-    let found = check_bag(&reader, |read| progress.at(read))?;
+    let found = check_with(&reader, &catalog.interfaces.definitions(), |read| progress.at(read))?;
     drop(progress);
-    let Check { messages, decoded, problems } = &found;
+    let Check { messages, decoded, problems, notes } = &found;
     if arguments.json {
         let problems: Vec<_> = problems.iter().map(ToString::to_string).collect();
-        let report = json!({ "messages": messages, "decoded": decoded, "problems": problems });
+        let report =
+            json!({ "messages": messages, "decoded": decoded, "problems": problems, "notes": notes });
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
+        for note in notes {
+            println!("note: {}", printable(note));
+        }
         for problem in problems {
             println!("{problem}");
         }

@@ -7,17 +7,18 @@ use std::iter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use bytes::Bytes;
 use clap::{Args, ValueEnum};
+use serde_json::value::RawValue;
 
 use super::open;
 use super::select::{Done, Source, TopicArguments, carried_over};
 use crate::bags::TopicId;
-use crate::bridge::edge::Interfaces;
 use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
 use crate::program::not_built;
 use crate::robot::Catalog;
-use crate::table::{Cell, Decoder};
+use crate::table::{Cell, DecodeError, Decoder};
 
 #[derive(Args)]
 pub(crate) struct ExportArguments {
@@ -75,13 +76,30 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     for (index, topic) in wanted {
         let Some(id) = TopicId::at(index) else { continue };
         let stem = file_stem(&topic.info.name, &mut taken);
-        let file = output.join(format!("{stem}.{}", arguments.format.extension()));
         let (source, name) = (Source::new(&bag, id), printable(&topic.info.name));
-        let result = match arguments.format {
-            Format::Csv => write_csv(&source, interfaces, &file),
-            Format::Jsonl => write_jsonl(&source, interfaces, &file),
-            Format::Parquet => write_parquet(&source, interfaces, &file),
+        let decoder = Decoder::of(topic, interfaces);
+        // Other programs write JSON of types that ROS 2 does not have.
+        let is_foreign_json = decoder.is_err() && topic.info.is_json();
+        let format = if is_foreign_json { Format::Jsonl } else { arguments.format };
+        let file = output.join(format!("{stem}.{}", format.extension()));
+        let result = match format {
+            _ if is_foreign_json => write_foreign_json(&source, &file),
+            Format::Csv => {
+                decoder.map_err(Into::into).and_then(|decoder| write_csv(&source, &decoder, &file))
+            }
+            Format::Jsonl => {
+                decoder.map_err(Into::into).and_then(|decoder| write_jsonl(&source, &decoder, &file))
+            }
+            Format::Parquet => {
+                decoder.map_err(Into::into).and_then(|decoder| write_parquet(&source, &decoder, &file))
+            }
         };
+        if result.is_ok() && stem.len() < topic.info.name.trim_start_matches('/').len() {
+            tracing::warn!("{name}: the name of its file is shortened to {}", printable(&stem));
+        }
+        if is_foreign_json && !matches!(arguments.format, Format::Jsonl) {
+            tracing::warn!("{name}: its JSON has no ROS 2 type, so it is exported as JSON lines");
+        }
         match result {
             Ok(done) => {
                 unreadable += done.unreadable;
@@ -108,10 +126,14 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     Ok(())
 }
 
-/// `/imu/data_raw` becomes `imu.data_raw`. If another topic already has that name, which can happen in bags
-/// of other recorders, a number is added.
+/// The longest name of a file, in bytes, without its extension and a number.
+const LONGEST_STEM: usize = 200;
+
+/// `/imu/data_raw` becomes `imu.data_raw`; a name that is too long for a file keeps its beginning. If another topic already has that name,
+/// which can happen in bags of other recorders, a number is added.
 fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
-    let plain = topic.trim_start_matches('/').replace('/', ".");
+    let mut plain = topic.trim_start_matches('/').replace('/', ".").replace('\0', "_");
+    plain.truncate(plain.floor_char_boundary(LONGEST_STEM));
     let numbered = (2..).map(|number| format!("{plain}-{number}"));
     let mut candidates = iter::once(plain.clone()).chain(numbered);
     candidates.find(|stem| taken.insert(stem.clone())).unwrap_or_default()
@@ -120,9 +142,8 @@ fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
 /// Receive and publish time of a message, in nanoseconds since the epoch: the first columns.
 const TIMES: [&str; 2] = ["log_time", "publish_time"];
 
-fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {
-    let decoder = Decoder::of(source.topic, interfaces)?;
-    let columns = source.columns(&decoder)?;
+fn write_csv(source: &Source<'_>, decoder: &Decoder, path: &Path) -> anyhow::Result<Done> {
+    let columns = source.columns(decoder)?;
     let mut writer = csv::Writer::from_path(path)?;
     let names = columns.iter().map(|column| column.name.as_str());
     writer.write_record(TIMES.into_iter().chain(names))?;
@@ -136,14 +157,13 @@ fn write_csv(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyho
 }
 
 #[cfg(not(feature = "tables"))]
-fn write_parquet(_: &Source<'_>, _: &Interfaces, _: &Path) -> anyhow::Result<Done> {
+fn write_parquet(_: &Source<'_>, _: &Decoder, _: &Path) -> anyhow::Result<Done> {
     not_built("tables", "")
 }
 
 #[cfg(feature = "tables")]
-fn write_parquet(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {
-    let decoder = Decoder::of(source.topic, interfaces)?;
-    let columns = source.columns(&decoder)?;
+fn write_parquet(source: &Source<'_>, decoder: &Decoder, path: &Path) -> anyhow::Result<Done> {
+    let columns = source.columns(decoder)?;
     let mut table = crate::table::ParquetTable::create(path, TIMES, &columns)?;
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
     let done = source.each("writing", rows, |times, row| Ok(table.push(times, row)?))?;
@@ -151,21 +171,34 @@ fn write_parquet(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> a
     Ok(done)
 }
 
-fn write_jsonl(source: &Source<'_>, interfaces: &Interfaces, path: &Path) -> anyhow::Result<Done> {
-    let decoder = Decoder::of(source.topic, interfaces)?;
+fn write_jsonl(source: &Source<'_>, decoder: &Decoder, path: &Path) -> anyhow::Result<Done> {
+    write_lines(source, |data| decoder.to_json(data), path)
+}
+
+/// Writes messages that are JSON of any schema, one per line, as they are.
+fn write_foreign_json(source: &Source<'_>, path: &Path) -> anyhow::Result<Done> {
+    let on_one_line = |data: Bytes| {
+        let json: &RawValue = serde_json::from_slice(&data).map_err(DecodeError::Json)?;
+        // A line break is never within a string, so it is a space.
+        Ok(json.get().bytes().map(|byte| if matches!(byte, b'\r' | b'\n') { b' ' } else { byte }).collect())
+    };
+    write_lines(source, on_one_line, path)
+}
+
+fn write_lines(
+    source: &Source<'_>,
+    json: impl Fn(Bytes) -> Result<Vec<u8>, DecodeError>,
+    path: &Path,
+) -> anyhow::Result<Done> {
     let mut writer = BufWriter::new(File::create(path)?);
-    let done = source.each(
-        "writing",
-        |data| decoder.to_json(data),
-        |times, json| {
-            for (name, time) in TIMES.into_iter().zip(times) {
-                write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
-            }
-            writer.write_all(b",\"message\":")?;
-            writer.write_all(&json)?;
-            Ok(writer.write_all(b"}\n")?)
-        },
-    )?;
+    let done = source.each("writing", json, |times, json| {
+        for (name, time) in TIMES.into_iter().zip(times) {
+            write!(writer, "{}\"{name}\":{time}", if name == TIMES[0] { '{' } else { ',' })?;
+        }
+        writer.write_all(b",\"message\":")?;
+        writer.write_all(&json)?;
+        Ok(writer.write_all(b"}\n")?)
+    })?;
     writer.flush()?;
     Ok(done)
 }
@@ -179,5 +212,8 @@ mod tests {
         let mut taken = BTreeSet::new();
         let stems = ["/imu/data", "imu.data", "/imu.data", "/imu"].map(|topic| file_stem(topic, &mut taken));
         assert_eq!(stems, ["imu.data", "imu.data-2", "imu.data-3", "imu"]);
+        let long = format!("/{}", "é".repeat(2000));
+        let stems = [&long, &format!("{long}/b")].map(|topic| file_stem(topic, &mut taken));
+        assert_eq!(stems, ["é".repeat(100), format!("{}-2", "é".repeat(100))]);
     }
 }

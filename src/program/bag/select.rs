@@ -60,6 +60,11 @@ impl TopicArguments {
         })
     }
 
+    /// The absolute names of the topics that were asked for, and of the events of the services.
+    pub(crate) fn names(&self) -> Vec<String> {
+        names(&self.topics, &self.services)
+    }
+
     /// Checks that every named topic exists: a wrong name would silently have no effect.
     pub(crate) fn check<'a>(
         &self,

@@ -11,6 +11,7 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MergedBags, PlayerError, Rate, Reader, RecordedTopic, TopicDescription};
 use downbeat_edge::Interfaces;
+use downbeat_msgs::dynamic::Definitions;
 use downbeat_msgs::qos::Durability;
 use parking_lot::Mutex;
 use serde_json::{Value, json};
@@ -207,10 +208,7 @@ fn kept(topic: &TopicDescription) -> usize {
 /// In words, if viewers cannot read its messages.
 fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, String> {
     let info = &topic.info;
-    if info.type_name.contains("/srv/") {
-        return Err("it has the requests and responses of a service, which viewers cannot read".to_owned());
-    }
-    let (encoding, name, schema_encoding, schema) = match &info.format {
+    let (encoding, name, schema_encoding, schema) = match info.format.as_ref().filter(|_| !info.is_cdr()) {
         Some(format) => {
             let schema = &format.schema;
             let text = match std::str::from_utf8(&schema.data) {
@@ -222,14 +220,14 @@ fn description(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Value, 
             (format.message_encoding.as_str(), schema.name.as_str(), schema.encoding.as_str(), text)
         }
         None => {
-            let definition = match info.definition.as_str() {
-                "" => interfaces
-                    .message(&info.type_name)
-                    .map_err(|error| error.to_string())?
-                    .definition()
-                    .to_owned(),
-                recorded => recorded.to_owned(),
-            };
+            // Usually a bag says it all.
+            let found = info.definition_with(&Definitions::new().with_carried());
+            let found = found.or_else(|_| info.definition_with(&interfaces.definitions()));
+            let found = found.map_err(|error| error.to_string())?;
+            if let Some(taken) = found.taken {
+                tracing::warn!("{}: {taken}", info.name);
+            }
+            let definition = found.definition.text;
             ("cdr", info.type_name.as_str(), "ros2msg", definition)
         }
     };

@@ -83,6 +83,41 @@ fn what_is_published_wrongly_is_refused_with_the_reason() {
 }
 
 #[test]
+fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
+    let robot = robot(|_| ());
+    let mut viewer = robot.viewer();
+    viewer.send(advertise(5, "/cmd_vel", "json", "geometry_msgs/msg/Twist"));
+    let good = |x: f64| {
+        format!(r#"{{"linear": {{"x": {x}, "y": 0, "z": 0}}, "angular": {{"x": 0, "y": 0, "z": 0}}}}"#)
+    };
+    let mut told = Vec::new();
+    for wrong in [
+        r#"{"linear": {"x": NaN}}"#,
+        r#"{"linar": {"x": 1}}"#,
+        r#"{"linear": {"x": "fast"}}"#,
+        "[1]",
+        "\u{7f}",
+    ] {
+        for _ in 0..3 {
+            viewer.send_binary(publish(5, wrong.as_bytes()));
+        }
+        told.push(viewer.json("status")["message"].as_str().unwrap().to_owned());
+    }
+    assert!(told.iter().all(|text| text.starts_with("a message was not published: ")), "{told:?}");
+    assert!(told[1].contains("linar") && told[2].contains("linear.x"), "{told:?}");
+    assert!(told[1].ends_with("(2 more were refused since the last report)"), "{told:?}");
+    // The next status is that of the second advertisement, so repetitions had none; the first advertisement still counts.
+    viewer.send(advertise(5, "/other", "json", "std_msgs/msg/Bool"));
+    let status = viewer.json("status");
+    assert_eq!(
+        (&status["level"], &status["message"]),
+        (&json!(1), &json!("channel 5 is advertised already: this advertisement is ignored"))
+    );
+    viewer.send_binary(publish(5, good(0.5).as_bytes()));
+    assert_eq!(robot.heard.recv_timeout(WATCHDOG), Ok(0.5));
+}
+
+#[test]
 fn a_viewer_calls_a_service_with_its_schemas() {
     let robot = robot(|_| ());
     let mut viewer = robot.viewer();

@@ -22,8 +22,9 @@ pub struct AmentPrefix {
 }
 
 impl Catalog {
-    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`. The
-    /// folder's name is the package's. Returns how many files were read.
+    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`, and the
+    /// `.idl` files in these folders beside which there is no such file. The folder's name is the package's. Returns how many
+    /// files were read.
     ///
     /// # Errors
     /// Returns an error if a file cannot be read or parsed. A folder without interfaces is no error.
@@ -31,7 +32,7 @@ impl Catalog {
         let package = name_of(folder);
         let mut count = 0;
         for kind in Kind::ALL {
-            for file in files_with_extension(&folder.join(kind.as_str()), kind.as_str())? {
+            for file in interface_files(&folder.join(kind.as_str()), kind)? {
                 self.add_file(&package, kind, &file)?;
                 count += 1;
             }
@@ -76,17 +77,8 @@ impl Catalog {
     /// The interfaces of one kind of an installed package.
     fn add_installed(&mut self, folder: &Path, kind: Kind, found: &mut AmentPrefix) -> Result<(), Error> {
         let package = name_of(folder);
-        let folder = folder.join(kind.as_str());
-        let written = files_with_extension(&folder, kind.as_str())?;
-        let mut generated = files_with_extension(&folder, "idl")?;
-        generated.retain(|file| written.binary_search(&file.with_extension(kind.as_str())).is_err());
-        for file in written.iter().chain(&generated) {
-            let added = if file.extension().is_some_and(|extension| extension == "idl") {
-                read(file).and_then(|text| self.add_idl(&text, &file.display().to_string()).map(|_| ()))
-            } else {
-                self.add_file(&package, kind, file)
-            };
-            match added {
+        for file in interface_files(&folder.join(kind.as_str()), kind)? {
+            match self.add_file(&package, kind, &file) {
                 Ok(()) => found.files += 1,
                 Err(fault) => found.faults.push(fault),
             }
@@ -95,6 +87,9 @@ impl Catalog {
     }
 
     fn add_file(&mut self, package: &str, kind: Kind, file: &Path) -> Result<(), Error> {
+        if file.extension().is_some_and(|extension| extension == "idl") {
+            return self.add_idl(&read(file)?, &file.display().to_string()).map(|_| ());
+        }
         let name: TypeName =
             format!("{package}/{}/{}", kind.as_str(), name_of(&file.with_extension(""))).parse()?;
         let text = read(file)?;
@@ -134,6 +129,15 @@ fn packages_in(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut packages = sorted_entries(folder)?;
     packages.retain(|entry| entry.is_dir());
     Ok(packages)
+}
+
+/// The files that define interfaces of that kind. `rosidl` generates an `.idl` file beside each other one, which says the same.
+fn interface_files(folder: &Path, kind: Kind) -> Result<Vec<PathBuf>, Error> {
+    let mut files = files_with_extension(folder, kind.as_str())?;
+    let mut idl = files_with_extension(folder, "idl")?;
+    idl.retain(|file| files.binary_search(&file.with_extension(kind.as_str())).is_err());
+    files.append(&mut idl);
+    Ok(files)
 }
 
 fn files_with_extension(folder: &Path, extension: &str) -> Result<Vec<PathBuf>, Error> {

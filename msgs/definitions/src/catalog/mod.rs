@@ -93,6 +93,46 @@ impl Catalog {
         Ok(())
     }
 
+    /// Like [`Catalog::add_message_from`], but definitions that are here already stay, also where they differ.
+    pub fn add_missing_from(&mut self, other: &Self, name: &TypeName) {
+        let mut wanted = vec![name];
+        let mut seen = BTreeSet::from([name]);
+        while let Some(message) = wanted.pop().and_then(|name| other.messages.get(name)) {
+            self.messages.entry(message.name.clone()).or_insert_with(|| message.clone());
+            for field in &message.fields {
+                if let Element::Message(inner) = &field.field_type.element
+                    && other.messages.contains_key(inner)
+                    && seen.insert(inner)
+                {
+                    wanted.push(inner);
+                }
+            }
+        }
+    }
+
+    /// The types that a message refers to, directly or indirectly, and that have no definition here; the message itself if it has
+    /// none.
+    #[must_use]
+    pub fn missing_for(&self, name: &TypeName) -> BTreeSet<TypeName> {
+        let mut missing = BTreeSet::new();
+        let mut wanted = vec![name];
+        let mut seen = BTreeSet::from([name]);
+        while let Some(name) = wanted.pop() {
+            let Some(message) = self.messages.get(name) else {
+                missing.insert(name.clone());
+                continue;
+            };
+            for field in &message.fields {
+                if let Element::Message(inner) = &field.field_type.element
+                    && seen.insert(inner)
+                {
+                    wanted.push(inner);
+                }
+            }
+        }
+        missing
+    }
+
     /// The definition of a message, including those of services and actions.
     ///
     /// # Errors
@@ -181,12 +221,7 @@ impl Catalog {
     pub(crate) fn insert_service(&mut self, service: ServiceDefinition) -> Result<(), Error> {
         self.insert(service.request.clone())?;
         self.insert(service.response.clone())?;
-        let mut event = event_of(&service);
-        if service.name.kind == Kind::Service {
-            // As in rosbag2, which has no text for events.
-            event.text.clone_from(&service.text);
-        }
-        self.insert(event)?;
+        self.insert(event_of(&service))?;
         self.services.entry(service.name.clone()).or_insert(service);
         Ok(())
     }

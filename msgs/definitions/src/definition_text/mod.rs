@@ -2,20 +2,25 @@
 //!
 //! The root's own text comes first. Then each message it depends on follows once, depth first and sorted by
 //! name, after a line of 80 `=` and a line `MSG: package/Type`. The texts of services and actions have such a
-//! header themselves. For a message that rosidl derives from an action, the text is the one its author would
-//! have written.
+//! header themselves. For a message that rosidl derives from a service or an action, the text is the one its author
+//! would have written, in the [portable](portable_definition_text) form: the real recorder has no text for them.
 
+mod idl;
+mod portable;
 mod read;
 
+pub(crate) use portable::in_texts;
+pub use portable::portable_definition_text;
 pub use read::DefinitionEncoding;
+
+use std::borrow::Cow;
 
 use std::collections::BTreeSet;
 
 use crate::{Catalog, Element, Error, Kind, MessageDefinition, TypeName};
 
 impl Catalog {
-    /// Returns the definition text of a message, a service or an action. The text of a service's event is
-    /// that of the service, as in rosbag2.
+    /// Returns the definition text of a message, a service or an action.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
@@ -32,14 +37,20 @@ impl Catalog {
             return self.service_definition_text(name);
         }
         let message = self.message(name)?;
-        if let (Kind::Service, Some(service)) = (name.kind, name.name.strip_suffix("_Event")) {
-            let service = TypeName::new(&name.package, name.kind, service);
-            // A type description may contain the event without the service.
-            if self.find_service(&service).is_some() {
-                return self.service_definition_text(&service);
-            }
+        self.with_dependencies(own_text(message).into_owned(), &[message], BTreeSet::from([name.clone()]))
+    }
+
+    /// The text that a bag stores as the schema of a message, and its encoding: the portable form of its `ros2msg` text, and
+    /// IDL for the messages of services, whose names some readers of `ros2msg` do not understand.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
+    pub fn schema_text(&self, name: &TypeName) -> Result<(DefinitionEncoding, String), Error> {
+        if name.kind == Kind::Service {
+            return Ok((DefinitionEncoding::Ros2Idl, self.idl_definition_text(name)?));
         }
-        self.with_dependencies(message.text.clone(), &[message], BTreeSet::from([name.clone()]))
+        let text = self.definition_text(name)?;
+        Ok((DefinitionEncoding::Ros2Msg, portable_definition_text(name, &text).into_owned()))
     }
 
     /// The definition text of a service.
@@ -63,7 +74,7 @@ impl Catalog {
         while let Some(name) = waiting.pop() {
             if seen.insert(name.clone()) {
                 let message = self.message(name)?;
-                text.push_str(&format!("\n{RULE}\nMSG: {}\n{}", name.short(), message.text));
+                text.push_str(&format!("\n{RULE}\nMSG: {}\n{}", in_texts(name), own_text(message)));
                 waiting.extend(dependencies_backwards(&[message]));
             }
         }
@@ -71,8 +82,17 @@ impl Catalog {
     }
 }
 
+/// The text of a message without its dependencies: of a file as it is, of a part of a service or an action in portable form.
+fn own_text(message: &MessageDefinition) -> Cow<'_, str> {
+    match message.name.kind {
+        Kind::Message => Cow::Borrowed(&message.text),
+        Kind::Service | Kind::Action => portable_definition_text(&message.name, &message.text),
+    }
+}
+
 /// The line before each header.
-const RULE: &str = "================================================================================";
+pub(crate) const RULE: &str =
+    "================================================================================";
 
 fn dependencies_backwards<'a>(of: &[&'a MessageDefinition]) -> Vec<&'a TypeName> {
     let names: BTreeSet<&TypeName> = of
@@ -107,7 +127,7 @@ mod tests {
         assert_eq!(
             text_of("a/action/Fibonacci_FeedbackMessage"),
             format!(
-                "unique_identifier_msgs/UUID goal_id\na/Fibonacci_Feedback feedback\n\n{line}\nMSG: a/Fibonacci_Feedback\n\
+                "unique_identifier_msgs/UUID goal_id\na/action/Fibonacci_Feedback feedback\n\n{line}\nMSG: a/action/Fibonacci_Feedback\n\
                  int32 left\n\n{line}\nMSG: unique_identifier_msgs/UUID\nuint8[16] uuid\n"
             )
         );

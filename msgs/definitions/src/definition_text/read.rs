@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use crate::definition::MOST_MEMBERS_OF_TEXT;
 use crate::derived::IMPLIED;
 use crate::idl::parse_idl_from;
 use crate::parse::{Source, parse_action_from, parse_message_from, parse_service_from};
@@ -69,16 +70,59 @@ impl Catalog {
         text: &str,
         origin: &str,
     ) -> Result<(), Error> {
+        let mut members = 0;
         for block in blocks(text, origin)? {
-            let (keyword, name) = match block.head {
-                Some(head) => head,
-                None => (Keyword::of(name, encoding), name.clone()),
-            };
-            for definition in keyword.parse(name, block.text, origin, block.first_line)? {
-                self.insert_definition(definition)?;
-            }
+            self.add_block(name, encoding, block, origin, &mut members)?;
         }
         self.add_implied()
+    }
+
+    /// Like [`Catalog::add_definition_text`], for a text that may be damaged: adds the parts of it that are definitions, and
+    /// returns the errors of the others.
+    pub fn add_readable_definitions(
+        &mut self,
+        name: &TypeName,
+        encoding: DefinitionEncoding,
+        text: &str,
+        origin: &str,
+    ) -> Vec<Error> {
+        let mut errors = Vec::new();
+        match blocks(text, origin) {
+            Ok(blocks) => {
+                let mut members = 0;
+                for block in blocks {
+                    errors.extend(self.add_block(name, encoding, block, origin, &mut members).err());
+                }
+            }
+            Err(error) => errors.push(error),
+        }
+        errors.extend(self.add_implied().err());
+        errors
+    }
+
+    fn add_block(
+        &mut self,
+        root: &TypeName,
+        encoding: DefinitionEncoding,
+        block: Block<'_>,
+        origin: &str,
+        members: &mut usize,
+    ) -> Result<(), Error> {
+        if *members > MOST_MEMBERS_OF_TEXT {
+            return Err(Error::Syntax {
+                place: Place { origin: origin.into(), line: block.first_line, column: 1 },
+                message: format!(
+                    "a text of more than {MOST_MEMBERS_OF_TEXT} fields and constants is not supported"
+                ),
+            });
+        }
+        let (keyword, name) = match block.head {
+            Some(head) => head,
+            None => Keyword::of(root, encoding, block.text),
+        };
+        let definitions = keyword.parse(name, block.text, origin, block.first_line)?;
+        *members += definitions.iter().map(Definition::members).sum::<usize>();
+        definitions.into_iter().try_for_each(|definition| self.insert_definition(definition))
     }
 
     /// Adds types that parts of services and actions refer to, if they are missing.
@@ -108,14 +152,18 @@ enum Keyword {
 }
 
 impl Keyword {
-    /// The kind of a block without a header: a part of a service or an action is a message itself.
-    fn of(name: &TypeName, encoding: DefinitionEncoding) -> Self {
-        match name.kind {
+    /// The kind of a block without a header, and the name of what it defines. A part of a service or an action is a message
+    /// itself, unless the text is that of the whole file.
+    fn of(name: &TypeName, encoding: DefinitionEncoding, text: &str) -> (Self, TypeName) {
+        let is_whole = !name.name.contains('_') || text.lines().any(|line| line == "---");
+        let keyword = match name.kind {
             _ if encoding == DefinitionEncoding::Ros2Idl => Self::Idl,
-            Kind::Service if !name.name.contains('_') => Self::Service,
-            Kind::Action if !name.name.contains('_') => Self::Action,
-            _ => Self::Message,
-        }
+            Kind::Service if is_whole => Self::Service,
+            Kind::Action if is_whole => Self::Action,
+            _ => return (Self::Message, name.clone()),
+        };
+        let stem = name.name.split('_').next().unwrap_or_default();
+        (keyword, TypeName::new(&name.package, name.kind, stem))
     }
 
     fn parse(self, name: TypeName, text: &str, origin: &str, line: usize) -> Result<Vec<Definition>, Error> {
@@ -164,7 +212,7 @@ fn blocks<'a>(text: &'a str, origin: &str) -> Result<Vec<Block<'a>>, Error> {
 }
 
 /// Returns whether the line consists of `=` only, usually 80 of them; no line of a definition does.
-fn is_rule(line: &str) -> bool {
+pub(super) fn is_rule(line: &str) -> bool {
     let line = line.trim_end();
     line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
 }
@@ -291,6 +339,23 @@ mod tests {
             let error = read("a/msg/A", Ros2Msg, &text).unwrap_err().to_string();
             assert!(error.starts_with(fault), "{text:?} gave {error}");
         }
+    }
+
+    #[test]
+    fn a_text_with_more_fields_than_any_interface_is_refused_early() {
+        let fields: String = (0..(1 << 16) + 1).map(|n| format!("int8 f{n}\n")).collect();
+        let error = read("a/msg/A", Ros2Msg, &fields).unwrap_err().to_string();
+        assert!(error.starts_with("bag:65537:1: a message of more than 65536 fields"), "{error}");
+        let half: String = (0..60_000).map(|n| format!("int8 f{n}\n")).collect();
+        let many: String = (0..5).map(|n| format!("\n=====\nMSG: a/B{n}\n{half}")).collect();
+        let error = read("a/msg/A", Ros2Msg, &many).unwrap_err().to_string();
+        assert!(error.contains("a text of more than 131072 fields"), "{error}");
+        let members: String = (0..(1 << 16) + 1).map(|n| format!("int8 f{n};\n")).collect();
+        let idl = format!("module a {{ module msg {{ struct A {{ {members} }}; }}; }};");
+        assert!(
+            read("a/msg/A", Ros2Idl, &idl).unwrap_err().to_string().contains("more than 65536"),
+            "{idl:.20}"
+        );
     }
 
     #[test]

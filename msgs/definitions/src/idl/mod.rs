@@ -30,6 +30,16 @@ pub enum Definition {
 }
 
 impl Definition {
+    /// The number of fields and constants of its parts.
+    pub(crate) fn members(&self) -> usize {
+        let of = |message: &MessageDefinition| message.fields.len() + message.constants.len();
+        match self {
+            Self::Message(message) => of(message),
+            Self::Service(service) => of(&service.request) + of(&service.response),
+            Self::Action(action) => of(&action.goal) + of(&action.result) + of(&action.feedback),
+        }
+    }
+
     /// Its name.
     #[must_use]
     pub fn name(&self) -> &TypeName {
@@ -63,11 +73,46 @@ impl Definition {
 /// # Ok::<(), downbeat_msgs_definitions::Error>(())
 /// ```
 pub fn parse_idl(text: &str, origin: &str) -> Result<Vec<Definition>, Error> {
-    parse_idl_from(text, origin, 1)
+    parse_with(text, origin, 1, |name, place, parts| {
+        Ok(vec![match name.kind {
+            Kind::Action => action(name.clone(), place, parts)?,
+            _ => service(name.clone(), place, parts)?,
+        }])
+    })
 }
 
-/// Like [`parse_idl`], for a part of a file.
+/// Like [`parse_idl`], for a part of a definition text. There, structs of services and actions need not be complete: a text
+/// has those that its root refers to, including those that rosidl derives (`X_Event`, `X_FeedbackMessage`).
 pub(crate) fn parse_idl_from(text: &str, origin: &str, first_line: usize) -> Result<Vec<Definition>, Error> {
+    let parts = |name: &TypeName, place: Place, parts: Vec<MessageDefinition>| {
+        let suffixes: &[&str] = match name.kind {
+            Kind::Action => &["_Goal", "_Result", "_Feedback"],
+            _ => &["_Request", "_Response"],
+        };
+        let (given, derived): (Vec<_>, Vec<_>) = parts.into_iter().partition(|part| {
+            part.name.name.strip_prefix(&name.name).is_some_and(|suffix| suffixes.contains(&suffix))
+        });
+        let mut definitions: Vec<Definition> = derived.into_iter().map(Definition::Message).collect();
+        if given.len() == suffixes.len() {
+            definitions.push(match name.kind {
+                Kind::Action => action(name.clone(), place, given)?,
+                _ => service(name.clone(), place, given)?,
+            });
+        } else {
+            definitions.extend(given.into_iter().map(Definition::Message));
+        }
+        Ok(definitions)
+    };
+    parse_with(text, origin, first_line, parts)
+}
+
+/// `whole` makes definitions of the structs of a service or an action.
+fn parse_with(
+    text: &str,
+    origin: &str,
+    first_line: usize,
+    whole: impl Fn(&TypeName, Place, Vec<MessageDefinition>) -> Result<Vec<Definition>, Error>,
+) -> Result<Vec<Definition>, Error> {
     let structs = parser::parse(text, origin, first_line)?;
     let mut definitions = Vec::new();
     // Services and actions by name: the position of the first part, and the parts.
@@ -79,14 +124,11 @@ pub(crate) fn parse_idl_from(text: &str, origin: &str, first_line: usize) -> Res
             continue;
         }
         let stem = message.name.name.split('_').next().unwrap_or_default();
-        let whole = TypeName::new(&message.name.package, message.name.kind, stem);
-        wholes.entry(whole).or_insert_with(|| (place, Vec::new())).1.push(message);
+        let name = TypeName::new(&message.name.package, message.name.kind, stem);
+        wholes.entry(name).or_insert_with(|| (place, Vec::new())).1.push(message);
     }
     for (name, (place, parts)) in wholes {
-        definitions.push(match name.kind {
-            Kind::Action => action(name, place, parts)?,
-            _ => service(name, place, parts)?,
-        });
+        definitions.extend(whole(&name, place, parts)?);
     }
     Ok(definitions)
 }

@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::lexer::{Lexer, Token, TokenKind};
 use super::literal::{Literal, default_value};
+use crate::definition::MOST_MEMBERS;
 use crate::derived::without_bound;
 use crate::{
     Constant, Element, Error, Field, FieldType, Kind, MessageDefinition, Place, Primitive, Shape, TypeName,
@@ -34,6 +35,7 @@ pub(super) fn parse(text: &str, origin: &str, first_line: usize) -> Result<Vec<S
         values: HashMap::new(),
         constants: HashMap::new(),
         structs: Vec::new(),
+        members: 0,
         names: HashSet::new(),
     };
     parser.specification()?;
@@ -59,6 +61,8 @@ pub(super) struct Parser<'a> {
     /// By the path of their module.
     constants: HashMap<String, Vec<Constant>>,
     structs: Vec<Struct>,
+    /// The number of members of all structs, and of constants.
+    members: usize,
     names: HashSet<TypeName>,
 }
 
@@ -217,6 +221,7 @@ impl<'a> Parser<'a> {
             if !names.insert(name) {
                 return Err(self.fault(line, column, format!("the field `{name}` is defined twice")));
             }
+            self.count_member(line, column)?;
             let default = match &annotations.default {
                 None => None,
                 Some((literal, line, column)) => Some(
@@ -235,6 +240,15 @@ impl<'a> Parser<'a> {
                 return self.expect(";");
             }
         }
+    }
+
+    fn count_member(&mut self, line: usize, column: usize) -> Result<(), Error> {
+        self.members += 1;
+        if self.members > MOST_MEMBERS {
+            let fault = format!("a text of more than {MOST_MEMBERS} fields and constants is not supported");
+            return Err(self.fault(line, column, fault));
+        }
+        Ok(())
     }
 
     fn annotations(&mut self) -> Result<Annotations, Error> {

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use super::literal::{parse_element, parse_value, without_underscores};
 use super::{Names, Source};
+use crate::definition::MOST_MEMBERS;
 use crate::name::{is_constant_name, is_identifier, is_package_name};
 use crate::{
     Constant, Element, Error, Field, FieldType, MessageDefinition, Place, Primitive, Shape, TypeName,
@@ -49,6 +50,11 @@ pub(super) fn parse_message(
             continue;
         }
         let line = Line { source, number: source.first_line + index, code };
+        if message.fields.len() + message.constants.len() == MOST_MEMBERS {
+            let fault =
+                format!("a message of more than {MOST_MEMBERS} fields and constants is not supported");
+            return Err(line.fault(line.start(), fault));
+        }
         match line.parse(&message.name.package, std::mem::take(&mut comments))? {
             Member::Field(field) => {
                 last_is_constant = false;
@@ -242,7 +248,10 @@ fn parse_element_type(text: &str, package: &str) -> Result<Element, String> {
     if let Some(name) = name.strip_prefix("msg/") {
         return Err(format!("`{text}`: within a definition the name is written `{package}/{name}`"));
     }
-    TypeName::from_short(package, name).map(Element::Message).ok_or_else(|| {
+    // Only parts of services and actions have underscores: the full name of one is not ambiguous.
+    let full = name.split_once('/').filter(|(_, name)| name.contains('_'));
+    let named = full.map_or_else(|| TypeName::from_short(package, name), |_| text.parse().ok());
+    named.map(Element::Message).ok_or_else(|| {
         format!("`{text}` is neither a primitive type nor a message name such as `std_msgs/Header`")
     })
 }

@@ -7,6 +7,7 @@
 
 mod grammar;
 mod peer;
+mod schemas;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -17,7 +18,7 @@ use serde_json::Value;
 
 use peer::{ask, files_of};
 
-fn carried() -> Catalog {
+pub(crate) fn carried() -> Catalog {
     let mut catalog = Catalog::new();
     catalog.add_packages(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../interfaces")).unwrap();
     catalog.check().unwrap();
@@ -76,6 +77,24 @@ fn built_in_packages_have_the_descriptions_and_hashes_of_every_json_file_of_the_
     let mut ours = names_of(&catalog);
     ours.retain(|name| packages.contains(name.split('/').next().unwrap()));
     assert_eq!(compared, ours);
+}
+
+#[test]
+fn the_built_in_files_are_those_of_the_wheels_to_the_byte() {
+    let Some(peer) = Python::find() else { return };
+    let interfaces = Path::new(env!("CARGO_MANIFEST_DIR")).join("../interfaces");
+    let mut compared = 0;
+    for extension in ["msg", "srv", "action"] {
+        for file in files_of(&peer, extension) {
+            let kind = file.path.parent().unwrap().file_name().unwrap();
+            let ours = interfaces.join(&file.package).join(kind).join(file.path.file_name().unwrap());
+            if let Ok(ours) = std::fs::read_to_string(ours) {
+                assert_eq!(ours, file.text, "{}", file.path.display());
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 150, "{compared}");
 }
 
 #[test]

@@ -7,6 +7,9 @@
                            `null` where it refuses
     peer.py store FILE     prints name, hash and constants (JSON) of every message rosbags knows of Jazzy; FILE is not read
 
+    peer.py hash FILE      each line of FILE is a JSON list: name, encoding and definition text of a type; prints the hash that
+                           rosbags computes from the text, or why it cannot
+
 Parts of a line are separated by tabs.
 """
 
@@ -77,4 +80,25 @@ def store(_path):
         print(name, types.hash_rihs01(name), json.dumps(described), sep='\t')
 
 
-{'describe': describe, 'parse': parse, 'store': store}[sys.argv[1]](sys.argv[2])
+def hash_texts(path):
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    rule = '=' * 80 + '\n'
+    for line in open(path, encoding='utf-8'):
+        name, encoding, text = json.loads(line)
+        try:
+            types = get_typestore(Stores.EMPTY)
+            if encoding == 'ros2msg':
+                types.register(get_types_from_msg(text, name))
+            else:
+                assert text.startswith(rule), 'the text has no header'
+                for block in text.split(rule)[1:]:
+                    header, idl = block.split('\n', 1)
+                    assert header.startswith('IDL: '), header
+                    types.register(get_types_from_idl(idl))
+            print(types.hash_rihs01(name))
+        except Exception as error:  # the test knows what it cannot read
+            print(repr(error).replace('\n', ' '))
+
+
+{'describe': describe, 'parse': parse, 'store': store, 'hash': hash_texts}[sys.argv[1]](sys.argv[2])

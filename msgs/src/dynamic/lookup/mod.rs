@@ -2,6 +2,7 @@
 
 mod ament;
 mod described;
+mod recorded;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,6 +14,7 @@ use super::{DynamicType, TypeError};
 use crate::carried;
 pub use ament::AmentPrefixPath;
 pub use described::{DescribedTypes, Schemas};
+pub use recorded::RecordedDefinition;
 
 /// Sources of definitions, searched in the order in which they were added.
 ///

@@ -8,7 +8,10 @@ use std::cell::{Cell, RefCell};
 use std::fmt;
 
 use downbeat_msgs_definitions::{Element, Primitive, Shape, TypeName};
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{
+    DeserializeSeed, Deserializer, EnumAccess, Error, IgnoredAny, MapAccess, SeqAccess, VariantAccess,
+    Visitor,
+};
 
 use super::scalar;
 use crate::builtin_interfaces::msg::Time;
@@ -29,6 +32,16 @@ pub(super) struct State<'a> {
     /// The structured error, if the format's error only has its text.
     pub error: RefCell<Option<FieldError>>,
     pub memory: Cell<u64>,
+    pub nothing: Nothing,
+}
+
+/// The meaning of `null` for a number.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Nothing {
+    /// JSON has no NaN: serde writes null instead.
+    IsNan,
+    /// A key without a value: a mistake, as in rclpy.
+    IsRefused,
 }
 
 /// The value to fill.
@@ -62,6 +75,7 @@ impl<'de> DeserializeSeed<'de> for Fill<'_> {
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
         match self.text_wanted() {
             // In YAML this includes text that looks like a number, unchanged.
+            true if self.state.nothing == Nothing::IsRefused => deserializer.deserialize_option(self),
             true => deserializer.deserialize_str(self),
             false => deserializer.deserialize_any(self),
         }
@@ -108,16 +122,42 @@ impl<'de> Visitor<'de> for Fill<'_> {
         self.scalar(Value::String(text.into()))
     }
 
-    /// JSON has no NaN: serde writes null instead.
+    fn visit_none<E: Error>(self) -> Result<(), E> {
+        self.visit_unit()
+    }
+
+    fn visit_some<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_str(self)
+    }
+
     fn visit_unit<E: Error>(self) -> Result<(), E> {
+        if self.state.nothing == Nothing::IsRefused && !matches!(self.trail, Trail::Root) {
+            return Err(fail(self.state, self.trail, FieldProblem::Empty));
+        }
         if let Some(Element::Primitive(Primitive::Float32 | Primitive::Float64)) = self.element() {
             return self.scalar(Value::Float64(f64::NAN));
         }
         Err(self.fail_kind("nothing".into()))
     }
 
+    /// A value with a tag of its own, such as `!binary`, which stands for YAML's `!!binary`.
+    fn visit_enum<A: EnumAccess<'de>>(self, tagged: A) -> Result<(), A::Error> {
+        let (tag, content) = tagged.variant::<String>()?;
+        let found = format!("a value with the tag `{tag}`");
+        if tag.trim_start_matches('!') != BINARY {
+            return Err(self.fail_kind(found));
+        }
+        match base64(&content.newtype_variant::<String>()?) {
+            Some(bytes) => self.visit_bytes(&bytes),
+            None => Err(self.fail_kind("bytes that are not Base64".into())),
+        }
+    }
+
     fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<(), E> {
-        self.assign(Value::from(bytes.to_vec()))
+        match (self.element(), bytes) {
+            (Some(Element::Primitive(Primitive::Byte)), [byte]) => self.assign(Value::UInt8(*byte)),
+            _ => self.assign(Value::from(bytes.to_vec())),
+        }
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
@@ -235,6 +275,36 @@ impl Fill<'_> {
     fn fail_kind<E: Error>(&self, found: String) -> E {
         fail(self.state, self.trail, FieldProblem::Kind { expected: self.wanted(), found })
     }
+}
+
+/// The name of the tag of bytes in Base64.
+pub(super) const BINARY: &str = "binary";
+
+/// Decodes Base64 (RFC 4648, section 4) with white space anywhere.
+fn base64(text: &str) -> Option<Vec<u8>> {
+    let digits: Vec<u8> = text.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
+    if !digits.len().is_multiple_of(4) {
+        return None;
+    }
+    let padding = digits.iter().rev().take_while(|digit| **digit == b'=').count();
+    let (mut bytes, mut bits, mut count) = (Vec::new(), 0_u32, 0);
+    for digit in &digits[..digits.len() - padding] {
+        let value = match digit {
+            b'A'..=b'Z' => digit - b'A',
+            b'a'..=b'z' => digit - b'a' + 26,
+            b'0'..=b'9' => digit - b'0' + 52,
+            b'+' => 62,
+            b'/' => 63,
+            _ => return None,
+        };
+        bits = (bits << 6) | u32::from(value);
+        count += 6;
+        if count >= 8 {
+            count -= 8;
+            bytes.push((bits >> count) as u8);
+        }
+    }
+    (padding <= 2).then_some(bytes)
 }
 
 #[cold]

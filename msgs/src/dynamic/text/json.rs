@@ -1,5 +1,6 @@
 //! Messages as JSON: the feature `json`.
 
+use super::fill::Nothing;
 use super::{Stamps, TextError, without_stamps};
 use crate::dynamic::{DynamicMessage, DynamicType};
 
@@ -34,7 +35,9 @@ impl DynamicMessage {
         let failed = |error: serde_json::Error, field| {
             TextError::new("JSON", error.line(), error.column(), &error, field)
         };
-        let stamps = filled.fill_from(&mut deserializer).map_err(|(error, field)| failed(error, field))?;
+        let stamps = filled
+            .fill_from(&mut deserializer, Nothing::IsNan)
+            .map_err(|(error, field)| failed(error, field))?;
         deserializer.end().map_err(|error| failed(error, None))?;
         *self = filled;
         Ok(stamps)

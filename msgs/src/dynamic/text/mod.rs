@@ -9,12 +9,13 @@ mod scalar;
 mod serialize;
 mod yaml;
 
+use std::borrow::Cow;
 use std::cell::{Cell, RefCell};
 use std::fmt::Display;
 
 use serde::de::{DeserializeSeed, Deserializer};
 
-use self::fill::{Fill, State, Trail};
+use self::fill::{BINARY, Fill, Nothing, State, Trail};
 use super::change::Place;
 use super::{DynamicMessage, DynamicType, FieldError, MessageRef};
 pub use fill::Stamps;
@@ -71,7 +72,8 @@ impl DynamicMessage {
     /// A string is the text as written, quoted or not: `data: 010` is `010`, where `ros2 topic pub` parses a
     /// number first and uses its digits, `8`. Numbers and booleans are read as in YAML 1.1 (`yes`, `0b11`,
     /// `1_000`). A `byte` is a number, or a character as printed by `ros2 topic echo`. An integer does not
-    /// accept `1.5`, which rclpy truncates.
+    /// accept `1.5`, which rclpy truncates. `!!binary` gives the bytes of an array of `uint8` or `byte`. A key without a value, or
+    /// with `null`, is an error.
     ///
     /// # Errors
     /// Returns an error if the text is not a YAML mapping, or there is no such field or it cannot have the
@@ -81,8 +83,9 @@ impl DynamicMessage {
             let (line, column) = error.location().map_or((0, 0), |place| (place.line(), place.column()));
             TextError::new("YAML", line, column, error, field)
         };
-        let yaml = crate::yaml::deserializer(yaml).map_err(|error| text_error(&error, None))?;
-        self.fill_from(yaml).map_err(|(error, field)| text_error(&error, field))
+        let yaml = with_local_tag(yaml);
+        let yaml = crate::yaml::deserializer(&yaml).map_err(|error| text_error(&error, None))?;
+        self.fill_from(yaml, Nothing::IsRefused).map_err(|(error, field)| text_error(&error, field))
     }
 
     /// Sets the fields in the input, in any self-describing serde format.
@@ -91,12 +94,13 @@ impl DynamicMessage {
     /// Returns an error if the input is not a map, or there is no such field or it cannot have the value. The
     /// message is then unchanged.
     pub fn fill<'de, D: Deserializer<'de>>(&mut self, deserializer: D) -> Result<Stamps, D::Error> {
-        self.fill_from(deserializer).map_err(|(error, _)| error)
+        self.fill_from(deserializer, Nothing::IsNan).map_err(|(error, _)| error)
     }
 
     fn fill_from<'de, D: Deserializer<'de>>(
         &mut self,
         deserializer: D,
+        nothing: Nothing,
     ) -> Result<Stamps, (D::Error, Option<FieldError>)> {
         let mut filled = self.slots.clone();
         let state = State {
@@ -104,6 +108,7 @@ impl DynamicMessage {
             stamps: RefCell::default(),
             error: RefCell::default(),
             memory: Cell::default(),
+            nothing,
         };
         let place = Place::Message { layout: &self.of, index: self.of.index(), slots: &mut filled };
         let result = Fill { place, trail: &Trail::Root, state: &state }.deserialize(deserializer);
@@ -151,6 +156,49 @@ fn without_stamps(stamps: &Stamps, format: &'static str) -> Result<(), TextError
             Err(TextError { format, line: 0, column: 0, problem })
         }
     }
+}
+
+/// Replaces the tag `!!binary` by `!binary `: the parser passes on only tags of the latter kind. Quotes and comments are left alone.
+fn with_local_tag(yaml: &str) -> Cow<'_, str> {
+    let tag = format!("!!{BINARY}");
+    if !yaml.contains(&tag) {
+        return Cow::Borrowed(yaml);
+    }
+    let mut replaced = String::with_capacity(yaml.len());
+    let (mut quote, mut is_escaped, mut is_comment, mut previous, mut skipped) = (None, false, false, ' ', 0);
+    // The last character that is neither white space nor in a comment: a value begins after a few of them only.
+    let mut last = ':';
+    for (at, c) in yaml.char_indices() {
+        if at < skipped {
+            continue;
+        }
+        let begins = (previous.is_whitespace() || "[{,".contains(previous)) && "[{,:-?".contains(last);
+        match quote {
+            _ if is_comment => is_comment = c != '\n',
+            Some('"') if is_escaped => is_escaped = false,
+            Some('"') if c == '\\' => is_escaped = true,
+            Some(open) => quote = Some(open).filter(|open| *open != c),
+            None if c == '\n' => last = if last == '|' || last == '>' { last } else { ':' },
+            None if begins && (c == '"' || c == '\'') => quote = Some(c),
+            None if c == '#' && previous.is_whitespace() => is_comment = true,
+            None if begins && yaml[at..].starts_with(&tag) => {
+                replaced.push('!');
+                replaced.push_str(BINARY);
+                replaced.push(' ');
+                skipped = at + tag.len();
+                // Quotes may follow.
+                (previous, last) = (' ', ':');
+                continue;
+            }
+            None => {}
+        }
+        replaced.push(c);
+        previous = c;
+        if !c.is_whitespace() && !is_comment {
+            last = c;
+        }
+    }
+    Cow::Owned(replaced)
 }
 
 /// Removes the position from the text of an error, since it is reported separately.

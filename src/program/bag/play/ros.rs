@@ -67,6 +67,13 @@ pub(super) fn play(
     let (_participant, node) = node(NODE_NAME, arguments.domain, catalog, &ros)?;
     let requests = arguments.publish_service_requests.then_some(arguments.service_requests_source);
     let targets = targets(&player, &node, &overrides, requests, &stop)?;
+    let left_out = left_out(&player, &targets);
+    let is_asked_for = |name: &String| arguments.topics.names().contains(name);
+    if !stop.is_due()
+        && (left_out.iter().any(is_asked_for) || left_out.len() == targets.len() && !targets.is_empty())
+    {
+        bail!("nothing of {} can be played; see above", left_out.join(", "));
+    }
     let clock = PublishedClock::new(&node, arguments)?;
     let controls = Controls::offer(&node)?;
     wait_for_peers(&player, &targets, &stop);
@@ -97,7 +104,20 @@ pub(super) fn play(
     run.wait_for_answers(&stop);
     run.wait_for_all_acked(arguments.wait_for_all_acked, &stop);
     println!("played {} messages; {} were refused", run.played, run.refused);
+    if !left_out.is_empty() && !stop.is_due() {
+        bail!(
+            "incomplete: {} cannot be played, see above; --exclude-topics leaves topics out without an error",
+            left_out.join(", ")
+        );
+    }
     Ok(run.unreadable)
+}
+
+/// The topics with messages that could not be prepared for playing.
+fn left_out(player: &Player<'_>, targets: &[Option<Target>]) -> Vec<String> {
+    let topics = player.topics().iter().zip(targets);
+    let without = topics.filter(|(topic, target)| target.is_none() && topic.message_count > 0);
+    without.map(|(topic, _)| printable(&topic.info.name).into_owned()).collect()
 }
 
 fn options(arguments: &PlayArguments) -> anyhow::Result<PlayerOptions> {

@@ -77,7 +77,7 @@ pub(super) fn targets(
             return Ok(Target::Service(Requests::new(topic, source, node)?));
         }
         // CDR is passed through, also for types that are not compiled in.
-        let recorded = info.format.as_ref().map(|_| RecordedType::of(topic, node.participant().interfaces()));
+        let recorded = (!info.is_cdr()).then(|| RecordedType::of(topic, node.participant().interfaces()));
         let recorded = recorded.transpose()?;
         let type_name = recorded.as_ref().map_or(&*info.type_name, |recorded| recorded.message_type().name());
         let message_type = MessageType::new(type_name)?;
