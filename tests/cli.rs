@@ -228,7 +228,7 @@ fn a_real_ros_node_reads_the_parameters_that_check_writes() {
     let Some(read) = python("load_parameters.py", &[&path]) else { return };
     assert_eq!(read["mux.hold_s"], serde_json::json!(["DOUBLE", 3.0]));
     assert_eq!(read["hardware.p_gain"], serde_json::json!(["INTEGER", 32]));
-    assert_eq!(read["hardware.port"], serde_json::json!(["STRING", "/tmp/downbeat_darwin_op"]));
+    assert_eq!(read["hardware.port"], serde_json::json!(["STRING", "memory:darwin_op"]));
     assert_eq!(read["emulator.faults"], serde_json::json!(["STRING_ARRAY", ["drop:0.01"]]));
     assert_eq!(read["hardware.offset_ticks"], serde_json::json!(["INTEGER_ARRAY", vec![0; 20]]));
 }

@@ -10,6 +10,8 @@
 //! joints in every cycle of the hardware. Commands of sources with less precedence are dropped for this joint
 //! meanwhile.
 //!
+//! A command whose stamp is older or newer than this time is dropped, counted, and reported once; a stamp of 0 is now.
+//!
 //! When another module of the robot takes over a joint, its goal moves from the last one to the commanded one at
 //! `handover_speed` and then follows the commands immediately. Commands from outside are passed on as they are,
 //! since they may come only once. Joint limits are those of the hardware module.
@@ -20,6 +22,7 @@
 //! | `hold_s` | how long a command from outside holds its joints, s |
 //! | `handover_speed` | how fast a joint goes to the command of the module that takes it over, rad/s |
 
+use crate::stamps::{Stale, given_at};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 use std::collections::BTreeMap;
@@ -29,6 +32,7 @@ use std::time::Duration;
 #[derive(Default)]
 pub struct JointCommandMux {
     joints: Joints,
+    stale: Stale,
 }
 
 /// The keys of [`JointCommandMux`].
@@ -60,6 +64,10 @@ impl JointCommandMux {
             true => Duration::from_secs_f64(*ctx.get(ctx.ports.hold_s)),
             false => OWN_HOLD,
         };
+        if let Err(reason) = given_at(&command.header.stamp, ctx.now(), hold) {
+            let topic = if source.is_outside { OUTSIDE } else { "a source of the joint multiplexer" };
+            return self.stale.drop_for(topic, &reason);
+        }
         let speed = *ctx.get(ctx.ports.handover_speed);
         if let Some(goals) = self.joints.goals(command, source, ctx.now(), hold, speed) {
             ctx.publish(ctx.ports.goals, goals);
@@ -182,6 +190,7 @@ mod tests {
 
     use super::*;
     use crate::testing::{Collector, core_at_zero};
+    use downbeat_executor::Clock;
 
     fn command(names: &[&str], positions: &[f64]) -> JointState {
         JointState {
@@ -212,6 +221,26 @@ mod tests {
         assert_eq!(step(1990), [0.3]);
         motion.publish(command(&["head_pan"], &[0.2])).unwrap();
         assert_eq!(step(11), [0.2]);
+    }
+
+    #[test]
+    fn a_command_with_a_stale_stamp_holds_no_joint() {
+        let (mut core, clock) = core_at_zero();
+        core.add("mux", JointCommandMux::default()).unwrap();
+        let goals = Collector::<JointState>::add(&mut core, "joint_goals");
+        let (outside, motion) =
+            (core.inlet("joint_commands").unwrap(), core.inlet("motion/joint_commands").unwrap());
+        for (offset, expected) in [(-10, 0.2), (10, 0.2), (0, 0.1)] {
+            let mut stale = command(&["head_pan"], &[0.1]);
+            stale.header.stamp.sec = (clock.now().as_nanos() / 1_000_000_000) as i32 + offset;
+            outside.publish(stale).unwrap();
+            clock.advance(Duration::from_millis(8));
+            (0..3).for_each(|_| core.cycle().unwrap());
+            motion.publish(command(&["head_pan"], &[0.2])).unwrap();
+            clock.advance(Duration::from_millis(8));
+            (0..3).for_each(|_| core.cycle().unwrap());
+            assert_eq!(goals.take()[0].position, [expected], "{offset}");
+        }
     }
 
     #[test]

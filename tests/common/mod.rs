@@ -191,8 +191,7 @@ fn collect(stream: impl std::io::Read + Send + 'static, output: &Arc<Mutex<Strin
 pub fn robot_file(folder: &Path, edit: impl Fn(String) -> String) -> PathBuf {
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/darwin_op.toml");
     let port = folder.join("port");
-    let text =
-        std::fs::read_to_string(demo).unwrap().replace("/tmp/downbeat_darwin_op", port.to_str().unwrap());
+    let text = std::fs::read_to_string(demo).unwrap().replace("memory:darwin_op", port.to_str().unwrap());
     let path = folder.join("robot.toml");
     std::fs::write(&path, edit(text)).unwrap();
     path

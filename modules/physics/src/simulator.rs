@@ -260,7 +260,7 @@ struct Settings {
 
 impl Settings {
     fn declare(setup: &mut Setup<'_, DarwinOpSimulator>) -> Result<Self, SetupError> {
-        let link = "/tmp/downbeat_darwin_op_simulated".to_owned();
+        let link = "memory:darwin_op".to_owned();
         Ok(Self {
             link: setup.read_only_setting(
                 "link",

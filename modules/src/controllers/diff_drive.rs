@@ -14,7 +14,7 @@
 //! | `wheel_separation` | | m between the sides |
 //! | `wheel_radius` | | m |
 //! | `rate_hz` | 50 | rate of commands |
-//! | `cmd_vel_timeout` | 0.5 | s after which the base stops without a new command; 0 never |
+//! | `cmd_vel_timeout` | 0.5 | s after which the base stops without a new command; 0 never. With `use_stamped_vel` from its stamp: one that is older or newer is dropped; a stamp of 0 is now |
 //! | `linear.x.max_velocity`, `angular.z.max_velocity` | 1 m/s, 2 rad/s | limits, both ways |
 //! | `linear.x.max_acceleration`, `angular.z.max_acceleration` | 2 m/s², 8 rad/s² | limits, both ways |
 //! | `odom_frame_id`, `base_frame_id` | `odom`, `base_link` | |
@@ -40,6 +40,7 @@
 use std::time::Duration;
 
 use super::{header, joint_names};
+use crate::stamps::{Stale, given_at};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped, Twist, TwistStamped};
@@ -52,6 +53,7 @@ use downbeat_msgs::tf2_msgs::msg::TFMessage;
 pub struct DiffDriveController {
     sides: [Vec<Wheel>; 2],
     asked: Option<(Time, Velocity)>,
+    stale: Stale,
     commanded: Velocity,
     pose: Pose,
     last_state: Option<Time>,
@@ -99,10 +101,18 @@ pub struct Ports {
 }
 
 impl DiffDriveController {
-    fn on_twist(&mut self, twist: &Twist, ctx: &Context<'_, Ports>) {
+    fn on_stamped(&mut self, command: &TwistStamped, ctx: &Context<'_, Ports>) {
+        let timeout = Duration::from_secs_f64(*ctx.get(ctx.ports.timeout));
+        match given_at(&command.header.stamp, ctx.now(), timeout) {
+            Ok(given) => self.on_twist(&command.twist, given),
+            Err(reason) => self.stale.drop_for("cmd_vel", &reason),
+        }
+    }
+
+    fn on_twist(&mut self, twist: &Twist, given: Time) {
         let velocity = Velocity { linear: twist.linear.x, angular: twist.angular.z };
         if velocity.linear.is_finite() && velocity.angular.is_finite() {
-            self.asked = Some((ctx.now(), velocity));
+            self.asked = Some((given, velocity));
         } else {
             tracing::warn!("a command on cmd_vel has values that are not finite; it is dropped");
         }
@@ -288,10 +298,12 @@ impl Module for DiffDriveController {
         };
         if setup.value(stamped).copied().unwrap_or(false) {
             setup.subscribe::<TwistStamped, _>("cmd_vel", |module, command, ctx| {
-                module.on_twist(&command.twist, ctx)
+                module.on_stamped(&command, ctx);
             })?;
         } else {
-            setup.subscribe::<Twist, _>("cmd_vel", |module, command, ctx| module.on_twist(&command, ctx))?;
+            setup.subscribe::<Twist, _>("cmd_vel", |module, command, ctx| {
+                module.on_twist(&command, ctx.now());
+            })?;
         }
         setup.subscribe("joint_states", Self::on_joint_states)?;
         setup.every(Duration::from_secs_f64(1.0 / rate), Self::tick)?;
@@ -398,6 +410,42 @@ mod tests {
         let still_moving = base.drive(None, 20);
         assert!(still_moving.twist.twist.linear.x > 0.4, "0.4 s after the last command");
         assert_eq!(base.drive(None, 40).twist.twist.linear.x, 0.0);
+    }
+
+    #[test]
+    fn a_stamped_command_that_is_older_or_newer_than_its_time_out_does_not_drive() {
+        let (mut core, clock) = core_at_zero();
+        add(&mut core, &[("use_stamped_vel", true.into())]).unwrap();
+        let commands = Collector::<JointState>::add(&mut core, "joint_commands");
+        let twists = core.inlet("cmd_vel").unwrap();
+        let mut drive = |offset_ms: Option<i64>| {
+            let mut fastest: f64 = 0.0;
+            for _ in 0..50 {
+                let mut twist = TwistStamped::default();
+                twist.twist.linear.x = 0.5;
+                if let Some(offset) = offset_ms {
+                    let stamp = clock.now().as_nanos() + offset * 1_000_000;
+                    twist.header.stamp = downbeat_msgs::builtin_interfaces::msg::Time::from_nanos(stamp);
+                }
+                twists.publish(twist).unwrap();
+                clock.advance(Duration::from_millis(20));
+                (0..2).for_each(|_| core.cycle().unwrap());
+                let speeds = commands.take().into_iter().map(|command| command.velocity[0]);
+                fastest = speeds.fold(fastest, f64::max);
+            }
+            // Until it has stopped.
+            for _ in 0..100 {
+                clock.advance(Duration::from_millis(20));
+                (0..2).for_each(|_| core.cycle().unwrap());
+                commands.take();
+            }
+            fastest
+        };
+        assert!(drive(Some(0)) > 1.0);
+        assert_eq!(drive(Some(-10_000)), 0.0, "10 s old");
+        assert_eq!(drive(Some(10_000)), 0.0, "10 s in the future");
+        assert!(drive(Some(-300)) > 1.0 && drive(Some(300)) > 1.0, "within the time-out");
+        assert!(drive(None) > 1.0, "a stamp of 0 is now");
     }
 
     #[test]

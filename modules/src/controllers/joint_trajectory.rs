@@ -17,11 +17,13 @@
 //! | `state_rate_hz` | 25 | rate of the state and of feedback |
 //! | `allow_partial_joints_goal` | false | trajectories may name some of the joints |
 //! | `allow_nonzero_velocity_at_trajectory_end` | false | |
+//! | `stamp_timeout` | 0.5 | s by which the stamp of a trajectory may lie in the past; 0 any |
 //! | `constraints.goal_time` | 0 | s that the joints have to reach the goal after the end of the trajectory; 0 waits |
 //! | `constraints.stopped_velocity_tolerance` | 0.01 | rad/s or m/s at the goal; 0 is not checked |
 //! | `constraints.JOINT.trajectory`, `constraints.JOINT.goal` | 0 | tolerance of the position on the way and at the goal, rad or m; 0 is not checked |
 //!
-//! A trajectory begins at its stamp, or at once if that is zero, from the command so far, so that a replaced trajectory
+//! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than `stamp_timeout`, or more than a minute
+//! ahead, is refused: its beginning would be skipped, or the clocks differ. It begins from the command so far, so that a replaced trajectory
 //! causes no jump; without one, from the measured position. A goal that is cancelled or aborted holds the
 //! position in which it ends. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
 //!
@@ -37,6 +39,7 @@ use std::time::Duration;
 use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
 use super::{header, joint_names, own};
 use crate::actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
+use crate::stamps::Stale;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::builtin_interfaces::msg::Duration as DurationMessage;
 use downbeat_msgs::control_msgs::action::{
@@ -58,7 +61,11 @@ pub struct JointTrajectoryController {
     commanded: Vec<JointSample>,
     following: Option<Following>,
     last_state: Option<Time>,
+    stale: Stale,
 }
+
+/// How far ahead a trajectory may begin.
+const LONGEST_WAIT: Duration = Duration::from_secs(60);
 
 /// A trajectory on its way.
 struct Following {
@@ -92,6 +99,7 @@ pub struct Ports {
     state_rate_hz: Setting<f64>,
     allow_partial: Setting<bool>,
     allow_moving_end: Setting<bool>,
+    stamp_timeout: Setting<f64>,
     goal_time: Setting<f64>,
     stopped_velocity: Setting<f64>,
     /// Of the position on the way and at the goal, by joint.
@@ -115,6 +123,9 @@ impl JointTrajectoryController {
     fn on_trajectory(&mut self, message: Received<'_, JointTrajectory>, ctx: &mut Context<'_, Ports>) {
         match self.follow(&message, None, ctx) {
             Ok(()) => {}
+            Err(refusal @ (Refusal::Old { .. } | Refusal::Ahead { .. })) => {
+                self.stale.drop_for("joint_trajectory", &refusal.to_string());
+            }
             Err(refusal) => tracing::warn!("a trajectory from the topic is not followed: {refusal}"),
         }
     }
@@ -123,7 +134,11 @@ impl JointTrajectoryController {
         match self.check(&goal.trajectory, ctx) {
             Ok(_) => GoalResponse::AcceptAndExecute,
             Err(refusal) => {
-                tracing::warn!("a goal is rejected: {refusal}");
+                if let Refusal::Old { .. } | Refusal::Ahead { .. } = refusal {
+                    self.stale.drop_for("follow_joint_trajectory", &refusal.to_string());
+                } else {
+                    tracing::warn!("a goal is rejected: {refusal}");
+                }
                 GoalResponse::Reject
             }
         }
@@ -163,6 +178,14 @@ impl JointTrajectoryController {
         if start + trajectory.duration() < ctx.now() {
             let late = ctx.now().saturating_since(start + trajectory.duration());
             return Err(Refusal::Past { late_s: late.as_secs_f64() });
+        }
+        let (age, ahead) = (ctx.now().saturating_since(start), start.saturating_since(ctx.now()));
+        let timeout_s = *ctx.get(ports.stamp_timeout);
+        if timeout_s > 0.0 && age > Duration::from_secs_f64(timeout_s) {
+            return Err(Refusal::Old { age_s: age.as_secs_f64(), timeout_s });
+        }
+        if ahead > LONGEST_WAIT {
+            return Err(Refusal::Ahead { ahead_s: ahead.as_secs_f64(), most_s: LONGEST_WAIT.as_secs() });
         }
         Ok((trajectory, start, begin))
     }
@@ -366,6 +389,12 @@ impl Module for JointTrajectoryController {
                 false,
                 "trajectories may end in motion; the joints stop there at once",
             )?,
+            stamp_timeout: setup.setting_in(
+                "stamp_timeout",
+                0.5,
+                0.0..=3600.0,
+                "s; by how much the stamp of a trajectory may lie in the past; 0 for any",
+            )?,
             goal_time: setup.setting_in(
                 "constraints.goal_time",
                 0.0,
@@ -401,6 +430,14 @@ enum Refusal {
     Trajectory(#[from] TrajectoryError),
     #[error("the trajectory ended {late_s:.3} s ago; use a later stamp, or a stamp of 0 to begin at once")]
     Past { late_s: f64 },
+    #[error(
+        "its stamp is {age_s:.3} s old, more than the stamp_timeout of {timeout_s} s; use a stamp of 0 to begin at once"
+    )]
+    Old { age_s: f64, timeout_s: f64 },
+    #[error(
+        "its stamp is {ahead_s:.3} s in the future, more than {most_s} s; check the clocks, or use a stamp of 0"
+    )]
+    Ahead { ahead_s: f64, most_s: u64 },
     #[error("the position of the joint \"{joint}\" is not known yet: `joint_states` does not have it")]
     Unknown { joint: String },
 }
@@ -479,7 +516,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::testing::{Collector, core_at_zero};
-    use downbeat_executor::{Core, ManualClock, ModuleOptions, SettingValue};
+    use downbeat_executor::{Clock, Core, ManualClock, ModuleOptions, SettingValue};
     use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
     use downbeat_msgs::control_msgs::action::{
         FollowJointTrajectoryGetResultRequest, FollowJointTrajectoryGetResultResponse,
@@ -662,6 +699,13 @@ mod tests {
         past.trajectory.header.stamp.sec = 10;
         assert!(arm.send(1, past).is_none());
         assert!(arm.send(2, to(1, f64::NAN, 0.0)).is_none());
+        for (id, seconds_ago) in [(3, 2), (4, -100)] {
+            // Still going on, but its beginning was skipped; and one of another clock.
+            let mut stale = to(5, 1.0, 0.0);
+            stale.trajectory.header = header(arm.clock.now(), "");
+            stale.trajectory.header.stamp.sec -= seconds_ago;
+            assert!(arm.send(id, stale).is_none(), "{seconds_ago}");
+        }
         arm.run(0.1);
         assert_eq!(arm.position, [0.0, 0.0]);
     }

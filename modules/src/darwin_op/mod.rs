@@ -20,3 +20,9 @@ pub(crate) use settings::FEET;
 
 #[cfg(test)]
 mod tests;
+
+/// The robot with foot sensors, as the driver sees it.
+#[cfg(test)]
+pub(crate) fn plan_for_tests() -> crate::servo_bus::BusPlan {
+    settings::Settings { foot_sensors: true, ..settings::Settings::default() }.plan()
+}

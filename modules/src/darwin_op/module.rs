@@ -197,6 +197,7 @@ impl Module for DarwinOp {
 
     fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
         self.read_settings(ctx);
+        self.hardware.driver.resume();
         Ok(())
     }
 

@@ -56,6 +56,9 @@ const LOW_BATTERY_V: f64 = 10.5;
 /// How fast a servo that was just brought into service approaches its command, in ticks per cycle: about 2 rad/s.
 const APPROACH_TICKS: i64 = 10;
 
+/// By how much the stamp of a command may lie in the past or the future.
+const COMMAND_TIMEOUT: Duration = Duration::from_millis(500);
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
@@ -118,6 +121,7 @@ impl Settings {
             max_current_a: None,
             further: if self.check_eeprom { persistent(model, joint) } else { Vec::new() },
             approach_steps: APPROACH_TICKS,
+            command_timeout: COMMAND_TIMEOUT,
             guard: Guard { shutdown_rest_s, ..Guard::default() },
         };
         JOINTS.iter().zip(self.offset_ticks).map(joint).collect()

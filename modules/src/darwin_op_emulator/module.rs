@@ -27,7 +27,7 @@ impl Module for DarwinOpEmulator {
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let link = setup.setting(
             "link",
-            "/tmp/downbeat_darwin_op_emulated".to_owned(),
+            "memory:darwin_op".to_owned(),
             "path of the port, or memory:NAME; the hardware module's setting \"port\" is the same",
         )?;
         let seed = setup.setting("seed", 1_i64, "same seed, same starting pose, noise and faults")?;

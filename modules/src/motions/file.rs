@@ -46,6 +46,9 @@ pub const MAX_BALANCE: Balance = Balance { tilt: 2.0, rate: 0.5 };
 /// The largest file, in bytes.
 pub const MAX_BYTES: u64 = 1 << 20;
 
+/// The most frames of all motions of a file, with those of mirror images.
+pub const MAX_FRAMES: usize = 50_000;
+
 /// The motions of a robot, by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Motions {
@@ -153,6 +156,7 @@ impl Motions {
         for (name, entry) in entries.iter().filter(|(_, entry)| entry.mirror_of.is_none()) {
             motions.insert(name.get_ref().clone(), Arc::new(entry.motion(name, &source)?));
         }
+        let mut count: usize = motions.values().map(|motion: &Arc<Motion>| motion.frames.len()).sum();
         for (name, entry) in &entries {
             let Some(original) = &entry.mirror_of else { continue };
             let Some(motion) = motions.get(original.get_ref()).filter(|_| entry.frame.is_empty()) else {
@@ -162,6 +166,13 @@ impl Motions {
                 };
                 return Err(source.error(original.span().start, problem));
             };
+            // Mirror images of a long motion would fill the memory.
+            count += motion.frames.len();
+            if count > MAX_FRAMES {
+                let problem =
+                    format!("the motions have more than {MAX_FRAMES} frames with their mirror images");
+                return Err(source.error(original.span().start, problem));
+            }
             let mirrored = Motion {
                 about: entry.about.clone().unwrap_or_else(|| format!("{}, mirrored", motion.about)),
                 ..motion.mirrored()

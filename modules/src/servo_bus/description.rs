@@ -33,7 +33,11 @@ use toml::Spanned;
 
 /// How fast a joint approaches its first command by default, in rad/s.
 const APPROACH_RAD_S: f64 = 1.0;
-/// How long a commanded velocity or effort is valid by default, in s.
+/// The largest `zero` and `offset`: more turns than any servo counts.
+const LARGEST_ZERO: i64 = 1 << 31;
+/// The least gear ratio; the largest is its inverse.
+const LEAST_GEAR: f64 = 0.0001;
+/// How long a commanded velocity or effort is valid by default, and how old the stamp of any command may be, in s.
 const COMMAND_TIMEOUT_S: f64 = 0.5;
 
 /// A robot of serial servos.
@@ -267,7 +271,14 @@ impl Parser<'_> {
         let model = self.model(model_name, &buses[bus])?;
         let registers = Registers::of(&model)
             .map_err(|problem| error(format!("cannot be a {}: {problem}", model.name)))?;
-        let drive = self.drive(at, entry, &model, buses[bus].cycle)?;
+        let least = 2.0 * buses[bus].cycle.as_secs_f64();
+        let seconds = entry.command_timeout_s.or(defaults.command_timeout_s);
+        let seconds = seconds.unwrap_or(COMMAND_TIMEOUT_S.max(least));
+        if !(least..=60.0).contains(&seconds) {
+            return Err(error(format!("has the command_timeout_s {seconds}: {least} (two cycles) to 60")));
+        }
+        let command_timeout = Duration::from_secs_f64(seconds);
+        let drive = self.drive(at, entry, &model, command_timeout)?;
         let [min_rad, max_rad] = match (entry.limits, &drive) {
             (Some(limits), _) => limits,
             (None, Some(_)) => [f64::NEG_INFINITY, f64::INFINITY],
@@ -297,6 +308,18 @@ impl Parser<'_> {
             return Err(error(format!(
                 "has the gear ratio {gear}: turns of the servo for one of the joint, above 0"
             )));
+        }
+        if !(LEAST_GEAR..=1.0 / LEAST_GEAR).contains(&gear) {
+            return Err(error(format!("has the gear ratio {gear}: {LEAST_GEAR} to {}", 1.0 / LEAST_GEAR)));
+        }
+        for (key, raw) in [("zero", entry.zero), ("offset", entry.offset)] {
+            if raw.is_some_and(|raw| raw.unsigned_abs() > LARGEST_ZERO.unsigned_abs()) {
+                return Err(error(format!(
+                    "has the {key} {}: {} to {LARGEST_ZERO}",
+                    raw.unwrap_or(0),
+                    -LARGEST_ZERO
+                )));
+            }
         }
         let centre = (registers.goal.min + registers.goal.max + 1) / 2;
         let approach = entry.approach_rad_s.or(defaults.approach_rad_s).unwrap_or(APPROACH_RAD_S);
@@ -359,8 +382,10 @@ impl Parser<'_> {
             max_current_a,
             further: self.further(entry, &model, drive.as_ref())?,
             drive,
-            approach_steps: (registers.goal.steps(approach * cycle.as_secs_f64()) * gear).round().max(1.0)
-                as i64,
+            // No approach is faster than the whole range in a cycle.
+            approach_steps: ((registers.goal.steps(approach * cycle.as_secs_f64()) * gear).round() as i64)
+                .clamp(1, (registers.goal.max - registers.goal.min).max(1)),
+            command_timeout,
             guard,
             model,
             registers,
@@ -384,7 +409,7 @@ impl Parser<'_> {
         at: usize,
         entry: &JointEntry,
         model: &Model,
-        cycle: Duration,
+        timeout: Duration,
     ) -> Result<Option<Drive>, DescriptionError> {
         let error = |problem: String| self.source.error(at, format!("joint \"{}\" {problem}", entry.name));
         let defaults = &self.file.defaults;
@@ -416,12 +441,7 @@ impl Parser<'_> {
         let largest = largest.filter(|largest| *largest > 0.0 && *largest <= most).ok_or_else(|| {
             error(format!("needs \"{key}\", the largest goal in either direction: above 0, up to {most:.3}"))
         })?;
-        let seconds = entry.command_timeout_s.or(defaults.command_timeout_s).unwrap_or(COMMAND_TIMEOUT_S);
-        let least = 2.0 * cycle.as_secs_f64();
-        if !(least..=60.0).contains(&seconds) {
-            return Err(error(format!("has the command_timeout_s {seconds}: {least} (two cycles) to 60")));
-        }
-        let (goal, timeout) = (goal.clone(), Duration::from_secs_f64(seconds));
+        let goal = goal.clone();
         Ok(Some(Drive { quantity, goal, largest, timeout }))
     }
 
@@ -453,8 +473,11 @@ impl Parser<'_> {
                 error(format!("{} has no register \"{name}\"{near}", model.name))
             })?;
             let raw = *value.get_ref();
+            // Torque and goals are the business of the driver: one that is set at the start makes the joint move.
+            let goal = drive.map_or("", |drive| &drive.goal.name);
             if register.access == models::Access::Read
-                || ["id", "baud_rate", "operating_mode"].contains(&&**name)
+                || ["id", "baud_rate", "operating_mode", "torque_enable", "goal_position", goal]
+                    .contains(&&**name)
             {
                 return Err(error(format!("\"{name}\" cannot be set by a description")));
             }

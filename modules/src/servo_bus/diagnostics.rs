@@ -6,7 +6,7 @@ use super::driver::{DeviceUnit, Driver, Phase};
 use super::joint::{Joint, Protection};
 use super::module::header;
 use super::protocol::StatusError;
-use super::servo::{Link, Service, Servo, reading};
+use super::servo::{ECHO, Link, Service, Servo, reading};
 use downbeat_executor::Time;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use std::time::Duration;
@@ -36,7 +36,8 @@ pub(crate) fn levels(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels
         .iter()
         .zip(&plan.devices)
         .map(|(unit, device)| device_level(plan, driver, unit, device));
-    let servos = driver.servos.iter().map(|servo| servo_level(driver, servo));
+    let servos =
+        driver.servos.iter().zip(&plan.joints).map(|(servo, joint)| servo_level(driver, servo, joint));
     std::iter::once(bus_level(now, driver, labels)).chain(devices).chain(servos).collect()
 }
 
@@ -57,6 +58,8 @@ pub(crate) fn report(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels
 #[derive(Default)]
 pub(crate) struct Refused {
     pub(crate) count: Counted,
+    /// How many messages were dropped for their stamps.
+    pub(crate) stale: u64,
     /// The last one: when, and why.
     pub(crate) last: Option<(Time, String)>,
 }
@@ -70,6 +73,7 @@ impl Refused {
 fn bus_level(now: Time, driver: &Driver, labels: &Labels<'_>) -> u8 {
     match driver.phase {
         Phase::Running if driver.is_held() => DiagnosticStatus::ERROR,
+        _ if is_recent(now, driver.last_echo_at) => DiagnosticStatus::ERROR,
         Phase::Running if is_lossy(now, driver) || (labels.reports_cycles && is_slow(now, driver)) => {
             DiagnosticStatus::WARN
         }
@@ -111,10 +115,11 @@ fn device_level(plan: &BusPlan, driver: &Driver, unit: &DeviceUnit, device: &Dev
     }
 }
 
-fn servo_level(driver: &Driver, servo: &Servo) -> u8 {
+fn servo_level(driver: &Driver, servo: &Servo, joint: &Joint) -> u8 {
     match servo.link.service {
         Service::Silent { .. } | Service::Unsuitable { .. } => DiagnosticStatus::ERROR,
         Service::Unknown => DiagnosticStatus::STALE,
+        Service::Active if servo.wants_torque() && servo.limp(joint).is_some() => DiagnosticStatus::ERROR,
         Service::Active if driver.phase != Phase::Running => DiagnosticStatus::STALE,
         Service::Active if servo.protection == Protection::Off => DiagnosticStatus::ERROR,
         Service::Active
@@ -130,6 +135,7 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
     let board = plan.devices.first().filter(|device| device.power.is_some());
     let message = match driver.phase {
         Phase::Running if driver.is_held() => driver.misfit(plan).unwrap_or_default(),
+        _ if is_recent(now, driver.last_echo_at) => ECHO.to_owned(),
         Phase::Running if is_lossy(now, driver) && is_recent(now, driver.last_late_at) => {
             "running, but this machine is too busy: answers come after they were given up".to_owned()
         }
@@ -159,6 +165,9 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
     if labels.refused.last.is_some() {
         values.push(value("commands refused", labels.refused.count.count()));
     }
+    if labels.refused.stale > 0 {
+        values.push(value("commands dropped for their stamps", labels.refused.stale));
+    }
     if labels.reports_cycles {
         values.push(value("late cycles", troubles.late_cycles.count()));
     }
@@ -187,6 +196,9 @@ fn out_of_service(link: &Link, silent: &str) -> String {
 
 fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
     let message = match (&servo.link.service, servo.link.error) {
+        (Service::Active, _) if let (true, Some(limp)) = (servo.wants_torque(), servo.limp(joint)) => {
+            limp.words(joint)
+        }
         (Service::Active, _) if driver.phase != Phase::Running => "waits for the bus".to_owned(),
         (Service::Active, _) if servo.protection > Protection::None => {
             let measured = servo.last.as_ref().map(reading).unwrap_or_default();
@@ -221,7 +233,7 @@ fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
         values.extend(last.voltage.map(|voltage| value("voltage (V)", voltage)));
     }
     let name = format!("servo {} {}", joint.id, joint.name);
-    status(servo_level(driver, servo), &name, &message, values)
+    status(servo_level(driver, servo, joint), &name, &message, values)
 }
 
 fn status(level: u8, name: &str, message: &str, values: Vec<KeyValue>) -> DiagnosticStatus {

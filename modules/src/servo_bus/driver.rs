@@ -8,9 +8,11 @@ use super::counted::Counted;
 use super::description::BusPlan;
 use super::joint::{Drive, Joint};
 use super::models::Register;
-use super::protocol::{Id, Instruction, Protocol, WriteEntry};
+use super::protocol::{Id, Instruction, Protocol, WriteEntry, echo_end};
 use super::reading::{Answer, Answered, Reading, Unit, requests, understand};
-use super::servo::{Line, Link, PrepareError, Service, Servo, Trouble, prepare, prepare_device};
+use super::servo::{
+    ECHO, Line, Link, PrepareError, Prepared, Service, Servo, Trouble, prepare, prepare_device,
+};
 use downbeat_executor::Time;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -67,6 +69,10 @@ pub(crate) struct Troubles {
     pub(crate) silent_board: Counted,
     /// Cycles that began at least half a cycle late.
     pub(crate) late_cycles: Counted,
+    /// Instructions that the adapter sent back.
+    pub(crate) echoes: Counted,
+    /// How often a servo did not take its torque.
+    pub(crate) refused_torque: Counted,
 }
 
 /// A device beside servos.
@@ -93,6 +99,8 @@ pub(crate) struct Driver {
     pub(crate) last_late_at: Option<Time>,
     /// When a cycle was last late.
     pub(crate) last_late_cycle_at: Option<Time>,
+    /// When the adapter last sent an instruction back.
+    pub(crate) last_echo_at: Option<Time>,
     /// Writes to devices beside servos, of which one is done in each cycle.
     pub(crate) to_write: VecDeque<WriteEntry>,
     last_step_at: Option<Time>,
@@ -116,6 +124,7 @@ impl Driver {
             last_timeout_at: None,
             last_late_at: None,
             last_late_cycle_at: None,
+            last_echo_at: None,
             to_write: VecDeque::new(),
             last_step_at: None,
             board_misses: 0,
@@ -158,8 +167,16 @@ impl Driver {
             self.lose_port(now, &mut line);
             None
         });
-        self.count(now, is_live, &exchanges[before..]);
+        self.count(now, plan, is_live, &exchanges[before..]);
         reading
+    }
+
+    /// The module is active again: devices may have been switched off or turned meanwhile, and are brought into service anew.
+    pub(crate) fn resume(&mut self) {
+        if !matches!(self.phase, Phase::Closed { .. }) {
+            self.forget_units();
+            self.phase = Phase::Open { retry_at: Time::ZERO };
+        }
     }
 
     /// Returns whether nothing may move, because a servo was not the declared one at the start and is not exchanged yet: then the
@@ -242,7 +259,7 @@ impl Driver {
         match line.write(board.id, register.address, &register.bytes(plan.line.protocol, 1)) {
             Ok(()) => self.phase = Phase::PowerOn { until: now + power.wait },
             Err(Trouble::PortFailed) => return Err(PortFailed),
-            Err(Trouble::Silent | Trouble::Refused(_)) => {
+            Err(Trouble::Silent | Trouble::Refused(_) | Trouble::Echo) => {
                 if self.troubles.silent_board.is_worth_a_line() {
                     let (count, name) = (self.troubles.silent_board.count(), &board.name);
                     tracing::warn!(
@@ -282,13 +299,13 @@ impl Driver {
         let mut attempt = || match unit {
             Unit::Joint(index) => {
                 let (servo, joint) = (&self.servos[index], &plan.joints[index]);
-                prepare(line, joint, servo.softness(joint), servo.wants_torque())
+                prepare(line, joint, servo.softness(joint), servo.wants_torque()).map(Some)
             }
             Unit::Device(index) => {
                 let device = &plan.devices[index];
                 let wanted: Vec<(&Register, i64)> =
                     device.model.at_start.iter().map(|(register, value)| (register, *value)).collect();
-                prepare_device(line, device.id, &device.model, &wanted).map(|_| 0)
+                prepare_device(line, device.id, &device.model, &wanted).map(|_| None)
             }
         };
         let mut prepared = attempt();
@@ -305,7 +322,7 @@ impl Driver {
         let what = kind(unit);
         let is_other = matches!(prepared, Err(PrepareError::OtherModel(_)));
         match prepared {
-            Ok(position) => {
+            Ok(prepared) => {
                 if let Unit::Joint(index) = unit
                     && self.servos[index].misfit.take().is_some()
                     && !self.is_held()
@@ -316,13 +333,10 @@ impl Driver {
                     let missed = self.link(unit).missed;
                     tracing::info!("{what} {id} ({name}) is back; it missed {missed} answers so far");
                 }
-                match unit {
-                    Unit::Joint(index) => {
-                        let softness = self.servos[index].softness(&plan.joints[index]);
-                        self.servos[index].join(position, softness);
-                        self.arm_watchdog(&plan.joints[index], plan.line.protocol);
-                    }
-                    Unit::Device(_) => self.link(unit).join(),
+                if let (Unit::Joint(index), Some(prepared)) = (unit, prepared) {
+                    self.join(index, &prepared, plan);
+                } else {
+                    self.link(unit).join();
                 }
                 if self.comes_back_fresh {
                     self.link(unit).unheard = 0;
@@ -344,6 +358,14 @@ impl Driver {
         Ok(())
     }
 
+    fn join(&mut self, index: usize, prepared: &Prepared, plan: &BusPlan) {
+        let (servo, joint) = (&mut self.servos[index], &plan.joints[index]);
+        let softness = servo.softness(joint);
+        servo.join(prepared, softness);
+        servo.report_limp(joint);
+        self.arm_watchdog(joint, plan.line.protocol);
+    }
+
     /// Has a driven servo stop by itself if it hears nothing for as long as a command is valid. Done in one of the next cycles: it
     /// expects instructions from then on. After it has stopped it takes no goals until the watchdog is cleared.
     fn arm_watchdog(&mut self, joint: &Joint, protocol: Protocol) {
@@ -358,12 +380,12 @@ impl Driver {
     }
 
     fn cycle(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) -> Result<Reading, PortFailed> {
-        let (on, off) = self.torque_writes(now, plan);
+        let off = self.ended_torques(now, plan);
         self.write_softness(plan, line)?;
         self.write_all(line, off)?;
+        self.engage_one(now, plan, line)?;
         let goals = self.goals(now, plan);
         self.write_all(line, goals)?;
-        self.write_all(line, on)?;
         if let Some(entry) = self.to_write.pop_front()
             && line.write(entry.id, entry.address, &entry.data) == Err(Trouble::PortFailed)
         {
@@ -374,12 +396,51 @@ impl Driver {
         Ok(reading)
     }
 
-    /// Writes gains and torque limits that have changed.
+    /// Gives torque to one of the servos that are to have it: reads its position, makes that its goal, and waits for each
+    /// acknowledgement, as an instruction without one may be lost and the old goal remain.
+    fn engage_one(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) -> Result<(), PortFailed> {
+        let Some(index) = self.servos.iter().position(|servo| servo.is_to_engage(now)) else { return Ok(()) };
+        let joint = &plan.joints[index];
+        self.servos[index].begin_to_engage(now);
+        let refusal = match self.engage(index, joint, line) {
+            Ok(()) => return self.write_softness(plan, line),
+            Err(Trouble::PortFailed) => return Err(PortFailed),
+            Err(Trouble::Silent) => "it does not answer".to_owned(),
+            Err(Trouble::Refused(error)) => format!("it answers: {error}"),
+            Err(Trouble::Echo) => ECHO.to_owned(),
+        };
+        if self.troubles.refused_torque.is_worth_a_line() {
+            let (Joint { id, name, .. }, count) = (joint, self.troubles.refused_torque.count());
+            tracing::warn!("servo {id} ({name}) gets no torque yet: {refusal} ({count} times so far)");
+        }
+        Ok(())
+    }
+
+    fn engage(&mut self, index: usize, joint: &Joint, line: &mut Line<'_>) -> Result<(), Trouble> {
+        let (servo, protocol) = (&mut self.servos[index], line.protocol);
+        let (position, error) = line.read_position(joint)?;
+        servo.note_position(position, error);
+        if servo.limp(joint).is_some() {
+            servo.report_limp(joint);
+            return Ok(());
+        }
+        let (goal, torque) = (joint.goal_register(), &joint.registers.torque);
+        let raw = if joint.drive.is_some() { 0 } else { position };
+        line.write(joint.id, goal.address, &goal.bytes(protocol, raw))?;
+        line.write(joint.id, torque.address, &torque.bytes(protocol, 1))?;
+        servo.engage(position);
+        Ok(())
+    }
+
+    /// Writes gains and torque limits that have changed, of servos with torque: those of the others follow when they get it.
     fn write_softness(&mut self, plan: &BusPlan, line: &mut Line<'_>) -> Result<(), PortFailed> {
         let protocol = plan.line.protocol;
         let (mut gains, mut limits) = (Vec::new(), Vec::new());
-        for (servo, joint) in
-            self.servos.iter_mut().zip(&plan.joints).filter(|(servo, _)| servo.link.is_active())
+        for (servo, joint) in self
+            .servos
+            .iter_mut()
+            .zip(&plan.joints)
+            .filter(|(servo, _)| servo.link.is_active() && servo.has_torque())
         {
             let wanted = servo.softness(joint);
             if wanted == servo.written {
@@ -418,25 +479,15 @@ impl Driver {
         self.write_all(line, limits)
     }
 
-    /// What switches torque on and off.
-    fn torque_writes(&mut self, now: Time, plan: &BusPlan) -> (Vec<WriteEntry>, Vec<WriteEntry>) {
-        let mut writes = (Vec::new(), Vec::new());
-        for (servo, joint) in
-            self.servos.iter_mut().zip(&plan.joints).filter(|(servo, _)| servo.link.is_active())
-        {
-            servo.rest(joint, now);
-            if servo.decide_torque() {
-                let entry = write(
-                    joint.id,
-                    &joint.registers.torque,
-                    plan.line.protocol,
-                    i64::from(servo.has_torque()),
-                );
-                let to = if servo.has_torque() { &mut writes.0 } else { &mut writes.1 };
-                to.push(entry);
-            }
-        }
-        writes
+    /// What ends the torque of servos that should have none.
+    fn ended_torques(&mut self, now: Time, plan: &BusPlan) -> Vec<WriteEntry> {
+        let active = self.servos.iter_mut().zip(&plan.joints).filter(|(servo, _)| servo.link.is_active());
+        active
+            .filter_map(|(servo, joint)| {
+                servo.rest(joint, now);
+                servo.ends_torque().then(|| write(joint.id, &joint.registers.torque, plan.line.protocol, 0))
+            })
+            .collect()
     }
 
     /// The goals of all servos that hold one. Devices do not acknowledge, so goals are written in every cycle.
@@ -660,7 +711,8 @@ impl Driver {
         }
     }
 
-    fn count(&mut self, now: Time, is_live: bool, exchanges: &[Exchange]) {
+    fn count(&mut self, now: Time, plan: &BusPlan, is_live: bool, exchanges: &[Exchange]) {
+        let (protocol, port) = (plan.line.protocol, &plan.port);
         self.exchanges += exchanges.len() as u64;
         for _ in exchanges.iter().filter(|exchange| exchange.error.contains(LATE)) {
             self.last_late_at = Some(now);
@@ -669,6 +721,15 @@ impl Driver {
                 tracing::warn!(
                     "this machine is too busy: an answer on the bus arrived after its time-out ({count} times so far)"
                 );
+            }
+        }
+        let is_echoed =
+            |exchange: &&Exchange| echo_end(protocol, &exchange.instruction, &exchange.reply).is_some();
+        for _ in exchanges.iter().filter(is_echoed) {
+            self.last_echo_at = Some(now);
+            if self.troubles.echoes.is_worth_a_line() {
+                let count = self.troubles.echoes.count();
+                tracing::error!("{port}: {ECHO} ({count} times so far)");
             }
         }
         for exchange in exchanges.iter().filter(|exchange| exchange.outcome == Outcome::Timeout) {

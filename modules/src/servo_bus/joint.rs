@@ -42,6 +42,8 @@ pub struct Joint {
     pub further: Vec<(Register, i64)>,
     /// How far the goal moves in one cycle while the joint approaches its first command, in raw steps.
     pub approach_steps: i64,
+    /// By how much the stamp of a command may lie in the past or the future.
+    pub command_timeout: Duration,
     /// When the joint is protected.
     pub guard: Guard,
 }

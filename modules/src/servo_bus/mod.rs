@@ -16,6 +16,7 @@ mod description;
 mod diagnostics;
 mod driver;
 mod joint;
+mod limp;
 mod module;
 mod reading;
 mod servo;

@@ -9,6 +9,7 @@ use super::joint::Quantity;
 use super::models::Register;
 use super::protocol::{Id, Protocol, WriteEntry};
 use super::reading::Reading;
+use crate::stamps::{Stale, given_at};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
@@ -34,6 +35,7 @@ pub(crate) struct Hardware {
     exchanges: Vec<Exchange>,
     unknown_names: Counted,
     refused: Refused,
+    stale: Stale,
     last_diagnostics: Option<(Time, Levels)>,
 }
 
@@ -67,6 +69,7 @@ impl Hardware {
             exchanges: Vec::new(),
             unknown_names: Counted::default(),
             refused: Refused::default(),
+            stale: Stale::default(),
             last_diagnostics: None,
         }
     }
@@ -88,6 +91,7 @@ impl Hardware {
     /// clamped to the limits.
     pub(crate) fn on_command(&mut self, command: &JointState, now: Time) {
         let JointState { position, velocity, effort, .. } = command;
+        let mut stale = None;
         for (place, name) in command.name.iter().enumerate() {
             if [position, velocity, effort].iter().all(|values| place >= values.len()) {
                 continue;
@@ -98,11 +102,27 @@ impl Hardware {
                 Some(Quantity::Velocity) => velocity,
                 Some(Quantity::Effort) => effort,
             };
+            let given = match given_at(&command.header.stamp, now, self.plan.joints[index].command_timeout) {
+                Ok(given) => given,
+                Err(reason) => {
+                    stale = Some(reason);
+                    continue;
+                }
+            };
             match self.commanded(index, values.get(place).copied()) {
-                Ok(goal) => self.driver.servos[index].want(goal, now),
+                Ok(goal) => self.driver.servos[index].want(goal, given),
                 Err(reason) => self.refuse(reason, now),
             }
         }
+        self.drop_stale(stale, "joint_commands", now);
+    }
+
+    /// Counts a message of which something is dropped for its stamp.
+    fn drop_stale(&mut self, reason: Option<String>, topic: &str, now: Time) {
+        let Some(reason) = reason else { return };
+        self.stale.drop_for(topic, &reason);
+        self.refused.stale = self.stale.count();
+        self.refused.last = Some((now, format!("{topic}: {reason}")));
     }
 
     /// The goal of a joint for a commanded value, or why it is refused.
@@ -133,14 +153,22 @@ impl Hardware {
 
     /// Takes commanded shares of the largest torque.
     pub(crate) fn on_torque(&mut self, command: &JointState, now: Time) {
+        let mut stale = None;
         for (name, share) in command.name.iter().zip(&command.effort) {
             let Some(index) = self.index_of(name, "joint_torque") else { continue };
             if share.is_finite() {
-                self.driver.servos[index].command_torque(*share);
+                // Torque is ended by any command, however late.
+                let timeout = self.plan.joints[index].command_timeout;
+                if let (true, Err(reason)) = (*share > 0.0, given_at(&command.header.stamp, now, timeout)) {
+                    stale = Some(reason);
+                } else if let Err(reason) = self.command_torque(index, *share) {
+                    self.refuse(reason, now);
+                }
             } else {
                 self.refuse(format!("joint_torque has {share} for {name}; give a share from 0 to 1"), now);
             }
         }
+        self.drop_stale(stale, "joint_torque", now);
     }
 
     fn refuse(&mut self, reason: String, now: Time) {
@@ -151,15 +179,28 @@ impl Hardware {
         self.refused.last = Some((now, reason));
     }
 
-    /// Switches the torque of all joints.
-    pub(crate) fn set_torque(&mut self, is_on: bool) -> SetBoolResponse {
-        for servo in &mut self.driver.servos {
-            servo.command_torque(if is_on { 1.0 } else { 0.0 });
+    /// Commands a share of the largest torque of a joint, or says why it stays limp.
+    fn command_torque(&mut self, index: usize, share: f64) -> Result<(), String> {
+        let (servo, joint) = (&mut self.driver.servos[index], &self.plan.joints[index]);
+        match servo.limp(joint).filter(|_| share > 0.0) {
+            Some(limp) => Err(limp.words(joint)),
+            None => {
+                servo.command_torque(share);
+                Ok(())
+            }
         }
-        let (count, state) = (self.driver.servos.len(), if is_on { "on" } else { "off" });
+    }
+
+    /// Switches the torque of all joints, except those that have to stay limp.
+    pub(crate) fn set_torque(&mut self, is_on: bool) -> SetBoolResponse {
+        let (count, state, share) =
+            if is_on { (self.plan.joints.len(), "on", 1.0) } else { (self.plan.joints.len(), "off", 0.0) };
+        let refused: Vec<String> =
+            (0..count).filter_map(|index| self.command_torque(index, share).err()).collect();
+        let switched = format!("the torque of {} joints is switched {state}", count - refused.len());
         SetBoolResponse {
-            success: true,
-            message: format!("the torque of {count} joints is switched {state}"),
+            success: refused.is_empty(),
+            message: refused.into_iter().chain([switched]).collect::<Vec<_>>().join("; "),
         }
     }
 
@@ -332,7 +373,7 @@ pub(crate) fn battery_state(sent: Time, volts: f64) -> BatteryState {
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `joint_commands` (in) | `sensor_msgs/JointState` | by name: positions, rad, clamped to the limits; velocities, rad/s, or efforts, A, of joints with that `mode`. Unknown names are counted; what is not finite, or far beyond the limits, is refused and reported |
+/// | `joint_commands` (in) | `sensor_msgs/JointState` | by name, dropped if the stamp is older or newer than `command_timeout_s` (0 is now): positions, rad, clamped to the limits; velocities, rad/s, or efforts, A, of joints with that `mode`. Unknown names are counted; what is not finite, or far beyond the limits, is refused and reported |
 /// | `joint_torque` (in) | `sensor_msgs/JointState` | `effort`: the share of its largest torque that a joint may use; 0 switches it off |
 /// | `joint_states` | `sensor_msgs/JointState` | in the order of the description: rad, rad/s, load (share of the drive) or current (A); stale joints have velocity and effort NaN |
 /// | `battery_state` | `sensor_msgs/BatteryState` | V, once a second, if a device measures it |
@@ -494,7 +535,9 @@ impl Module for ServoBus {
     }
 
     fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        if self.hardware.is_some() { Ok(()) } else { Err(NoDescription.into()) }
+        let hardware = self.hardware.as_mut().ok_or(NoDescription)?;
+        hardware.driver.resume();
+        Ok(())
     }
 
     fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {

@@ -4,7 +4,9 @@ use super::bus::{Exchange, ExpectedStatus};
 use super::description::{BusPlan, DevicePlan};
 use super::joint::Measurement;
 use super::models::{Model, Reads, Register};
-use super::protocol::{Id, Instruction, Protocol, ReadEntry, Status, joined_parameters, split_joined};
+use super::protocol::{
+    Id, Instruction, Protocol, ReadEntry, Status, echo_end, joined_parameters, split_joined,
+};
 use super::servo::for_each_status;
 use downbeat_executor::Time;
 
@@ -172,7 +174,8 @@ pub(crate) fn understand(plan: &BusPlan, request: &Request, exchange: &Exchange)
         let parts: Vec<_> = request.entries.iter().map(|entry| (entry.id, entry.length)).collect();
         split_joined(&exchange.reply, &parts).into_iter().for_each(&mut put);
     } else {
-        for_each_status(protocol, &exchange.reply, &mut put);
+        let start = echo_end(protocol, &exchange.instruction, &exchange.reply).unwrap_or(0);
+        for_each_status(protocol, &exchange.reply[start..], &mut put);
     }
     let units: Vec<_> = request
         .units

@@ -3,15 +3,18 @@
 use super::bus::{Bus, Exchange, ExpectedStatus, Outcome};
 use super::counted::Counted;
 use super::joint::{Drive, Joint, Measurement, Protection};
+use super::limp::{Limp, Reach, reach_of};
 use super::models::{Access, Model, Register};
-use super::protocol::{Id, Instruction, Protocol, Receiver, Status, StatusError};
+use super::protocol::{Id, Instruction, Protocol, Receiver, Status, StatusError, echo_end};
 use downbeat_executor::Time;
 use std::time::Duration;
 
 /// How long a measurement must be beyond a threshold of the guard, or back, before that takes effect.
 const GUARD_DELAY: Duration = Duration::from_secs(1);
-/// How often a change of the torque is written: nobody acknowledges it.
+/// How often the end of the torque is written: nobody acknowledges it.
 const TORQUE_WRITES: u8 = 3;
+/// The time between attempts to give a servo its torque.
+const RETRY_TORQUE: Duration = Duration::from_secs(1);
 
 /// The number of consecutive reads without an answer after which data is stale: a device behind a silent one in a read of several
 /// misses two until the silent one is left out.
@@ -95,8 +98,15 @@ pub(crate) struct Servo {
     is_torque_commanded: bool,
     /// The commanded share of its largest torque.
     commanded_share: f64,
-    /// Whether its torque is enabled, and how often that is still to be written.
+    /// Whether its torque is enabled, and how often its end is still to be written.
     torque: (bool, u8),
+    /// When to try next to give it its torque.
+    engage_at: Time,
+    /// Where its goals may be, and the position that it last answered with the errors beside it.
+    reach: Reach,
+    answered: Option<(i64, StatusError)>,
+    /// Whether it was reported that it stays limp.
+    is_limp_reported: bool,
     /// The gains and the share of the torque that were last written.
     pub(crate) written: Softness,
     /// The goal that is written to it.
@@ -130,7 +140,11 @@ impl Servo {
             shutdowns: Counted::default(),
             is_torque_commanded: true,
             commanded_share: 1.0,
-            torque: (true, 0),
+            torque: (false, 0),
+            engage_at: Time::ZERO,
+            reach: Reach::default(),
+            answered: None,
+            is_limp_reported: false,
             written: Softness::default(),
             goal: 0,
             wanted: None,
@@ -190,10 +204,10 @@ impl Servo {
         self.resting_since.is_some()
     }
 
-    /// Writes torque and torque limit once more: a shutdown sets one of them to 0, which one depends on the firmware.
+    /// Gives it torque and torque limit once more: a shutdown sets one of them to 0, which one depends on the firmware.
     fn try_again(&mut self) {
         self.resting_since = None;
-        self.torque = (false, 0);
+        (self.torque, self.engage_at) = ((false, TORQUE_WRITES), Time::ZERO);
         self.written.torque_limit = Some(0);
     }
 
@@ -207,27 +221,65 @@ impl Servo {
         self.torque.0
     }
 
-    /// Decides on its torque in this cycle. Returns true if the decision must be written.
-    pub(crate) fn decide_torque(&mut self) -> bool {
-        if self.wants_torque() != self.torque.0 {
-            self.torque = (self.wants_torque(), TORQUE_WRITES);
-            if let (true, Some(last)) = (self.torque.0, self.last) {
-                // It may have been turned by hand.
-                (self.goal, self.has_caught_up) = (last.position, false);
-            }
+    /// Ends its torque, if it should have none any more. Returns true if that must be written.
+    pub(crate) fn ends_torque(&mut self) -> bool {
+        if self.has_torque() && !self.wants_torque() {
+            self.torque = (false, TORQUE_WRITES);
         }
         let is_due = self.torque.1 > 0;
         self.torque.1 = self.torque.1.saturating_sub(1);
         is_due
     }
 
+    /// Returns whether it is to get its torque now.
+    pub(crate) fn is_to_engage(&self, now: Time) -> bool {
+        let is_heard = self.link.is_active() && self.link.misses == 0;
+        is_heard && self.wants_torque() && !self.has_torque() && self.engage_at <= now
+    }
+
+    /// An attempt to give it its torque begins: the next one comes later.
+    pub(crate) fn begin_to_engage(&mut self, now: Time) {
+        self.engage_at = now + RETRY_TORQUE;
+    }
+
+    /// It has torque, with its present position as goal.
+    pub(crate) fn engage(&mut self, position: i64) {
+        (self.goal, self.has_caught_up) = (position, false);
+        (self.torque, self.engage_at) = ((true, 0), Time::ZERO);
+    }
+
+    /// Takes the position that it answered, with the errors beside it.
+    pub(crate) fn note_position(&mut self, position: i64, error: StatusError) {
+        self.answered = Some((position, error));
+    }
+
+    /// Why it gets no torque, whether that is wanted or not; `None` while it has torque.
+    pub(crate) fn limp(&self, joint: &Joint) -> Option<Limp> {
+        let (position, error) = self.answered.filter(|_| self.link.is_active() && !self.has_torque())?;
+        Limp::of(joint, self.reach, position, error)
+    }
+
+    /// Says once that it stays limp though its torque is wanted, and that this is over.
+    pub(crate) fn report_limp(&mut self, joint: &Joint) {
+        let limp = self.limp(joint).filter(|_| self.wants_torque());
+        match limp {
+            Some(limp) if !self.is_limp_reported => tracing::error!("{}", limp.words(joint)),
+            None if self.is_limp_reported && self.link.is_active() => {
+                tracing::info!("servo {} ({}) need not stay limp any more", joint.id, joint.name);
+            }
+            _ => {}
+        }
+        self.is_limp_reported = limp.is_some() || (self.is_limp_reported && !self.link.is_active());
+    }
+
     /// Brings it into service at this position, without a jump.
-    pub(crate) fn join(&mut self, position: i64, written: Softness) {
+    pub(crate) fn join(&mut self, prepared: &Prepared, written: Softness) {
         self.link.join();
         self.resting_since = None;
-        self.goal = position;
+        self.goal = prepared.position;
         self.has_caught_up = false;
-        self.torque = (self.wants_torque(), 0);
+        (self.reach, self.answered) = (prepared.reach, Some((prepared.position, prepared.error)));
+        (self.torque, self.engage_at) = ((prepared.has_torque, 0), Time::ZERO);
         self.written = written;
     }
 
@@ -279,6 +331,8 @@ impl Servo {
     /// Takes a measurement, and lets the guard decide.
     pub(crate) fn take(&mut self, measurement: Measurement, joint: &Joint, now: Time) {
         self.last = Some(measurement);
+        self.note_position(measurement.position, self.link.error);
+        self.report_limp(joint);
         let demanded = joint.guard.demand(&measurement);
         if demanded == self.protection || self.protection == Protection::Off {
             self.pending = None;
@@ -327,10 +381,29 @@ impl From<Trouble> for PrepareError {
     fn from(trouble: Trouble) -> Self {
         match trouble {
             Trouble::Refused(error) => Self::Unsuitable(format!("it rejects its settings: {error}")),
+            Trouble::Echo => Self::Unsuitable(ECHO.to_owned()),
             trouble => Self::Trouble(trouble),
         }
     }
 }
+
+/// Persistent settings that can be written while a servo has torque. All others may change what its goal means, or where it can
+/// be, and a servo with torque would then turn.
+const HARMLESS: [&str; 13] = [
+    "return_delay",
+    "status_return_level",
+    "p_gain",
+    "i_gain",
+    "d_gain",
+    "temperature_limit",
+    "min_voltage_limit",
+    "max_voltage_limit",
+    "max_torque",
+    "current_limit",
+    "alarm_led",
+    "led_alarm_condition",
+    "shutdown",
+];
 
 /// Checks a device and writes those of its persistent settings that differ. Returns the first bytes of its table.
 ///
@@ -390,8 +463,11 @@ pub(crate) fn prepare_device(
         .iter()
         .filter(|(register, value)| register.raw_in(protocol, &settings, 0) != Some(*value))
         .collect();
-    if model.eeprom_needs_torque_off
-        && differing.iter().any(|(register, _)| register.access == Access::Eeprom)
+    let needs_torque_off = |register: &Register| {
+        register.access == Access::Eeprom
+            && (model.eeprom_needs_torque_off || !HARMLESS.contains(&&*register.name))
+    };
+    if differing.iter().any(|(register, _)| needs_torque_off(register))
         && let Some(torque) = model.register("torque_enable")
     {
         line.write(id, torque.address, &torque.bytes(protocol, 0))?;
@@ -408,14 +484,26 @@ pub(crate) fn prepare_device(
     Ok(settings)
 }
 
+/// A servo that has come into service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Prepared {
+    /// Its present position, and the errors beside it.
+    pub(crate) position: i64,
+    pub(crate) error: StatusError,
+    /// Where its goals may be.
+    pub(crate) reach: Reach,
+    /// Whether it has torque, with its present position as goal.
+    pub(crate) has_torque: bool,
+}
+
 /// Checks a servo and configures it for the cycle: answers without delay to all instructions, gains and limits of the
-/// joint, torque enabled if it is wanted, and its present position as goal. Returns its position.
+/// joint, and its present position as goal and torque, if torque is wanted and the position can be a goal; else no torque.
 pub(crate) fn prepare(
     line: &mut Line<'_>,
     joint: &Joint,
     softness: Softness,
-    has_torque: bool,
-) -> Result<i64, PrepareError> {
+    wants_torque: bool,
+) -> Result<Prepared, PrepareError> {
     let (registers, protocol) = (&joint.registers, line.protocol);
     let is_persistent =
         |register: &Register| register.access == Access::Eeprom || register.name == "status_return_level";
@@ -424,9 +512,9 @@ pub(crate) fn prepare(
         current.zip(joint.max_current_a).map(|(register, current)| (register, register.from_si(current)));
     let gains = registers.gains.iter().zip(softness.gains);
     let gains = gains.filter_map(|(register, gain)| register.as_ref().zip(gain));
-    // What the description sets replaces what the model sets, and the goal is set below.
+    // What the description sets replaces what the model sets. Goal and torque are set below.
     let is_replaced = |(register, _): &&(Register, i64)| {
-        joint.goal_register().name == register.name
+        [&joint.goal_register().name, &registers.goal.name, &registers.torque.name].contains(&&register.name)
             || joint.further.iter().any(|(other, _)| other.name == register.name)
     };
     let of_model = joint.model.at_start.iter().filter(|entry| !is_replaced(entry));
@@ -437,20 +525,28 @@ pub(crate) fn prepare(
         .chain(limits)
         .chain(torque_limit)
         .partition(|(register, _)| is_persistent(register));
-    prepare_device(line, joint.id, &joint.model, &persistent)?;
+    let settings = prepare_device(line, joint.id, &joint.model, &persistent)?;
+    let reach = reach_of(joint, protocol, &settings, &persistent);
     if let (Some(watchdog), true) = (joint.model.register("bus_watchdog"), joint.drive.is_some()) {
         // One that has stopped the servo lets nothing else be written.
         line.write(joint.id, watchdog.address, &watchdog.bytes(protocol, 0))?;
     }
-    let position = line.read(joint.id, registers.position.address, registers.position.size)?;
-    let position = registers.position.raw_in(protocol, &position, registers.position.address).unwrap_or(0);
-    let goal = position.clamp(registers.goal.min, registers.goal.max);
-    volatile.push((joint.goal_register(), if joint.drive.is_some() { 0 } else { goal }));
+    let (position, error) = line.read_position(joint)?;
+    let has_torque = wants_torque && Limp::of(joint, reach, position, error).is_none();
+    let torque = &registers.torque;
+    if has_torque {
+        volatile.push((joint.goal_register(), if joint.drive.is_some() { 0 } else { position }));
+    } else {
+        // First, as some servos switch their torque on when anything makes them move.
+        line.write(joint.id, torque.address, &torque.bytes(protocol, 0))?;
+    }
     for (address, bytes) in blocks(&joint.model, protocol, volatile) {
         line.write(joint.id, address, &bytes)?;
     }
-    line.write(joint.id, registers.torque.address, &registers.torque.bytes(protocol, i64::from(has_torque)))?;
-    Ok(goal)
+    if has_torque {
+        line.write(joint.id, torque.address, &torque.bytes(protocol, 1))?;
+    }
+    Ok(Prepared { position, error, reach, has_torque })
 }
 
 /// Joins values of neighbouring registers into as few writes as possible. A single byte that belongs to no register is
@@ -493,7 +589,13 @@ pub(crate) enum Trouble {
     Silent,
     /// It answered with an error.
     Refused(StatusError),
+    /// The adapter sent the instruction back.
+    Echo,
 }
+
+/// What an adapter that echoes does, and the remedy.
+pub(crate) const ECHO: &str = "the adapter echoes what is sent, so instructions come back as if they were answers; switch its echo off, \
+     or take an adapter that does not receive while it sends";
 
 impl Line<'_> {
     /// Opens the port. Returns true if it works.
@@ -532,6 +634,15 @@ impl Line<'_> {
         self.ask(&Instruction::Read { id, address, length }, length)
     }
 
+    /// Reads the present position of a servo. The errors beside it are those that do not refuse the read.
+    pub(crate) fn read_position(&mut self, joint: &Joint) -> Result<(i64, StatusError), Trouble> {
+        let (position, protocol) = (&joint.registers.position, self.protocol);
+        let (id, address, length) = (joint.id, position.address, position.size);
+        let status = self.status(&Instruction::Read { id, address, length }, length)?;
+        let raw = position.raw_in(protocol, &status.parameters, address).ok_or(Trouble::Silent)?;
+        Ok((raw, status.error))
+    }
+
     /// Writes to a device's control table, and waits for the acknowledgement.
     pub(crate) fn write(&mut self, id: Id, address: u16, data: &[u8]) -> Result<(), Trouble> {
         self.ask(&Instruction::Write { id, address, data: data.to_vec() }, 0).map(|_| ())
@@ -544,19 +655,27 @@ impl Line<'_> {
 
     /// Sends an instruction to one device and returns the data of its answer.
     pub(crate) fn ask(&mut self, instruction: &Instruction, parameters: u16) -> Result<Vec<u8>, Trouble> {
+        self.status(instruction, parameters).map(|status| status.parameters)
+    }
+
+    /// Sends an instruction to one device and returns its answer.
+    fn status(&mut self, instruction: &Instruction, parameters: u16) -> Result<Status, Trouble> {
         let (id, protocol) = (instruction.id(), self.protocol);
         let exchange = self.exchange(instruction, &[ExpectedStatus { id, parameters }])?;
+        if echo_end(protocol, &exchange.instruction, &exchange.reply).is_some() {
+            return Err(Trouble::Echo);
+        }
         let mut answer = None;
         for_each_status(protocol, &exchange.reply, |status| {
             if status.id == id {
                 answer.get_or_insert(status);
             }
         });
-        let Some(Status { error, parameters: answered, .. }) = answer else { return Err(Trouble::Silent) };
-        if error.intersects(StatusError::REFUSALS) {
-            return Err(Trouble::Refused(error));
+        let status = answer.ok_or(Trouble::Silent)?;
+        if status.error.intersects(StatusError::REFUSALS) {
+            return Err(Trouble::Refused(status.error));
         }
-        if answered.len() == usize::from(parameters) { Ok(answered) } else { Err(Trouble::Silent) }
+        if status.parameters.len() == usize::from(parameters) { Ok(status) } else { Err(Trouble::Silent) }
     }
 }
 
@@ -579,10 +698,14 @@ mod tests {
     use super::super::models::find;
     use super::*;
 
+    fn at(position: i64) -> Prepared {
+        Prepared { position, error: StatusError::NONE, reach: Reach::default(), has_torque: true }
+    }
+
     #[test]
     fn a_servo_stays_at_its_position_until_it_is_commanded() {
         let mut servo = Servo::new();
-        servo.join(2000, Softness::default());
+        servo.join(&at(2000), Softness::default());
         assert_eq!([servo.next_goal(10), servo.next_goal(10)], [2000, 2000]);
     }
 
@@ -590,7 +713,7 @@ mod tests {
     fn a_servo_that_comes_back_approaches_its_command_slowly_and_then_follows_at_once() {
         let mut servo = Servo::new();
         servo.want(2025, Time::ZERO);
-        servo.join(2000, Softness::default());
+        servo.join(&at(2000), Softness::default());
         let goals: Vec<i64> = (0..4).map(|_| servo.next_goal(10)).collect();
         assert_eq!(goals, [2010, 2020, 2025, 2025]);
         servo.want(1000, Time::ZERO);
@@ -624,8 +747,8 @@ mod tests {
     fn a_guard_softens_and_switches_off_what_stays_hot_for_a_second() {
         let joint = guarded(Thresholds { warn: Some(60.0), soften: Some(65.0), off: Some(70.0) });
         let mut servo = Servo::new();
-        servo.join(2048, Softness::default());
-        let at = |ms: i64| Time::from_nanos(ms * 1_000_000);
+        servo.join(&at(2048), Softness::default());
+        let after = |ms: i64| Time::from_nanos(ms * 1_000_000);
         let feel = |servo: &mut Servo, celsius, ms| {
             let measurement = Measurement {
                 position: 2048,
@@ -634,7 +757,7 @@ mod tests {
                 voltage: None,
                 celsius: Some(celsius),
             };
-            servo.take(measurement, &joint, at(ms));
+            servo.take(measurement, &joint, after(ms));
             servo.protection
         };
         assert_eq!(feel(&mut servo, 66.0, 0), Protection::None, "one hot sample is not enough");
@@ -658,36 +781,38 @@ mod tests {
     fn a_servo_that_switched_itself_off_rests_and_gets_its_torque_again() {
         let mut joint = guarded(Thresholds::default());
         joint.guard.shutdown_rest_s = Some(2.0);
-        let at = |ms: i64| Time::from_nanos(ms * 1_000_000);
+        let after = |ms: i64| Time::from_nanos(ms * 1_000_000);
         let mut servo = Servo::new();
         let softness = servo.softness(&joint);
-        servo.join(2048, softness);
-        let is_written = |servo: &mut Servo, error, ms| {
+        servo.join(&at(2048), softness);
+        let is_tried = |servo: &mut Servo, error, ms| {
             servo.link.error = error;
-            servo.rest(&joint, at(ms));
+            servo.rest(&joint, after(ms));
+            let is_ended = servo.ends_torque();
             let limit = servo.softness(&joint).torque_limit;
-            (servo.decide_torque(), limit != servo.written.torque_limit)
+            (is_ended, servo.is_to_engage(after(ms)), limit != servo.written.torque_limit)
         };
-        assert_eq!(is_written(&mut servo, StatusError::NONE, 0), (false, false));
-        assert_eq!(is_written(&mut servo, StatusError::OVERHEATING, 1000), (false, false));
-        assert_eq!(is_written(&mut servo, StatusError::OVERHEATING, 9000), (false, false));
+        let nothing = (false, false, false);
+        assert_eq!(is_tried(&mut servo, StatusError::NONE, 0), nothing);
+        assert_eq!(is_tried(&mut servo, StatusError::OVERHEATING, 1000), nothing);
+        assert_eq!(is_tried(&mut servo, StatusError::OVERHEATING, 9000), nothing);
         assert!(servo.rests());
-        assert_eq!(is_written(&mut servo, StatusError::NONE, 10_000), (false, false), "it has just cooled");
-        assert_eq!(is_written(&mut servo, StatusError::NONE, 11_000), (true, true));
-        for ms in [11_008, 11_016] {
-            assert!(is_written(&mut servo, StatusError::OVERHEATING, ms).0, "until the torque is written");
-        }
-        assert!(!is_written(&mut servo, StatusError::NONE, 11_024).0);
-        assert!(!servo.rests() && servo.has_torque());
+        assert_eq!(is_tried(&mut servo, StatusError::NONE, 10_000), nothing, "it has just cooled");
+        assert_eq!(is_tried(&mut servo, StatusError::NONE, 11_000), (true, true, true));
+        assert!(is_tried(&mut servo, StatusError::OVERHEATING, 11_008).1, "an old alarm");
+        servo.engage(2000);
+        servo.link.error = StatusError::NONE;
+        assert!(!servo.ends_torque() && !servo.rests() && servo.has_torque());
+        assert_eq!(servo.next_goal(10), 2000);
         joint.guard.shutdown_rest_s = None;
         servo.link.error = StatusError::OVERLOAD;
-        servo.rest(&joint, at(20_000));
+        servo.rest(&joint, after(20_000));
         servo.link.error = StatusError::NONE;
-        servo.rest(&joint, at(99_000));
+        servo.rest(&joint, after(99_000));
         servo.command_torque(0.0);
-        servo.rest(&joint, at(100_000));
-        assert!(servo.decide_torque() && servo.rests(), "until its torque is commanded");
+        servo.rest(&joint, after(100_000));
+        assert!(servo.ends_torque() && servo.rests(), "until its torque is commanded");
         servo.command_torque(1.0);
-        assert!(servo.decide_torque() && !servo.rests());
+        assert!(servo.is_to_engage(after(100_000)) && !servo.rests());
     }
 }

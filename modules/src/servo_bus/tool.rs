@@ -2,8 +2,8 @@
 
 use super::bus::{Bus, ExpectedStatus, LineSettings, Outcome, SerialBus};
 use super::models::{self, Access, Model, Register};
-use super::protocol::{Id, Instruction, Protocol, StatusError};
-use super::servo::{Line, Trouble, for_each_status};
+use super::protocol::{Id, Instruction, Protocol, StatusError, echo_end};
+use super::servo::{ECHO, Line, Trouble, for_each_status};
 use downbeat_msgs::definitions::suggestion;
 use std::sync::Arc;
 use std::time::Duration;
@@ -51,6 +51,12 @@ pub enum ServoError {
         id: Id,
         /// How it was asked.
         line: LineSettings,
+    },
+    /// What is sent comes back.
+    #[error("{path}: {ECHO}; no device can be told from the echo")]
+    Echo {
+        /// The port.
+        path: String,
     },
     /// The device answered with an error.
     #[error("id {id} refuses to {doing}: {error}{}", hint(*error))]
@@ -189,6 +195,9 @@ impl ServoPort {
             if exchange.outcome == Outcome::Failed {
                 return Err(ServoError::Port(exchange.error));
             }
+            if echo_end(self.line.protocol, &bytes, &exchange.reply).is_some() {
+                return Err(self.echo());
+            }
             for_each_status(self.line.protocol, &exchange.reply, |status| answering.push(status.id));
         }
         answering.sort_unstable();
@@ -201,12 +210,24 @@ impl ServoPort {
         let parameters = if self.line.protocol == Protocol::Dynamixel2 { 3 } else { 0 };
         for _ in 0..attempts {
             match self.ask(&Instruction::Ping { id }, parameters) {
-                Ok(_) | Err(Trouble::Refused(_)) => return Ok(true),
+                Ok(_) | Err(Trouble::Refused(_)) => {
+                    // The answer to a ping may have the bytes of the ping. A read of one byte never has.
+                    return match self.ask(&Instruction::Read { id, address: 0, length: 1 }, 1) {
+                        Err(Trouble::PortFailed) => Err(self.lost()),
+                        Err(Trouble::Echo) => Err(self.echo()),
+                        _ => Ok(true),
+                    };
+                }
                 Err(Trouble::Silent) => {}
                 Err(Trouble::PortFailed) => return Err(self.lost()),
+                Err(Trouble::Echo) => return Err(self.echo()),
             }
         }
         Ok(false)
+    }
+
+    fn echo(&self) -> ServoError {
+        ServoError::Echo { path: self.path.clone() }
     }
 
     /// Asks a device what it is; `None` if it does not answer.
@@ -392,6 +413,7 @@ impl ServoPort {
             Trouble::PortFailed => self.lost(),
             Trouble::Silent => self.silent(id),
             Trouble::Refused(error) => ServoError::Refused { id, doing: doing.to_owned(), error },
+            Trouble::Echo => self.echo(),
         }
     }
 
@@ -401,5 +423,43 @@ impl ServoPort {
 
     fn lost(&self) -> ServoError {
         ServoError::Port(format!("lost the serial port {}; is it plugged in?", self.path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use serialport::{SerialPort, TTYPort};
+    use std::io::{Read, Write};
+
+    /// A port that sends back what it gets.
+    fn echo() -> (String, TTYPort) {
+        let (mut far, near) = TTYPort::pair().unwrap();
+        far.set_timeout(Duration::from_secs(60)).unwrap();
+        std::thread::spawn(move || {
+            let mut buffer = [0; 256];
+            // Ends with the port.
+            while let Ok(count @ 1..) = far.read(&mut buffer) {
+                if far.write_all(&buffer[..count]).is_err() {
+                    break;
+                }
+            }
+        });
+        (near.name().unwrap(), near)
+    }
+
+    #[test]
+    fn no_device_is_found_behind_an_adapter_that_echoes() {
+        let (path, _near) = echo();
+        let ids: Vec<Id> = (0..4).filter_map(Id::new).collect();
+        for protocol in Protocol::ALL {
+            let mut port = ServoPort::open(&path, Duration::from_millis(500), Vec::new()).unwrap();
+            let error = port.scan(1_000_000, &[protocol], &ids).unwrap_err();
+            assert_eq!(error, ServoError::Echo { path: path.clone() }, "{protocol}");
+            assert!(error.to_string().contains("the adapter echoes what is sent"), "{error}");
+            port.speak(LineSettings { baud: 1_000_000, protocol }).unwrap();
+            assert_eq!(port.identify(ids[1]), Err(ServoError::Echo { path: path.clone() }), "{protocol}");
+        }
     }
 }

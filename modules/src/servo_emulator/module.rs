@@ -96,7 +96,7 @@ impl Module for ServoEmulator {
             setup.read_only_setting("bus", String::new(), "the bus to emulate, if there are several")?;
         let link = setup.read_only_setting(
             "link",
-            "/tmp/downbeat_servos_emulated".to_owned(),
+            "memory:servos".to_owned(),
             "path of the port, or memory:NAME; the hardware module's setting \"port\" is the same",
         )?;
         let seed = setup.read_only_setting("seed", 1_i64, "same seed, same starting pose and faults")?;

@@ -36,6 +36,9 @@ pub enum Problem {
         "the robot description has {length} bytes, more than the {limit} that are read: move meshes to files of their own"
     )]
     TooLong { length: u64, limit: u64 },
+    /// There is too much of something.
+    #[error("the robot description has {found}; at most {most} are possible")]
+    TooMany { found: String, most: usize },
     /// It is not XML.
     #[error("the robot description is not valid XML: {0}")]
     NotXml(String),
@@ -112,8 +115,12 @@ pub enum Problem {
     NotMovable { base: String, tip: String },
 }
 
+/// The first names.
 fn quoted(names: &[String]) -> String {
-    names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", ")
+    const MOST: usize = 10;
+    let first: Vec<String> = names.iter().take(MOST).map(|name| format!("\"{name}\"")).collect();
+    let rest = names.len().saturating_sub(MOST);
+    if rest > 0 { format!("{} and {rest} others", first.join(", ")) } else { first.join(", ") }
 }
 
 fn looked_in(paths: &[String]) -> String {

@@ -435,7 +435,7 @@ impl Joint {
 }
 
 /// The maximum size of a URDF file. Those of real robots have less than a megabyte.
-const LONGEST_FILE: u64 = 64 << 20;
+const LONGEST_FILE: u64 = 16 << 20;
 
 /// A URDF file as a robot, and its text.
 fn read_urdf(path: &Path) -> Result<(Robot, String), DescriptionError> {

@@ -14,19 +14,32 @@ use roxmltree::{Document, Node};
 use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::marker::PhantomData;
 use std::path::Path;
 
 /// How far the length of an axis may be from 1: a unit vector with three digits.
 const AXIS_TOLERANCE: f64 = 1e-3;
+/// The most links of a robot, and the most joints.
+const MOST_LINKS: usize = 10_000;
+/// The most shapes of all links: each has a copy of its material.
+const MOST_SHAPES: usize = 100_000;
+/// The longest value of an attribute, in bytes: names are stored with everything that uses them.
+const LONGEST_VALUE: usize = 1024;
+/// The most attributes of an element, which the XML parser compares with each other.
+const MOST_ATTRIBUTES: usize = 100;
 
 pub(super) fn read(text: &str, file: String) -> Result<Robot, DescriptionError> {
     let (text, oddities) = without_surroundings(text);
+    if let Some((line, found, most)) = beyond_bounds(&text) {
+        return Err(DescriptionError { file, line, problem: Problem::TooMany { found, most }.into() });
+    }
     let document = Document::parse(&text).map_err(|error| DescriptionError {
         file: file.clone(),
         line: Some(error.pos().row),
         problem: Problem::NotXml(error.to_string()).into(),
     })?;
-    let reader = Reader { document: &document, file: &file, warnings: RefCell::default() };
+    let line_starts = text.match_indices('\n').map(|(position, _)| position + 1).collect();
+    let reader = Reader { line_starts, document: PhantomData, file: &file, warnings: RefCell::default() };
     oddities.into_iter().for_each(|(line, oddity)| reader.warn_in(line, oddity));
     let root = document.root_element();
     let is_macro =
@@ -46,6 +59,57 @@ pub(super) fn read(text: &str, file: String) -> Result<Robot, DescriptionError> 
     drive(&mut robot, &joint_nodes, &reader)?;
     robot.warnings = reader.warnings.into_inner();
     Ok(robot)
+}
+
+/// What goes beyond the bounds of tags: the line, what was found, and what is possible. Found before the text is parsed, whose time
+/// grows with the square of the number of attributes.
+fn beyond_bounds(text: &str) -> Option<(Option<u32>, String, usize)> {
+    if text.len() as u64 > super::LONGEST_FILE {
+        return Some((None, format!("{} bytes", text.len()), super::LONGEST_FILE as usize));
+    }
+    let (mut line, mut attributes, mut quote) = (1, 0, None);
+    let (mut rest, mut is_tag) = (text.as_bytes(), false);
+    let mut value_start = 0;
+    while let Some((&byte, behind)) = rest.split_first() {
+        line += u32::from(byte == b'\n');
+        match (quote, byte) {
+            (Some(open), byte) if open == byte => quote = None,
+            (Some(_), _) => {
+                let length = value_start - rest.len();
+                if length > LONGEST_VALUE {
+                    return Some((
+                        Some(line),
+                        format!("a value of more than {LONGEST_VALUE} bytes"),
+                        LONGEST_VALUE,
+                    ));
+                }
+            }
+            (None, b'<') if rest.starts_with(b"<!--") => {
+                let comment =
+                    rest.windows(3).position(|bytes| bytes == b"-->").map_or(rest.len(), |end| end + 3);
+                let lines = rest[1..comment].iter().filter(|byte| **byte == b'\n').count();
+                line += u32::try_from(lines).unwrap_or(0);
+                rest = &rest[comment..];
+                continue;
+            }
+            (None, b'<') => (is_tag, attributes) = (true, 0),
+            (None, b'>') => is_tag = false,
+            (None, b'"' | b'\'') if is_tag => (quote, value_start) = (Some(byte), rest.len()),
+            (None, b'=') if is_tag => {
+                attributes += 1;
+                if attributes > MOST_ATTRIBUTES {
+                    return Some((
+                        Some(line),
+                        format!("an element of more than {MOST_ATTRIBUTES} attributes"),
+                        MOST_ATTRIBUTES,
+                    ));
+                }
+            }
+            _ => {}
+        }
+        rest = behind;
+    }
+    None
 }
 
 /// The text without what stands before the XML declaration, and without zero bytes at its end; lines stay where they are.
@@ -72,14 +136,17 @@ fn without_surroundings(text: &str) -> (Cow<'_, str>, Vec<(u32, Oddity)>) {
 
 /// Attributes and elements of a document, with errors and warnings that name their line.
 struct Reader<'r, 'i> {
-    document: &'r Document<'i>,
+    /// Where each line but the first one starts.
+    line_starts: Vec<usize>,
+    document: PhantomData<&'i ()>,
     file: &'r str,
     warnings: RefCell<Vec<DescriptionWarning>>,
 }
 
 impl<'i> Reader<'_, 'i> {
     fn line(&self, node: Node<'_, 'i>) -> u32 {
-        self.document.text_pos_at(node.range().start).row
+        let before = self.line_starts.partition_point(|start| *start <= node.range().start);
+        u32::try_from(before + 1).unwrap_or(u32::MAX)
     }
 
     fn error(&self, node: Node<'_, 'i>, problem: Problem) -> DescriptionError {
@@ -458,6 +525,19 @@ impl<'a, 'i> Parts<'a, 'i> {
         }
         let link_nodes: Vec<_> = children(root, "link").collect();
         let joint_nodes: Vec<_> = children(root, "joint").collect();
+        let shapes: usize = link_nodes
+            .iter()
+            .map(|node| children(*node, "visual").count() + children(*node, "collision").count())
+            .sum();
+        for (what, count, most) in [
+            ("links", link_nodes.len(), MOST_LINKS),
+            ("joints", joint_nodes.len(), MOST_LINKS),
+            ("shapes", shapes, MOST_SHAPES),
+        ] {
+            if count > most {
+                return Err(reader.error(root, Problem::TooMany { found: format!("{count} {what}"), most }));
+            }
+        }
         let link_index = unique_names(reader, &link_nodes, "link")?;
         unique_names(reader, &joint_nodes, "joint")?;
         if link_nodes.is_empty() {

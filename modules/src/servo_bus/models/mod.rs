@@ -202,6 +202,11 @@ impl Model {
                 line,
                 problem: format!("at_start: there is no register \"{name}\""),
             })?;
+            if ["torque_enable", "goal_position"].contains(&&*name) {
+                let problem =
+                    format!("at_start: \"{name}\" is set by the driver, when the position is known");
+                return Err(ModelError { line, problem });
+            }
             at_start.push((register.clone(), value.into_inner()));
         }
         at_start.sort_by_key(|(register, _)| register.address);

@@ -163,6 +163,24 @@ pub enum InstructionError {
     },
 }
 
+/// The noise in front of an echo, such as that of a switch of direction, in bytes.
+const NOISE: usize = 2;
+
+/// Where the instruction itself ends at the start of a reply: the adapter echoes what is sent. `None` if it does not.
+///
+/// Only a ping proves nothing: in the protocols that distinguish answers by their length alone, a device that reports its supply
+/// voltage answers one with the same bytes.
+#[must_use]
+pub fn echo_end(protocol: Protocol, instruction: &[u8], reply: &[u8]) -> Option<usize> {
+    let code = instruction.get(4)?;
+    if protocol != Protocol::Dynamixel2 && *code == PING {
+        return None;
+    }
+    let starts =
+        (0..=NOISE).find(|start| reply.get(*start..).is_some_and(|rest| rest.starts_with(instruction)))?;
+    Some(starts + instruction.len())
+}
+
 impl Instruction {
     /// Parses a packet sent to the devices.
     ///

@@ -30,7 +30,7 @@ mod packet;
 mod receiver;
 mod status;
 
-pub use instruction::{Instruction, InstructionError, ReadEntry, WriteEntry};
+pub use instruction::{Instruction, InstructionError, ReadEntry, WriteEntry, echo_end};
 pub use packet::{EmitError, Id, Packet, PacketError, checksum, crc16};
 pub use receiver::Receiver;
 pub(crate) use status::emit_joined;

@@ -74,6 +74,46 @@ fn a_wheel_stops_half_a_second_after_its_last_command() {
 }
 
 #[test]
+fn a_command_that_is_older_or_newer_than_its_time_out_is_dropped_and_counted() {
+    let mut run = Run::of(&base("dynamixel2", "XM430-W350", WHEELS));
+    run.cycles(50);
+    for offset in [-10, 10] {
+        let state = run.driven(50, |run| {
+            let mut command = message(&[("left", 1.0), ("mast", 0.5)], |message, values| {
+                message.velocity.clone_from(&values);
+                message.position = values;
+            });
+            command.header.stamp.sec = (run.clock.now().as_nanos() / 1_000_000_000) as i32 + offset;
+            run.commands.publish(command.clone()).unwrap();
+            run.torques.publish(JointState { effort: vec![1.0, 1.0], ..command }).unwrap();
+        });
+        assert_eq!(state.velocity[0], 0.0, "{offset}");
+        assert!(position(&state, "mast").abs() < 0.1, "{offset}");
+    }
+    let (level, words) = run.health_of("base: bus");
+    assert!(level == DiagnosticStatus::WARN && words.contains("its stamp is "), "{words}");
+    run.cycles(120);
+    assert_eq!(run.value_of("base: bus", "commands dropped for their stamps"), "200");
+    let now = run.driven(50, |run| {
+        let mut command = message(&[("left", 1.0)], |message, values| message.velocity = values);
+        command.header.stamp.sec = (run.clock.now().as_nanos() / 1_000_000_000) as i32;
+        command.header.stamp.nanosec = (run.clock.now().as_nanos() % 1_000_000_000) as u32;
+        run.commands.publish(command).unwrap();
+    });
+    near(now.velocity[0], 1.0, 0.1);
+    let off = JointState {
+        header: downbeat_msgs::std_msgs::msg::Header {
+            stamp: downbeat_msgs::builtin_interfaces::msg::Time { sec: 1, nanosec: 0 },
+            ..Default::default()
+        },
+        ..message(&[("left", 0.0)], |message, values| message.effort = values)
+    };
+    run.torques.publish(off).unwrap();
+    run.cycles(120);
+    assert_eq!(run.health_of("servo 1 left").1, "OK, torque is off", "no command to let go is too late");
+}
+
+#[test]
 fn motors_get_the_commanded_current_within_its_limit() {
     let mut run = Run::of(&base("dynamixel2", "XM430-W350", MOTORS));
     run.cycles(50);
@@ -140,7 +180,7 @@ fn servos_with_a_watchdog_stop_by_themselves_if_nobody_speaks() {
     // The cable is pulled for a second.
     run.driven(50, |run| run.velocities(&[("left", 1.0)]));
     let before = run.driven(20, |run| run.velocities(&[("left", 1.0)]));
-    run.emulator.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_secs(1)));
+    run.inject(Fault::lasting(FaultKind::ClosePort, Duration::from_secs(1)));
     run.cycles(300);
     let after = run.cycles(1).pop().unwrap();
     let turned = position(&after, "left") - position(&before, "left");

@@ -9,7 +9,7 @@ fn a_dead_servo_is_stale_while_the_others_continue_and_recovers() {
         run.cycles(60);
         run.command(&[("pan", 0.5), ("lift", 0.5)]);
         let dead = FaultKind::DeadServo(crate::servo_bus::protocol::Id::new(2).unwrap());
-        run.emulator.inject(Fault::lasting(dead, Duration::from_secs(2)));
+        run.inject(Fault::lasting(dead, Duration::from_secs(2)));
         run.cycles(10);
         assert_eq!(
             run.health_of("servo 2 lift"),

@@ -3,13 +3,15 @@
 
 mod drives;
 mod faults;
+mod limp;
+mod table_bus;
 
 use super::module::ImuReading;
 use super::protocol::Protocol;
 use super::*;
 use crate::servo_emulator::{Emulator, EmulatorOptions, Fault, FaultKind, Timing};
 use crate::testing::{Collector, core_at_zero};
-use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions, SettingValue, Time};
+use downbeat_executor::{Clock, Core, Inlet, ManualClock, ModuleOptions, SettingValue, Time};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, JointState};
@@ -37,7 +39,7 @@ struct Run {
     core: Core,
     clock: ManualClock,
     cycle: Duration,
-    emulator: Emulator,
+    emulator: Option<Emulator>,
     commands: Inlet<JointState>,
     torques: Inlet<JointState>,
     exchanges: Collector<BusExchange>,
@@ -57,18 +59,29 @@ impl Run {
         let options = EmulatorOptions { timing: Timing::Stepped, seed: 4, faults, ..Default::default() };
         let parsed = Description::load(emulated).unwrap();
         let emulator = Emulator::servos_in_memory(parsed.bus("").unwrap(), &options);
+        let bus = Box::new(emulator.bus());
+        Self { emulator: Some(emulator), ..Self::on_bus(description, bus) }
+    }
+
+    /// The module on any bus.
+    fn on_bus(description: &str, bus: Box<dyn bus::Bus>) -> Self {
         let cycle = Description::load(description).unwrap().bus("").unwrap().cycle;
         let (mut core, clock) = core_at_zero();
         let settings = [("description".to_owned(), SettingValue::Text(description.to_owned()))].into();
         let options = ModuleOptions { settings, ..ModuleOptions::default() };
-        core.add_with("servos", ServoBus::new(Box::new(emulator.bus())), options).unwrap();
+        core.add_with("servos", ServoBus::new(bus), options).unwrap();
         let exchanges = Collector::add(&mut core, "bus/exchanges");
         let joint_states = Collector::add(&mut core, "joint_states");
         let diagnostics = Collector::add(&mut core, "diagnostics");
         let commands = core.inlet("joint_commands").unwrap();
         let torques = core.inlet("joint_torque").unwrap();
         let health = DiagnosticArray::default();
+        let emulator = None;
         Self { core, clock, cycle, emulator, commands, torques, exchanges, joint_states, diagnostics, health }
+    }
+
+    fn inject(&self, fault: Fault) {
+        self.emulator.as_ref().unwrap().inject(fault);
     }
 
     fn cycles(&mut self, count: usize) -> Vec<JointState> {
