@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use parking_lot::Mutex;
+use parking_lot::{Condvar, Mutex};
 
 use super::queue::{Queue, QueuedTopic};
 use super::{Progress, RecordError, Recording, RecordingOptions, RecordingSender, Shared, run, with_losses};
@@ -29,7 +29,8 @@ fn without_thread(writer: &Writer, queue_bytes: usize) -> RecordingSender {
     });
     let queue = Queue::new(&RecordingOptions::new().cache_bytes(queue_bytes), topics.collect());
     let progress = Mutex::new(Progress::of(writer));
-    RecordingSender { shared: Arc::new(Shared { queue, progress }) }
+    let (path, has_ended, ended) = (writer.path().to_owned(), Mutex::new(false), Condvar::new());
+    RecordingSender { shared: Arc::new(Shared { queue, progress, path, has_ended, ended }) }
 }
 
 #[test]

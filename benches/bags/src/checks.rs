@@ -104,7 +104,8 @@ fn write(bag: &Path, bytes: u64, compression: Compression) -> anyhow::Result<u64
         let time = i64::from(n) * 8_000_000;
         let mut messages = Vec::new();
         if n.is_multiple_of(8) {
-            let data = (0..320 * 240_u32).map(|at| ((at * 7 + n) / 64 ^ at.wrapping_mul(40_503) >> 12) as u8);
+            let data =
+                (0..320 * 240_u32).map(|at| (((at * 7 + n) / 64) ^ (at.wrapping_mul(40_503) >> 12)) as u8);
             messages.push((
                 0,
                 cdr::to_vec(&Image { height: 240, width: 320, data: data.collect(), ..Image::default() }),
