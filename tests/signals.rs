@@ -562,7 +562,8 @@ fn a_robot_that_does_not_stop_ends_at_the_second_request_with_a_whole_bag() {
     });
     program.wait_for_output("spins");
     program.signal(Signal::QUIT);
-    program.wait_for_output("modules whose callbacks run: endless");
+    let names_it = |line: &str| line.contains("modules whose callbacks run") && line.contains("endless");
+    wait_until("the module is named", || program.output().lines().any(names_it));
     program.signal(Signal::TERM);
     std::thread::sleep(Duration::from_millis(1500));
     assert!(program.child.try_wait().unwrap().is_none(), "{}", program.output());
