@@ -9,12 +9,15 @@ use common::rclpy::Peer;
 use common::texts::{TEXT, Talker, assert_whole, hear, is_matched, qos_of, taken, text_of};
 use common::{WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::middleware::Direction;
-use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, Publisher};
+use downbeat_bridge::ros::{Introspection, MessageType, Node, NodeName, Participant, Publisher, ServiceType};
+use downbeat_executor::{Clock, ManualClock, Time};
 use downbeat_msgs::Message;
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
@@ -137,6 +140,90 @@ fn cyclone_knows_our_type_hashes_and_what_we_remove_is_gone_at_once() {
 }
 
 #[test]
+fn cyclone_finds_a_type_hash_at_every_endpoint_of_a_node() {
+    let Some(mut peer) = Peer::cyclonedds(86) else { return };
+    let _check =
+        check("Graph", "type hashes of services, actions and the node graph", With::Cyclone, Way::Out);
+    let (_participant, node) = join(86);
+    let services = QosProfile::SERVICES;
+    let kind = |name: &str| ServiceType::new(name).unwrap();
+    let action = [
+        ("/count/_action/send_goal", "test_msgs/action/Fibonacci_SendGoal"),
+        ("/count/_action/get_result", "test_msgs/action/Fibonacci_GetResult"),
+        ("/count/_action/cancel_goal", "action_msgs/srv/CancelGoal"),
+        ("/light", "std_srvs/srv/SetBool"),
+        ("~/get_parameters", "rcl_interfaces/srv/GetParameters"),
+        ("~/list_parameters", "rcl_interfaces/srv/ListParameters"),
+        ("~/set_parameters", "rcl_interfaces/srv/SetParameters"),
+    ];
+    let served: Vec<_> = action
+        .iter()
+        .map(|(name, of)| node.serve_raw(name, &kind(of), services, Box::new(drop)).unwrap())
+        .collect();
+    let clients: Vec<_> =
+        action.iter().map(|(name, of)| node.client_raw(name, &kind(of), services).unwrap()).collect();
+    let clock: Arc<dyn Clock> = Arc::new(ManualClock::new(Time::ZERO));
+    for service in &served {
+        service
+            .configure_introspection(&node, Introspection::Metadata, services, Arc::clone(&clock))
+            .unwrap();
+    }
+    let topics = [
+        ("/count/_action/feedback", "test_msgs/action/Fibonacci_FeedbackMessage"),
+        ("/count/_action/status", "action_msgs/msg/GoalStatusArray"),
+        ("/rosout", "rcl_interfaces/msg/Log"),
+        ("/parameter_events", "rcl_interfaces/msg/ParameterEvent"),
+    ];
+    let published: Vec<_> = topics
+        .iter()
+        .map(|(name, of)| node.publish(name, &MessageType::new(of).unwrap(), QosProfile::DEFAULT).unwrap())
+        .collect();
+    // Servers and clients have two endpoints each; services have events; the graph has two, and the node its description.
+    let count = 2 * (served.len() + clients.len()) + served.len() + published.len() + 2 + 2;
+    let mut found = Vec::new();
+    wait_until("Cyclone knows all endpoints", || {
+        found.clone_from(peer.ask(json!({"do": "all_endpoints"})).as_array().unwrap());
+        found.len() == count
+    });
+    for endpoint in &found {
+        let hash = endpoint[3].as_str().unwrap().strip_prefix("typehash=RIHS01_");
+        let digits = hash.and_then(|hash| hash.strip_suffix(';')).unwrap_or_default();
+        let is_hash = digits.len() == 64 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+        assert!(is_hash, "{endpoint}");
+    }
+    let data_of = |topic: &str| -> BTreeSet<&str> {
+        let of_topic = found.iter().filter(|endpoint| endpoint[1] == topic);
+        of_topic.map(|endpoint| endpoint[3].as_str().unwrap()).collect()
+    };
+    let expected = |hash: &str| format!("typehash={hash};");
+    assert_eq!(data_of("rq/lightRequest"), BTreeSet::from([&*expected(SetBoolRequest::TYPE_HASH)]));
+    assert_eq!(data_of("rr/lightReply"), BTreeSet::from([&*expected(SetBoolResponse::TYPE_HASH)]));
+}
+
+#[test]
+fn our_node_comes_back_to_rclpy_after_our_lease_was_over() {
+    let Some(mut rclpy) = Peer::start(83, "LOCALHOST") else { return };
+    let feature = "the name of a node comes back after its lease was over";
+    let _check = check("Faults", feature, With::Rclpy, Way::Out);
+    let mut ours = ours::start_by(|program| {
+        let mut command = ours::on_loopback(program, 83);
+        command.env(ours::LEASE_MS, "2000").env(ours::NODE, "stopped");
+        command
+    });
+    ours.ask(json!({"do": "advertise", "topic": "/theirs", "type": TEXT}));
+    let knows = |rclpy: &mut Peer| count(rclpy, "publishers", "/theirs") == 1 && lists(rclpy, "/stopped");
+    wait_until("rclpy knows it", || knows(&mut rclpy));
+    for _ in 0..2 {
+        ours.signal("-STOP");
+        wait_until("rclpy has forgotten it", || {
+            count(&mut rclpy, "publishers", "/theirs") == 0 && !lists(&mut rclpy, "/stopped")
+        });
+        ours.signal("-CONT");
+        wait_until("rclpy knows it again", || knows(&mut rclpy));
+    }
+}
+
+#[test]
 fn rclpy_knows_the_type_hashes_of_our_endpoints_and_we_know_theirs() {
     let Some(mut peer) = Peer::start(91, "LOCALHOST") else { return };
     let _out = check("Graph", "type hashes of downbeat's endpoints", With::Rclpy, Way::Out);
@@ -248,7 +335,12 @@ fn who_was_stopped_for_longer_than_the_lease_is_found_again() {
     let _cyclone = check("Faults", feature, With::Cyclone, Way::Both);
     let _ours = check("Faults", "downbeat is suspended for longer than its lease", With::Rclpy, Way::Both);
     const DOMAINS: [u16; 3] = [95, 100, 96];
-    let mut stopped = [rclpy, cyclone, ours::start(96)];
+    let of_us = ours::start_by(|program| {
+        let mut command = ours::on_loopback(program, 96);
+        command.env(ours::NODE, "stopped");
+        command
+    });
+    let mut stopped = [rclpy, cyclone, of_us];
     let talkers = DOMAINS.map(|domain_id| Talker::join(&on_loopback(domain_id), QosProfile::DEFAULT));
     for (talker, peer) in talkers.iter().zip(&mut stopped) {
         talker.meet(peer, 10);
@@ -278,6 +370,67 @@ fn who_was_stopped_for_longer_than_the_lease_is_found_again() {
             .as_array()
             .is_some_and(|heard| !heard.is_empty())
     });
+    let [rclpy, ..] = &mut stopped;
+    wait_until("each lists the nodes of the other", || {
+        lists(rclpy, "/downbeat")
+            && lists(&mut watching, "/stopped")
+            && names(&talkers[0].participant).contains("/peer")
+            && names(&talkers[2].participant).contains("/stopped")
+    });
+}
+
+/// The nodes of others that we list.
+fn names(participant: &Participant) -> BTreeSet<String> {
+    participant.remote_nodes().into_iter().map(|node| node.name).collect()
+}
+
+#[test]
+fn thirty_nodes_come_and_go_and_all_list_those_that_are_left() {
+    const PROCESSES: usize = 15;
+    const DOMAIN: u16 = 80;
+    let Some(mut rclpy) = Peer::start(DOMAIN, "LOCALHOST") else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(DOMAIN) else { return };
+    let feature = "30 nodes that come and go: the others list those that are left";
+    let _rclpy = check("Discovery", feature, With::Rclpy, Way::Out);
+    let _cyclone = check("Discovery", feature, With::Cyclone, Way::Out);
+    let (observer, _node) = join(DOMAIN);
+    let come = |number: usize| {
+        let participant = Participant::join(&on_loopback(DOMAIN)).unwrap();
+        let nodes = ["first", "second"].map(|which| {
+            participant.create_node(NodeName::new(&format!("/guest_{number}"), which).unwrap()).unwrap()
+        });
+        let publisher = publish(&nodes[0], &format!("/guest_{number}/text"), QosProfile::DEFAULT);
+        (number, participant, nodes, publisher)
+    };
+    let mut guests: Vec<_> = (0..PROCESSES).map(come).collect();
+    for round in 0..3 {
+        let present: BTreeSet<usize> = guests.iter().map(|(number, ..)| *number).collect();
+        let is_guest = |name: &&str| name.starts_with("/guest_");
+        let nodes: BTreeSet<String> = present
+            .iter()
+            .flat_map(|number| ["first", "second"].map(|which| format!("/guest_{number}/{which}")))
+            .collect();
+        let topics: BTreeSet<String> =
+            present.iter().map(|number| format!("rt/guest_{number}/text")).collect();
+        wait_until(&format!("rclpy lists those that are there in round {round}"), || {
+            let listed = rclpy.ask(json!({"do": "nodes"}));
+            let listed = listed.as_array().unwrap().iter().filter_map(Value::as_str).filter(is_guest);
+            listed.map(str::to_owned).collect::<BTreeSet<_>>() == nodes
+        });
+        wait_until(&format!("Cyclone does in round {round}"), || {
+            let found = cyclone.ask(json!({"do": "all_endpoints"}));
+            let found = found.as_array().unwrap().iter().filter_map(|endpoint| endpoint[1].as_str());
+            found.filter(|topic| topic.starts_with("rt/guest_")).map(str::to_owned).collect::<BTreeSet<_>>()
+                == topics
+        });
+        wait_until(&format!("we do in round {round}"), || {
+            names(&observer).into_iter().filter(|name| is_guest(&name.as_str())).collect::<BTreeSet<_>>()
+                == nodes
+        });
+        // Some leave, and as many come, all at once.
+        guests.retain(|(number, ..)| number % 3 != round);
+        guests.extend((0..PROCESSES - guests.len()).map(|index| come(100 * (round + 1) + index)));
+    }
 }
 
 #[test]

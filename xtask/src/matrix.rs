@@ -11,7 +11,7 @@ use serde::Deserialize;
 use crate::steps::workspace;
 
 /// The order of the headings; all others follow by name.
-const HEADINGS: [&str; 14] = [
+const HEADINGS: [&str; 15] = [
     "Selection",
     "Topics",
     "Quality of service",
@@ -20,6 +20,7 @@ const HEADINGS: [&str; 14] = [
     "Parameters",
     "Node services",
     "Graph",
+    "Discovery",
     "Command line",
     "Environment",
     "Faults",
@@ -46,6 +47,7 @@ fn columns(heading: &str) -> &'static [(&'static str, &'static str)] {
         ],
         _ => &[
             ("rclpy", "rclpy, rmw_fastrtps_cpp"),
+            ("kilted", "rclpy of Kilted"),
             ("cyclonedds", "Cyclone DDS, Python"),
             ("ros2_client", "ros2-client, Rust"),
         ],

@@ -1,4 +1,4 @@
-//! The Python environment of the tests: real ROS 2 Jazzy and other bag readers, from PyPI.
+//! The Python environments of the tests: real ROS 2 Jazzy and Kilted, and other bag readers, from PyPI.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,17 +7,25 @@ use anyhow::{Context, bail};
 
 use crate::steps::{run, workspace};
 
-/// The only Python version for which there are wheels of ROS 2 Jazzy.
+/// The only Python version for which there are wheels of ROS 2 Jazzy and Kilted.
 const VERSION: &str = "3.11";
 
-const REQUIREMENTS: &str = "xtask/requirements.txt";
-
-/// Creates the environment if it is missing or its requirements have changed and returns the path of its
-/// interpreter.
+/// Creates the environment of ROS 2 Jazzy if it is missing or its requirements have changed and returns the path
+/// of its interpreter.
 pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
-    let venv = workspace().join("target/venv");
+    environment("target/venv", "xtask/requirements.txt")
+}
+
+/// The same for ROS 2 Kilted, whose packages cannot share an environment with those of Jazzy.
+pub(crate) fn kilted_interpreter() -> anyhow::Result<PathBuf> {
+    environment("target/venv_kilted", "xtask/requirements_kilted.txt")
+}
+
+fn environment(venv: &str, requirements_path: &str) -> anyhow::Result<PathBuf> {
+    let venv = workspace().join(venv);
     let interpreter = venv.join("bin/python");
-    let requirements = std::fs::read_to_string(workspace().join(REQUIREMENTS)).context(REQUIREMENTS)?;
+    let requirements = std::fs::read_to_string(workspace().join(requirements_path))
+        .with_context(|| requirements_path.to_owned())?;
     // Written last, so that an interrupted installation is repeated.
     let installed = venv.join("installed-requirements.txt");
     if std::fs::read_to_string(&installed).is_ok_and(|text| text == requirements) {
@@ -30,7 +38,7 @@ pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
         run(Command::new(&interpreter).args(["-m", "pip", "install", "--quiet"]).args(arguments))
     };
     pip(&["--upgrade", "pip"])?;
-    let requirements_file = workspace().join(REQUIREMENTS);
+    let requirements_file = workspace().join(requirements_path);
     pip(&["--requirement", &requirements_file.to_string_lossy()])?;
     std::fs::write(&installed, requirements).with_context(|| installed.display().to_string())?;
     Ok(interpreter)

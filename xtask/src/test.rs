@@ -14,6 +14,8 @@ const ALL: &[&str] =
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.
     let python = python::interpreter()?;
+    let skipped = |error| eprintln!("xtask: the tests with ROS 2 Kilted are skipped: {error:#}");
+    let kilted = python::kilted_interpreter().map_err(skipped).ok();
     let node_modules = node::modules()?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
@@ -63,7 +65,9 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("tests, with real ROS 2 and others' bag readers", || {
         let mut command = cargo(tests);
         command.args(if has_nextest { ALL } else { &[] });
-        command.env("DOWNBEAT_PYTHON", &python).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        command.env("DOWNBEAT_PYTHON", &python);
+        command.envs(kilted.map(|python| ("DOWNBEAT_KILTED_PYTHON", python)));
+        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         command.envs(node_modules.map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
         run(command.env("DOWNBEAT_MATRIX", notes.folder()))
     });

@@ -2,6 +2,7 @@
 
 use std::process::Command;
 
+use crate::python;
 use crate::steps::{Steps, run};
 
 /// The long tests of the RTPS engine; `cargo xtask test` runs short versions of them.
@@ -23,6 +24,13 @@ pub(crate) fn wire() -> anyhow::Result<()> {
     });
     steps.step("10 million hostile datagrams", || {
         run(rtps("hostile").env("DOWNBEAT_FUZZ_ROUNDS", "500000").args(["after_much_noise"]))
+    });
+    steps.step("cables that are out for half a minute and a minute", || {
+        let package = ["test", "--package", "downbeat-bridge", "--test", "between_hosts"];
+        let python = python::interpreter()?;
+        let mut command = cargo(&package);
+        command.args(["--", "--ignored", "who_is_behind_a_cable", "--test-threads=1"]);
+        run(command.env("DOWNBEAT_PYTHON", python))
     });
     steps.finish()
 }

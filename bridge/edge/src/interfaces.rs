@@ -131,6 +131,30 @@ impl Interfaces {
         raw.filter(|raw| !raw.hash().is_empty()).ok_or(unknown)
     }
 
+    /// The hash of the message of that name; of a request, response or event of a service or action too.
+    #[must_use]
+    pub fn message_hash(&self, name: &str) -> Option<String> {
+        let of_service =
+            ["_Request", "_Response", "_Event"].into_iter().enumerate().find_map(|(index, part)| {
+                let service = self.find_service(name.strip_suffix(part)?)?;
+                Some(service.message_hashes()[index].to_owned())
+            });
+        let of_message = || self.find_message(name).ok().map(|known| known.hash().to_owned());
+        let found = of_service.or_else(of_message).filter(|hash| !hash.is_empty());
+        found.or_else(|| self.definitions().find_text(name).ok().map(|(_, hash)| hash))
+    }
+
+    /// The service of that name, also if it is one of a registered action.
+    fn find_service(&self, name: &str) -> Option<KnownService> {
+        let of_action = |part: &str, service: fn(KnownAction) -> KnownService| {
+            self.action(name.strip_suffix(part)?).ok().map(service)
+        };
+        self.service(name)
+            .ok()
+            .or_else(|| of_action("_SendGoal", KnownAction::send_goal))
+            .or_else(|| of_action("_GetResult", KnownAction::get_result))
+    }
+
     /// The type with which a module should use a topic: if the topic carries another Rust type of the same definition as `message`, that.
     /// The topic is named as the module names it, before remapping.
     #[must_use]

@@ -7,7 +7,7 @@ use downbeat_executor::{
     SetupError, StandIn,
 };
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
-use downbeat_msgs::{Service, cdr};
+use downbeat_msgs::{Message, Service, cdr};
 use parking_lot::Mutex;
 use std::any::{Any, type_name};
 use std::collections::HashMap;
@@ -127,6 +127,12 @@ impl KnownService {
     #[must_use]
     pub fn hash(self) -> &'static str {
         self.entry.hash
+    }
+
+    /// The hashes of the messages of its requests, responses and events.
+    #[must_use]
+    pub fn message_hashes(self) -> [&'static str; 3] {
+        self.entry.message_hashes
     }
 
     /// A serialized response in which all fields have their defaults.
@@ -317,6 +323,7 @@ type Open<Q, R> = Arc<Mutex<HashMap<u64, Responder<Q, R>>>>;
 struct Entry {
     name: &'static str,
     hash: &'static str,
+    message_hashes: [&'static str; 3],
     rust_types: fn() -> (&'static str, &'static str),
     caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
     answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
@@ -337,6 +344,11 @@ impl<S: Service> Of<S> {
     const ENTRY: &'static Entry = &Entry {
         name: S::TYPE_NAME,
         hash: S::TYPE_HASH,
+        message_hashes: [
+            <S::Request as Message>::TYPE_HASH,
+            <S::Response as Message>::TYPE_HASH,
+            <S::Event as Message>::TYPE_HASH,
+        ],
         rust_types: || (type_name::<S::Request>(), type_name::<S::Response>()),
         caller: caller::<S>,
         answers: |core, topic| Ok(Box::new(core.inlet::<Answer<S::Response>>(topic)?)),

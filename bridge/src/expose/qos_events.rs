@@ -97,7 +97,7 @@ impl EndpointQos {
     }
 
     pub(super) fn happened(&self, event: &EndpointEvent) {
-        let (message, warning) = self.note(event);
+        let Some((message, warning)) = self.note(event) else { return };
         if let Some(warning) = warning {
             tracing::warn!(topic = self.ros_topic, "{warning}; further events are only counted");
         }
@@ -105,8 +105,8 @@ impl EndpointQos {
         let _ = self.events.inlet.publish(message);
     }
 
-    /// Counts an event, and returns a warning for the first of its kind. (The node warns of endpoints that do not match.)
-    fn note(&self, event: &EndpointEvent) -> (QosEvent, Option<String>) {
+    /// Counts an event, and returns a warning for the first of its kind; `None` if rmw has no such event. (The node warns of endpoints that do not match.)
+    fn note(&self, event: &EndpointEvent) -> Option<(QosEvent, Option<String>)> {
         let mut state = self.state.lock();
         let State { counts, current, alive, silent } = &mut *state;
         let mut message = QosEvent {
@@ -181,6 +181,7 @@ impl EndpointQos {
                 (message.kind, message.total) = (QosEvent::LIVELINESS_CHANGED, counts.silences);
                 peer
             }
+            EndpointEvent::BegunAnew { .. } => return None,
             EndpointEvent::MessagesLost { peer, count } => {
                 if counts.lost == 0 {
                     warning = Some(format!(
@@ -200,7 +201,7 @@ impl EndpointQos {
             QosEvent::LIVELINESS_CHANGED => (alive.len() as u64, silent.len() as u64),
             _ => (0, 0),
         };
-        (message, warning)
+        Some((message, warning))
     }
 
     fn deadline_warning(&self) -> String {

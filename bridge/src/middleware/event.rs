@@ -51,6 +51,12 @@ pub enum EndpointEvent {
         /// The new liveliness.
         now: Aliveness,
     },
+    /// A matched reader knows no samples of the writer any more: its participant had lost this one, for example during
+    /// a pause longer than its lease, and has found it again.
+    BegunAnew {
+        /// The reader.
+        peer: Gid,
+    },
     /// Samples of a writer were lost: their sequence numbers are missing.
     MessagesLost {
         /// The writer.

@@ -191,8 +191,11 @@ impl Node {
     ) -> Result<RawClient, NodeError> {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
-        let client =
-            RequestClient::new(&*shared.middleware, &shared.worker, &name.endpoint(service_type, qos))?;
+        let client = RequestClient::new(
+            &*shared.middleware,
+            &shared.worker,
+            &name.endpoint(&shared.interfaces, service_type, qos),
+        )?;
         let (reader, writer) = client.gids();
         let events = ServiceEvents::new(&name, service_type);
         Ok(RawClient {

@@ -7,14 +7,16 @@
 use super::network::Owners;
 use super::{MessageType, NodeName, TopicName};
 use crate::middleware::{
-    Direction, Endpoint, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, WriteError, Writer,
+    Direction, Endpoint, EndpointEvent, EventHandler, Gid, Middleware, MiddlewareError, Reader,
+    RemoteEndpoint, Sample, WriteError, Writer,
 };
 use crate::worker::{TimeLimited, WorkerLink};
 use downbeat_msgs::qos::{Durability, QosProfile};
 use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
-use downbeat_msgs::{cdr, printable};
+use downbeat_msgs::{Message, cdr, printable};
 use parking_lot::Mutex;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
@@ -60,6 +62,8 @@ struct Own {
     state: Mutex<OwnState>,
     writer: Box<dyn Writer>,
     worker: WorkerLink,
+    /// Set when a participant has found this one again.
+    is_found_again: AtomicBool,
 }
 
 struct OwnState {
@@ -87,15 +91,24 @@ impl Graph {
     /// The worker writes messages again that found no room.
     pub(super) fn join(middleware: &dyn Middleware, worker: WorkerLink) -> Result<Self, MiddlewareError> {
         // As rmw_dds_common does, but for the history of the reader: a message replaces the one before.
-        let endpoint = Endpoint::new(
-            "ros_discovery_info",
-            "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_",
-            QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(1) },
-        );
+        let endpoint = Endpoint {
+            type_hash: Some(ParticipantEntitiesInfo::TYPE_HASH.to_owned()),
+            ..Endpoint::new(
+                "ros_discovery_info",
+                "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_",
+                QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT.keep_last(1) },
+            )
+        };
         let heard = Arc::<Mutex<Heard>>::default();
         let state = OwnState { participant: middleware.gid(), nodes: BTreeMap::new(), unannounced: None };
         let writer = middleware.create_writer(&endpoint)?;
-        let own = Arc::new(Own { state: Mutex::new(state), writer, worker });
+        let own = Arc::new(Own {
+            state: Mutex::new(state),
+            writer,
+            worker,
+            is_found_again: AtomicBool::new(false),
+        });
+        own.writer.on_event(found_again(&own));
         let again: Weak<dyn TimeLimited> = Arc::<Own>::downgrade(&own) as _;
         own.worker.watch(again);
         let hear = {
@@ -245,12 +258,16 @@ impl Own {
 
 impl TimeLimited for Own {
     fn due(&self) -> Option<Instant> {
+        if self.is_found_again.load(Ordering::Relaxed) {
+            return Some(Instant::now());
+        }
         self.state.lock().unannounced.as_ref().map(|unannounced| unannounced.again)
     }
 
     fn expire(&self, now: Instant) {
+        let is_found_again = self.is_found_again.swap(false, Ordering::Relaxed);
         let mut state = self.state.lock();
-        if state.unannounced.as_ref().is_some_and(|unannounced| unannounced.again <= now) {
+        if is_found_again || state.unannounced.as_ref().is_some_and(|unannounced| unannounced.again <= now) {
             self.announce(&mut state);
         }
     }
@@ -263,6 +280,32 @@ impl Drop for Graph {
         state.unannounced = None;
         self.own.take_leave(state.participant);
     }
+}
+
+/// The most readers that are remembered.
+const MOST_REMEMBERED: usize = 4096;
+
+/// Announces the nodes again when a reader is matched that was matched before, or has begun anew. A participant that
+/// lost this one has forgotten its nodes, and Fast DDS does not pass a message on again whose number it has seen.
+fn found_again(own: &Arc<Own>) -> EventHandler {
+    let (own, known) = (Arc::downgrade(own), Mutex::new(BTreeSet::new()));
+    Box::new(move |event| {
+        let is_found_again = match event {
+            EndpointEvent::BegunAnew { .. } => true,
+            EndpointEvent::Matched { peer } => {
+                let mut known = known.lock();
+                if known.len() >= MOST_REMEMBERED {
+                    known.clear();
+                }
+                !known.insert(*peer)
+            }
+            _ => false,
+        };
+        if is_found_again && let Some(own) = own.upgrade() {
+            own.is_found_again.store(true, Ordering::Relaxed);
+            own.worker.look_again();
+        }
+    })
 }
 
 fn hear(heard: &Mutex<Heard>, own: [u8; 12], sample: &Sample) {

@@ -2,6 +2,7 @@
 
 use super::{MessageType, TopicName};
 use crate::middleware::{Direction, EndpointEvent, EventHandler, Gid, QosPolicyKind};
+use downbeat_msgs::printable;
 use parking_lot::Mutex;
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -70,8 +71,8 @@ impl Warnings {
             Direction::Out => ("publisher", "subscription"),
             Direction::In => ("subscription", "publisher"),
         };
-        let theirs =
-            MessageType::from_wire(theirs).map_or_else(|| theirs.to_owned(), |theirs| theirs.to_string());
+        let theirs = MessageType::from_wire(theirs)
+            .map_or_else(|| printable(theirs).into_owned(), |theirs| theirs.to_string());
         format!(
             "Incompatible type on topic '{topic}', no messages will be sent to it. The {own} of this node has type \
              {message_type}, a {other} of another node has {theirs}"
@@ -142,5 +143,7 @@ mod tests {
         assert_eq!(text, expected);
         let text = Warnings::new(&topic, &ours, Direction::In).type_warning("Plain DDS");
         assert!(text.ends_with("a publisher of another node has Plain DDS"), "{text}");
+        let text = Warnings::new(&topic, &ours, Direction::In).type_warning("\x1b[2J\nfalse");
+        assert!(text.ends_with("a publisher of another node has \\u001b[2J\\u000afalse"), "{text}");
     }
 }

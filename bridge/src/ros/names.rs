@@ -122,9 +122,11 @@ impl TopicName {
         name.strip_prefix("rt").and_then(Self::absolute)
     }
 
-    /// A name that is absolute already, if ROS 2 accepts it.
+    /// A name that is absolute already, if ROS 2 accepts it. Others may have announced any text.
     pub(super) fn absolute(name: &str) -> Option<Self> {
-        check_path("topic name", name).ok().map(|()| Self(name.to_owned()))
+        let is_absolute = name.starts_with('/') && name.len() <= TOPIC_LENGTH;
+        let checked = is_absolute.then(|| check_path("topic name", name))?;
+        checked.ok().map(|()| Self(name.to_owned()))
     }
 
     /// The absolute name.
@@ -298,6 +300,18 @@ mod tests {
         assert_eq!(topic.to_wire(), "rt/joint_states");
         assert_eq!(TopicName::from_wire("rt/joint_states"), Some(topic));
         assert_eq!(TopicName::from_wire("ros_discovery_info"), None);
+        for wrong in [
+            "rt",
+            "rtchatter",
+            "rt\x1b[2J",
+            "rt\n/chatter",
+            "rt/chat\x07ter",
+            "rt/a\u{202e}b",
+            "rt/\u{9b}31m",
+        ] {
+            assert_eq!(TopicName::from_wire(wrong), None, "{wrong:?}");
+        }
+        assert_eq!(TopicName::from_wire(&format!("rt/{}", "x".repeat(TOPIC_LENGTH))), None);
         assert_eq!(MessageType::from_wire("HelloWorld"), None);
         for wrong in ["sensor_msgs/JointState", "JointState", "sensor_msgs/msg/", "a/b/c/d", "a b/msg/C"] {
             assert!(MessageType::new(wrong).is_err(), "{wrong}");

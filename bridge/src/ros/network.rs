@@ -191,3 +191,64 @@ fn vendor(participant: Gid) -> String {
         [first, second] => format!("{first:02x}.{second:02x}"),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::middleware::in_process::Hub;
+    use crate::middleware::{Endpoint, Middleware};
+    use downbeat_msgs::cdr;
+    use downbeat_msgs::qos::QosProfile;
+    use downbeat_msgs::rmw_dds_common::msg::{Gid as GidMessage, NodeEntitiesInfo, ParticipantEntitiesInfo};
+    use std::sync::Arc;
+
+    #[test]
+    fn names_of_others_reach_nobody_with_control_characters() {
+        let hub = Hub::new();
+        let observer = Participant::on(Arc::new(hub.join())).unwrap();
+        let other = hub.join();
+        let evil = "\x1b[2J\n\u{9b}31m\u{202e}\x07";
+        let string = "std_msgs::msg::dds_::String_";
+        let request = "std_srvs::srv::dds_::Trigger_Request_";
+        let endpoints = [
+            (format!("rt{evil}"), string.to_owned()),
+            (format!("rt/{evil}"), string.to_owned()),
+            ("rt/type".to_owned(), format!("std_msgs::msg::dds_::{evil}_")),
+            ("rt/package".to_owned(), format!("{evil}::msg::dds_::String_")),
+            (format!("rq{evil}Request"), request.to_owned()),
+            (format!("rq/{evil}Request"), request.to_owned()),
+            ("rt/fine".to_owned(), string.to_owned()),
+        ];
+        let created: Vec<_> = endpoints
+            .iter()
+            .map(|(topic, kind)| {
+                other.create_writer(&Endpoint::new(topic, kind, QosProfile::DEFAULT)).unwrap()
+            })
+            .collect();
+        let qos = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
+        let kind = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
+        let graph = other.create_writer(&Endpoint::new("ros_discovery_info", kind, qos)).unwrap();
+        let gids = created.iter().map(|writer| GidMessage { data: writer.gid().0 }).collect();
+        let node = NodeEntitiesInfo {
+            node_namespace: format!("/{evil}"),
+            node_name: evil.to_owned(),
+            reader_gid_seq: Vec::new(),
+            writer_gid_seq: gids,
+        };
+        let info = ParticipantEntitiesInfo {
+            gid: GidMessage { data: other.gid().0 },
+            node_entities_info_seq: vec![node],
+        };
+        graph.write(cdr::to_vec(&info).into()).unwrap();
+        let network = observer.network();
+        assert_eq!(network.nodes.len(), 1);
+        let names: Vec<_> = network.endpoints.iter().map(|endpoint| &*endpoint.name).collect();
+        assert_eq!(names, ["/fine"]);
+        let shown = format!("{} {}", network.nodes[0].name, network.endpoints[0].node);
+        let nodes = observer.remote_nodes();
+        assert_eq!(nodes[0].endpoints.len(), 1);
+        let text = shown + &nodes[0].name;
+        assert!(!text.contains(|shown: char| shown.is_control() || shown == '\u{202e}'), "{text:?}");
+    }
+}

@@ -120,7 +120,7 @@ pub(super) fn endpoint(
     } else {
         Endpoint::SEND_WINDOW
     };
-    let type_hash = interfaces.message(message_type.as_str()).ok().map(|known| known.hash().to_owned());
+    let type_hash = interfaces.message_hash(message_type.as_str());
     Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }
 

@@ -3,6 +3,7 @@
 //! The wire form is that of `rmw_fastrtps_shared_cpp/namespace_prefix.hpp` and `names.hpp` (branch jazzy).
 
 use super::{MessageType, NameError, NodeName, TopicName};
+use crate::edge::Interfaces;
 use crate::middleware::rpc::ServiceEndpoint;
 use downbeat_msgs::qos::QosProfile;
 use std::fmt;
@@ -36,8 +37,17 @@ impl ServiceName {
         [format!("rq{}Request", self.as_str()), format!("rr{}Reply", self.as_str())]
     }
 
-    pub(super) fn endpoint(&self, service_type: &ServiceType, qos: QosProfile) -> ServiceEndpoint {
+    /// The endpoints announce the hashes of the messages that they carry, as those of `rmw_cyclonedds_cpp` do. Those of
+    /// `rmw_fastrtps_cpp` announce that of the request on both topics.
+    pub(super) fn endpoint(
+        &self,
+        interfaces: &Interfaces,
+        service_type: &ServiceType,
+        qos: QosProfile,
+    ) -> ServiceEndpoint {
         let [request_topic, reply_topic] = self.topics();
+        let type_hashes =
+            ["Request", "Response"].map(|part| interfaces.message_hash(&format!("{service_type}_{part}")));
         ServiceEndpoint {
             name: self.as_str().to_owned(),
             request_topic,
@@ -45,6 +55,7 @@ impl ServiceName {
             reply_topic,
             reply_type: format!("{}Response_", service_type.0.to_wire()),
             qos,
+            type_hashes,
         }
     }
 }
@@ -90,8 +101,11 @@ mod tests {
     fn a_service_stands_on_the_wire_as_in_rmw() {
         let node = NodeName::new("/robot", "downbeat").unwrap();
         let service = ServiceName::expand("~/stand_up", &node).unwrap();
-        let endpoint =
-            service.endpoint(&ServiceType::new("std_srvs/srv/SetBool").unwrap(), QosProfile::SERVICES);
+        let endpoint = service.endpoint(
+            &Interfaces::carried(),
+            &ServiceType::new("std_srvs/srv/SetBool").unwrap(),
+            QosProfile::SERVICES,
+        );
         assert_eq!(endpoint.request_topic, "rq/robot/downbeat/stand_upRequest");
         assert_eq!(endpoint.reply_topic, "rr/robot/downbeat/stand_upReply");
         assert_eq!(endpoint.request_type, "std_srvs::srv::dds_::SetBool_Request_");

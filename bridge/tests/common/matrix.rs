@@ -10,6 +10,8 @@ use std::path::PathBuf;
 pub enum With {
     /// rclpy of Jazzy, on rmw_fastrtps_cpp.
     Rclpy,
+    /// rclpy of Kilted, on its rmw_fastrtps_cpp.
+    Kilted,
     /// The Python package `cyclonedds`: the engine of rmw_cyclonedds_cpp.
     Cyclone,
     /// The crate `ros2-client`.
@@ -42,6 +44,7 @@ pub struct Check(Value);
 pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
     let with = match with {
         With::Rclpy => "rclpy",
+        With::Kilted => "kilted",
         With::Cyclone => "cyclonedds",
         With::Ros2Client => "ros2_client",
         With::Rosbag2 => "rosbag2",

@@ -22,6 +22,12 @@ impl Peer {
         Self::of_domain(super::PEER_SCRIPT, domain_id, discovery_range)
     }
 
+    /// Starts node `/peer` of the rclpy of Kilted in a domain on loopback, or says why not and returns nothing.
+    pub fn kilted(domain_id: u16) -> Option<Self> {
+        let python = interpreter("DOWNBEAT_KILTED_PYTHON")?;
+        Some(Self::run(&mut of_domain(&python, super::PEER_SCRIPT, domain_id, "LOCALHOST")))
+    }
+
     /// Starts a participant of Cyclone DDS in a domain on loopback, or says why not and returns nothing.
     pub fn cyclonedds(domain_id: u16) -> Option<Self> {
         Self::of_domain(super::CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
@@ -40,13 +46,7 @@ impl Peer {
     }
 
     fn of_domain(script: &str, domain_id: u16, discovery_range: &str) -> Option<Self> {
-        let mut command = Command::new(python()?);
-        command
-            .arg(script)
-            .arg("peer")
-            .env("ROS_DOMAIN_ID", domain_id.to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range);
-        Some(Self::run(&mut command))
+        Some(Self::run(&mut of_domain(&python()?, script, domain_id, discovery_range)))
     }
 
     /// Starts a program that obeys the commands of such a peer.
@@ -122,11 +122,25 @@ impl Drop for Peer {
 
 /// The interpreter that has rclpy, or a line that says that there is none.
 pub fn python() -> Option<OsString> {
-    let python = std::env::var_os("DOWNBEAT_PYTHON");
+    interpreter("DOWNBEAT_PYTHON")
+}
+
+fn interpreter(variable: &str) -> Option<OsString> {
+    let python = std::env::var_os(variable);
     if python.is_none() {
         // Past the capture of test output, which shows nothing of a test that passes.
-        let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
+        let line = format!("skipped: {variable} is not set (cargo xtask test sets it)\n");
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
     }
     python
+}
+
+fn of_domain(python: &OsStr, script: &str, domain_id: u16, discovery_range: &str) -> Command {
+    let mut command = Command::new(python);
+    command
+        .arg(script)
+        .arg("peer")
+        .env("ROS_DOMAIN_ID", domain_id.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery_range);
+    command
 }

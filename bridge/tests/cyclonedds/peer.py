@@ -409,6 +409,18 @@ class Peer:
                     found.append(sample.qos[Policy.Userdata].data.decode())
         return found
 
+    def all_endpoints(self):
+        """Every endpoint that is not of this participant: direction, topic and type on the wire, and user data."""
+        own = str(self.participant.guid)[:24]
+        found = []
+        for direction, reader in zip(("out", "in"), self.builtin):
+            for sample in reader.read(N=1000):
+                is_alive = sample.sample_info.instance_state == InstanceState.Alive
+                if is_alive and str(sample.participant_key)[:24] != own:
+                    data = sample.qos[Policy.Userdata].data.decode() if Policy.Userdata in sample.qos else ""
+                    found.append([direction, sample.topic_name, sample.type_name, data])
+        return sorted(found)
+
     def matched(self, topic):
         if topic in self.writers:
             return len(self.writers[topic][0].get_matched_subscriptions())

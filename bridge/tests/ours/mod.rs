@@ -17,6 +17,9 @@ use std::time::Duration;
 /// Milliseconds of the lease, where it is not the default.
 pub const LEASE_MS: &str = "DOWNBEAT_TEST_LEASE_MS";
 
+/// The name of the node, where it is not `peer`.
+pub const NODE: &str = "DOWNBEAT_TEST_NODE";
+
 /// Starts node `/peer` of ours by a command that runs the program it is given.
 pub fn start_by(command: impl FnOnce(&Path) -> Command) -> Peer {
     let mut command = command(&std::env::current_exe().unwrap());
@@ -43,7 +46,8 @@ fn a_peer_obeys() {
     let mut options = ParticipantOptions::from_env().unwrap();
     options.lease = lease.unwrap_or(options.lease);
     let participant = Participant::join(&options).unwrap();
-    let node = participant.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
+    let name = std::env::var(NODE).unwrap_or_else(|_| "peer".to_owned());
+    let node = participant.create_node(NodeName::new("/", &name).unwrap()).unwrap();
     let mut ours = Ours { node, publishers: HashMap::new(), subscriptions: HashMap::new() };
     println!("{}", json!("ready"));
     for line in std::io::stdin().lock().lines() {

@@ -52,7 +52,8 @@ impl<A: Action> ActionServer<A> {
     /// (`rcl_action_server_get_default_options`, branch jazzy).
     pub const RESULT_TIMEOUT: Duration = Duration::from_secs(10);
 
-    /// The maximum number of goals, including finished ones. Further goals are rejected.
+    /// The maximum number of goals. Beyond it, the result of the goal that finished first is dropped, and goals are
+    /// rejected while none has finished.
     pub const MAX_GOALS: usize = 1024;
 
     /// Starts a declaration; `access` returns the server in the module.
@@ -197,11 +198,19 @@ impl<A: Action> ActionServer<A> {
         if self.goal(id).is_some() {
             return Some("there already is a goal with that id".to_owned());
         }
-        let is_full = self.goals.len() >= Self::MAX_GOALS;
+        let is_full = self.goals.len() >= Self::MAX_GOALS && self.goals.iter().all(Goal::is_active);
         is_full.then(|| format!("there already are {} goals", Self::MAX_GOALS))
     }
 
     fn accept(&mut self, id: GoalId, goal: A::Goal, status: GoalStatus, accepted_at: Time) {
+        if self.goals.len() >= Self::MAX_GOALS {
+            // Nobody may ever ask for the results of these.
+            let finished =
+                self.goals.iter().enumerate().filter_map(|(index, goal)| Some((goal.end.as_ref()?.0, index)));
+            if let Some((_, index)) = finished.min() {
+                self.goals.remove(index);
+            }
+        }
         self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new() });
     }
 

@@ -15,6 +15,7 @@ use std::time::Duration;
 
 fn reset() -> ServiceEndpoint {
     ServiceEndpoint {
+        type_hashes: [None, None],
         name: "/reset".into(),
         request_topic: "rq/resetRequest".into(),
         request_type: "std_srvs::srv::dds_::SetBool_Request_".into(),

@@ -242,8 +242,8 @@ impl Senders {
         let mut unicast = sender(address)?;
         registry.register(&mut unicast, token, Interest::WRITABLE)?;
         // Without it, Linux does not report closed ports to sockets that send to many addresses. Elsewhere they
-        // are not reported.
-        UdpSocketState::new((&unicast).into())?.enable_transport_errors((&unicast).into())?;
+        // are not reported. The state is that of another socket, because creating it disables IP fragmentation.
+        UdpSocketState::new((&sender(address)?).into())?.enable_transport_errors((&unicast).into())?;
         let refusals = Vec::new();
         Ok(Self { unicast, refusals, multicast: Vec::new(), address, log: LogLimit::default() })
     }
@@ -442,6 +442,34 @@ mod tests {
         let meta_port = first.meta_port;
         drop(first);
         assert_eq!(bind().meta_port, meta_port, "the first that is free");
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_closed_port_is_reported_with_its_address_and_keeps_no_datagram_back() {
+        let poll = Poll::new().unwrap();
+        let mut senders = Senders::bind(Range::Localhost, poll.registry(), Token(9)).unwrap();
+        let bind = || std::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let address_of = |socket: &std::net::UdpSocket| match socket.local_addr().unwrap() {
+            SocketAddr::V4(address) => address,
+            SocketAddr::V6(_) => unreachable!(),
+        };
+        let (open, closed) = (bind(), [bind(), bind()].map(|socket| address_of(&socket)));
+        open.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        for number in 0..20_u8 {
+            for closed in closed {
+                assert_eq!(senders.send(closed, &[number]), Sent::Done);
+            }
+            assert_eq!(senders.send(address_of(&open), &[number]), Sent::Done);
+            let mut received = [0; 2];
+            assert_eq!((open.recv(&mut received).unwrap(), received[0]), (1, number));
+        }
+        senders.read_refusals();
+        let mut refusals = senders.take_refusals();
+        refusals.sort_unstable();
+        let mut expected = closed.to_vec();
+        expected.sort_unstable();
+        assert_eq!(refusals, expected);
     }
 
     #[test]

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 /// How many numbers a writer may skip without any time passing.
 const SLACK: i64 = 4096;
-/// More samples per second than any writer produces.
-const RATE: i64 = 1_000_000;
+/// More samples per millisecond than any writer produces.
+const RATE_PER_MS: u128 = 1000;
 /// A contradiction must last this long: a heartbeat may be overtaken by samples.
 const DOUBT: Duration = Duration::from_millis(30);
 /// The same for samples of a best-effort writer, which the network may reorder.
@@ -35,19 +35,19 @@ pub(super) struct Belief {
 }
 
 impl Belief {
-    /// The highest number that the writer can have reached. Anything is possible for a writer that was never
-    /// heard.
-    pub fn horizon(&self, now: Instant) -> i64 {
-        self.reached.map_or(i64::MAX, |(reached, at)| {
-            let elapsed = now.saturating_duration_since(at).as_millis();
-            let new = i64::try_from(elapsed).unwrap_or(i64::MAX).saturating_mul(RATE / 1000);
-            reached.saturating_add(SLACK).saturating_add(new)
-        })
+    /// Returns whether `number` is beyond what the writer can have reached. Anything is possible for a writer that
+    /// was never heard.
+    pub fn is_far(&self, number: i64, now: Instant) -> bool {
+        let Some((reached, at)) = self.reached else { return false };
+        let ahead = number.saturating_sub(reached).saturating_sub(SLACK);
+        // The time is needed seldom.
+        ahead > 0
+            && u128::from(ahead.unsigned_abs()) > now.saturating_duration_since(at).as_millis() * RATE_PER_MS
     }
 
     /// Returns whether a message that says that the writer has reached `number` is believed.
     pub fn believes(&mut self, number: i64, now: Instant) -> bool {
-        if number > self.horizon(now) {
+        if self.is_far(number, now) {
             let continues = |claim: i64| (claim..=claim.saturating_add(SLACK)).contains(&number);
             if !self.claim.is_some_and(continues) {
                 self.claim = Some(number);

@@ -146,9 +146,14 @@ impl Participant {
             }
             Submessage::AckNack(ack_nack) => {
                 let reader = from(ack_nack.reader);
-                let ack_nack = self.translate_ack_nack(now, context.source, ack_nack);
+                let translated;
+                let mut ack_nack = ack_nack;
+                if ack_nack.writer.is_builtin() {
+                    translated = self.translate_ack_nack(now, context.source, ack_nack);
+                    ack_nack = &translated;
+                }
                 self.with_writer(now, ack_nack.writer, |writer, links| {
-                    writer.handle_ack_nack(now, reader, &ack_nack, links);
+                    writer.handle_ack_nack(now, reader, ack_nack, links);
                 });
                 self.note_acquaintance(ack_nack.writer, reader);
             }

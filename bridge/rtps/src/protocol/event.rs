@@ -141,7 +141,8 @@ pub enum Departure {
     Disposed,
     /// No message arrived from it within its lease.
     LeaseRanOut,
-    /// It never answered, and its host has no open port at its address.
+    /// It was never validated, and its host has no open port at its address, or wrong acknowledgements came in
+    /// its name.
     Unreachable,
     /// It never answered, and the room was needed for others.
     Crowded,

@@ -236,7 +236,7 @@ impl Incoming {
     /// can have written is ignored; the writer repeats a true one, because what it covers stays missing.
     pub fn take_gap(&mut self, now: Now, gap: &Gap, out: &mut Vec<Received>) {
         let end = gap.list.iter().last().map_or(gap.list.base(), SequenceNumber::next);
-        if end.0 > self.belief.horizon(now.steady) {
+        if self.belief.is_far(end.0, now.steady) {
             return;
         }
         self.settle(gap.start.0..gap.list.base().0);
@@ -251,7 +251,7 @@ impl Incoming {
         if !self.matched.is_reliable || !self.last_heartbeat.accept(heartbeat.count, now.steady) {
             return false;
         }
-        let is_far = heartbeat.last.0 > self.belief.horizon(now.steady);
+        let is_far = self.belief.is_far(heartbeat.last.0, now.steady);
         if !self.belief.believes(heartbeat.last.0, now.steady) {
             self.ask_now(now.steady);
             return true;

@@ -92,8 +92,6 @@ pub struct Participant {
     pub(super) grace_until: Instant,
     latest_call: Instant,
     latest_key: u32,
-    /// How often numbers were chosen for a participant.
-    pub(super) numbers_chosen: u64,
     /// Kept to reuse its allocation.
     received: Vec<Received>,
 }
@@ -124,7 +122,6 @@ impl Participant {
             grace_until: now.steady,
             latest_call: now.steady,
             latest_key: 0,
-            numbers_chosen: 0,
             received: Vec::new(),
             config,
         };

@@ -40,12 +40,13 @@ impl Participant {
     /// Packs what waits on a link into one datagram. Returns whether there is a datagram to send.
     fn fill(&mut self, now: Now, link: LinkId, datagram: &mut Vec<u8>) -> bool {
         let peer = self.links.peer(link);
-        let allowance = self.peers.get(peer).map_or(usize::MAX, |peer| peer.account.allowance());
+        let known = self.peers.get(peer);
+        let (allowance, is_closed) =
+            known.map_or((usize::MAX, false), |peer| (peer.account.allowance(), peer.is_closed));
         let room = self.guard.as_deref().map_or(0, |guard| guard.room());
         let max_len = self.links.max_datagram(link).min(allowance).saturating_sub(room);
         let is_limited = allowance <= self.links.max_datagram(link);
         datagram.clear();
-        let is_closed = self.peers.get(peer).is_some_and(|peer| peer.is_closed);
         if is_limited && max_len < SMALLEST || is_closed {
             while let Some(id) = self.links.pop(link) {
                 self.withhold(peer, link, id);

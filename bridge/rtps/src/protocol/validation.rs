@@ -16,10 +16,12 @@ use std::{
 use super::{Departure, LinkId, Now, Participant, participant::Timer};
 use crate::wire::{AckNack, EntityId, GuidPrefix, NackFragment, SequenceNumber, SequenceNumberSet};
 
-/// Numbers begin within this range, so that guessing one is hopeless.
-const RANGE: u64 = 1 << 40;
+/// The numbers begin at an unpredictable one of this many. Fast DDS takes time for each number that it skips.
+const RANGE: u64 = 1 << 16;
 /// The lowest offset: acknowledgements of readers that have not heard anything are lower.
-const LOWEST: u64 = 1 << 20;
+const LOWEST: u64 = 1 << 10;
+/// The most wrong numbers of a participant that is not validated; then it has to announce itself again.
+const GUESSES: u8 = 16;
 /// How long nothing is sent to a port that answered that it is closed.
 const CLOSED: Duration = Duration::from_secs(1);
 
@@ -29,6 +31,8 @@ pub(crate) struct Account {
     received: u64,
     sent: u64,
     is_known: bool,
+    /// Acknowledgements of numbers that were not sent to it.
+    guesses: u8,
 }
 
 impl Account {
@@ -61,26 +65,36 @@ impl Account {
 }
 
 impl Participant {
-    /// Chooses new numbers for what the builtin writers send to a participant, above the previous ones.
+    /// Chooses the numbers of what the builtin writers send to a participant. They depend on its address, and are
+    /// above the previous ones on the link.
     pub(super) fn choose_numbers(&mut self, prefix: GuidPrefix, link: LinkId) {
         let mut hasher = DefaultHasher::new();
-        self.numbers_chosen += 1;
-        (self.config.secret, self.numbers_chosen, prefix).hash(&mut hasher);
-        let offset = (LOWEST + hasher.finish() % RANGE) as i64;
-        self.links.set_offset(link, self.links.offset(link).saturating_add(offset));
+        (self.config.secret, prefix, self.links.destination(link)).hash(&mut hasher);
+        let (previous, mut offset) = (self.links.offset(link), LOWEST + hasher.finish() % RANGE);
+        if offset.cast_signed() <= previous {
+            offset += previous.unsigned_abs().next_multiple_of(RANGE);
+        }
+        self.links.set_offset(link, offset.cast_signed());
     }
 
     /// Translates the numbers in an acknowledgement of a builtin writer, which validates the address of its
     /// sender. A reader with other numbers than were last sent to it begins anew.
     pub(super) fn translate_ack_nack(&mut self, now: Now, source: GuidPrefix, ack_nack: &AckNack) -> AckNack {
-        let Some(peer) = self.peers.get(source).filter(|_| ack_nack.writer.is_builtin()) else {
-            return *ack_nack;
-        };
+        let Some(peer) = self.peers.get(source) else { return *ack_nack };
         let (offset, is_known) = (self.links.offset(peer.metatraffic), peer.account.is_known());
         let base = ack_nack.missing.base();
+        let guess = base;
         let base = SequenceNumber(base.0.saturating_sub(offset));
-        let next = self.locals.writers.get(&ack_nack.writer).map(|local| local.machine.next());
-        if !(Some(SequenceNumber::FIRST)..=next).contains(&Some(base)) {
+        let machine = self.locals.writers.get(&ack_nack.writer).map(|local| &local.machine);
+        // A participant that is not validated was sent heartbeats only: it lacks the first sample.
+        let is_right = machine.is_some_and(|writer| match is_known {
+            true => (SequenceNumber::FIRST..=writer.next()).contains(&base),
+            false => base == writer.first(),
+        });
+        if !is_right {
+            if !is_known && guess > SequenceNumber::FIRST {
+                self.note_guess(now, source);
+            }
             return AckNack { missing: SequenceNumberSet::new(SequenceNumber::ZERO), ..*ack_nack };
         }
         let mut missing = SequenceNumberSet::new(base);
@@ -100,6 +114,15 @@ impl Participant {
             None => 0,
         };
         NackFragment { number: SequenceNumber(nack.number.0.saturating_sub(offset)), ..*nack }
+    }
+
+    /// Counts a wrong number in the name of a participant that is not validated.
+    fn note_guess(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        peer.account.guesses = peer.account.guesses.saturating_add(1);
+        if peer.account.guesses > GUESSES {
+            self.remove_peer(now, prefix, Departure::Unreachable);
+        }
     }
 
     /// Lifts the limits of a participant whose address is validated.

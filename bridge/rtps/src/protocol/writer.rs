@@ -98,6 +98,11 @@ impl Writer {
         &self.qos
     }
 
+    /// The number of the first sample in the history; that of the next one if there is none.
+    pub(super) fn first(&self) -> SequenceNumber {
+        self.history.first()
+    }
+
     /// The number of the next sample.
     pub(super) fn next(&self) -> SequenceNumber {
         self.history.next()

@@ -46,15 +46,19 @@ pub struct ServiceEndpoint {
     pub reply_type: String,
     /// What both topics offer and request.
     pub qos: QosProfile,
+    /// The hashes of the types of requests and replies, `RIHS01_` and 64 hex digits, for engines that can announce them.
+    pub type_hashes: [Option<String>; 2],
 }
 
 impl ServiceEndpoint {
     fn requests(&self) -> Endpoint {
-        Endpoint::new(&self.request_topic, &self.request_type, self.qos)
+        let [type_hash, _] = self.type_hashes.clone();
+        Endpoint { type_hash, ..Endpoint::new(&self.request_topic, &self.request_type, self.qos) }
     }
 
     fn replies(&self) -> Endpoint {
-        Endpoint::new(&self.reply_topic, &self.reply_type, self.qos)
+        let [_, type_hash] = self.type_hashes.clone();
+        Endpoint { type_hash, ..Endpoint::new(&self.reply_topic, &self.reply_type, self.qos) }
     }
 }
 

@@ -9,7 +9,7 @@ use bytes::Bytes;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::Instant;
 use thiserror::Error;
 
@@ -45,12 +45,14 @@ pub enum ReplyError {
 /// Accepts requests and sends replies. Dropping it removes the endpoints; a handler that is running ends by itself.
 pub struct RequestServer {
     shared: Arc<Shared>,
-    reader: Box<dyn Reader>,
+    reader: Arc<dyn Reader>,
 }
 
 struct Shared {
     service: String,
     writer: Box<dyn Writer>,
+    /// That of the server; empty while it is created.
+    reader: OnceLock<Weak<dyn Reader>>,
     worker: WorkerLink,
     is_closed: AtomicBool,
     open: Arc<AtomicUsize>,
@@ -58,6 +60,7 @@ struct Shared {
     refused: AtomicU64,
     unreachable: AtomicU64,
     unanswered: Limiter,
+    unreached: Limiter,
 }
 
 /// A reply that waits for its client.
@@ -83,6 +86,7 @@ impl RequestServer {
         let shared = Arc::new(Shared {
             service: service.name.clone(),
             writer: middleware.create_writer(&service.replies())?,
+            reader: OnceLock::new(),
             worker: worker.link(),
             is_closed: AtomicBool::new(false),
             open: Arc::default(),
@@ -90,6 +94,7 @@ impl RequestServer {
             refused: AtomicU64::new(0),
             unreachable: AtomicU64::new(0),
             unanswered: Limiter::default(),
+            unreached: Limiter::default(),
         });
         let limited: Weak<dyn TimeLimited> = Arc::<Shared>::downgrade(&shared) as _;
         shared.worker.watch(limited);
@@ -108,7 +113,10 @@ impl RequestServer {
                 }
             }
         };
-        let reader = middleware.create_reader(&reading(service.requests()), Box::new(incoming))?;
+        let reader: Arc<dyn Reader> =
+            middleware.create_reader(&reading(service.requests()), Box::new(incoming))?.into();
+        // Nothing else sets it.
+        let _ = shared.reader.set(Arc::downgrade(&reader));
         Ok(Self { shared, reader })
     }
 
@@ -191,6 +199,10 @@ impl Responder {
             // Held while looking: a client that is matched after the look finds its reply among those that wait.
             let mut held = server.held.lock();
             if !server.reaches(&address) {
+                if server.has_left(&address) {
+                    server.drop_reply(&address);
+                    return Ok(());
+                }
                 let until = Instant::now() + REPLY_HOLD;
                 held.push_back(Held { until, address, cdr: cdr.clone(), _open: open });
                 drop(held);
@@ -259,6 +271,28 @@ impl Shared {
         }
     }
 
+    /// Returns whether the client that asked is no longer matched.
+    fn has_left(&self, address: &ReturnAddress) -> bool {
+        let reader = self.reader.get().and_then(Weak::upgrade);
+        reader.is_some_and(|reader| !reader.matched_writers().contains(&address.client))
+    }
+
+    /// Counts a reply that its client does not receive, and warns if the client is still there: one that has left does
+    /// not want it any more.
+    fn drop_reply(&self, address: &ReturnAddress) {
+        let (service, client) = (&self.service, address.client);
+        self.unreachable.fetch_add(1, Ordering::Relaxed);
+        if self.has_left(address) {
+            tracing::debug!(service, %client, "a reply was dropped: the client has left");
+        } else if let Some(left_out) = self.unreached.allow() {
+            tracing::warn!(
+                service,
+                %client,
+                "a reply was dropped: the client that asked was not matched within {REPLY_HOLD:?}{left_out}"
+            );
+        }
+    }
+
     fn send(&self, address: &ReturnAddress, cdr: &Bytes) -> Result<(), ReplyError> {
         let readers = self.writer.matched_readers();
         let reader = address.reader.or_else(|| of_participant(&readers, address.client.participant()));
@@ -293,14 +327,8 @@ impl TimeLimited for Shared {
     fn expire(&self, now: Instant) {
         let mut held = self.held.lock();
         while held.front().is_some_and(|held| held.until <= now) {
-            held.pop_front();
-            if self.unreachable.fetch_add(1, Ordering::Relaxed) == 0 {
-                let service = &self.service;
-                tracing::warn!(
-                    service,
-                    "a reply was dropped: the client that asked was not matched within {REPLY_HOLD:?}; from now on \
-                     this is only counted"
-                );
+            if let Some(Held { address, .. }) = held.pop_front() {
+                self.drop_reply(&address);
             }
         }
     }

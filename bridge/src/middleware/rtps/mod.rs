@@ -255,6 +255,7 @@ fn translated(event: &downbeat_rtps::EndpointEvent) -> EndpointEvent {
             };
             EndpointEvent::LivelinessChanged { peer: gid(peer), now }
         }
+        Event::BegunAnew { peer } => EndpointEvent::BegunAnew { peer: gid(peer) },
         Event::Lost { peer, count } => EndpointEvent::MessagesLost { peer: gid(peer), count },
     }
 }

@@ -190,6 +190,27 @@ fn more_goals_than_are_kept_are_rejected() {
 }
 
 #[test]
+fn results_that_are_never_requested_do_not_use_up_the_goals() {
+    let mut world = World::new();
+    for round in 0..3 {
+        let send = world.core.caller::<_, FibonacciSendGoalResponse>("count/_action/send_goal").unwrap();
+        let (sender, answers) = channel();
+        for number in 0..1000_u64 {
+            let mut uuid = [0; 16];
+            uuid[..8].copy_from_slice(&(round * 1000 + number + 1).to_le_bytes());
+            let request =
+                FibonacciSendGoalRequest { goal_id: UUID { uuid }, goal: FibonacciGoal { order: 2 } };
+            let sender = sender.clone();
+            send.call(request, SECOND, move |answer| sender.send(answer.unwrap().accepted).unwrap()).unwrap();
+        }
+        world.settle();
+        // The goals end after one second; their results would be kept for 10 s.
+        world.pass(1);
+        assert_eq!(answers.try_iter().filter(|accepted| *accepted).count(), 1000, "round {round}");
+    }
+}
+
+#[test]
 fn cancel_requests_select_one_goal_or_those_up_to_a_time_or_all() {
     let mut world = World::new();
     let seconds = |sec| Stamp { sec, nanosec: 0 };
