@@ -144,7 +144,7 @@ impl<'de> Visitor<'de> for Fill<'_> {
     fn visit_enum<A: EnumAccess<'de>>(self, tagged: A) -> Result<(), A::Error> {
         let (tag, content) = tagged.variant::<String>()?;
         let found = format!("a value with the tag `{tag}`");
-        if tag.trim_start_matches('!') != BINARY {
+        if tag.trim_start_matches('!') != BINARY || !self.takes_bytes() {
             return Err(self.fail_kind(found));
         }
         match base64(&content.newtype_variant::<String>()?) {
@@ -254,6 +254,16 @@ impl Fill<'_> {
             }
             Place::Element { field, .. } => Some(&field.field_type.element),
             _ => None,
+        }
+    }
+
+    /// Whether it is an array of bytes, or a byte.
+    fn takes_bytes(&self) -> bool {
+        let Place::Slot { field, .. } = &self.place else { return false };
+        match (&field.field_type.element, field.field_type.shape) {
+            (Element::Primitive(Primitive::Byte), _) => true,
+            (Element::Primitive(Primitive::Char | Primitive::UInt8), shape) => shape != Shape::Single,
+            _ => false,
         }
     }
 
