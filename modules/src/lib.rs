@@ -44,6 +44,7 @@ pub use downbeat_transforms as transforms;
 mod attitude;
 mod leg_joints;
 mod present_pose;
+mod step;
 
 #[cfg(test)]
 mod testing;
