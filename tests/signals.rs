@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use common::{WATCHDOG, downbeat, recorded_messages, robot_file, text_of, wait_until};
+use common::{QUIET_ROBOT, WATCHDOG, downbeat, recorded_messages, robot_file, text_of, wait_until};
 use downbeat::bags::Reader;
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
 use downbeat::bridge::ros::{MessageType, NodeName, Participant};
@@ -25,6 +25,7 @@ use downbeat::msgs::{cdr, std_msgs};
 use rustix::fs::{OFlags, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Winsize, tcsetwinsize};
 
 /// How a command is asked to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,12 +66,19 @@ impl Program {
         Self { child, terminal: None, output }
     }
 
-    /// Starts a command as the leader of a session with a terminal.
+    /// Starts a command as the leader of a session with a terminal that does not know its size.
     fn start_on_terminal(command: &Command) -> Self {
+        Self::start_on_terminal_of(command, (0, 0))
+    }
+
+    /// Starts a command on a terminal with so many columns and rows.
+    fn start_on_terminal_of(command: &Command, (columns, rows): (u16, u16)) -> Self {
         let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         fcntl_setfl(&terminal, OFlags::NONBLOCK).unwrap();
         grantpt(&terminal).unwrap();
         unlockpt(&terminal).unwrap();
+        let size = Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
+        tcsetwinsize(&terminal, size).unwrap();
         let name = ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
         let open = || {
             let flags = OFlags::NOCTTY.bits().cast_signed();
@@ -649,4 +657,41 @@ fn a_service_manager_need_not_kill() {
     assert!(asked.elapsed() < Duration::from_secs(10), "{:?}", asked.elapsed());
     assert!(children.into_iter().all(|child| !is_running(child)));
     assert_is_whole(&bag, "/joint_states", "systemd");
+}
+
+/// The block of a robot and the screen of `top` fit small terminals, and a signal leaves the terminal as it was.
+#[test]
+fn small_terminals_are_drawn_on_and_restored() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), 152);
+    let file = folder.join("robot.toml");
+    fs::write(&file, QUIET_ROBOT).unwrap();
+    for (size, signal) in [((20, 5), Signal::TERM), ((0, 0), Signal::HUP), ((1, 1), Signal::INT)] {
+        let run = command(&["run", file.to_str().unwrap()], domain, folder);
+        let mut robot = Program::start_on_terminal_of(&run, size);
+        if size != (1, 1) {
+            robot.wait_for_output("/quiet");
+        }
+        let mut top = None;
+        wait_until("top sees the robot", || {
+            robot.output();
+            let mut started = Program::start_on_terminal_of(&command(&["top"], domain, folder), size);
+            let start = Instant::now();
+            while !started.output().contains("\u{1b}[?1049h") && started.child.try_wait().unwrap().is_none() {
+                assert!(start.elapsed() < WATCHDOG, "{}", started.output());
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            let is_there = started.child.try_wait().unwrap().is_none();
+            top = is_there.then_some(started);
+            is_there
+        });
+        let mut top = top.unwrap();
+        // Some pictures.
+        std::thread::sleep(Duration::from_millis(700));
+        top.signal(signal);
+        assert_eq!(top.wait().code(), Some(0), "{size:?}: {}", top.output());
+        assert!(top.output().contains("\u{1b}[?1049l"), "{size:?}: {:?}", top.output());
+        robot.signal(signal);
+        assert_eq!(robot.wait().code(), Some(0), "{size:?}: {}", robot.output());
+    }
 }

@@ -45,6 +45,7 @@ mod attitude;
 mod leg_joints;
 mod present_pose;
 mod stamps;
+mod step;
 
 #[cfg(test)]
 mod testing;

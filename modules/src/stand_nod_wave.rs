@@ -24,6 +24,7 @@
 use crate::darwin_op::CYCLE;
 use crate::darwin_op::tables::joints::{COUNT, JOINTS, index_of};
 use crate::darwin_op::tables::units::radians_from_ticks;
+use crate::step::standstill;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::sensor_msgs::msg::JointState;
@@ -36,6 +37,7 @@ use std::time::Duration;
 pub struct StandNodWave {
     /// The start time and pose of the motion.
     begun: Option<(Time, Pose)>,
+    last_tick: Option<Time>,
 }
 
 /// The keys of [`StandNodWave`].
@@ -52,8 +54,9 @@ impl StandNodWave {
     }
 
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
-        let Some((begun, start)) = &self.begun else { return };
+        let Some((begun, start)) = &mut self.begun else { return };
         let now = ctx.now();
+        *begun = *begun + standstill(self.last_tick.replace(now).unwrap_or(now), now);
         let standing_up = Duration::from_secs_f64(*ctx.get(ctx.ports.stand_s));
         let position = pose(start, standing_up, now.saturating_since(*begun)).to_vec();
         let stamp = builtin_interfaces::msg::Time::from_nanos(now.as_nanos());
@@ -186,6 +189,29 @@ mod tests {
         let tilt: Vec<f64> = sent.iter().map(|command| command.position[19]).collect();
         assert!((tilt[0] - 0.5).abs() < 0.01, "it starts where the head is, not at {}", tilt[0]);
         assert!(tilt.iter().any(|angle| *angle < -0.2), "it nods");
+    }
+
+    #[test]
+    fn a_clock_that_is_set_ahead_moves_nothing_at_once() {
+        let (mut core, clock) = core_at_zero();
+        core.add("motion", StandNodWave::default()).unwrap();
+        let commands = Collector::<JointState>::add(&mut core, "motion/joint_commands");
+        let states = core.inlet("joint_states").unwrap();
+        let bent = JointState { name: vec!["r_el".into()], position: vec![-1.0], ..JointState::default() };
+        states.publish(bent).unwrap();
+        let elbow = index_of("r_el").unwrap();
+        let mut last: Option<f64> = None;
+        for cycle in 0..300 {
+            let is_set = cycle == 100;
+            clock.advance(if is_set { Duration::from_secs(1_000_000_000) } else { CYCLE });
+            core.cycle().unwrap();
+            for command in commands.take() {
+                let angle = command.position[elbow];
+                assert!(last.is_none_or(|last| (angle - last).abs() < 0.02), "{last:?} to {angle}");
+                last = Some(angle);
+            }
+        }
+        assert!(last.is_some_and(|last| last > -0.9), "it goes on: {last:?}");
     }
 
     #[test]

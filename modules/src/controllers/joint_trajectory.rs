@@ -40,6 +40,7 @@ use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
 use super::{header, joint_names, own};
 use crate::actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use crate::stamps::Stale;
+use crate::step::standstill;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::builtin_interfaces::msg::Duration as DurationMessage;
 use downbeat_msgs::control_msgs::action::{
@@ -71,6 +72,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(60);
 struct Following {
     trajectory: Trajectory,
     start: Time,
+    last: Time,
     /// The state in which it begins.
     begin: Vec<JointSample>,
     /// `None` for one that came from the topic.
@@ -203,7 +205,7 @@ impl JointTrajectoryController {
             self.abort(before, FollowJointTrajectoryResult::SUCCESSFUL, reason.to_owned(), ctx);
         }
         self.commanded.clone_from(&begin);
-        self.following = Some(Following { trajectory, start, begin, goal, tolerances });
+        self.following = Some(Following { trajectory, start, last: ctx.now(), begin, goal, tolerances });
         Ok(())
     }
 
@@ -245,9 +247,13 @@ impl JointTrajectoryController {
 
     /// Moves the command on along the trajectory, and ends it where it ends.
     fn advance(&mut self, ctx: &mut Context<'_, Ports>) {
+        let now = ctx.now();
+        if let Some(following) = &mut self.following {
+            following.start = following.start + standstill(std::mem::replace(&mut following.last, now), now);
+        }
         let Some(following) = &self.following else { return };
-        let Following { trajectory, start, begin, goal, tolerances } = following;
-        let (now, end) = (ctx.now(), *start + trajectory.duration());
+        let Following { trajectory, start, begin, goal, tolerances, .. } = following;
+        let end = *start + trajectory.duration();
         trajectory.sample(begin, now.saturating_since(*start), &mut self.commanded);
         let (commanded, measured) = (&self.commanded, self.measured_state());
         let Some(measured) = measured else { return };
@@ -625,6 +631,24 @@ mod tests {
         let feedback = feedback.take();
         assert!(feedback.len() > 20, "{}", feedback.len());
         assert_eq!(feedback[0].feedback.joint_names, ["shoulder", "elbow"]);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_ahead_moves_nothing_at_once() {
+        let mut arm = Arm::new(&[]);
+        let result = arm.send(1, to(2, 0.5, -1.0)).unwrap();
+        arm.run(0.8);
+        for _ in 0..3 {
+            let before = arm.position[0];
+            arm.clock.advance(Duration::from_secs(3600));
+            arm.run(0.2);
+            let moved = arm.position[0] - before;
+            assert!((0.02..0.1).contains(&moved), "{moved}");
+        }
+        assert!(result.try_recv().is_err());
+        arm.run(1.0);
+        assert_eq!(result.try_recv().unwrap().status, SUCCEEDED);
+        assert_eq!(arm.position, [0.5, -1.0]);
     }
 
     #[test]

@@ -35,6 +35,7 @@ use crate::actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use crate::darwin_op::CYCLE;
 use crate::darwin_op::tables::joints::JOINTS;
 use crate::present_pose::{PresentPose, command, stand};
+use crate::step::standstill;
 use balance::Attitude;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
@@ -166,7 +167,9 @@ impl MotionPlayer {
             }
             return;
         };
-        playing.time += now.saturating_since(playing.last).as_secs_f64() * speed;
+        if standstill(playing.last, now).is_zero() {
+            playing.time += now.saturating_since(playing.last).as_secs_f64() * speed;
+        }
         playing.last = now;
         let pose = path.pose(playing.time);
         // Goals beyond the pose, by a multiple of what is missing, act like a higher P gain.

@@ -16,6 +16,7 @@ use ratatui::{DefaultTerminal, Frame};
 use super::graph;
 use super::grid::{Grid, Sort, summary};
 use super::plot::Plot;
+use crate::program::stop::Stop;
 use crate::program::topic_field::TopicField;
 
 const REFRESH: Duration = Duration::from_millis(500);
@@ -37,16 +38,24 @@ pub(super) fn show(mut client: Client, snapshot: Snapshot, fields: &[TopicField]
     if !std::io::stdout().is_terminal() {
         bail!("standard output is not a terminal; --once prints a snapshot, --json all numbers");
     }
+    // Before the terminal is changed, which a signal would leave as it is.
+    let stop = Stop::new()?;
     let mut terminal = ratatui::try_init().context("cannot use this terminal")?;
-    let outcome = show_on(&mut terminal, client, app);
+    let outcome = show_on(&mut terminal, client, app, &stop);
     ratatui::restore();
-    outcome
+    // A terminal that was closed is no error.
+    if stop.is_due() { Ok(()) } else { outcome }
 }
 
-fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> anyhow::Result<()> {
+fn show_on(
+    terminal: &mut DefaultTerminal,
+    mut client: Client,
+    mut app: App,
+    stop: &Stop,
+) -> anyhow::Result<()> {
     let mut next_update = Instant::now() + REFRESH;
     let mut next_values = Instant::now();
-    loop {
+    while !stop.is_due() {
         terminal.draw(|frame| app.draw(frame)).context("cannot draw on the terminal")?;
         let rest = next_update.min(next_values).saturating_duration_since(Instant::now());
         if event::poll(rest).context("cannot read from the terminal")? {
@@ -80,6 +89,7 @@ fn show_on(terminal: &mut DefaultTerminal, mut client: Client, mut app: App) -> 
             next_update = Instant::now() + REFRESH;
         }
     }
+    Ok(())
 }
 
 /// The tables, the graph and the plot, one of which is shown.
