@@ -35,9 +35,10 @@ fn rclpy_of_kilted_and_we_know_hear_and_call_each_other() {
     }
 
     wait_until("Kilted knows our node and its types", || {
-        let nodes = peer.ask(json!({"do": "nodes"}));
-        nodes.as_array().unwrap().contains(&json!("/downbeat"))
-            && peer.ask(json!({"do": "type_hashes", "topic": "/ours"})) == json!([Text::TYPE_HASH])
+        // Of our publisher and of its own subscription.
+        peer.ask(json!({"do": "nodes"})).as_array().unwrap().contains(&json!("/downbeat"))
+            && peer.ask(json!({"do": "type_hashes", "topic": "/ours"}))
+                == json!([Text::TYPE_HASH, Text::TYPE_HASH])
     });
     let theirs = || talker.participant.remote_nodes().into_iter().find(|node| node.name == "/peer");
     wait_until("we know its node", || {
