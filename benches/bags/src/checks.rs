@@ -32,7 +32,7 @@ pub(crate) fn run(folder: &Path, bytes: u64, turns: u32) -> anyhow::Result<()> {
         let mut streamed = (name == "none").then_some(Duration::MAX);
         for _ in 0..turns {
             checked = checked.min(timed(|| {
-                let Check { problems, messages, decoded } = check(&Reader::open(&bag)?, |_| {})?;
+                let Check { problems, messages, decoded, .. } = check(&Reader::open(&bag)?, |_| {})?;
                 anyhow::ensure!(problems.is_empty() && decoded == messages, "{problems:?}");
                 Ok(())
             })?);

@@ -107,6 +107,8 @@ fn texts(known: &Description) -> HashMap<String, (&'static str, &'static str)> {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use super::*;
     use downbeat_msgs::Message;
     use downbeat_msgs::Service;

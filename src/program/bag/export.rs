@@ -133,7 +133,8 @@ const LONGEST_STEM: usize = 200;
 /// which can happen in bags of other recorders, a number is added.
 fn file_stem(topic: &str, taken: &mut BTreeSet<String>) -> String {
     let mut plain = topic.trim_start_matches('/').replace('/', ".").replace('\0', "_");
-    plain.truncate(plain.floor_char_boundary(LONGEST_STEM));
+    let is_end = |end: &usize| plain.is_char_boundary(*end);
+    plain.truncate((0..=LONGEST_STEM.min(plain.len())).rev().find(is_end).unwrap_or(0));
     let numbered = (2..).map(|number| format!("{plain}-{number}"));
     let mut candidates = iter::once(plain.clone()).chain(numbered);
     candidates.find(|stem| taken.insert(stem.clone())).unwrap_or_default()
