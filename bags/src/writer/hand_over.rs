@@ -4,7 +4,7 @@ use std::io;
 use std::time::Instant;
 
 use super::summary::Times;
-use super::{Topic, WhenDiskFull, Writer, WriterError};
+use super::{METADATA_INTERVAL, Topic, WhenDiskFull, Writer, WriterError};
 
 impl Writer {
     /// Passes the open chunk to the operating system, or drops it if the disk is full and the options say so.
@@ -38,6 +38,7 @@ impl Writer {
     }
 
     pub(super) fn replace_metadata(&mut self, now: Instant) -> Result<(), WriterError> {
+        let started = Instant::now();
         match self.metadata().replace_in(&self.directory) {
             Ok(()) => self.metadata_has_all_topics = true,
             // The old one still exists, and the next flush tries again.
@@ -45,6 +46,7 @@ impl Writer {
             Err(source) => return Err(self.fail(source)),
         }
         self.metadata_written = now;
+        self.metadata_interval = METADATA_INTERVAL.max(started.elapsed() * 20);
         Ok(())
     }
 

@@ -68,6 +68,8 @@ pub struct Writer {
     /// When metadata.yaml was last written, and whether it contains all topics.
     metadata_written: Instant,
     metadata_has_all_topics: bool,
+    /// The time until the next update of metadata.yaml: of ten thousands of topics, one takes a second.
+    metadata_interval: Duration,
     /// The number of messages in deleted files.
     deleted: u64,
     /// Whether the last chunk was dropped because the disk was full.
@@ -266,6 +268,7 @@ impl Writer {
             open_since: None,
             metadata_written: Instant::now(),
             metadata_has_all_topics: true,
+            metadata_interval: METADATA_INTERVAL,
             deleted: 0,
             is_disk_full: false,
             on_split: None,
@@ -316,7 +319,7 @@ impl Writer {
     fn flush_at(&mut self, now: Instant) -> Result<(), WriterError> {
         self.check_recording()?;
         self.hand_over()?;
-        let is_stale = now.saturating_duration_since(self.metadata_written) >= METADATA_INTERVAL;
+        let is_stale = now.saturating_duration_since(self.metadata_written) >= self.metadata_interval;
         if is_stale || !self.metadata_has_all_topics {
             self.replace_metadata(now)?;
         }
