@@ -23,6 +23,7 @@ pub(crate) struct NodeParameter {
     /// The value, or the problem with it.
     pub(crate) value: std::result::Result<SettingValue, String>,
     /// Whether it has no value, or the word that YAML has for none; in rcl that is text.
+    #[cfg_attr(not(feature = "cli"), expect(dead_code, reason = "only commands load dumps"))]
     pub(crate) is_unset: bool,
     /// The keys that lead to it, from the root of the file.
     pub(crate) keys: Vec<String>,
