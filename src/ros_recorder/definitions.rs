@@ -238,6 +238,6 @@ mod tests {
         assert!(error.contains(Imu::TYPE_HASH), "{error}");
         assert!(at_hand(&Interfaces::carried(), "lawn_msgs/msg/Blade", None).is_err());
         let event = at_hand(&Interfaces::carried(), "std_srvs/srv/SetBool_Event", None).unwrap();
-        assert!(event.text.contains("SRV: std_srvs/srv/SetBool"), "{}", event.text);
+        assert!(event.text.contains("MSG: std_srvs/srv/SetBool_Request"), "{}", event.text);
     }
 }
