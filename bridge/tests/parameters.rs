@@ -174,8 +174,8 @@ fn rclpy_sets_values_and_is_told_why_one_is_refused() {
     for (name, wrong, word) in [
         ("arm.gain", json!(4.5), "out of range"),
         ("camera.gain", json!(-1.0), "out of range"),
-        ("arm.gain", json!("fast"), "expected double"),
-        ("arm.hard", json!(1), "expected bool"),
+        ("arm.gain", json!("fast"), "is of type {double}, setting it to {string} is not allowed"),
+        ("arm.hard", json!(1), "is of type {bool}, setting it to {integer} is not allowed"),
         ("secret.gain", json!(1.0), "was not declared"),
         ("start_type_description_service", json!(false), "read-only"),
         ("use_sim_time", json!("yes"), "is not allowed"),

@@ -10,7 +10,7 @@ use mcap::records::{self, ChunkIndex, Footer, MetadataIndex, Record, Statistics,
 
 use super::error::{ReaderError, Truncation, TruncationCause};
 use super::message_index::{MessageIndex, declared_by_length};
-use super::records::{Next, Place, RECORD_HEADER, RecordFile, parse};
+use super::records::{Next, Place, RECORD_HEADER, RecordFile, are_ros_times, parse};
 use super::segment::{Content, Damage, Segment, SegmentKind, decode};
 use super::source::{self, Source};
 use super::walk::walk;
@@ -262,7 +262,9 @@ impl BagFile {
                 }
             }
             Content::Message { header, .. } => {
-                *self.counts.entry(header.channel_id).or_default() += 1;
+                if are_ros_times(header.log_time, header.publish_time) {
+                    *self.counts.entry(header.channel_id).or_default() += 1;
+                }
                 messages += 1;
                 let time = header.log_time;
                 times = Some(times.map_or((time, time), |(first, last)| (first.min(time), last.max(time))));

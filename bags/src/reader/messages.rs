@@ -15,7 +15,7 @@ use super::Reader;
 use super::error::ReaderError;
 use super::file::BagFile;
 use super::message_index::MessageIndex;
-use super::records::RecordFile;
+use super::records::{RecordFile, are_ros_times};
 use super::segment::{Content, Segment, decode};
 #[cfg(feature = "sqlite")]
 use super::sqlite::{SqliteFile, SqliteMessage};
@@ -231,7 +231,7 @@ impl Messages {
                 return;
             }
             // Other numbers in their place would be written to new bags.
-            if i64::try_from(log_time.max(publish_time)).is_err() {
+            if !are_ros_times(log_time, publish_time) {
                 problem.get_or_insert_with(|| {
                     format!(
                         "messages with times after the year 2262, which ROS 2 cannot represent, are left out; the first has the log \

@@ -212,3 +212,8 @@ fn length(rest: &mut &[u8]) -> Option<usize> {
     *rest = behind;
     usize::try_from(u32::from_le_bytes(*length)).ok()
 }
+
+/// Whether ROS 2 can represent the times of a message: others are left out.
+pub(super) fn are_ros_times(log_time: u64, publish_time: u64) -> bool {
+    i64::try_from(log_time.max(publish_time)).is_ok()
+}

@@ -58,12 +58,11 @@ fn rosbags_computes_the_hash_of_every_type_from_its_schema() {
     let (mut equal, mut different, mut wide) = (0, Vec::new(), 0);
     for ((name, (_, text)), computed) in names.iter().zip(&texts).zip(computed.lines()) {
         let hash = catalog.type_hash(name).unwrap();
-        if text.contains("wstring") {
-            // It knows no wide strings, so that it computes no hash.
-            assert!(!computed.starts_with("RIHS01_"), "{name}: the exception is no longer needed");
-            wide += 1;
-        } else if computed == hash {
+        if computed == hash {
             equal += 1;
+        } else if text.contains("wstring") && !computed.starts_with("RIHS01_") {
+            // It knows no wide strings, so that it computes no hash.
+            wide += 1;
         } else {
             different.push(format!("{name}: {computed}\n{text}"));
         }
