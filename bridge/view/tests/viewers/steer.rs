@@ -104,7 +104,10 @@ fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
         told.push(viewer.json("status")["message"].as_str().unwrap().to_owned());
     }
     assert!(told.iter().all(|text| text.starts_with("a message was not published: ")), "{told:?}");
-    assert!(told[1].contains("linar") && told[2].contains("linear.x"), "{told:?}");
+    assert!(
+        told[1].contains("missing field `linear`") && told[2].contains("field `linear`: field `x`"),
+        "{told:?}"
+    );
     assert!(told[1].ends_with("(2 more were refused since the last report)"), "{told:?}");
     // The next status is that of the second advertisement, so repetitions had none; the first advertisement still counts.
     viewer.send(advertise(5, "/other", "json", "std_msgs/msg/Bool"));
