@@ -183,9 +183,10 @@ pub(super) fn interfaces(package: &str) -> Vec<TypeName> {
     names
 }
 
-/// The packages that are known by now.
+/// The packages of which interfaces are known by now, not only the request of a service, for example.
 pub(super) fn packages() -> Vec<String> {
-    KNOWN.lock().catalog.packages().into_iter().map(str::to_owned).collect()
+    let packages: Vec<String> = KNOWN.lock().catalog.packages().into_iter().map(str::to_owned).collect();
+    packages.into_iter().filter(|package| !interfaces(package).is_empty()).collect()
 }
 
 impl Known {

@@ -28,6 +28,10 @@ fn escape(line: &str) -> String {
         if word.starts_with("http://") || word.starts_with("https://") {
             return format!("<{word}>");
         }
+        // In the middle of other text, such as HTML, rustdoc wants neither a link nor plain text.
+        if word.contains("://") && !word.contains('`') {
+            return format!("`{word}`");
+        }
         let mut escaped = String::new();
         for character in word.chars() {
             if "\\`*_[]<>#|~".contains(character) {
