@@ -14,7 +14,7 @@
 //! | `wheel_separation` | | m between the sides |
 //! | `wheel_radius` | | m |
 //! | `rate_hz` | 50 | rate of commands |
-//! | `cmd_vel_timeout` | 0.5 | s after which the base stops without a new command; 0 never. With `use_stamped_vel` from its stamp: one that is older or newer is dropped; a stamp of 0 is now |
+//! | `cmd_vel_timeout` | 0.5 | s after which the base stops without a new command; 0: never. With `use_stamped_vel` it counts from the stamp, and commands with an older or a newer stamp are dropped; a stamp of 0 means now |
 //! | `linear.x.max_velocity`, `angular.z.max_velocity` | 1 m/s, 2 rad/s | limits, both ways |
 //! | `linear.x.max_acceleration`, `angular.z.max_acceleration` | 2 m/s², 8 rad/s² | limits, both ways |
 //! | `odom_frame_id`, `base_frame_id` | `odom`, `base_link` | |

@@ -473,7 +473,7 @@ impl Parser<'_> {
                 error(format!("{} has no register \"{name}\"{near}", model.name))
             })?;
             let raw = *value.get_ref();
-            // Torque and goals are the business of the driver: one that is set at the start makes the joint move.
+            // Only the driver writes torque and goals: a goal that is set at the start makes the joint move.
             let goal = drive.map_or("", |drive| &drive.goal.name);
             if register.access == models::Access::Read
                 || ["id", "baud_rate", "operating_mode", "torque_enable", "goal_position", goal]

@@ -98,7 +98,7 @@ fn remove_link(link: &Path, path: &Path) {
 /// The directory of pseudo terminals.
 const TERMINALS: &str = "/dev/pts";
 
-/// The same directory as links of emulators write it: links of other programs are told apart by it, and not removed.
+/// The same directory, in the spelling that only emulators use for their links: links of other programs are not removed.
 const OWN_TERMINALS: &str = "/dev/./pts";
 
 /// Creates a link. Replaces one left by a killed emulator: a link of an emulator to a pseudo terminal that no longer

@@ -181,7 +181,7 @@ fn end_now(code: i32) -> ! {
     signal_hook::low_level::exit(code)
 }
 
-/// Whether the process was started with this signal ignored. Only Linux tells it without unsafe code.
+/// Whether the process was started with this signal ignored. Safe code can find out on Linux only.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -23,7 +23,7 @@ fn text() -> String {
     text
 }
 
-/// The threads with their states, where the system tells them (Linux).
+/// The threads with their states; only Linux reports them.
 fn threads() -> Vec<String> {
     let entries = fs::read_dir("/proc/self/task").into_iter().flatten().filter_map(Result::ok);
     let mut threads: Vec<_> = entries
