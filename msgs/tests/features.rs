@@ -26,6 +26,16 @@ fn every_package_has_a_feature_that_enables_what_it_refers_to() {
 }
 
 #[test]
+fn the_notice_names_every_package_of_others() {
+    let notice = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("NOTICE")).unwrap();
+    let named: BTreeSet<&str> =
+        notice.split(|c: char| !(c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')).collect();
+    for package in packages().keys() {
+        assert!(named.contains(package.as_str()), "NOTICE lacks {package}");
+    }
+}
+
+#[test]
 fn all_enables_every_package_and_every_feature_is_one() {
     let (features, packages) = (features(), packages());
     let all = closure(&features, "all");
