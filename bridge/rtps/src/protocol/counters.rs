@@ -28,11 +28,14 @@ pub enum Fault {
     /// The guard rejected the message.
     #[error("a message that security rejects")]
     Rejected,
+    /// An acknowledgement that does not come from an address of its participant.
+    #[error("an acknowledgement from another address than the reader's")]
+    Elsewhere,
 }
 
 impl Fault {
     /// Number of kinds.
-    pub const COUNT: usize = Self::Rejected as usize + 1;
+    pub const COUNT: usize = Self::Elsewhere as usize + 1;
 }
 
 /// Traffic and faults since the participant was created.

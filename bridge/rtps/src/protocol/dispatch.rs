@@ -2,7 +2,9 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::{Event, Fault, LivelinessChange, Now, Participant, Received, Sample, WriterEvent, guard};
+use super::{
+    Event, Fault, LivelinessChange, Now, Participant, Received, Sample, WriterEvent, guard, peers::Peer,
+};
 use crate::wire::{
     EntityId, Guid, GuidPrefix, Header, Malformed, StatusInfo, Submessage, Submessages, Timestamp, parse,
 };
@@ -145,6 +147,9 @@ impl Participant {
                 });
             }
             Submessage::AckNack(ack_nack) => {
+                if !self.may_acknowledge(origin, context.source, ack_nack.writer) {
+                    return self.fault(now, Fault::Elsewhere, origin.address);
+                }
                 let reader = from(ack_nack.reader);
                 let translated;
                 let mut ack_nack = ack_nack;
@@ -158,6 +163,9 @@ impl Participant {
                 self.note_acquaintance(ack_nack.writer, reader);
             }
             Submessage::NackFragment(nack) => {
+                if !self.may_acknowledge(origin, context.source, nack.writer) {
+                    return self.fault(now, Fault::Elsewhere, origin.address);
+                }
                 let reader = from(nack.reader);
                 let nack = self.translate_nack_fragment(context.source, nack);
                 self.with_writer(now, nack.writer, |writer, links| {
@@ -172,6 +180,13 @@ impl Participant {
             | Submessage::Security { .. }
             | Submessage::Unknown { .. } => {}
         }
+    }
+
+    /// Whether an acknowledgement of a participant may come from there: samples that a reader has acknowledged are dropped. Acknowledgements
+    /// of builtin writers are proven by their numbers.
+    fn may_acknowledge(&self, origin: Origin, source: GuidPrefix, writer: EntityId) -> bool {
+        let is_at = |peer: &Peer| self.is_at(peer, *origin.address.ip());
+        origin.is_own || writer.is_builtin() || self.peers.get(source).is_none_or(is_at)
     }
 
     /// Calls the matched readers to which a submessage of `writer` is addressed. Without a match nothing is

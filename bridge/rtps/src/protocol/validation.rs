@@ -13,7 +13,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Departure, LinkId, Now, Participant, participant::Timer};
+use super::{Departure, LinkId, Now, Participant, participant::Timer, peers::Peer};
 use crate::wire::{AckNack, EntityId, GuidPrefix, NackFragment, SequenceNumber, SequenceNumberSet};
 
 /// The numbers begin at an unpredictable one of this many. Fast DDS takes time for each number that it skips.
@@ -149,6 +149,14 @@ impl Participant {
         if peer.host == from || is_own_host() {
             peer.answered = now.steady;
         }
+    }
+
+    /// Whether a participant sends from that host: the one at which it is reached, the one that announced it, or one that it announced,
+    /// since a host with several networks sends from any of them.
+    pub(super) fn is_at(&self, peer: &Peer, from: Ipv4Addr) -> bool {
+        let announced = || peer.data.metatraffic_unicast.iter().chain(&peer.data.default_unicast);
+        let is_own_host = || peer.is_own_host && self.config.addresses.is_own_host(from);
+        peer.host == from || peer.source == from || is_own_host() || announced().any(|at| *at.ip() == from)
     }
 
     /// Handles the answer of a host that no socket receives datagrams at `to`. A participant that was never

@@ -3,14 +3,13 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
 
-use downbeat_rtps::qos::Qos;
 use downbeat_rtps::wire::{
-    AckNack, Data, EndpointData, EntityId, FragmentSet, Gap, Guid, GuidPrefix, Heartbeat, HeartbeatFragment,
-    InlineQos, MessageBuilder, NackFragment, Payload, SequenceNumber, SequenceNumberSet,
+    AckNack, Data, EntityId, FragmentSet, Gap, Guid, GuidPrefix, Heartbeat, HeartbeatFragment, InlineQos,
+    MessageBuilder, NackFragment, Payload, SequenceNumber, SequenceNumberSet,
 };
 
 use crate::common::{Network, best_effort, reliable};
-use crate::robot::{PEER, ROBOT, Robot, STRANGER, announcement, message};
+use crate::robot::{PEER, ROBOT, Robot, STRANGER, announcement, announcer, endpoint_data, message};
 
 const SECOND: Duration = Duration::from_secs(1);
 const FAR: i64 = 1 << 61;
@@ -23,8 +22,12 @@ impl Robot {
     }
 
     fn forge(&mut self, write: impl FnOnce(&mut MessageBuilder<'_>) -> bool) {
+        self.forge_from(PEER_ADDRESS, write);
+    }
+
+    fn forge_from(&mut self, from: SocketAddrV4, write: impl FnOnce(&mut MessageBuilder<'_>) -> bool) {
         let datagram = message(self.peer(), write);
-        self.network.inject(ROBOT, PEER_ADDRESS, &datagram);
+        self.network.inject(ROBOT, from, &datagram);
     }
 
     fn heartbeat(&mut self, writer: EntityId, first: i64, last: i64, count: u32) {
@@ -57,25 +60,15 @@ impl Robot {
     }
 
     fn endpoint_of_peer(&mut self, entity: EntityId, topic: &str) {
-        let writer = if entity.is_writer() { SEDP[0] } else { SEDP[1] };
+        let writer = announcer(entity);
         let mut payload = Vec::new();
-        EndpointData {
-            guid: Guid::new(self.peer(), entity),
-            topic: topic.to_owned(),
-            type_name: "std_msgs::msg::dds_::String_".to_owned(),
-            qos: Qos::writer_default(),
-            unicast: Vec::new(),
-            multicast: Vec::new(),
-            user_data: Vec::new(),
-            expects_inline_qos: false,
-        }
-        .emit(&mut payload);
+        endpoint_data(Guid::new(self.peer(), entity), topic).emit(&mut payload);
         let number = self.next_of(writer);
         self.data(writer, number, InlineQos::default(), Payload::Data(&payload));
     }
 
     fn dispose(&mut self, entity: EntityId) {
-        let writer = if entity.is_writer() { SEDP[0] } else { SEDP[1] };
+        let writer = announcer(entity);
         let (number, guid) = (self.next_of(writer), Guid::new(self.peer(), entity));
         self.data(writer, number, InlineQos::removal(guid), Payload::None);
     }
@@ -263,6 +256,35 @@ fn an_acknowledgement_of_samples_that_were_lost() {
     robot.network.write(ROBOT, writer, "next");
     robot.run_for(SECOND);
     assert_eq!(robot.network.nodes[PEER].texts(reader), ["lost", "next"]);
+}
+
+/// A volatile writer drops what all its readers have acknowledged.
+#[test]
+fn acknowledgements_from_elsewhere_of_samples_that_were_lost() {
+    let impossible = [FAR, 1 << 40, 100];
+    let cases = [(STRANGER, [3; 3]), (STRANGER, impossible), (PEER_ADDRESS, impossible)];
+    for (from, bases) in cases {
+        let mut robot = Robot::new();
+        robot.network.cut = vec![(ROBOT, PEER)];
+        robot.write("lost");
+        robot.run_for(Duration::from_millis(5));
+        let (reader, writer) = (robot.peer_reader, robot.writer);
+        for (count, base) in (1000..).zip(bases) {
+            let missing = SequenceNumberSet::new(SequenceNumber(base));
+            let is_final = true;
+            robot.forge_from(from, |message| {
+                message.ack_nack(&AckNack { reader, writer, missing, count, is_final })
+            });
+            let (number, missing) = (SequenceNumber(2), FragmentSet::new(1000));
+            robot.forge_from(from, |message| {
+                message.nack_fragment(&NackFragment { reader, writer, number, missing, count })
+            });
+        }
+        robot.network.cut.clear();
+        robot.run_for(SECOND);
+        let texts = robot.network.nodes[PEER].texts(reader);
+        assert_eq!(texts.last().map(String::as_str), Some("lost"), "{from}, {bases:?}");
+    }
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod common;
 mod conversations;
 mod forged;
 mod mutation;
+mod names;
 mod reading;
 mod robot;
 #[path = "../../fuzz/targets/mod.rs"]

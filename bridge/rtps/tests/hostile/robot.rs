@@ -184,10 +184,10 @@ pub fn sample(sender: GuidPrefix, writer: EntityId, number: SequenceNumber, payl
     message(sender, |message| message.data(&Data { reader, writer, number, inline_qos, payload }))
 }
 
-pub fn announcement(sender: GuidPrefix) -> Vec<u8> {
-    let mut payload = Vec::new();
+/// What the stranger announces of itself.
+pub fn participant_data(prefix: GuidPrefix) -> ParticipantData {
     ParticipantData {
-        prefix: sender,
+        prefix,
         version: [2, 3],
         vendor: VendorId::FAST_DDS,
         metatraffic_unicast: vec![STRANGER],
@@ -203,15 +203,18 @@ pub fn announcement(sender: GuidPrefix) -> Vec<u8> {
         expects_inline_qos: false,
         receive_buffer: None,
     }
-    .emit(&mut payload);
+}
+
+pub fn announcement(sender: GuidPrefix) -> Vec<u8> {
+    let mut payload = Vec::new();
+    participant_data(sender).emit(&mut payload);
     sample(sender, EntityId::SPDP_WRITER, SequenceNumber::FIRST, &payload)
 }
 
-/// An announcement of an endpoint, as the `number`th of the stranger.
-pub fn endpoint(sender: GuidPrefix, entity: EntityId, number: SequenceNumber, topic: &str) -> Vec<u8> {
-    let mut payload = Vec::new();
+/// What a participant announces of a reliable endpoint for texts.
+pub fn endpoint_data(guid: Guid, topic: &str) -> EndpointData {
     EndpointData {
-        guid: Guid::new(sender, entity),
+        guid,
         topic: topic.to_owned(),
         type_name: "std_msgs::msg::dds_::String_".to_owned(),
         qos: Qos::writer_default(),
@@ -220,13 +223,21 @@ pub fn endpoint(sender: GuidPrefix, entity: EntityId, number: SequenceNumber, to
         user_data: Vec::new(),
         expects_inline_qos: false,
     }
-    .emit(&mut payload);
-    let writer = if entity.is_writer() {
-        EntityId::SEDP_PUBLICATIONS_WRITER
-    } else {
-        EntityId::SEDP_SUBSCRIPTIONS_WRITER
-    };
-    sample(sender, writer, number, &payload)
+}
+
+/// The builtin writer that announces such an endpoint.
+pub fn announcer(entity: EntityId) -> EntityId {
+    match entity.is_writer() {
+        true => EntityId::SEDP_PUBLICATIONS_WRITER,
+        false => EntityId::SEDP_SUBSCRIPTIONS_WRITER,
+    }
+}
+
+/// An announcement of an endpoint, as the `number`th of the stranger.
+pub fn endpoint(sender: GuidPrefix, entity: EntityId, number: SequenceNumber, topic: &str) -> Vec<u8> {
+    let mut payload = Vec::new();
+    endpoint_data(Guid::new(sender, entity), topic).emit(&mut payload);
+    sample(sender, announcer(entity), number, &payload)
 }
 
 /// The fragment `first` of a sample with the declared size `sample_size`.
