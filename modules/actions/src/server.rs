@@ -6,10 +6,10 @@ use super::{
     part, stamp,
 };
 use downbeat_executor::{Context, Module, Publication, Responder, Setup, SetupError, Task, Time};
-use downbeat_msgs::Action;
 use downbeat_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMessage, GoalStatusArray};
 use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
 use downbeat_msgs::unique_identifier_msgs::msg::UUID;
+use downbeat_msgs::{Action, cdr};
 use std::time::Duration;
 
 /// The goals of one action that a module serves; see the [module page](super).
@@ -32,6 +32,8 @@ pub struct Goal<A: Action> {
     end: Option<(Time, A::Result)>,
     /// Pending requests for its result.
     waiting: Vec<ResultResponder<A>>,
+    /// The size of its messages in CDR.
+    bytes: usize,
 }
 
 struct Keys<A: Action> {
@@ -55,6 +57,12 @@ impl<A: Action> ActionServer<A> {
     /// The maximum number of goals. Beyond it, the result of the goal that finished first is dropped, and goals are
     /// rejected while none has finished.
     pub const MAX_GOALS: usize = 1024;
+
+    /// The maximum size of all goals and results in CDR; beyond it, the same happens. A single goal may be larger.
+    pub const MAX_BYTES: usize = 64 << 20;
+
+    /// The maximum number of pending requests for the result of a goal.
+    pub const MAX_WAITING: usize = 64;
 
     /// Starts a declaration; `access` returns the server in the module.
     pub fn builder<M: Module>(access: fn(&mut M) -> &mut Self) -> ServerBuilder<A, M> {
@@ -151,10 +159,12 @@ impl<A: Action> ActionServer<A> {
         result: A::Result,
     ) -> Result<(), GoalError> {
         let goal = self.change(id, event)?;
+        goal.bytes += cdr::encoded_size(&result);
         for responder in goal.waiting.drain(..) {
             ctx.reply(responder, Ok(A::get_result_response(goal.status.to_message(), result.clone())));
         }
         goal.end = Some((ctx.now(), result));
+        self.make_room(0, 0);
         ctx.schedule_after(self.keys().expiry, self.result_timeout);
         self.publish_status(ctx);
         Ok(())
@@ -194,24 +204,36 @@ impl<A: Action> ActionServer<A> {
 /// Handling of requests.
 impl<A: Action> ActionServer<A> {
     /// Why a goal must be rejected without asking the module.
-    fn refusal(&self, id: GoalId) -> Option<String> {
+    fn refusal(&self, id: GoalId, goal: &A::Goal) -> Option<String> {
         if self.goal(id).is_some() {
             return Some("there already is a goal with that id".to_owned());
         }
-        let is_full = self.goals.len() >= Self::MAX_GOALS && self.goals.iter().all(Goal::is_active);
-        is_full.then(|| format!("there already are {} goals", Self::MAX_GOALS))
+        let active = || self.goals.iter().filter(|goal| goal.is_active());
+        if active().count() >= Self::MAX_GOALS {
+            return Some(format!("there already are {} goals", Self::MAX_GOALS));
+        }
+        let bytes: usize = active().map(|goal| goal.bytes).sum();
+        (bytes > 0 && bytes + cdr::encoded_size(goal) > Self::MAX_BYTES)
+            .then(|| format!("the goals there already are have {bytes} bytes"))
     }
 
     fn accept(&mut self, id: GoalId, goal: A::Goal, status: GoalStatus, accepted_at: Time) {
-        if self.goals.len() >= Self::MAX_GOALS {
-            // Nobody may ever ask for the results of these.
-            let finished =
-                self.goals.iter().enumerate().filter_map(|(index, goal)| Some((goal.end.as_ref()?.0, index)));
-            if let Some((_, index)) = finished.min() {
-                self.goals.remove(index);
-            }
+        let bytes = cdr::encoded_size(&goal);
+        self.expire(accepted_at);
+        self.make_room(1, bytes);
+        self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new(), bytes });
+    }
+
+    /// Drops the results of the goals that finished first until so much more fits: nobody may ever ask for them. The last goal that
+    /// finished stays.
+    fn make_room(&mut self, goals: usize, bytes: usize) {
+        let mut held = bytes + self.goals.iter().map(|goal| goal.bytes).sum::<usize>();
+        while self.goals.len() + goals > Self::MAX_GOALS || held > Self::MAX_BYTES {
+            let ends = self.goals.iter().enumerate();
+            let ends = ends.filter_map(|(index, goal)| Some((goal.end.as_ref()?.0, index)));
+            let Some((_, index)) = ends.clone().min().filter(|_| ends.count() > 1) else { return };
+            held -= self.goals.remove(index).bytes;
         }
-        self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new() });
     }
 
     /// The goals that a cancel request selects, and the return code if there are none, as in
@@ -245,7 +267,12 @@ impl<A: Action> ActionServer<A> {
             Some(Goal { status, end: Some((_, result)), .. }) => {
                 A::get_result_response(status.to_message(), result.clone())
             }
-            Some(goal) => return goal.waiting.push(responder),
+            Some(goal) if goal.waiting.len() < Self::MAX_WAITING => return goal.waiting.push(responder),
+            Some(_) => {
+                let reason =
+                    format!("{} requests for the result of goal {id} are pending", Self::MAX_WAITING);
+                return ctx.reply(responder, Err(reason));
+            }
         };
         ctx.reply(responder, Ok(answer));
     }
@@ -450,7 +477,7 @@ fn serve_goals<A: Action, M: Module>(
             let (id, goal) = A::goal_of(request);
             let id = GoalId::from(id);
             let now = ctx.now();
-            let response = match access(module).refusal(id) {
+            let response = match access(module).refusal(id, &goal) {
                 Some(reason) => {
                     tracing::warn!("action \"{name}\": goal {id} is rejected: {reason}");
                     GoalResponse::Reject

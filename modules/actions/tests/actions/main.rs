@@ -12,7 +12,7 @@ use downbeat_msgs::test_msgs::action::{
     FibonacciSendGoalRequest, FibonacciSendGoalResponse,
 };
 use downbeat_msgs::unique_identifier_msgs::msg::UUID;
-use modules::{Asked, Caller, Counter, Statuses};
+use modules::{Asked, Caller, Counter, Eager, Statuses};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -208,6 +208,66 @@ fn results_that_are_never_requested_do_not_use_up_the_goals() {
         world.pass(1);
         assert_eq!(answers.try_iter().filter(|accepted| *accepted).count(), 1000, "round {round}");
     }
+}
+
+/// Sends goals that end at once with results of some size, which nobody requests. Returns the number of goals, and the bytes, that
+/// the server still keeps, and the most memory that all of it took.
+fn unrequested(goals: u64, numbers: usize) -> (usize, usize) {
+    let clock = ManualClock::new(Time::from_nanos(1_000_000_000_000));
+    let mut core = Core::new().with_clock(clock);
+    let (sender, kept) = channel();
+    core.add("eager", Eager::new(numbers, sender)).unwrap();
+    let send = core.caller::<_, FibonacciSendGoalResponse>("count/_action/send_goal").unwrap();
+    let (most, ()) = fuzzing::most_in(|| {
+        for number in 1..=goals {
+            let goal_id = UUID { uuid: (u128::from(number)).to_le_bytes() };
+            let request = FibonacciSendGoalRequest { goal_id, goal: FibonacciGoal { order: 1 } };
+            send.call(request, SECOND, |answer| assert!(answer.unwrap().accepted)).unwrap();
+            (0..2).try_for_each(|_| core.cycle()).unwrap();
+        }
+    });
+    (kept.try_iter().last().unwrap(), most)
+}
+
+#[test]
+fn results_that_are_never_requested_take_bounded_memory() {
+    let (kept, most) = unrequested(10_000, 10);
+    let limit = ActionServer::<Fibonacci>::MAX_GOALS;
+    assert_eq!(kept, limit);
+    println!("{kept} goals of 10 000 are kept, with at most {most} bytes: {} each", most / kept);
+    // A goal, its result, and its part of the status messages that are on their way.
+    assert!(most < limit * 1024, "{most}");
+
+    // Large results are limited by their size.
+    let numbers = 1 << 20;
+    let (kept, most) = unrequested(40, numbers);
+    let limit = ActionServer::<Fibonacci>::MAX_BYTES;
+    println!("{kept} goals of 40 with results of 4 MiB are kept, with at most {most} bytes");
+    assert_eq!(kept, limit / (4 * numbers + 64));
+    assert!(most < limit + 3 * 4 * numbers, "{most}");
+}
+
+#[test]
+fn results_expire_while_other_goals_come() {
+    let mut world = World::new();
+    assert!(world.send(1, 2));
+    for id in 2..20 {
+        world.pass(1);
+        assert!(world.send(id, 2));
+    }
+    assert_eq!(ended(&world.ask_for_result(1)), Some((GoalStatus::Unknown, vec![])));
+    assert!(matches!(ended(&world.ask_for_result(18)), Some((GoalStatus::Succeeded, _))));
+}
+
+#[test]
+fn requests_for_a_result_are_limited() {
+    let mut world = World::new();
+    assert!(world.send(1, 5));
+    let limit = ActionServer::<Fibonacci>::MAX_WAITING;
+    let answers: Vec<_> = (0..limit + 10).map(|_| world.ask_for_result(1)).collect();
+    world.pass(6);
+    let answered = answers.iter().filter(|answer| ended(answer).is_some()).count();
+    assert_eq!(answered, limit);
 }
 
 #[test]

@@ -73,6 +73,33 @@ impl Module for Counter {
     }
 }
 
+/// Ends each goal at once with a result of so many numbers, and reports how many goals it keeps.
+pub struct Eager {
+    server: ActionServer<Fibonacci>,
+    numbers: usize,
+    kept: Sender<usize>,
+}
+
+impl Eager {
+    pub fn new(numbers: usize, kept: Sender<usize>) -> Self {
+        Self { server: ActionServer::default(), numbers, kept }
+    }
+}
+
+impl Module for Eager {
+    type Ports = ();
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        ActionServer::builder(|eager: &mut Self| &mut eager.server)
+            .on_accepted(|eager, id, ctx| {
+                let result = FibonacciResult { sequence: vec![1; eager.numbers] };
+                eager.server.succeed(ctx, id, result).unwrap();
+                eager.kept.send(eager.server.goals().count()).unwrap();
+            })
+            .declare(setup, "count", &mut self.server)
+    }
+}
+
 /// A request to a [`Caller`].
 #[derive(Clone, Copy)]
 pub enum Asked {
