@@ -88,6 +88,21 @@ pub enum RecordedTypeError {
         /// The name of the encoding in the bag.
         message_encoding: String,
     },
+    /// The schema is no ROS 2 type, as that of other programs.
+    #[error(
+        "topic \"{topic}\" holds messages in \"{message_encoding}\" of the schema \"{schema}\", which is no ROS 2 type, so they cannot be \
+         published; {remedy}"
+    )]
+    Foreign {
+        /// The topic.
+        topic: String,
+        /// The name of the encoding in the bag.
+        message_encoding: String,
+        /// The name of the schema.
+        schema: String,
+        /// What can be done with them.
+        remedy: &'static str,
+    },
     /// The messages were encoded with another definition than the registered one.
     #[error("topic \"{topic}\" was recorded with another definition of {type_name} than the registered one")]
     Definition {
@@ -121,7 +136,20 @@ impl RecordedType {
         // Other programs that write Foxglove's schemas do not use ROS 2 types. In JSON, their messages have Foxglove's fields.
         let is_foxglove = matches!(encoding, Encoding::FoxgloveProtobuf | Encoding::FoxgloveFlatBuffers);
         let foreign = foxglove::types().find(|(_, name)| is_foxglove && *name == topic.info.type_name);
-        let message_type = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros))?;
+        let found = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros));
+        let message_type = found.map_err(|error| match topic.info.type_name.contains('/') {
+            // It may be one that this program does not know.
+            true => RecordedTypeError::Unknown(error),
+            false => RecordedTypeError::Foreign {
+                topic: topic.info.name.clone(),
+                message_encoding: format.message_encoding.clone(),
+                schema: topic.info.type_name.clone(),
+                remedy: match encoding {
+                    Encoding::Json => "`downbeat bag export` writes them as JSON lines, and Foxglove shows them in the bag itself",
+                    _ => "show the bag itself in Foxglove, or leave the topic out with --exclude-topics",
+                },
+            },
+        })?;
         let codec = encoding.codec_of_text(message_type.name(), message_type.definition())?;
         // Foxglove's schemas are the same in all programs, and are only extended.
         let is_same = topic.info.type_hash == message_type.hash()

@@ -185,6 +185,13 @@ fn incomplete_definitions_are_completed_and_empty_ones_are_definitions() {
     assert!(logged.contains("geometry_msgs/msg/Point from the built-in interfaces"), "{logged}");
     let checked = text_of(&["bag", "check", text(&foreign("nested"))]);
     assert!(checked.contains("note: /spot: the definition of my_msgs/msg/Spot lacks types"), "{checked}");
+    // A copy has the whole definition.
+    let copy = folder.path().join("copy");
+    let logged = text_of(&["bag", "convert", text(&foreign("nested")), "-o", text(&copy)]);
+    assert!(logged.contains("/spot: the definition of my_msgs/msg/Spot lacks types"), "{logged}");
+    let checked = text_of(&["bag", "check", text(&copy)]);
+    assert!(checked.contains("found 0 problems") && !checked.contains("note:"), "{checked}");
+    assert_eq!(exported(&copy, folder.path()).0, rows);
     let (rows, logged) = exported(&foreign("custom_nothing"), folder.path());
     assert_eq!(rows.len(), 3);
     assert!(rows.iter().all(|row| row["message"] == serde_json::json!({})) && logged.is_empty(), "{logged}");

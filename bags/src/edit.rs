@@ -43,6 +43,8 @@ pub struct Copied {
     /// The number of messages whose publish time was dropped, because the storage of the new bag only has the
     /// receive time.
     pub without_publish_time: u64,
+    /// The topics whose definition was damaged or incomplete and is complete in the new bag, with what was taken from where.
+    pub completed: Vec<String>,
 }
 
 /// Why a bag could not be copied.
@@ -112,9 +114,16 @@ impl<'a> Copy<'a> {
     /// Returns an error if a bag can no longer be opened, or the new one cannot be written.
     pub fn into_writer(self, mut writer: Writer, mut progress: impl FnMut(u64)) -> Result<Copied, CopyError> {
         let mut unreadable = Vec::new();
-        let add = |topic: &RecordedTopic| writer.add_topic(topic.info.clone());
-        let targets = self.bags.topics().iter().map(add).collect::<Result<Vec<_>, _>>()?;
         let known = Definitions::new().with_carried();
+        let mut completed = Vec::new();
+        let add = |topic: &RecordedTopic| {
+            let info = topic.info.completed(&known).map(|(info, taken)| {
+                completed.push(format!("{}: {taken}", info.name));
+                info
+            });
+            writer.add_topic(info.unwrap_or_else(|| topic.info.clone()))
+        };
+        let targets = self.bags.topics().iter().map(add).collect::<Result<Vec<_>, _>>()?;
         let mut decoding = Decoding::new(&known);
         for topic in self.bags.topics() {
             decoding.add(topic, &mut Vec::new(), &mut Vec::new());
@@ -127,9 +136,8 @@ impl<'a> Copy<'a> {
             match message {
                 Err(error) => unreadable.push(error),
                 Ok(message) => {
-                    // Writers reject times before 1970, which occur only in damaged files.
                     decoding.decodes(&message);
-                    let times = (message.log_time.max(0), message.publish_time.max(0));
+                    let times = (message.log_time, message.publish_time);
                     writer.write(targets[message.topic.index()], times.0, times.1, &message.data)?;
                     written += 1;
                     without_publish_time += u64::from(!keeps_publish_time && times.0 != times.1);
@@ -141,7 +149,7 @@ impl<'a> Copy<'a> {
         }
         progress(written);
         let undecodable = decoding.problems(self.bags.topics()).collect();
-        Ok(Copied { summary: writer.finish()?, unreadable, undecodable, without_publish_time })
+        Ok(Copied { summary: writer.finish()?, unreadable, undecodable, without_publish_time, completed })
     }
 
     /// The last messages of latched topics before the first time, at that time.

@@ -71,6 +71,16 @@ impl TopicDescription {
         known.recorded(&self.type_name, &schema.encoding, &text, &self.type_hash)
     }
 
+    /// The same topic with its definition completed from `known`, if the recorded text is damaged or incomplete, and what was taken from
+    /// where.
+    pub(crate) fn completed(&self, known: &Definitions) -> Option<(Self, String)> {
+        if !self.is_cdr() || self.schema().data.is_empty() {
+            return None;
+        }
+        let RecordedDefinition { definition, taken } = self.definition_with(known).ok()?;
+        Some((Self { definition: definition.text, format: None, ..self.clone() }, taken?))
+    }
+
     /// Takes the schema of messages in CDR from a bag.
     pub(crate) fn take_schema(&mut self, name: &str, encoding: &str, data: &[u8]) {
         let text = String::from_utf8_lossy(data);

@@ -1,6 +1,7 @@
 //! The content of a chunk, decompressed as far as possible.
 
 use std::borrow::Cow::{self, Borrowed, Owned};
+use std::ops::Range;
 
 use super::records::RECORD_HEADER;
 use super::source::PACKED_MAGIC;
@@ -9,6 +10,8 @@ use crate::{lz4, zstd};
 /// The content of a chunk.
 pub(super) struct Unpacked<'a> {
     pub(super) content: Cow<'a, [u8]>,
+    /// Ranges of the content that could not be decompressed, in order.
+    pub(super) holes: Vec<Range<usize>>,
     /// Why it is incomplete or wrong, as the end of a sentence about the chunk.
     pub(super) problem: Option<String>,
     /// The content differs from its checksum.
@@ -20,7 +23,8 @@ pub(super) struct Unpacked<'a> {
 impl<'a> Unpacked<'a> {
     /// The content of records outside of chunks.
     pub(super) fn of_run(bytes: &'a [u8]) -> Self {
-        Self { content: Borrowed(bytes), problem: None, is_checksum_wrong: false, times: None }
+        let content = Borrowed(bytes);
+        Self { content, holes: Vec::new(), problem: None, is_checksum_wrong: false, times: None }
     }
 }
 
@@ -129,14 +133,21 @@ pub(super) fn unpack(bytes: &[u8]) -> Unpacked<'_> {
         }
     };
     let limit = limit(uncompressed_size, data.len() as u64);
-    let (content, failure) = match compression {
+    let (mut content, failure) = match compression {
         "" => (Borrowed(data), None),
         "zstd" => owned(zstd::decompress_prefix(data, limit)),
         "lz4" => owned(lz4::decompress_prefix(data, limit)),
         _ => (Borrowed(&[][..]), None),
     };
+    let mut holes = Vec::new();
     if let Some(failure) = failure {
         problem.get_or_insert(failure);
+        if compression == "lz4" {
+            let (blocks, missing) = lz4::decompress_whole_blocks(data, uncompressed_size, limit);
+            if blocks.len() > content.len() {
+                (content, holes) = (Owned(blocks), missing);
+            }
+        }
     }
     let most = zstd::most_from(data.len() as u64);
     if !compression.is_empty() && uncompressed_size > most {
@@ -158,7 +169,7 @@ pub(super) fn unpack(bytes: &[u8]) -> Unpacked<'_> {
         problem.get_or_insert_with(|| "its content does not match its checksum".to_owned());
     }
     let times = (first <= last && last > 0).then_some((first, last));
-    Unpacked { content, problem, is_checksum_wrong, times }
+    Unpacked { content, holes, problem, is_checksum_wrong, times }
 }
 
 const UNKNOWN: &str = "?";

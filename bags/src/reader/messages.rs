@@ -218,6 +218,8 @@ impl Messages {
         let mut found = Vec::new();
         let mut problem = None;
         let mut number = 0;
+        // Tables have signed times, chunks unsigned ones.
+        let is_table = !matches!(file.input, Input::Mcap(_));
         let mut room = self.room;
         let mut take = |channel: u16, log_time: u64, publish_time: u64, data: &[u8]| {
             number += 1;
@@ -227,14 +229,20 @@ impl Messages {
                 });
                 return;
             };
-            if !self.selection.includes(topic, signed(log_time)) {
+            // Times that are left out are reported whatever is selected of that topic.
+            let is_time = are_ros_times(log_time, publish_time);
+            if !self.selection.includes(topic, if is_time { signed(log_time) } else { self.selection.from }) {
                 return;
             }
             // Other numbers in their place would be written to new bags.
-            if !are_ros_times(log_time, publish_time) {
+            if !is_time {
                 problem.get_or_insert_with(|| {
+                    let (range, log_time, publish_time) = match is_table {
+                        true => ("before 1970", log_time.cast_signed().to_string(), publish_time.cast_signed().to_string()),
+                        false => ("after the year 2262", log_time.to_string(), publish_time.to_string()),
+                    };
                     format!(
-                        "messages with times after the year 2262, which ROS 2 cannot represent, are left out; the first has the log \
+                        "messages with times {range}, which ROS 2 cannot represent, are left out; the first has the log \
                          time {log_time} and the publish time {publish_time}"
                     )
                 });

@@ -3,6 +3,7 @@
 //! A damaged segment is read as far as possible: its records are parsed one by one, those that are whole are
 //! returned, and the others are counted with the help of the message index behind the chunk.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use mcap::records::{self, MessageHeader, Record, op};
@@ -152,6 +153,8 @@ pub(super) fn decode(
 /// Reads the records of a segment one by one.
 struct Scan<'a, F> {
     content: &'a [u8],
+    /// Ranges of the content that are missing: no record of which a part is there is whole.
+    holes: &'a [Range<usize>],
     kind: SegmentKind,
     /// The log times that the chunk declares.
     times: Option<(u64, u64)>,
@@ -174,6 +177,7 @@ impl<'a, F: FnOnce() -> MessageIndex> Scan<'a, F> {
     fn new(unpacked: &'a Unpacked<'_>, kind: SegmentKind, load_index: F) -> Self {
         let mut scan = Self {
             content: &unpacked.content,
+            holes: &unpacked.holes,
             kind,
             times: unpacked.times,
             offset: 0,
@@ -195,7 +199,7 @@ impl<'a, F: FnOnce() -> MessageIndex> Scan<'a, F> {
     fn next_content(&mut self) -> Option<Content<'a>> {
         while self.offset < self.content.len() {
             let at = self.offset;
-            let mut record = record_at(self.content, at);
+            let mut record = self.record_at(at);
             if record.is_none() {
                 self.note(match self.kind {
                     SegmentKind::Chunk => format!("it has an invalid record at byte {at} of its content"),
@@ -261,7 +265,7 @@ impl<'a, F: FnOnce() -> MessageIndex> Scan<'a, F> {
     /// one.
     fn resume_after(&mut self, at: usize) -> usize {
         let is_message = |offset: usize| {
-            let record = record_at(self.content, offset).or_else(|| self.record_before_damage(offset));
+            let record = self.record_at(offset).or_else(|| self.record_before_damage(offset));
             matches!(record, Some((op::MESSAGE, body)) if message(body).is_some())
         };
         if !self.is_index_used_up {
@@ -274,13 +278,28 @@ impl<'a, F: FnOnce() -> MessageIndex> Scan<'a, F> {
             self.is_index_used_up = true;
         }
         let end = self.content.len();
-        (at + 1..end).find(|offset| self.looks_like_a_record(*offset)).unwrap_or(end)
+        let hole = self.holes.get(self.holes.partition_point(|hole| hole.end <= at + 1));
+        let after = hole.filter(|hole| hole.contains(&(at + 1))).map_or(at + 1, |hole| hole.end);
+        (after..end).find(|offset| self.looks_like_a_record(*offset)).unwrap_or(end)
+    }
+
+    fn record_at(&self, offset: usize) -> Option<(u8, &'a [u8])> {
+        let end = |body: &[u8]| offset + RECORD_HEADER as usize + body.len();
+        record_at(self.content, offset).filter(|(_, body)| !self.is_missing(offset..end(body)))
+    }
+
+    fn is_missing(&self, range: Range<usize>) -> bool {
+        let first = self.holes.partition_point(|hole| hole.end <= range.start);
+        self.holes.get(first).is_some_and(|hole| hole.start < range.end)
     }
 
     /// The record at `offset`, if it ends where the index or a time of the chunk shows a message.
     fn record_before_damage(&self, offset: usize) -> Option<(u8, &'a [u8])> {
         let (opcode, body, end) =
             frame_at(self.content, offset).filter(|(opcode, ..)| is_of_segment(*opcode))?;
+        if self.is_missing(offset..end) {
+            return None;
+        }
         let is_timed = || {
             let (first, last) = self.times?;
             let time = self.content.get(end + RECORD_HEADER as usize + LOG_TIME..)?.first_chunk::<8>()?;
@@ -293,7 +312,7 @@ impl<'a, F: FnOnce() -> MessageIndex> Scan<'a, F> {
         if !is_of_segment(self.content[offset]) {
             return false;
         }
-        let Some((opcode, body)) = record_at(self.content, offset) else { return false };
+        let Some((opcode, body)) = self.record_at(offset) else { return false };
         match (content(opcode, body), self.times) {
             (Ok(Some(Content::Message { header, .. })), Some((first, last))) => {
                 (first..=last).contains(&header.log_time)

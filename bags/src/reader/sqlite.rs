@@ -24,6 +24,7 @@ const MOST_BYTES: u64 = 8 * 1024 * 1024;
 /// A message of the table.
 pub(super) struct SqliteMessage<'a> {
     pub(super) channel: u16,
+    /// A time before 1970 is a number that ROS 2 cannot represent, as it is in a chunk.
     pub(super) time: u64,
     pub(super) data: &'a [u8],
 }
@@ -88,7 +89,7 @@ impl SqliteFile {
                 let Some(&channel) = self.channels.get(&row.get::<_, i64>(0)?) else { continue };
                 // Values other than bytes are not messages.
                 if let ValueRef::Blob(data) = row.get_ref(2)? {
-                    each(SqliteMessage { channel, time: time(row.get(1)?), data });
+                    each(SqliteMessage { channel, time: row.get::<_, i64>(1)?.cast_unsigned(), data });
                 }
             }
             Ok(())
@@ -173,6 +174,7 @@ impl SqliteFile {
         let (mut run, mut bytes) = (None::<(Segment, BTreeSet<u16>)>, 0);
         let finished = |(segment, channels): (Segment, BTreeSet<u16>)| Segment {
             channels: Some(channels.into_iter().collect()),
+            first: segment.first.min(segment.last),
             ..segment
         };
         let result = loop {
@@ -188,13 +190,14 @@ impl SqliteFile {
             // SQLite numbers rows from 1.
             let Ok(place) = u64::try_from(id) else { continue };
             *file.counts.entry(*channel).or_default() += 1;
-            let time = time(timestamp);
+            // Messages before 1970 are left out, and so are their times.
+            let (first, last) = u64::try_from(timestamp).map_or((u64::MAX, 0), |time| (time, time));
             let (segment, channels) = run.get_or_insert_with(|| {
                 let segment = Segment {
                     offset: place,
                     length: 0,
-                    first: time,
-                    last: time,
+                    first,
+                    last,
                     channels: None,
                     kind: SegmentKind::Run,
                     declared: None,
@@ -204,8 +207,8 @@ impl SqliteFile {
             });
             channels.insert(*channel);
             segment.length = place - segment.offset + 1;
-            segment.first = segment.first.min(time);
-            segment.last = segment.last.max(time);
+            segment.first = segment.first.min(first);
+            segment.last = segment.last.max(last);
             bytes += length;
             if segment.length >= MOST_ROWS || bytes >= MOST_BYTES {
                 file.segments.extend(run.take().map(finished));
@@ -219,10 +222,6 @@ impl SqliteFile {
 
 fn row_of(place: u64) -> i64 {
     i64::try_from(place).unwrap_or(i64::MAX)
-}
-
-fn time(timestamp: i64) -> u64 {
-    u64::try_from(timestamp).unwrap_or(0)
 }
 
 /// Empty if there is no such column.

@@ -256,3 +256,45 @@ fn a_copy_of_a_damaged_bag_is_whole() {
         }
     }
 }
+
+#[test]
+fn lz4_blocks_behind_a_damaged_one_are_read() {
+    const MANY: i64 = 17_000;
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("whole");
+    let storage = McapOptions { compression: Compression::Lz4, chunk_size: 1 << 20, ..plain() };
+    let mut writer = WriterOptions::new().storage(storage).create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..MANY {
+        let time = 1_795_230_923_000_000_000 + 1_000_000 * n;
+        writer.write(id, time, time, &number(n)).unwrap();
+    }
+    writer.finish().unwrap();
+    let whole = fs::read(bag.join("whole_0.mcap")).unwrap();
+    let chunk = records(&whole, 8).into_iter().find(|(opcode, ..)| *opcode == 6).unwrap();
+    // Its header, the name of its compression, and the length of its data are before the frame, whose header has a size.
+    let first = chunk.1 + 9 + 28 + (4 + 3) + 8 + (7 + 8);
+    let size_at =
+        |at: usize| u32::from_le_bytes(whole[at..at + 4].try_into().unwrap()) as usize & 0x7fff_ffff;
+    let blocks: Vec<usize> = std::iter::successors(Some(first), |at| {
+        let next = at + 4 + size_at(*at);
+        (size_at(next) > 0).then_some(next)
+    })
+    .collect();
+    assert!(blocks.len() >= 3, "{blocks:?}");
+    for (number, block) in blocks.iter().enumerate() {
+        let mut damaged = whole.clone();
+        // A sequence that refers to what is before the block.
+        damaged[block + 4..block + 8].copy_from_slice(&[0x0f, 0xff, 0xff, 0xff]);
+        let (read, errors) = read(&damaged);
+        assert!(read.is_sorted() && read.windows(2).all(|pair| pair[0] < pair[1]), "block {number}");
+        let lost = MANY as usize - read.len();
+        // A block has 256 KiB of messages of at least 40 bytes; two are at its ends.
+        assert!(lost > 0 && lost <= (256 << 10) / 40 + 2, "block {number}: {lost}, {errors:?}");
+        assert!(number == 0 || read[0] == 0, "block {number}");
+        assert!(number == blocks.len() - 1 || read.last() == Some(&(MANY - 1)), "block {number}");
+        let told: Vec<_> =
+            errors.iter().filter(|error| error.contains(&format!("{lost} are lost"))).collect();
+        assert_eq!(told.len(), 1, "block {number}: {errors:?}");
+    }
+}

@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
 use downbeat_bags::{
-    BagMessage, Compression, Copy, MessageFormat, Problem, Reader, RecordedTopic, Recording, SplitLimits,
-    SqliteOptions, SqlitePreset, Storage, SyncPolicy, TruncationCause, Writer, WriterError, WriterOptions,
-    check, reindex,
+    BagMessage, Compression, Copy, MessageFormat, Problem, Reader, RecordedTopic, Recording, Selection,
+    SplitLimits, SqliteOptions, SqlitePreset, Storage, SyncPolicy, TruncationCause, Writer, WriterError,
+    WriterOptions, check, reindex,
 };
 use downbeat_msgs::encoding::Schema;
 use rusqlite::types::Value;
@@ -408,4 +408,39 @@ fn pragmas_of_a_config_file_take_effect_and_unknown_ones_are_refused() {
         let error = create(&wrong.replace(['.', ' ', '='], "_"), &text).err().unwrap().to_string();
         assert!(error.contains("_0.db3") && error.contains(wrong), "{error}");
     }
+}
+
+#[test]
+fn messages_before_1970_are_left_out_and_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = options().create(&bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..10 {
+        writer.write(id, 1000 + n, 1000 + n, &number(n)).unwrap();
+    }
+    writer.finish().unwrap();
+    let database = Connection::open(bag.join("bag_0.db3")).unwrap();
+    // One between others, and the first of all.
+    database.execute("UPDATE messages SET timestamp = -5 WHERE id IN (1, 4)", []).unwrap();
+    drop(database);
+    let reader = Reader::open(&bag).unwrap();
+    assert_eq!(reader.start_time(), Some(1001));
+    for from in [i64::MIN, 1000, 1005] {
+        let (mut read, mut problems) = (Vec::new(), Vec::new());
+        for item in reader.messages(Selection::all().from(from)).unwrap() {
+            match item {
+                Ok(message) => read.push((message.log_time, value(&message))),
+                Err(error) => problems.push(error.to_string()),
+            }
+        }
+        let expected = (0..10).filter(|n| ![0, 3].contains(n) && 1000 + n >= from);
+        assert_eq!(read, expected.map(|n| (1000 + n, n)).collect::<Vec<_>>());
+        assert_eq!(problems.len(), 1, "{problems:?}");
+        assert!(problems[0].contains("times before 1970"), "{problems:?}");
+        assert!(problems[0].ends_with("the log time -5 and the publish time -5"), "{problems:?}");
+    }
+    let target = WriterOptions::new().create(folder.path().join("copy")).unwrap();
+    let copied = Copy::of(&[reader], |_| true).unwrap().into_writer(target, |_| {}).unwrap();
+    assert_eq!((copied.summary.message_count(), copied.unreadable.len()), (8, 1));
 }
