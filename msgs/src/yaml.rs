@@ -3,6 +3,8 @@
 //! The parser, a translation of libyaml, visits every open bracket for every token: 100 kB of `[` take
 //! seconds. So the work is estimated first.
 
+use std::borrow::Cow;
+
 use serde::de::{DeserializeOwned, Error as _};
 use serde_norway::{Deserializer, Error};
 
@@ -33,6 +35,62 @@ pub fn deserializer(text: &str) -> Result<Deserializer<'_>, Error> {
         return Err(Error::custom("too many nested brackets"));
     }
     Ok(Deserializer::from_str(text))
+}
+
+/// The tags whose values the parser either does not pass on, or reads other than YAML 1.1.
+const LOCAL_TAGS: [&str; 4] = ["binary", "bool", "int", "float"];
+
+/// Replaces tags such as `!!binary` by `!binary `: the parser passes on only tags of the latter kind. Quotes and comments are left alone, and
+/// so are the places of everything else.
+#[must_use]
+pub fn with_local_tags(yaml: &str) -> Cow<'_, str> {
+    if !yaml.contains("!!") {
+        return Cow::Borrowed(yaml);
+    }
+    let tag_at = |text: &str| {
+        let name = text.strip_prefix("!!")?;
+        LOCAL_TAGS.into_iter().find(|tag| {
+            let after = name.strip_prefix(tag);
+            after.is_some_and(|after| {
+                !after.starts_with(|c: char| c.is_alphanumeric() || c == '_' || c == '-')
+            })
+        })
+    };
+    let mut replaced = String::with_capacity(yaml.len());
+    let (mut quote, mut is_escaped, mut is_comment, mut previous, mut skipped) = (None, false, false, ' ', 0);
+    // The last character that is neither white space nor in a comment: a value begins after a few of them only.
+    let mut last = ':';
+    for (at, c) in yaml.char_indices() {
+        if at < skipped {
+            continue;
+        }
+        let begins = (previous.is_whitespace() || "[{,".contains(previous)) && "[{,:-?".contains(last);
+        match quote {
+            _ if is_comment => is_comment = c != '\n',
+            Some('"') if is_escaped => is_escaped = false,
+            Some('"') if c == '\\' => is_escaped = true,
+            Some(open) => quote = Some(open).filter(|open| *open != c),
+            None if c == '\n' => last = if last == '|' || last == '>' { last } else { ':' },
+            None if begins && (c == '"' || c == '\'') => quote = Some(c),
+            None if c == '#' && previous.is_whitespace() => is_comment = true,
+            None if begins && let Some(tag) = tag_at(&yaml[at..]) => {
+                replaced.push('!');
+                replaced.push_str(tag);
+                replaced.push(' ');
+                skipped = at + "!!".len() + tag.len();
+                // Quotes may follow.
+                (previous, last) = (' ', ':');
+                continue;
+            }
+            None => {}
+        }
+        replaced.push(c);
+        previous = c;
+        if !c.is_whitespace() && !is_comment {
+            last = c;
+        }
+    }
+    Cow::Owned(replaced)
 }
 
 /// The number of open brackets, summed up over all characters: an upper bound.

@@ -262,3 +262,40 @@ fn bytes_in_base64_are_accepted_for_arrays_of_bytes() {
         assert!(error.contains(&format!("`{field}`")), "{yaml}: {error}");
     }
 }
+
+#[test]
+fn tags_of_scalars_are_those_of_yaml_1_1() {
+    let of = DynamicType::from_definition_text(
+        "a/msg/A",
+        "ros2msg",
+        "bool flag\nint32 number\nfloat64 size\nstring text\nbool[] flags\n",
+    )
+    .unwrap();
+    let fill = |yaml: &str| DynamicMessage::from_yaml(&of, yaml);
+    for (tagged, plain) in [
+        ("flag: !!bool on", "flag: true"),
+        ("flag: !!bool 'YES'", "flag: true"),
+        ("flag: !!bool oFF", "flag: false"),
+        ("{flags: [!!bool on, !!bool no, !!bool true]}", "flags: [true, false, true]"),
+        ("number: !!int 0x1F", "number: 31"),
+        ("number: !!int '1_000'", "number: 1000"),
+        ("number: !!int -012", "number: -10"),
+        ("size: !!float 5", "size: 5.0"),
+        ("size: !!float -.INF", "size: -.inf"),
+        ("size: !!int 3", "size: 3.0"),
+        ("text: !!str 5", "text: '5'"),
+        ("text: 'a !!bool b'", "text: a !!bool b"),
+        ("# !!bool\nflag: !!bool yes # !!int", "flag: true"),
+    ] {
+        assert_eq!(fill(tagged).unwrap(), fill(plain).unwrap(), "{tagged}");
+    }
+    for (yaml, found) in [
+        ("flag: !!bool y", "`y` with the tag `!!bool`"),
+        ("flag: !!bool 1", "`1` with the tag `!!bool`"),
+        ("number: !!int 1.5", "`1.5` with the tag `!!int`"),
+        ("size: !!float wide", "`wide` with the tag `!!float`"),
+    ] {
+        let error = fill(yaml).unwrap_err().to_string();
+        assert!(error.contains(found), "{yaml}: {error}");
+    }
+}

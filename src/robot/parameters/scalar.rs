@@ -22,6 +22,7 @@ pub(super) const NULL_WORD: &str = "!null";
 /// # Errors
 /// If the text is not YAML.
 pub(crate) fn values_in(text: &str) -> Result<Value, serde_norway::Error> {
+    let text = &*yaml::with_local_tags(text);
     let value: Value = yaml::from_str(text)?;
     let scalars = Scalars { text, read: &value }.deserialize(yaml::deserializer(text)?);
     // A text without a value cannot be read as one.
@@ -41,7 +42,11 @@ impl<'de> DeserializeSeed<'de> for Scalars<'_, 'de> {
         match self.read {
             Value::Sequence(_) => deserializer.deserialize_seq(self),
             Value::Mapping(_) => deserializer.deserialize_map(self),
-            // Of those with a tag, the parameter files of ROS 2 have only `!!binary`.
+            // Of tags, rcl knows only that of text.
+            Value::Tagged(tagged) if ["bool", "int", "float"].iter().any(|tag| tagged.tag == *tag) => {
+                deserializer.deserialize_str(self)
+            }
+            // Of those with another tag, the parameter files of ROS 2 have only `!!binary`.
             Value::Tagged(_) => {
                 deserializer.deserialize_ignored_any(IgnoredAny)?;
                 Ok(self.read.clone())
@@ -230,6 +235,18 @@ mod tests {
                 (text, kind, value.to_owned())
             })
         })
+    }
+
+    /// rcl looks at the tag of text only.
+    #[test]
+    fn tags_of_other_types_change_nothing() {
+        for (text, kind, value) in scalars() {
+            for tag in ["!!bool", "!!int", "!!float"] {
+                assert_eq!(shown(&format!("{tag} {text}")), (kind, value.clone()), "{tag} {text}");
+            }
+            let bare = text.trim_matches(['\'', '"']);
+            assert_eq!(shown(&format!("!!str {text}")), ("STRING", bare.to_owned()), "{text}");
+        }
     }
 
     #[test]

@@ -144,12 +144,26 @@ impl<'de> Visitor<'de> for Fill<'_> {
     fn visit_enum<A: EnumAccess<'de>>(self, tagged: A) -> Result<(), A::Error> {
         let (tag, content) = tagged.variant::<String>()?;
         let found = format!("a value with the tag `{tag}`");
-        if tag.trim_start_matches('!') != BINARY || !self.takes_bytes() {
+        let name = tag.trim_start_matches('!');
+        if !matches!(name, "bool" | "int" | "float") && (name != "binary" || !self.takes_bytes()) {
             return Err(self.fail_kind(found));
         }
-        match base64(&content.newtype_variant::<String>()?) {
-            Some(bytes) => self.visit_bytes(&bytes),
-            None => Err(self.fail_kind("bytes that are not Base64".into())),
+        let text = content.newtype_variant::<String>()?;
+        // As PyYAML constructs them.
+        let value = match name {
+            "bool" => scalar::truth_value(&text.to_lowercase()).map(Value::Bool),
+            "int" => whole_number(&text),
+            "float" => scalar::float(&text).map(Value::Float64),
+            _ => {
+                return match base64(&text) {
+                    Some(bytes) => self.visit_bytes(&bytes),
+                    None => Err(self.fail_kind("bytes that are not Base64".into())),
+                };
+            }
+        };
+        match value {
+            Some(value) => self.scalar(value),
+            None => Err(self.fail_kind(format!("`{text}` with the tag `!!{name}`"))),
         }
     }
 
@@ -287,9 +301,6 @@ impl Fill<'_> {
     }
 }
 
-/// The name of the tag of bytes in Base64.
-pub(super) const BINARY: &str = "binary";
-
 /// Decodes Base64 (RFC 4648, section 4) with white space anywhere.
 fn base64(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
@@ -344,13 +355,16 @@ fn lenient(element: &Element, value: Value) -> Value {
             }
         }
         (_, Value::String(text)) if is_float => text.trim().parse().ok().map(Value::Float64),
-        (_, Value::String(text)) => scalar::integer(text.trim()).and_then(|number| {
-            let signed = i64::try_from(number).map(Value::Int64);
-            signed.or_else(|_| u64::try_from(number).map(Value::UInt64)).ok()
-        }),
+        (_, Value::String(text)) => whole_number(text.trim()),
         _ => None,
     };
     read.unwrap_or(value)
+}
+
+fn whole_number(text: &str) -> Option<Value> {
+    let number = scalar::integer(text)?;
+    let signed = i64::try_from(number).map(Value::Int64);
+    signed.or_else(|_| u64::try_from(number).map(Value::UInt64)).ok()
 }
 
 /// An array of the same kind without elements.

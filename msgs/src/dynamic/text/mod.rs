@@ -9,13 +9,12 @@ mod scalar;
 mod serialize;
 mod yaml;
 
-use std::borrow::Cow;
 use std::cell::{Cell, RefCell};
 use std::fmt::Display;
 
 use serde::de::{DeserializeSeed, Deserializer};
 
-use self::fill::{BINARY, Fill, Nothing, State, Trail};
+use self::fill::{Fill, Nothing, State, Trail};
 use super::change::Place;
 use super::{DynamicMessage, DynamicType, FieldError, MessageRef};
 pub use fill::Stamps;
@@ -72,8 +71,8 @@ impl DynamicMessage {
     /// A string is the text as written, quoted or not: `data: 010` is `010`, where `ros2 topic pub` parses a
     /// number first and uses its digits, `8`. Numbers and booleans are read as in YAML 1.1 (`yes`, `0b11`,
     /// `1_000`). A `byte` is a number, or a character as printed by `ros2 topic echo`. An integer does not
-    /// accept `1.5`, which rclpy truncates. `!!binary` gives the bytes of an array of `uint8` or `byte`. A key without a value, or
-    /// with `null`, is an error.
+    /// accept `1.5`, which rclpy truncates. `!!binary` gives the bytes of an array of `uint8` or `byte`; what `!!bool`,
+    /// `!!int` and `!!float` do not fit is an error. So is a key without a value, or with `null`.
     ///
     /// # Errors
     /// Returns an error if the text is not a YAML mapping, or there is no such field or it cannot have the
@@ -83,7 +82,7 @@ impl DynamicMessage {
             let (line, column) = error.location().map_or((0, 0), |place| (place.line(), place.column()));
             TextError::new("YAML", line, column, error, field)
         };
-        let yaml = with_local_tag(yaml);
+        let yaml = crate::yaml::with_local_tags(yaml);
         let yaml = crate::yaml::deserializer(&yaml).map_err(|error| text_error(&error, None))?;
         self.fill_from(yaml, Nothing::IsRefused).map_err(|(error, field)| text_error(&error, field))
     }
@@ -156,49 +155,6 @@ fn without_stamps(stamps: &Stamps, format: &'static str) -> Result<(), TextError
             Err(TextError { format, line: 0, column: 0, problem })
         }
     }
-}
-
-/// Replaces the tag `!!binary` by `!binary `: the parser passes on only tags of the latter kind. Quotes and comments are left alone.
-fn with_local_tag(yaml: &str) -> Cow<'_, str> {
-    let tag = format!("!!{BINARY}");
-    if !yaml.contains(&tag) {
-        return Cow::Borrowed(yaml);
-    }
-    let mut replaced = String::with_capacity(yaml.len());
-    let (mut quote, mut is_escaped, mut is_comment, mut previous, mut skipped) = (None, false, false, ' ', 0);
-    // The last character that is neither white space nor in a comment: a value begins after a few of them only.
-    let mut last = ':';
-    for (at, c) in yaml.char_indices() {
-        if at < skipped {
-            continue;
-        }
-        let begins = (previous.is_whitespace() || "[{,".contains(previous)) && "[{,:-?".contains(last);
-        match quote {
-            _ if is_comment => is_comment = c != '\n',
-            Some('"') if is_escaped => is_escaped = false,
-            Some('"') if c == '\\' => is_escaped = true,
-            Some(open) => quote = Some(open).filter(|open| *open != c),
-            None if c == '\n' => last = if last == '|' || last == '>' { last } else { ':' },
-            None if begins && (c == '"' || c == '\'') => quote = Some(c),
-            None if c == '#' && previous.is_whitespace() => is_comment = true,
-            None if begins && yaml[at..].starts_with(&tag) => {
-                replaced.push('!');
-                replaced.push_str(BINARY);
-                replaced.push(' ');
-                skipped = at + tag.len();
-                // Quotes may follow.
-                (previous, last) = (' ', ':');
-                continue;
-            }
-            None => {}
-        }
-        replaced.push(c);
-        previous = c;
-        if !c.is_whitespace() && !is_comment {
-            last = c;
-        }
-    }
-    Cow::Owned(replaced)
 }
 
 /// Removes the position from the text of an error, since it is reported separately.

@@ -223,6 +223,21 @@ pub(super) fn integer(text: &str) -> Option<i128> {
     magnitude.ok().map(|magnitude| sign * magnitude)
 }
 
+/// Parses a number with the tag `!!float`, which may also be an integer.
+pub(super) fn float(text: &str) -> Option<f64> {
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(digits) => (-1.0, digits),
+        None => (1.0, text.strip_prefix('+').unwrap_or(text)),
+    };
+    let size = match &*digits.replace('_', "").to_lowercase() {
+        ".inf" => f64::INFINITY,
+        ".nan" => f64::NAN,
+        digits if digits.starts_with(|c: char| c.is_ascii_digit() || c == '.') => digits.parse().ok()?,
+        _ => return None,
+    };
+    Some(sign * size)
+}
+
 fn is_integer(text: &str) -> bool {
     let unsigned = unsigned(text);
     let all = |digits: &str, allowed: fn(u8) -> bool| {
