@@ -35,6 +35,7 @@ mod robot_description;
 pub mod robot_state_publisher;
 pub mod servo_bus;
 pub mod servo_emulator;
+pub mod stamps;
 pub mod stand_nod_wave;
 pub mod transform_server;
 
@@ -44,7 +45,6 @@ pub use downbeat_transforms as transforms;
 mod attitude;
 mod leg_joints;
 mod present_pose;
-mod stamps;
 mod step;
 
 #[cfg(test)]

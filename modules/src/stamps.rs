@@ -12,7 +12,7 @@ use std::time::Duration;
 ///
 /// # Errors
 /// Returns what is wrong with the stamp if it is older or newer than `timeout`. No stamp is, if that is 0.
-pub(crate) fn given_at(stamp: &Stamp, now: Time, timeout: Duration) -> Result<Time, String> {
+pub fn given_at(stamp: &Stamp, now: Time, timeout: Duration) -> Result<Time, String> {
     let given = Time::from_nanos(stamp.as_nanos());
     if given == Time::ZERO {
         return Ok(now);
@@ -38,11 +38,11 @@ pub(crate) fn given_at(stamp: &Stamp, now: Time, timeout: Duration) -> Result<Ti
 
 /// Counts the commands that are dropped for their stamps, and reports the first one.
 #[derive(Debug, Default)]
-pub(crate) struct Stale(u64);
+pub struct Stale(u64);
 
 impl Stale {
     /// Counts a command that is dropped for this reason.
-    pub(crate) fn drop_for(&mut self, topic: &str, reason: &str) {
+    pub fn drop_for(&mut self, topic: &str, reason: &str) {
         self.0 += 1;
         let count = self.0;
         if count == 1 {
@@ -53,7 +53,8 @@ impl Stale {
     }
 
     /// The number of dropped commands.
-    pub(crate) fn count(&self) -> u64 {
+    #[must_use]
+    pub fn count(&self) -> u64 {
         self.0
     }
 }

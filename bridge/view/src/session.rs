@@ -147,7 +147,7 @@ impl<'a> Session<'a> {
             }
             Request::Advertise { channels } => channels.iter().try_for_each(|channel| {
                 if self.publications.contains_key(&channel.id) {
-                    // As Foxglove's own servers answer.
+                    // As the server of Foxglove's SDK answers; the protocol only says that ids may be reused once unadvertised.
                     let text = format!(
                         "channel {} is advertised already: this advertisement is ignored",
                         channel.id
@@ -165,8 +165,13 @@ impl<'a> Session<'a> {
                 }
             }),
             Request::Unadvertise { channel_ids } => {
-                self.publications.retain(|id, _| !channel_ids.contains(id));
-                Ok(())
+                channel_ids.iter().try_for_each(|id| match self.publications.remove(id) {
+                    Some(_) => Ok(()),
+                    None => {
+                        let text = format!("channel {id} is not advertised: this unadvertisement is ignored");
+                        self.report(Level::Warning, &text)
+                    }
+                })
             }
             Request::GetParameters { parameter_names, id } => {
                 self.get_parameters(&parameter_names, id.as_deref())

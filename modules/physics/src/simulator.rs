@@ -6,7 +6,7 @@
 //! | `ground_truth/ball` | geometry_msgs/PoseStamped | if the world has a ball |
 //! | `camera/image_raw`, `camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0: rgb8, frame `camera_optical_frame`; simulated |
 //! | `simulation` | diagnostic_msgs/DiagnosticStatus | engine, step, seed and world; once every 10 s |
-//! | `push` (in) | geometry_msgs/Vector3Stamped | an impulse in N s along the axes of the world, on the link in `frame_id` |
+//! | `push` (in) | geometry_msgs/Vector3Stamped | an impulse in N s along the axes of the world, on the link in `frame_id`; dropped if its stamp is older or newer than `push_timeout` |
 //! | `simulator/...` | services and an action of simulation_interfaces | see `services` |
 //!
 //! A replay leaves it out, as the emulator; of bags of simulated time it runs again with `--simulators`.
@@ -26,6 +26,7 @@ use downbeat_executor::{
 };
 use downbeat_kinematics::Robot;
 use downbeat_modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault, MemoryPorts, Timing};
+use downbeat_modules::stamps::{Stale, given_at};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::geometry_msgs::msg::{
@@ -54,6 +55,7 @@ pub struct DarwinOpSimulator {
     parts: Option<Parts>,
     services: Services,
     is_rendering: bool,
+    stale: Stale,
 }
 
 /// What exists from the setup on.
@@ -73,6 +75,7 @@ pub struct Ports {
     ball: Publication<PoseStamped>,
     images: Option<CameraPorts>,
     report: Publication<DiagnosticStatus>,
+    push_timeout: Setting<f64>,
 }
 
 struct CameraPorts {
@@ -85,7 +88,13 @@ impl DarwinOpSimulator {
     /// A simulator whose robot is behind a pseudo terminal, or among these ports in memory.
     #[must_use]
     pub fn new(ports: MemoryPorts) -> Self {
-        Self { ports, parts: None, services: Services::default(), is_rendering: false }
+        Self {
+            ports,
+            parts: None,
+            services: Services::default(),
+            is_rendering: false,
+            stale: Stale::default(),
+        }
     }
 
     /// Brings the world to the time of the run, before anything is looked at or asked for: so it does not matter whether the hardware
@@ -147,6 +156,10 @@ impl DarwinOpSimulator {
     }
 
     fn on_push(&mut self, push: Received<'_, Vector3Stamped>, ctx: &mut Context<'_, Ports>) {
+        let timeout = Duration::from_secs_f64(*ctx.get(ctx.ports.push_timeout));
+        if let Err(reason) = given_at(&push.header.stamp, ctx.now(), timeout) {
+            return self.stale.drop_for("push", &reason);
+        }
         let Some(parts) = self.begin(ctx.now()) else { return };
         let impulse = DVec3::new(push.vector.x, push.vector.y, push.vector.z);
         if impulse.is_nan() || impulse.length() > LARGEST_PUSH {
@@ -208,6 +221,7 @@ impl Module for DarwinOpSimulator {
             ball: setup.publish("ground_truth/ball")?,
             images,
             report: setup.publish("simulation")?,
+            push_timeout: settings.push_timeout,
         })
     }
 
@@ -256,6 +270,7 @@ struct Settings {
     latency_ms: Setting<i64>,
     ground_truth_hz: Setting<f64>,
     camera_hz: Setting<f64>,
+    push_timeout: Setting<f64>,
 }
 
 impl Settings {
@@ -304,6 +319,12 @@ impl Settings {
                 "rate of ground_truth/*, Hz",
             )?,
             camera_hz: setup.read_only_setting("camera_hz", 0.0, "rate of camera/*, Hz; 0: no pictures")?,
+            push_timeout: setup.setting_in(
+                "push_timeout",
+                0.5,
+                0.0..=3600.0,
+                "s by which the stamp of a push may be older or newer than now; 0: any; a stamp of 0 means now",
+            )?,
         })
     }
 

@@ -147,6 +147,29 @@ fn a_push_throws_the_robot_over() {
 }
 
 #[test]
+fn a_push_with_an_old_or_a_future_stamp_is_dropped() {
+    let mut robot = Robot::new("");
+    robot.run_for(1000 * MS);
+    let mut push = Vector3Stamped::default();
+    push.header.frame_id = "torso".into();
+    push.vector.y = 2.0;
+    let height = |robot: &Robot| robot.odometry.try_iter().last().unwrap().pose.pose.position.z;
+    let inlet = robot.core.inlet("push").unwrap();
+    for seconds in [-10, 10] {
+        push.header.stamp = robot.odometry.try_iter().last().unwrap().header.stamp;
+        push.header.stamp.sec += seconds;
+        inlet.publish(push.clone()).unwrap();
+        robot.run_for(1500 * MS);
+        assert!(height(&robot) > 0.12, "{seconds}");
+        robot.run_for(100 * MS);
+    }
+    push.header.stamp = robot.odometry.try_iter().last().unwrap().header.stamp;
+    inlet.publish(push).unwrap();
+    robot.run_for(1500 * MS);
+    assert!(height(&robot) < 0.12);
+}
+
+#[test]
 fn pictures_come_with_their_camera() {
     let mut robot = Robot::with("[field]\n[ball]\nposition = [0.4, 0.0]", &[("camera_hz", 5.0.into())]);
     let images: Receiver<Image> = received(&mut robot.core, "camera/image_raw");

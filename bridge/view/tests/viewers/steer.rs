@@ -118,6 +118,19 @@ fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
     );
     viewer.send_binary(publish(5, good(0.5).as_bytes()));
     assert_eq!(robot.heard.recv_timeout(WATCHDOG), Ok(0.5));
+
+    // An id is free once it is unadvertised; one that is not advertised is told.
+    viewer.send(json!({"op": "unadvertise", "channelIds": [5, 6]}));
+    let status = viewer.json("status");
+    assert_eq!(
+        (&status["level"], &status["message"]),
+        (&json!(1), &json!("channel 6 is not advertised: this unadvertisement is ignored"))
+    );
+    viewer.send_binary(publish(5, good(0.5).as_bytes()));
+    assert_eq!(viewer.json("status")["message"], json!("channel 5 was not advertised"));
+    viewer.send(advertise(5, "/cmd_vel", "json", "geometry_msgs/msg/Twist"));
+    viewer.send_binary(publish(5, good(0.25).as_bytes()));
+    assert_eq!(robot.heard.recv_timeout(WATCHDOG), Ok(0.25));
 }
 
 #[test]
