@@ -1,12 +1,13 @@
 //! Measures how fast bags are checked and repaired.
 
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
-use downbeat_bags::{Check, Compression, Copy, McapOptions, Reader, TopicDescription, WriterOptions, check};
+use downbeat_bags::{Check, Compression, Copy, McapOptions, Reader, WriterOptions, check};
+use downbeat_msgs::cdr;
 use downbeat_msgs::sensor_msgs::msg::{Image, Imu, JointState, LaserScan};
-use downbeat_msgs::{Message, cdr};
+
+use crate::messages::{by_python, inertial, joint_state, topic};
 
 /// Counts the messages of a file with `mcap` of PyPI, and prints the seconds that it took on the processor.
 const PYTHON: &str = "\
@@ -42,7 +43,7 @@ pub(crate) fn run(folder: &Path, bytes: u64, turns: u32) -> anyhow::Result<()> {
                 *streamed = timed(|| stream(&file))?.min(*streamed);
             }
         }
-        let python = by_python(&file)?.map(Duration::from_secs_f64);
+        let python = mcap_of_python(&file)?.map(Duration::from_secs_f64);
         let [checked, repaired, streamed, python] = [Some(checked), Some(repaired), streamed, python]
             .map(|taken| taken.map_or("-".to_owned(), |taken| format!("{:.0}", data / taken.as_secs_f64())));
         println!("| {name} | {checked} | {repaired} | {streamed} | {python} |");
@@ -78,11 +79,9 @@ fn stream(file: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn by_python(file: &Path) -> anyhow::Result<Option<f64>> {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else { return Ok(None) };
-    let output = Command::new(python).args(["-c", PYTHON]).arg(file).output()?;
-    anyhow::ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    Ok(Some(String::from_utf8(output.stdout)?.trim().parse()?))
+fn mcap_of_python(file: &Path) -> anyhow::Result<Option<f64>> {
+    let output = by_python(&["-c".as_ref(), PYTHON.as_ref(), file.as_os_str()])?;
+    output.map(|output| Ok(String::from_utf8(output)?.trim().parse()?)).transpose()
 }
 
 /// Images, scans, joint states and inertial readings of a small robot. Returns the bytes of the messages.
@@ -115,17 +114,8 @@ fn write(bag: &Path, bytes: u64, compression: Compression) -> anyhow::Result<u64
             let ranges = (0..720_u32).map(|at| ((at + n) as f32 / 50.0).sin()).collect();
             messages.push((1, cdr::to_vec(&LaserScan { ranges, ..LaserScan::default() })));
         }
-        messages.push((
-            2,
-            cdr::to_vec(&JointState {
-                name: (0..20).map(|index| format!("joint_{index}")).collect(),
-                position: (0..20).map(|index| f64::from(index + n) / 7.0).collect(),
-                ..JointState::default()
-            }),
-        ));
-        let mut reading = Imu::default();
-        reading.angular_velocity.x = f64::from(n) / 3.0;
-        messages.push((3, cdr::to_vec(&reading)));
+        messages.push((2, cdr::to_vec(&joint_state(n))));
+        messages.push((3, cdr::to_vec(&inertial(f64::from(n) / 3.0))));
         for (topic, data) in messages {
             writer.write(ids[topic], time, time, &data)?;
             written += data.len() as u64;
@@ -136,14 +126,4 @@ fn write(bag: &Path, bytes: u64, compression: Compression) -> anyhow::Result<u64
     }
     writer.finish()?;
     Ok(written)
-}
-
-fn topic<T: Message>(name: &str) -> TopicDescription {
-    TopicDescription {
-        name: name.to_owned(),
-        type_name: T::TYPE_NAME.to_owned(),
-        definition: T::DEFINITION.to_owned(),
-        type_hash: T::TYPE_HASH.to_owned(),
-        ..TopicDescription::default()
-    }
 }

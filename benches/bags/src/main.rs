@@ -1,6 +1,7 @@
 //! Benchmarks of bags: see `benches/README.md`.
 
 mod checks;
+mod messages;
 mod readers;
 mod robot;
 mod writers;

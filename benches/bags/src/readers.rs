@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use downbeat::bags::{Reader, Selection, StoragePreset, TopicDescription, WriterOptions};
+use downbeat::bags::{Reader, Selection, StoragePreset, WriterOptions};
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::{Message, cdr};
+
+use crate::messages::{by_python, inertial, joint_state, topic};
 
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python/read_bags.py");
 /// The topic that is read; the other topic makes up three quarters of the bag.
@@ -42,7 +43,7 @@ pub(crate) fn run(folder: &Path, messages: u32, turns: u32) -> anyhow::Result<()
     for (label, preset) in [("not compressed", StoragePreset::None), ("zstd_fast", StoragePreset::ZstdFast)] {
         let bag = folder.join(label.replace(' ', "_"));
         write(&bag, messages, preset)?;
-        let peers = by_python(&bag, turns)?;
+        let peers = rosbags(&bag, turns)?;
         for (name, contestant) in contestants {
             let mut best = Duration::MAX;
             for _ in 0..turns {
@@ -70,31 +71,14 @@ fn write(bag: &Path, messages: u32, preset: StoragePreset) -> anyhow::Result<()>
     let imu = writer.add_topic(topic::<Imu>("/imu"))?;
     for n in 0..messages {
         let time = i64::from(n) * 1_000_000;
-        let state = JointState {
-            name: (0..20).map(|index| format!("joint_{index}")).collect(),
-            position: (0..20).map(|index| f64::from(index + n) / 7.0).collect(),
-            ..JointState::default()
-        };
-        writer.write(states, time, time, &cdr::to_vec(&state))?;
-        let mut reading = Imu::default();
-        reading.angular_velocity.x = f64::from(n);
-        let reading = cdr::to_vec(&reading);
+        writer.write(states, time, time, &cdr::to_vec(&joint_state(n)))?;
+        let reading = cdr::to_vec(&inertial(f64::from(n)));
         for _ in 0..3 {
             writer.write(imu, time, time, &reading)?;
         }
     }
     writer.finish()?;
     Ok(())
-}
-
-fn topic<T: Message>(name: &str) -> TopicDescription {
-    TopicDescription {
-        name: name.to_owned(),
-        type_name: T::TYPE_NAME.to_owned(),
-        definition: T::DEFINITION.to_owned(),
-        type_hash: T::TYPE_HASH.to_owned(),
-        ..TopicDescription::default()
-    }
 }
 
 fn read(bag: &Path, mut use_it: impl FnMut(&[u8]) -> anyhow::Result<()>) -> anyhow::Result<u64> {
@@ -109,12 +93,12 @@ fn read(bag: &Path, mut use_it: impl FnMut(&[u8]) -> anyhow::Result<()>) -> anyh
 }
 
 /// Best seconds per message.
-fn by_python(bag: &Path, turns: u32) -> anyhow::Result<BTreeMap<String, f64>> {
-    let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+fn rosbags(bag: &Path, turns: u32) -> anyhow::Result<BTreeMap<String, f64>> {
+    let turns = turns.to_string();
+    let arguments = [PYTHON.as_ref(), bag.as_os_str(), TOPIC.as_ref(), turns.as_ref()];
+    let Some(output) = by_python(&arguments)? else {
         println!("no Python: DOWNBEAT_PYTHON is not set");
         return Ok(BTreeMap::new());
     };
-    let output = Command::new(python).arg(PYTHON).arg(bag).arg(TOPIC).arg(turns.to_string()).output()?;
-    anyhow::ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    Ok(serde_json::from_slice(&output.stdout)?)
+    Ok(serde_json::from_slice(&output)?)
 }

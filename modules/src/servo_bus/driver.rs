@@ -7,12 +7,12 @@ use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::counted::Counted;
 use super::description::BusPlan;
 use super::joint::{Drive, Joint};
+use super::line::{ECHO, Line, Trouble};
 use super::models::Register;
+use super::preparation::{PrepareError, Prepared, prepare, prepare_device};
 use super::protocol::{Id, Instruction, Protocol, WriteEntry, echo_end};
 use super::reading::{Answer, Answered, Reading, Unit, requests, understand};
-use super::servo::{
-    ECHO, Line, Link, PrepareError, Prepared, Service, Servo, Trouble, prepare, prepare_device,
-};
+use super::servo::{Link, Service, Servo};
 use downbeat_executor::Time;
 use std::collections::VecDeque;
 use std::time::Duration;

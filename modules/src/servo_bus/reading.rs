@@ -3,11 +3,11 @@
 use super::bus::{Exchange, ExpectedStatus};
 use super::description::{BusPlan, DevicePlan};
 use super::joint::Measurement;
+use super::line::for_each_status;
 use super::models::{Model, Reads, Register};
 use super::protocol::{
     Id, Instruction, Protocol, ReadEntry, Status, echo_end, joined_parameters, split_joined,
 };
-use super::servo::for_each_status;
 use downbeat_executor::Time;
 
 /// A device of a bus.

@@ -1,9 +1,9 @@
 //! Finding and configuring single servos, for commands.
 
 use super::bus::{Bus, ExpectedStatus, LineSettings, Outcome, SerialBus};
+use super::line::{ECHO, Line, Trouble, for_each_status};
 use super::models::{self, Access, Model, Register};
 use super::protocol::{Id, Instruction, Protocol, StatusError, echo_end};
-use super::servo::{ECHO, Line, Trouble, for_each_status};
 use downbeat_msgs::definitions::suggestion;
 use std::sync::Arc;
 use std::time::Duration;
