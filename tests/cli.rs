@@ -32,6 +32,22 @@ fn modules_in_python_are_for_the_program_of_the_wheel() {
 }
 
 #[test]
+fn check_says_what_clients_of_a_service_receive_for_a_refusal() {
+    let output = text_of(&["check", "robots/darwin_op_walks.toml"]);
+    for expected in [
+        "  service gait/start -> /gait/start std_srvs/srv/Trigger\n    a refusal: success: false, message: the reason\n",
+        "simulation_interfaces/srv/DeleteEntity\n    a refusal: result.error_message: the reason\n",
+        "  action play_motion -> play_motion ",
+        "    a failure: the goal is not accepted; later, its status is ABORTED, its result has default values\n",
+    ] {
+        assert!(output.contains(expected), "{output}");
+    }
+    let json: serde_json::Value =
+        serde_json::from_str(&text_of(&["check", "robots/so101.toml", "--json"])).unwrap();
+    assert_eq!(json["services"][0]["refusal"], "success: false, message: the reason");
+}
+
+#[test]
 fn errors_in_a_robot_file_contain_file_line_and_the_nearest_name() {
     let folder = tempfile::tempdir().unwrap();
     let wrong =

@@ -75,6 +75,11 @@ fn print_actions(robot: &Robot) -> anyhow::Result<()> {
     for (actions, arrow) in [(robot.action_exposures()?, "->"), (robot.action_call_exposures()?, "<-")] {
         for action in actions {
             println!("  action {} {arrow} {} {}", action.action, action.ros_action(), action.action_type);
+            if arrow == "->" {
+                println!(
+                    "    a failure: the goal is not accepted; later, its status is ABORTED, its result has default values"
+                );
+            }
         }
     }
     Ok(())
@@ -203,6 +208,9 @@ struct ServiceReport {
     #[serde(rename = "type")]
     type_name: &'static str,
     timeout_s: f64,
+    /// What clients receive for a request that is refused; `None` for a service of others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    refusal: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -229,11 +237,15 @@ impl NodeReport {
                 ros_service: service_name(robot, name, &node)?,
                 type_name: service_type.name(),
                 timeout_s: std::time::Duration::as_secs_f64(&timeout),
+                refusal: None,
             })
         };
         let offered = robot.service_exposures()?;
         let offered = offered.iter().map(|offered| {
-            service(&offered.service, offered.ros_service.as_deref(), offered.service_type, offered.timeout)
+            let refusal = Some(offered.service_type.refusals().to_string());
+            let (name, ros_name) = (&offered.service, offered.ros_service.as_deref());
+            let report = service(name, ros_name, offered.service_type, offered.timeout)?;
+            Ok(ServiceReport { refusal, ..report })
         });
         let called = robot.call_exposures()?;
         let called = called.iter().map(|called| {
@@ -245,8 +257,8 @@ impl NodeReport {
         });
         Ok(Self {
             features: Features::of(&file.expose.features, file.is_rosout_disabled),
-            services: offered.collect::<Result<_, _>>()?,
-            calls: called.collect::<Result<_, _>>()?,
+            services: offered.collect::<anyhow::Result<_>>()?,
+            calls: called.collect::<anyhow::Result<_>>()?,
             parameters: parameters(robot)?,
             lifecycle: lifecycle.collect::<Result<_, _>>()?,
         })
@@ -295,8 +307,11 @@ impl fmt::Display for NodeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.features)?;
         for (arrow, services) in [("->", &self.services), ("<-", &self.calls)] {
-            for ServiceReport { service, ros_service, type_name, .. } in services {
+            for ServiceReport { service, ros_service, type_name, refusal, .. } in services {
                 writeln!(f, "  service {service} {arrow} {ros_service} {type_name}")?;
+                if let Some(refusal) = refusal {
+                    writeln!(f, "    a refusal: {refusal}")?;
+                }
             }
         }
         for LifecycleReport { module, node } in &self.lifecycle {

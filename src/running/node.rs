@@ -113,6 +113,9 @@ impl RobotNode {
             &exposed.calls,
             introspection,
         )?;
+        if let Some(diagnostics) = diagnostics {
+            diagnostics.watch_services(services.clone());
+        }
         for (name, ..) in services.services() {
             tracing::info!("exposed service: {name}");
         }

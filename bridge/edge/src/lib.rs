@@ -7,7 +7,7 @@
 //! - an inlet that takes serialized messages ([`KnownType::inlet`]).
 //!
 //! A [`KnownService`] does the same for services: it calls those of modules with serialized requests, and lets modules call
-//! servers outside the core. A [`KnownAction`] names the services and topics of an action. [`parameter_value`] converts the value of
+//! servers outside the core; [`Refusals`] makes a response of a refusal. A [`KnownAction`] names the services and topics of an action. [`parameter_value`] converts the value of
 //! a setting.
 //!
 //! In [`foreign`], modules in other languages join a core: their ports are known by names, their messages are bytes.
@@ -20,6 +20,7 @@ pub mod foreign;
 mod interfaces;
 mod message;
 mod parameter;
+mod refusal;
 mod service;
 
 pub use action::KnownAction;
@@ -29,6 +30,7 @@ pub use message::{
     EncodedInlet, EncodedInletError, KnownType, Offered, RawError, RawMessage, RawTypeError, Sink, Waiting,
 };
 pub use parameter::{parameter_type, parameter_value, setting_value};
+pub use refusal::Refusals;
 pub use service::{
     EncodeEvent, EncodedAnswer, EncodedCallError, EncodedCaller, EncodedStandIn, EventContent, KnownService,
     RemoteCall, RemoteService, RemoteServices, encode_event,

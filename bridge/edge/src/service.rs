@@ -6,6 +6,7 @@ use downbeat_executor::{
     CallError, Caller, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup,
     SetupError, StandIn,
 };
+use downbeat_msgs::dynamic::DynamicType;
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
 use downbeat_msgs::{Message, Service, cdr};
 use parking_lot::Mutex;
@@ -135,10 +136,10 @@ impl KnownService {
         self.entry.message_hashes
     }
 
-    /// A serialized response in which all fields have their defaults.
+    /// The type of its responses, for reading and writing them field by field; `None` while its definition is unknown.
     #[must_use]
-    pub fn default_response(self) -> Vec<u8> {
-        (self.entry.default_response)()
+    pub fn response_type(self) -> Option<DynamicType> {
+        (self.entry.response_type)()
     }
 
     /// Serializes events of the service.
@@ -333,7 +334,7 @@ struct Entry {
         fn(&mut Setup<'_, ForeignModule>, &str, Duration, u32) -> Result<CallEncodedIn, SetupError>,
     encode: fn(&mut Core, &str) -> Result<(), SetupError>,
     stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
-    default_response: fn() -> Vec<u8>,
+    response_type: fn() -> Option<DynamicType>,
     encode_event: EncodeEvent,
 }
 
@@ -359,7 +360,10 @@ impl<S: Service> Of<S> {
             core.encode_service::<S::Request, S::Response>(service, cdr::to_vec, cdr::to_vec)
         },
         stand_in: stand_in::<S>,
-        default_response: || cdr::to_vec(&S::Response::default()),
+        response_type: || {
+            let (name, text) = (<S::Response as Message>::TYPE_NAME, <S::Response as Message>::DEFINITION);
+            DynamicType::from_definition_text(name, "ros2msg", text).ok()
+        },
         encode_event: encode_event::<S>,
     };
 }

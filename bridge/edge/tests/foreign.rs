@@ -317,3 +317,93 @@ fn a_newer_version_takes_over_with_state_and_settings_or_the_old_one_goes_on() {
     assert!(counts.windows(2).all(is_next), "no version lost the count: {counts:?}");
     assert_eq!(gains.try_iter().last(), Some(7.0));
 }
+
+/// Serves `enable` and keeps each request; a newer version takes over as soon as it has one.
+struct Keeper {
+    has_request: Arc<AtomicU32>,
+    is_newer: bool,
+}
+
+impl Foreign for Keeper {
+    fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
+        declarations.reload();
+        declarations.serve("enable", "std_srvs/srv/SetBool", None);
+        Ok(())
+    }
+
+    fn handle(&mut self, event: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        if let Event::Request { .. } = event {
+            self.has_request.store(1, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    fn successor(&mut self) -> Result<Option<Box<dyn Foreign>>, String> {
+        let is_due = self.has_request.load(Ordering::Relaxed) == 1 && !self.is_newer;
+        let newer = Self { has_request: Arc::clone(&self.has_request), is_newer: true };
+        Ok(is_due.then(|| Box::new(newer) as Box<dyn Foreign>))
+    }
+}
+
+#[test]
+fn a_request_is_answered_whatever_the_module_does_with_it() {
+    /// Calls `enable`, lets the robot run, and returns the message of the response that a client of ROS 2 has.
+    fn answer(robot: &mut Robot) -> String {
+        let service = Interfaces::carried().service("std_srvs/srv/SetBool").unwrap();
+        let (sender, answer) = channel();
+        let caller = service.caller(&mut robot.core, "enable").unwrap();
+        let request = cdr::to_vec(&SetBoolRequest { data: true });
+        caller.call(&request, Duration::from_secs(3600), move |result| {
+            sender.send(result.map(|answer| answer.into_cdr())).unwrap();
+        });
+        robot.cycles(60);
+        let error = answer.try_recv().expect("there is an answer").unwrap_err();
+        let refusal = service.refusals().response(&error.to_string());
+        let response: SetBoolResponse = cdr::from_slice(&refusal).unwrap();
+        assert!(!response.success);
+        response.message
+    }
+    type Does = fn(u64, &mut ForeignContext<'_, '_>) -> Result<(), String>;
+    let cases: [(Does, &str); 3] = [
+        (
+            |request, context| {
+                context.reply(request, Err("I will not".to_owned())).map_err(|error| error.to_string())
+            },
+            "I will not",
+        ),
+        (
+            |request, context| {
+                assert!(context.reply(request, Ok(&[0, 1, 0, 0, 9])).is_err());
+                Ok(())
+            },
+            "are no response of std_srvs/srv/SetBool",
+        ),
+        (|_, _| Err("it raised an exception".to_owned()), "module \"server\" does not run and cannot answer"),
+    ];
+    for (does, expected) in cases {
+        let mut robot = Robot::new();
+        let server = move || Played {
+            set_up: |declarations| {
+                declarations.serve("enable", "std_srvs/srv/SetBool", None);
+                Ok(())
+            },
+            handle: Box::new(move |event, context| match event {
+                Event::Request { request, .. } => does(request, context),
+                _ => Ok(()),
+            }),
+        };
+        robot.add("server", ModuleOptions::default(), server).unwrap();
+        let message = answer(&mut robot);
+        assert!(message.contains(expected), "{message}");
+    }
+
+    let mut robot = Robot::new();
+    let has_request = Arc::<AtomicU32>::default();
+    let make = move || Keeper { has_request: Arc::clone(&has_request), is_newer: false };
+    robot.add("keeper", ModuleOptions::default(), make).unwrap();
+    let message = answer(&mut robot);
+    assert!(
+        message.contains("module \"keeper\" does not run and cannot answer"),
+        "a newer version: {message}"
+    );
+}

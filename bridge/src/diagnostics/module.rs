@@ -1,7 +1,7 @@
 //! The module that publishes diagnostics.
 
 use super::status;
-use crate::expose::{BridgeStatus, EndpointReport};
+use crate::expose::{BridgeStatus, EndpointReport, OfferedService, ServicesStatus};
 use downbeat_executor::{
     Context, Core, CoreHandle, Inbox, Module, ModuleOptions, Publication, Receipt, Role, Setup, SetupError,
     Snapshot, Synchrony, Task,
@@ -38,6 +38,7 @@ type Source = dyn FnMut() -> Vec<DiagnosticStatus> + Send;
 #[derive(Default)]
 struct Sources {
     endpoints: Option<BridgeStatus>,
+    services: Option<ServicesStatus>,
     others: Vec<Box<Source>>,
 }
 
@@ -56,6 +57,7 @@ impl ProcessDiagnostics {
             asked: None,
             last: None,
             endpoints: BTreeMap::new(),
+            services: Vec::new(),
         };
         let options = ModuleOptions {
             synchrony: Synchrony::Detached(Inbox::KeepLast(INBOX)),
@@ -69,6 +71,11 @@ impl ProcessDiagnostics {
     /// Reports the endpoints of a bridge too.
     pub fn watch_endpoints(&self, status: BridgeStatus) {
         self.sources.lock().endpoints = Some(status);
+    }
+
+    /// Reports the services that are offered to ROS 2 too.
+    pub fn watch_services(&self, status: ServicesStatus) {
+        self.sources.lock().services = Some(status);
     }
 
     /// Reports what `look` returns too. It is called once a second on the thread of the module, and must not block.
@@ -85,6 +92,7 @@ struct Reporter {
     /// The snapshot of the last report: the difference to it decides on levels.
     last: Option<Snapshot>,
     endpoints: BTreeMap<String, EndpointReport>,
+    services: Vec<OfferedService>,
 }
 
 struct Ports {
@@ -131,6 +139,14 @@ impl Reporter {
                 let last = self.endpoints.get(&report.endpoint.ros_topic);
                 statuses.push(status::endpoint(&self.name, &report, last));
                 self.endpoints.insert(report.endpoint.ros_topic.clone(), report);
+            }
+            if let Some(services) = &sources.services {
+                let now = services.offered();
+                for service in &now {
+                    let last = self.services.iter().find(|last| last.service == service.service);
+                    statuses.push(status::service(&self.name, service, last));
+                }
+                self.services = now;
             }
             statuses.extend(sources.others.iter_mut().flat_map(|look| look()));
         }

@@ -1,6 +1,6 @@
 //! From counts to levels: what has come since the last look decides, so that a warning ends when its cause does.
 
-use crate::expose::EndpointReport;
+use crate::expose::{EndpointReport, OfferedService};
 use crate::middleware::{Direction, QosPolicyKind};
 use downbeat_executor::{ModuleState, ModuleStatistics, Snapshot, TimeStatistics};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
@@ -81,6 +81,23 @@ pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointR
         value("incompatible types", now.traffic.qos.incompatible_types),
     ];
     status(level, format!("{node}: {}", now.endpoint.ros_topic), message, values)
+}
+
+/// One service that is offered to ROS 2.
+pub(super) fn service(node: &str, now: &OfferedService, last: Option<&OfferedService>) -> DiagnosticStatus {
+    let refused = now.refused.saturating_sub(last.map_or(0, |last| last.refused));
+    let (level, message) = match &now.last_refusal {
+        Some(reason) if refused > 0 => {
+            (DiagnosticStatus::WARN, format!("{refused} requests refused: {reason}"))
+        }
+        _ => (DiagnosticStatus::OK, format!("{} requests answered", now.answered)),
+    };
+    let values = vec![
+        value("type", now.type_name),
+        value("requests answered", now.answered),
+        value("requests refused", now.refused),
+    ];
+    status(level, format!("{node}: service {}", now.service), message, values)
 }
 
 fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
@@ -181,6 +198,28 @@ mod tests {
         assert_eq!(level(&failed, &failed), (DiagnosticStatus::ERROR, "stopped by a panic".into()));
         let paused = module(|module| module.state = ModuleState::Paused);
         assert_eq!(level(&paused, &fine), (DiagnosticStatus::OK, "paused".into()));
+    }
+
+    #[test]
+    fn refused_requests_of_a_service_are_a_warning_until_the_next_report() {
+        let at = |answered, refused| OfferedService {
+            service: "/reset".into(),
+            type_name: "std_srvs/srv/Empty",
+            answered,
+            refused,
+            last_refusal: (refused > 0).then(|| "it moves".into()),
+        };
+        let of = |now: &OfferedService, last: Option<&OfferedService>| {
+            let status = service("robot", now, last);
+            assert_eq!(status.name, "robot: service /reset");
+            (status.level, status.message)
+        };
+        let refused = (DiagnosticStatus::WARN, "2 requests refused: it moves".into());
+        assert_eq!(of(&at(3, 2), None), refused);
+        assert_eq!(of(&at(3, 2), Some(&at(1, 0))), refused);
+        assert_eq!(of(&at(4, 2), Some(&at(3, 2))), (DiagnosticStatus::OK, "4 requests answered".into()));
+        let values = service("robot", &at(4, 2), None).values;
+        assert!(values.contains(&value("requests refused", 2)), "{values:?}");
     }
 
     #[test]

@@ -234,6 +234,11 @@ impl Traffic {
         (self.messages.load(Ordering::Relaxed), self.errors.load(Ordering::Relaxed))
     }
 
+    /// Why something failed the last time.
+    pub(super) fn last_error(&self) -> Option<String> {
+        self.last_error.lock().clone()
+    }
+
     /// Counts the message or the error; true for the first error, which is worth a log line.
     pub(super) fn count<E: fmt::Display>(&self, result: &Result<(), E>) -> bool {
         match result {

@@ -2,18 +2,16 @@
 
 use super::ExposeError;
 use super::endpoints::Traffic;
-use crate::edge::{EncodedCallError, EncodedCaller, KnownService, RemoteCall, RemoteServices};
+use crate::edge::{EncodedCallError, EncodedCaller, KnownService, Refusals, RemoteCall, RemoteServices};
 use crate::middleware::rpc::IncomingRequest;
 use crate::ros::{Introspection, Node, NodeError, RawClient, Service, ServiceName, ServiceType};
 use crate::worker::WorkerLink;
 use bytes::Bytes;
 use downbeat_executor::{CallError, Clock, Core, Module, ModuleOptions, Role, Setting, Setup, SetupError};
-use downbeat_msgs::action_msgs::srv::{CancelGoal, CancelGoalResponse};
-use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
-use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse};
 use parking_lot::Mutex;
-use std::sync::{Arc, Weak};
+use std::borrow::Cow;
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
 
 /// The name under which what publishes events of services joins a core.
@@ -65,8 +63,24 @@ pub struct ServicesStatus {
     services: Arc<[ServiceStatus]>,
 }
 
+/// A service of modules as ROS 2 has used it so far.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OfferedService {
+    /// Its name in ROS 2, absolute.
+    pub service: String,
+    /// As in `std_srvs/srv/SetBool`.
+    pub type_name: &'static str,
+    /// Requests that a module answered.
+    pub answered: u64,
+    /// Requests that were answered with a refusal.
+    pub refused: u64,
+    /// Why the last one was.
+    pub last_refusal: Option<String>,
+}
+
 struct ServiceStatus {
     name: String,
+    type_name: &'static str,
     traffic: Arc<Traffic>,
     endpoint: WeakService,
 }
@@ -77,6 +91,20 @@ enum WeakService {
 }
 
 impl ServicesStatus {
+    /// The services that are offered to ROS 2: name, type, answered and refused requests, and the last reason.
+    #[must_use]
+    pub fn offered(&self) -> Vec<OfferedService> {
+        let offered =
+            self.services.iter().filter(|status| matches!(status.endpoint, WeakService::Offered(_)));
+        offered
+            .map(|status| {
+                let (answered, refused) = status.traffic.totals();
+                let (service, last_refusal) = (status.name.clone(), status.traffic.last_error());
+                OfferedService { service, type_name: status.type_name, answered, refused, last_refusal }
+            })
+            .collect()
+    }
+
     /// Each service of ROS 2: its name, whether a peer is matched, calls with and without an answer.
     #[must_use]
     pub fn services(&self) -> Vec<(String, bool, u64, u64)> {
@@ -95,9 +123,8 @@ impl ServicesStatus {
 /// Offers services of modules on `node`, and adds observers to `core`: [`CALLS_MODULE_NAME`] serves those that modules call,
 /// [`SERVICES_MODULE_NAME`] has the settings of service introspection.
 ///
-/// ROS 2 has no response for a refused request. `std_srvs/srv/SetBool` and `Trigger` are then answered with
-/// `success: false` and the reason as message, those of actions with a goal that is not accepted, not known or not canceled; a
-/// request of another type is not answered, and the reason is in the log.
+/// ROS 2 has no response for a refused request, and its clients wait until one comes. So each request is answered: where a module
+/// refuses it, panics, is removed or takes too long, with the response that [`Refusals`] makes for its type.
 ///
 /// The endpoints are removed when the core stops.
 ///
@@ -139,6 +166,7 @@ pub fn expose_services_with(
         let (name, service) = (service.name().to_string(), Arc::new(service));
         statuses.push(ServiceStatus {
             name,
+            type_name: exposure.service_type.name(),
             traffic,
             endpoint: WeakService::Offered(Arc::downgrade(&service)),
         });
@@ -153,7 +181,8 @@ pub fn expose_services_with(
         let (worker, timeout) = (node.worker(), exposure.timeout);
         let call = ToRos { client, worker, timeout, traffic: Arc::clone(&traffic) };
         remote.push(exposure.service_type.remote(core, &exposure.service, call)?);
-        statuses.push(ServiceStatus { name, traffic, endpoint });
+        let type_name = exposure.service_type.name();
+        statuses.push(ServiceStatus { name, type_name, traffic, endpoint });
     }
     RemoteServices::add_to(core, CALLS_MODULE_NAME, remote)?;
     let endpoints = Arc::new(Mutex::new(Some(endpoints)));
@@ -273,51 +302,71 @@ fn offer(
     traffic: Arc<Traffic>,
 ) -> Result<Service, NodeError> {
     let (service_type, timeout) = (exposure.service_type, exposure.timeout);
+    let refusals = Arc::new(ServiceRefusals { service_type, refusals: OnceLock::new() });
+    let of_server = Arc::clone(&refusals);
     let on_request = move |IncomingRequest { cdr, responder, .. }: IncomingRequest| {
-        let traffic = Arc::clone(&traffic);
+        let (traffic, refusals) = (Arc::clone(&traffic), Arc::clone(&refusals));
         caller.call(&cdr, timeout, move |result| {
-            let outcome = result.as_ref().map(drop).map_err(ToString::to_string);
-            if traffic.count(&outcome)
-                && let Err(error) = outcome
-            {
-                tracing::warn!("a request of ROS 2 was refused: {error}; from now on this is only counted");
-            }
+            let is_first = traffic.count(&result.as_ref().map(drop).map_err(ToString::to_string));
             match result {
                 // On the thread of the core, which neither serialises nor writes.
                 Ok(answer) => responder.reply_later(|| answer.into_cdr().into()),
-                Err(error) => {
-                    if let Some(refusal) = refusal(service_type, &error) {
-                        responder.reply_later(|| refusal);
+                Err(error) => responder.reply_later(move || {
+                    if is_first {
+                        refusals.warn(&error);
                     }
-                }
+                    refusals.response(&error)
+                }),
             }
         });
     };
-    node.serve_raw(
+    let service = node.serve_raw(
         exposure.ros_service(),
         &ServiceType::new(service_type.name())?,
         QosProfile::SERVICES,
         Box::new(on_request),
-    )
+    )?;
+    service.on_refusal(Box::new(move |reason| of_server.get().response(reason).into()));
+    Ok(service)
 }
 
-/// The negative response, if the type has one.
-fn refusal(service_type: KnownService, error: &EncodedCallError) -> Option<Bytes> {
-    let message = match error {
-        EncodedCallError::Call(CallError::Refused { reason, .. }) => reason.clone(),
-        error => error.to_string(),
-    };
-    use downbeat_msgs::Service as _;
-    match service_type.name() {
-        SetBool::TYPE_NAME => Some(cdr::to_vec(&SetBoolResponse { success: false, message }).into()),
-        Trigger::TYPE_NAME => Some(cdr::to_vec(&TriggerResponse { success: false, message }).into()),
-        CancelGoal::TYPE_NAME => {
-            let return_code = CancelGoalResponse::ERROR_REJECTED;
-            Some(cdr::to_vec(&CancelGoalResponse { return_code, ..CancelGoalResponse::default() }).into())
+/// What clients of a service receive for requests that have no answer.
+struct ServiceRefusals {
+    service_type: KnownService,
+    /// Set once the definition of the type is known.
+    refusals: OnceLock<Refusals>,
+}
+
+impl ServiceRefusals {
+    fn get(&self) -> Cow<'_, Refusals> {
+        if let Some(refusals) = self.refusals.get() {
+            return Cow::Borrowed(refusals);
         }
-        // Of an action: not accepted, or not known.
-        name if name.contains("/action/") => Some(service_type.default_response().into()),
-        _ => None,
+        if self.service_type.response_type().is_none() {
+            return Cow::Owned(self.service_type.refusals());
+        }
+        Cow::Borrowed(self.refusals.get_or_init(|| self.service_type.refusals()))
+    }
+
+    fn response(&self, error: &EncodedCallError) -> Bytes {
+        let reason = match error {
+            EncodedCallError::Call(CallError::Refused { reason, .. }) => reason.clone(),
+            error => error.to_string(),
+        };
+        self.get().response(&reason).into()
+    }
+
+    /// `error` names the service.
+    fn warn(&self, error: &EncodedCallError) {
+        let service_type = self.service_type;
+        if self.get().are_visible() {
+            tracing::warn!("a request of ROS 2 was refused: {error}; from now on this is only counted");
+        } else {
+            tracing::warn!(
+                "a request of ROS 2 was refused: {error}; its client cannot tell, since a response of {service_type} has \
+                 no field for it: it receives default values; from now on this is only counted"
+            );
+        }
     }
 }
 

@@ -3,9 +3,14 @@
 use super::introspection::{Event, ServiceEvents};
 use super::node::{Hold, Listed};
 use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
+use crate::edge::KnownService;
+#[cfg(doc)]
+use crate::edge::Refusals;
 use crate::limiter::Limiter;
 use crate::middleware::Direction;
-use crate::middleware::rpc::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
+use crate::middleware::rpc::{
+    IncomingRequest, RefusalHandler, ReplyError, RequestHandler, RequestServer, Responder,
+};
 use downbeat_executor::Clock;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
@@ -74,6 +79,11 @@ impl Service {
         self.events.configure(node, introspection, qos, clock)
     }
 
+    /// See [`RequestServer::on_refusal`].
+    pub fn on_refusal(&self, refusal: RefusalHandler) {
+        self.server.on_refusal(refusal);
+    }
+
     /// How many clients are matched.
     #[must_use]
     pub fn matched_clients(&self) -> usize {
@@ -93,7 +103,7 @@ impl Service {
     }
 }
 
-/// Answers one request of service `S`. Dropped without an answer, the client's time runs out.
+/// Answers one request of service `S`. Dropped without an answer, it refuses the request, see [`Refusals`].
 #[must_use = "a request is answered with `send`"]
 pub struct Reply<S> {
     responder: Responder,
@@ -110,20 +120,30 @@ impl<S: downbeat_msgs::Service> Reply<S> {
     }
 }
 
-/// A handler of raw requests that reads them.
+/// A handler of raw requests that reads them. Those that it cannot read are refused.
 fn typed<S: downbeat_msgs::Service>(
     mut on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
 ) -> RequestHandler {
     let unread = Limiter::default();
+    let refusals = refusals_of(KnownService::of::<S>());
     Box::new(move |IncomingRequest { cdr, client, responder, .. }| match cdr::from_slice(&cdr) {
         Ok(request) => on_request(request, Reply { responder, service: PhantomData }),
         Err(error) => {
             let type_name = S::TYPE_NAME;
             if let Some(left_out) = unread.allow() {
-                tracing::warn!(%client, "a request is not answered: its bytes are no {type_name}: {error}{left_out}");
+                tracing::warn!(%client, "a request is refused: its bytes are no {type_name}: {error}{left_out}");
+            }
+            let refusal = refusals(&format!("the request is no {type_name}: {error}"));
+            if let Err(error) = responder.reply(refusal) {
+                tracing::debug!(%error, "a refusal was not sent");
             }
         }
     })
+}
+
+fn refusals_of(service_type: KnownService) -> RefusalHandler {
+    let refusals = service_type.refusals();
+    Box::new(move |reason| refusals.response(reason).into())
 }
 
 /// Publishes events of each request and its response.
@@ -158,7 +178,7 @@ impl Node {
     }
 
     /// Offers a service whose requests may be answered later, from any thread; see [`Node::serve`]. A request that is
-    /// not of the type of the service is not answered, as in rclcpp.
+    /// not of the type of the service is refused, see [`Refusals`]: with rclcpp its client would wait for ever.
     ///
     /// # Errors
     /// [`NodeError`] when a name is not valid or the engine refuses.
@@ -168,7 +188,10 @@ impl Node {
         qos: QosProfile,
         on_request: impl FnMut(S::Request, Reply<S>) + Send + 'static,
     ) -> Result<Service, NodeError> {
-        self.serve_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos, typed::<S>(on_request))
+        let service =
+            self.serve_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos, typed::<S>(on_request))?;
+        service.on_refusal(refusals_of(KnownService::of::<S>()));
+        Ok(service)
     }
 
     /// Offers a service of a type that this program may not know: requests and replies are their bytes, encapsulation

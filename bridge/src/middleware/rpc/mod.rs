@@ -18,7 +18,7 @@ mod mapping;
 mod server;
 
 pub use client::{Answer, CallError, CallNumber, RequestClient};
-pub use server::{IncomingRequest, ReplyError, RequestHandler, RequestServer, Responder};
+pub use server::{IncomingRequest, RefusalHandler, ReplyError, RequestHandler, RequestServer, Responder};
 
 use super::{Endpoint, Gid};
 use downbeat_msgs::qos::{History, QosProfile};

@@ -16,6 +16,9 @@ use thiserror::Error;
 /// Takes the requests of one server, in the order of each client.
 pub type RequestHandler = Box<dyn FnMut(IncomingRequest) + Send>;
 
+/// Makes the response to a request that is refused for a reason: encapsulation header (little-endian) and body.
+pub type RefusalHandler = Box<dyn Fn(&str) -> Bytes + Send + Sync>;
+
 /// A request that a server has accepted.
 pub struct IncomingRequest {
     /// The payload: encapsulation header and body.
@@ -56,6 +59,9 @@ struct Shared {
     worker: WorkerLink,
     is_closed: AtomicBool,
     open: Arc<AtomicUsize>,
+    /// Requests beyond those, which wait for their refusal.
+    refusing: Arc<AtomicUsize>,
+    refusal: OnceLock<RefusalHandler>,
     held: Mutex<VecDeque<Held>>,
     refused: AtomicU64,
     unreachable: AtomicU64,
@@ -90,6 +96,8 @@ impl RequestServer {
             worker: worker.link(),
             is_closed: AtomicBool::new(false),
             open: Arc::default(),
+            refusing: Arc::default(),
+            refusal: OnceLock::new(),
             held: Mutex::default(),
             refused: AtomicU64::new(0),
             unreachable: AtomicU64::new(0),
@@ -118,6 +126,13 @@ impl RequestServer {
         // Nothing else sets it.
         let _ = shared.reader.set(Arc::downgrade(&reader));
         Ok(Self { shared, reader })
+    }
+
+    /// Registers, once, what answers requests that nothing else answers: beyond [`MAX_IN_FLIGHT`], and when a [`Responder`] is
+    /// dropped. Without it these clients wait until their own time is up.
+    pub fn on_refusal(&self, refusal: RefusalHandler) {
+        // The first stays.
+        let _ = self.shared.refusal.set(refusal);
     }
 
     /// The identities of its two endpoints: the reader of requests, the writer of replies.
@@ -155,10 +170,16 @@ impl Drop for RequestServer {
 
 type OnSent = Box<dyn FnOnce(&Bytes) + Send>;
 
-/// Answers one request. A responder that is dropped answers nothing: the client's time runs out.
+/// Answers one request. A responder that is dropped refuses the request, if the server [can](RequestServer::on_refusal).
 #[must_use = "a request is answered with `reply`"]
 pub struct Responder {
     server: Weak<Shared>,
+    /// `None` once it was used.
+    unanswered: Option<Unanswered>,
+}
+
+/// A request without a reply so far.
+struct Unanswered {
     address: ReturnAddress,
     open: Open,
     on_sent: Option<OnSent>,
@@ -167,7 +188,9 @@ pub struct Responder {
 impl Responder {
     /// Registers a function that is called with the reply when it was sent or waits for its client.
     pub fn when_sent(mut self, on_sent: impl FnOnce(&Bytes) + Send + 'static) -> Self {
-        self.on_sent = Some(Box::new(on_sent));
+        if let Some(unanswered) = &mut self.unanswered {
+            unanswered.on_sent = Some(Box::new(on_sent));
+        }
         self
     }
 
@@ -186,15 +209,32 @@ impl Responder {
         });
     }
 
+    /// Refuses the request, if the server [can](RequestServer::on_refusal).
+    fn refuse(mut self, reason: &str) {
+        let server = self.server.upgrade();
+        let refusal = server.as_ref().and_then(|server| Some((server.refusal.get()?)(reason)));
+        match refusal {
+            Some(refusal) => {
+                if let Err(error) = self.reply(refusal) {
+                    tracing::debug!(%error, "a refusal was not sent");
+                }
+            }
+            // So that it is not tried again when this is dropped.
+            None => drop(self.unanswered.take()),
+        }
+    }
+
     /// Sends the reply: encapsulation header (little-endian) and body. Does not block: while the client is not matched
     /// the reply waits, for at most [`REPLY_HOLD`].
     ///
     /// # Errors
     /// [`ReplyError`] when it was not sent.
-    pub fn reply(self, cdr: Bytes) -> Result<(), ReplyError> {
-        let Self { server, address, open, on_sent } = self;
-        let server = server.upgrade().filter(|server| !server.is_closed.load(Ordering::Acquire));
-        let Some(server) = server else { return Err(ReplyError::Closed) };
+    pub fn reply(mut self, cdr: Bytes) -> Result<(), ReplyError> {
+        let server = self.server.upgrade().filter(|server| !server.is_closed.load(Ordering::Acquire));
+        let (Some(server), Some(unanswered)) = (server, self.unanswered.take()) else {
+            return Err(ReplyError::Closed);
+        };
+        let Unanswered { address, open, on_sent } = unanswered;
         {
             // Held while looking: a client that is matched after the look finds its reply among those that wait.
             let mut held = server.held.lock();
@@ -214,6 +254,18 @@ impl Responder {
         server.send(&address, &cdr)?;
         on_sent.into_iter().for_each(|on_sent| on_sent(&cdr));
         Ok(())
+    }
+}
+
+impl Drop for Responder {
+    fn drop(&mut self) {
+        if let (Some(server), Some(unanswered)) = (self.server.upgrade(), self.unanswered.take())
+            && server.refusal.get().is_some()
+        {
+            let unanswered = Some(unanswered);
+            let responder = Self { server: Weak::clone(&self.server), unanswered };
+            server.worker.run(move || responder.refuse("the server has dropped the request"));
+        }
     }
 }
 
@@ -240,12 +292,23 @@ fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample:
         shared.refuse(client, "it is too short for its header");
         return;
     };
+    let responder = |address, open| Responder {
+        server: Arc::downgrade(shared),
+        unanswered: Some(Unanswered { address, open, on_sent: None }),
+    };
     let Some(open) = Open::new(&shared.open) else {
-        shared.refuse(client, "1024 requests are not answered yet");
+        const REASON: &str = "1024 requests are not answered yet";
+        shared.refuse(client, REASON);
+        if shared.refusal.get().is_some()
+            && let Some(place) = Open::new(&shared.refusing)
+        {
+            let responder = responder(address, place);
+            shared.worker.run(move || responder.refuse(REASON));
+        }
         return;
     };
     let request_client = address.reader.unwrap_or(client);
-    let responder = Responder { server: Arc::downgrade(shared), address, open, on_sent: None };
+    let responder = responder(address, open);
     let request = IncomingRequest { cdr, client, number, request_client, responder };
     let (server, on_request) = (Arc::downgrade(shared), Arc::clone(on_request));
     shared.worker.run(move || {
