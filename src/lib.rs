@@ -41,6 +41,10 @@ pub use failure::{Failure, TestResult};
 pub struct Readme;
 
 #[cfg(doctest)]
+#[doc = include_str!("../docs/log.md")]
+struct LogPage;
+
+#[cfg(doctest)]
 #[doc = include_str!("../docs/messages.md")]
 struct MessagesPage;
 

@@ -1,5 +1,5 @@
-//! Builds, runs and extends the projects that `downbeat new` creates, as a user does. Also tests errors of
-//! the library in a user's app.
+//! Extends a project that `downbeat new` creates, as a user does, and tests errors of the library in a user's app. The projects as
+//! they are created are tested by `tests/first_hour.rs`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -78,46 +78,6 @@ impl Project {
     }
 }
 
-/// The packages that a build compiled.
-fn compiled(build: &str) -> Vec<&str> {
-    let lines = build.lines().filter_map(|line| line.trim().strip_prefix("Compiling "));
-    lines.filter_map(|line| line.split(' ').next()).collect()
-}
-
-#[test]
-fn a_new_robot_can_be_tested_run_recorded_and_replayed() {
-    let robot = Project::new("my_robot", &[]);
-    let tested = robot.cargo(&["test"]);
-    assert!(tested.contains("2 passed"), "{tested}");
-    robot.cargo(&["build"]);
-    // The dependencies of the first project are compiled for all projects.
-    let built = Project::new("second_robot", &[]).cargo(&["build"]);
-    assert_eq!(compiled(&built), ["second_robot"], "{built}");
-
-    let checked = robot.text_of(&["check", "robot.toml", "-p", "level_head.gain:=1"]);
-    assert!(checked.contains("level_head_msgs/msg/HeadTilt") && checked.contains("gain = 1"), "{checked}");
-    assert!(robot.text_of(&["check", "--kinds"]).contains("an IMU that sways to and fro"));
-
-    let run = ["run", "robot.toml", "--domain", "196", "--duration", "1s", "--record", "my_run"];
-    let output = robot.text_of(&run);
-    assert!(output.contains("/head_tilt") && output.contains("lost 0"), "{output}");
-    let information = robot.text_of(&["bag", "info", "my_run"]);
-    assert!(information.contains("level_head_msgs/msg/HeadTilt"), "{information}");
-    robot.text_of(&["bag", "replay", "robot.toml", "my_run", "--strict"]);
-    let differs = ["bag", "replay", "robot.toml", "my_run", "--strict", "-p", "level_head.gain:=0.5"];
-    assert!(robot.error_of(&differs).contains("head_tilt"));
-}
-
-#[test]
-fn a_new_message_package_and_a_new_module_pass_their_tests() {
-    let messages = Project::new("my_msgs", &["--template", "messages"]);
-    let tested = messages.cargo(&["test"]);
-    assert!(tested.contains("1 passed"), "{tested}");
-    let module = Project::new("my_module", &["--template", "module"]);
-    let tested = module.cargo(&["test"]);
-    assert!(tested.matches("1 passed").count() == 2, "its test and its doc test: {tested}");
-}
-
 #[test]
 fn a_project_is_not_overwritten_and_its_name_is_checked() {
     let folder = tempfile::tempdir().unwrap();
@@ -148,6 +108,34 @@ fn a_project_is_not_overwritten_and_its_name_is_checked() {
     text_of(&["new", path, "--force"]);
     assert!(std::fs::read_to_string(&manifest).unwrap().contains(CHECKOUT));
     assert!(Path::new(path).join("notes").exists());
+}
+
+/// What the program, projects and the wheel share is compiled once only if their manifests say the same.
+#[test]
+fn the_program_projects_and_the_wheel_have_the_same_features_and_profiles() {
+    let table = |path: &str| -> toml::Table {
+        std::fs::read_to_string(Path::new(CHECKOUT).join(path)).unwrap().parse().unwrap()
+    };
+    let names =
+        |table: &toml::Table| table["features"].as_table().unwrap().keys().cloned().collect::<Vec<_>>();
+    let [downbeat, start, program] =
+        ["Cargo.toml", "start/Cargo.toml", "start/program/Cargo.toml"].map(table);
+    assert_eq!(names(&start), names(&downbeat));
+    assert_eq!(names(&program), names(&downbeat));
+    let config = table("src/program/new/templates/shared/cargo_config.toml");
+    assert_eq!(program["profile"], config["profile"]);
+    for key in ["codegen-units", "strip", "package"] {
+        assert_eq!(downbeat["profile"]["release"][key], config["profile"]["release"][key], "{key}");
+    }
+    let [python, wheel] = ["python/Cargo.toml", "start/program/wheel/Cargo.toml"].map(table);
+    assert_eq!(python["features"], wheel["features"]);
+    let packages =
+        |table: &toml::Table| table["dependencies"].as_table().unwrap().keys().cloned().collect::<Vec<_>>();
+    assert_eq!(packages(&python), packages(&wheel));
+    let passed_on = std::fs::read_to_string(Path::new(CHECKOUT).join("start/src/main.rs")).unwrap();
+    for name in names(&downbeat) {
+        assert!(passed_on.contains(&format!("\"{name}\"")), "start/src/main.rs does not pass on {name}");
+    }
 }
 
 /// The value of an entry of a list of objects.

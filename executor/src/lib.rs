@@ -162,8 +162,10 @@ mod cycle;
 mod error;
 mod exchange;
 mod launchers;
+pub mod log;
 mod module;
 mod observe;
+mod probe;
 pub mod queue;
 mod threads;
 mod time;
@@ -191,6 +193,7 @@ pub use observe::{
     LoopTiming, ModuleState, ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, Timing,
     TopicStatistics, TraceCause, TraceEvent, TraceEventKind, running_module, running_modules,
 };
+pub use probe::{Heard, Probe, ProbeError};
 pub use threads::{Overrun, Receipt, Spin, ThreadError, ThreadOptions};
 pub use time::{Clock, ManualClock, SystemClock, Time};
 pub use topics::{

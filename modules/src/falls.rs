@@ -271,43 +271,37 @@ mod tests {
 
     use super::*;
     use crate::motions::MotionPlayer;
-    use crate::testing::{Collector, core_at_zero};
-    use downbeat_executor::{Core, Inlet, ManualClock};
+    use downbeat_executor::{Heard, Probe};
     use downbeat_msgs::geometry_msgs::msg::{Quaternion, Vector3};
     use glam::DQuat;
 
     struct Robot {
-        core: Core,
-        clock: ManualClock,
-        imu: Inlet<Imu>,
-        states: Inlet<JointState>,
-        robot_state: Collector<Text>,
-        playing: Collector<Text>,
-        limp: Collector<JointState>,
+        probe: Probe,
+        robot_state: Heard<Text>,
+        playing: Heard<Text>,
+        limp: Heard<JointState>,
     }
 
     impl Robot {
         fn new() -> Self {
-            let (mut core, clock) = core_at_zero();
-            core.add("falls", Falls::default()).unwrap();
-            core.add("motions", MotionPlayer::default()).unwrap();
-            let (imu, states) = (core.inlet("imu/data").unwrap(), core.inlet("joint_states").unwrap());
-            let robot_state = Collector::add(&mut core, "robot_state");
-            let playing = Collector::add(&mut core, "motions/playing");
-            let limp = Collector::add(&mut core, "falls/joint_commands");
-            Self { core, clock, imu, states, robot_state, playing, limp }
+            let mut probe = Probe::new();
+            let robot_state = probe.listen("robot_state").unwrap();
+            let playing = probe.listen("motions/playing").unwrap();
+            let limp = probe.listen("falls/joint_commands").unwrap();
+            probe.add("falls", Falls::default()).unwrap();
+            probe.add("motions", MotionPlayer::default()).unwrap();
+            Self { probe, robot_state, playing, limp }
         }
 
         /// Holds an orientation and a rate for a time in ms.
         fn hold(&mut self, orientation: DQuat, rate: f64, ms: u64) {
             for _ in 0..ms / 8 {
-                self.clock.advance(Duration::from_millis(8));
+                self.probe.advance(Duration::from_millis(8)).unwrap();
                 let (q, w) = (orientation, Vector3 { x: rate, y: 0.0, z: 0.0 });
                 let orientation = Quaternion { x: q.x, y: q.y, z: q.z, w: q.w };
                 let imu = Imu { orientation, angular_velocity: w, ..Imu::default() };
-                self.imu.publish(imu).unwrap();
-                self.states.publish(command(Time::ZERO, &[0.25; 20], |_| true)).unwrap();
-                (0..8).for_each(|_| self.core.cycle().unwrap());
+                self.probe.publish("imu/data", imu).unwrap();
+                self.probe.publish("joint_states", command(Time::ZERO, &[0.25; 20], |_| true)).unwrap();
             }
         }
 
@@ -374,8 +368,7 @@ mod tests {
         let mut robot = Robot::new();
         let mut imu = Imu::default();
         imu.orientation_covariance[0] = -1.0;
-        robot.imu.publish(imu).unwrap();
-        (0..3).for_each(|_| robot.core.cycle().unwrap());
+        robot.probe.publish("imu/data", imu).unwrap();
         assert_eq!(robot.states(), Vec::<String>::new());
     }
 }

@@ -261,7 +261,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
-    use crate::testing::{Collector, core_at_zero};
+    use downbeat_executor::Probe;
     use downbeat_msgs::builtin_interfaces::msg::Time;
     use std::f64::consts::FRAC_PI_2;
 
@@ -331,15 +331,12 @@ mod tests {
 
     /// What the module makes of messages every 8 ms.
     fn filtered(messages: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> Vec<Imu> {
-        let (mut core, _clock) = core_at_zero();
-        core.add("imu_filter", ImuFilter::default()).unwrap();
-        let data = Collector::<Imu>::add(&mut core, "imu/data");
-        let inlet = core.inlet("imu/data_raw").unwrap();
+        let mut probe = Probe::new();
+        probe.add("imu_filter", ImuFilter::default()).unwrap();
+        let data = probe.listen("imu/data").unwrap();
         for (number, (gyro, force)) in (0_i64..).zip(messages) {
-            inlet.publish(raw(8 * number, gyro, force)).unwrap();
-            core.cycle().unwrap();
+            probe.publish("imu/data_raw", raw(8 * number, gyro, force)).unwrap();
         }
-        (0..3).for_each(|_| core.cycle().unwrap());
         data.take()
     }
 

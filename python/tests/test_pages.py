@@ -53,6 +53,15 @@ def test_a_run_is_recorded_and_replayed_as_the_page_says(tmp_path, program):
     downbeat.replay(tmp_path / "robot.toml", tmp_path / "walk").assert_same()
 
 
+def test_the_test_of_a_module_runs_as_the_page_says(tmp_path):
+    (tmp_path / "level_head.py").write_text(blocks("python")[0])
+    (test,) = (block for block in blocks("python") if "db.test.Robot" in block)
+    script = tmp_path / "test.py"
+    script.write_text(test)
+    ran = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0, ran.stderr
+
+
 @pytest.mark.parametrize("code", blocks("python") if PAGE.exists() else [])
 def test_every_example_is_python(code):
     compile(code, "docs/python.md", "exec")

@@ -88,6 +88,22 @@ impl Place {
         replace(&self.layout(), &format!("{layout:#}\n"))
     }
 
+    /// Writes files beside the robot file, except those that exist.
+    ///
+    /// # Errors
+    /// In words for the user, if a file cannot be written.
+    pub(super) fn add_files(&self, files: &[(&str, &str)]) -> Result<(), String> {
+        for (name, text) in files {
+            let path = self.path.with_file_name(name);
+            let written = match path.exists() {
+                true => Ok(()),
+                false => replace(&path, text),
+            };
+            written.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+        }
+        Ok(())
+    }
+
     /// A folder for a new bag beside the robot file.
     pub(super) fn new_bag(&self, time: &str) -> PathBuf {
         let stem = self.path.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();

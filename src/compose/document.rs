@@ -159,10 +159,7 @@ impl Document {
     pub(crate) fn edited(&self, edit: &Edit) -> Result<Self> {
         let text = match edit {
             Edit::Text { text } => text.clone(),
-            Edit::Template { name } => {
-                let known = templates::ALL.iter().find(|template| template.name == name.as_str());
-                known.ok_or_else(|| format!("there is no template \"{name}\""))?.text.to_owned()
-            }
+            Edit::Template { name } => templates::find(name)?.text.to_owned(),
             Edit::MoveModule { module, to } => self.moved(module, *to)?,
             _ => {
                 let mut document = self.parsed()?;

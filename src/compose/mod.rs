@@ -232,7 +232,13 @@ impl Composer {
         for edit in edits {
             let change = change(edit)?;
             document = match change {
-                Change::Text(edit) => document.edited(&edit)?,
+                Change::Text(edit) => {
+                    let edited = document.edited(&edit)?;
+                    if let Edit::Template { name } = &edit {
+                        self.place.add_files(templates::find(name)?.files)?;
+                    }
+                    edited
+                }
                 Change::Wire(edit) => {
                     let picture = state.drawing.draw(&document, self.place.path());
                     rewired(&document, &picture, &edit)?

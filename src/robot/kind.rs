@@ -348,7 +348,8 @@ impl Kind {
     }
 
     /// The keys that a robot file gives a module of this kind: those that it must have, and those that it may have.
-    pub(crate) fn keys(&self) -> [&'static [&'static str]; 2] {
+    #[must_use]
+    pub fn keys(&self) -> [&'static [&'static str]; 2] {
         self.source.as_ref().map_or([&[], &[]], |source| source.keys)
     }
 

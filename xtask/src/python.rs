@@ -1,6 +1,6 @@
 //! The Python environments of the tests: real ROS 2 Jazzy and Kilted, and other bag readers, from PyPI.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::{Context, bail};
@@ -9,6 +9,9 @@ use crate::steps::{run, workspace};
 
 /// The only Python version for which there are wheels of ROS 2 Jazzy and Kilted.
 const VERSION: &str = "3.11";
+
+/// The same, which is also the oldest that the wheel supports.
+const OLDEST: (u32, u32) = (3, 11);
 
 /// Creates the environment of ROS 2 Jazzy if it is missing or its requirements have changed and returns the path
 /// of its interpreter.
@@ -19,6 +22,27 @@ pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
 /// The same for ROS 2 Kilted, whose packages cannot share an environment with those of Jazzy.
 pub(crate) fn kilted_interpreter() -> anyhow::Result<PathBuf> {
     environment("target/venv_kilted", "xtask/requirements_kilted.txt")
+}
+
+/// Creates the environment that builds the wheel if it is missing, and returns the path of its interpreter. It needs none of ROS 2,
+/// and any Python that the wheel supports.
+pub(crate) fn tools(packages: &[&str]) -> anyhow::Result<PathBuf> {
+    let venv = workspace().join("target/wheel-tools");
+    let interpreter = venv.join("bin/python");
+    let installed = venv.join("installed-requirements.txt");
+    let wanted = packages.join("\n");
+    if std::fs::read_to_string(&installed).is_ok_and(|text| text == wanted) {
+        return Ok(interpreter);
+    }
+    let candidates = ["python3", "python3.13", "python3.12", "python3.11", "python"];
+    let Some(python) = candidates.into_iter().find(|candidate| version_of(candidate) >= Some(OLDEST)) else {
+        bail!("the Python package needs Python 3.11 or later, and none of {} is one", candidates.join(", "));
+    };
+    eprintln!("xtask: installing {} into {}", packages.join(" and "), venv.display());
+    run(Command::new(python).args(["-m", "venv", "--clear"]).arg(&venv))?;
+    run(Command::new(&interpreter).args(["-m", "pip", "install", "--quiet"]).args(packages))?;
+    std::fs::write(&installed, wanted).with_context(|| installed.display().to_string())?;
+    Ok(interpreter)
 }
 
 fn environment(venv: &str, requirements_path: &str) -> anyhow::Result<PathBuf> {
@@ -46,7 +70,7 @@ fn environment(venv: &str, requirements_path: &str) -> anyhow::Result<PathBuf> {
 
 fn find() -> anyhow::Result<&'static str> {
     let candidates = ["python3.11", "python3", "python"];
-    let Some(found) = candidates.into_iter().find(|candidate| is_right_version(Path::new(candidate))) else {
+    let Some(found) = candidates.into_iter().find(|candidate| is_right_version(candidate)) else {
         bail!(
             "Python {VERSION} is needed for the tests against real ROS 2 (its wheels on PyPI are for {VERSION} \
              only), and none of {} is it; install it, or run `cargo test`, which skips them and says so",
@@ -56,8 +80,17 @@ fn find() -> anyhow::Result<&'static str> {
     Ok(found)
 }
 
-fn is_right_version(python: &Path) -> bool {
-    let program = "import sys; print('%d.%d' % sys.version_info[:2])";
-    let output = Command::new(python).args(["-c", program]).output();
-    output.is_ok_and(|output| output.status.success() && output.stdout.trim_ascii() == VERSION.as_bytes())
+fn is_right_version(python: &str) -> bool {
+    version_of(python) == Some(OLDEST)
+}
+
+/// Major and minor version.
+fn version_of(python: &str) -> Option<(u32, u32)> {
+    let output = Command::new(python)
+        .args(["-c", "import sys; print('%d.%d' % sys.version_info[:2])"])
+        .output()
+        .ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    let (major, minor) = text.trim().split_once('.')?;
+    Some((major.parse().ok()?, minor.parse().ok()?))
 }

@@ -14,8 +14,13 @@ pub(crate) fn workspace() -> PathBuf {
 
 /// Runs a command in the workspace. It inherits the output of this process.
 pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
+    run_in(&workspace(), command)
+}
+
+/// Runs a command in a folder. It inherits the output of this process.
+pub(crate) fn run_in(folder: &Path, command: &mut Command) -> anyhow::Result<()> {
     let name = format!("{command:?}");
-    let status = command.current_dir(workspace()).status().with_context(|| format!("cannot run {name}"))?;
+    let status = command.current_dir(folder).status().with_context(|| format!("cannot run {name}"))?;
     if !status.success() {
         bail!("{name} failed: {status}");
     }

@@ -6,33 +6,40 @@ use std::process::Command;
 use anyhow::Context;
 
 use crate::python;
-use crate::steps::{run, workspace};
+use crate::steps::{run, run_in, workspace};
 
 /// What the tests need beside the wheel and what it depends on.
 const TOOLS: [&str; 3] = ["pytest==9.2.0", "mypy==2.4.1", "mcap-ros2-support==0.6.0"];
 const TABLES: [&str; 2] = ["pandas==3.1.1", "pyarrow==26.0.1"];
 const MATURIN: &str = "maturin==1.16.0";
+/// The package needs it, and so does writing the stubs.
+const NUMPY: &str = "numpy>=1.24";
 
-/// Builds the wheel with a profile of cargo and returns its path.
+/// Builds the wheel with a profile of cargo and returns its path. Cargo compiles it with what `cargo run` in the checkout has compiled
+/// already, and shows its progress.
 pub(crate) fn build(profile: &str) -> anyhow::Result<PathBuf> {
-    let peers = python::interpreter()?;
-    run(Command::new(&peers).args(["-m", "pip", "install", "--quiet", MATURIN]))?;
-    let first = maturin(&peers, profile)?;
-    // The stubs of messages are written by what was just built, and are part of the wheel.
+    downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
+    let python = python::tools(&[MATURIN, NUMPY])?;
+    let first = maturin(&python, profile, &[])?;
+    // The stubs of messages are written by what was just built, and are part of the wheel: it is packed again, not compiled again.
     let unpacked = workspace().join("target/wheels/unpacked");
     remove(&unpacked)?;
-    run(Command::new(&peers).args(["-m", "zipfile", "--extract"]).args([&first, &unpacked]))?;
+    run(Command::new(&python).args(["-m", "zipfile", "--extract"]).args([&first, &unpacked]))?;
     let sources = workspace().join("python/python/downbeat/msgs");
     let arguments = ["-m", "downbeat.stubs", "--into"];
-    run(Command::new(&peers).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))?;
-    maturin(&peers, profile)
+    run(Command::new(&python).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))?;
+    maturin(&python, profile, &["--quiet"])
 }
 
-fn maturin(python: &Path, profile: &str) -> anyhow::Result<PathBuf> {
+fn maturin(python: &Path, profile: &str, options: &[&str]) -> anyhow::Result<PathBuf> {
     let wheels = workspace().join("target/wheels").join(profile);
     remove(&wheels)?;
-    let arguments = ["-m", "maturin", "build", "--quiet", "--manifest-path", "python/Cargo.toml"];
-    run(Command::new(python).args(arguments).args(["--profile", profile, "--out"]).arg(&wheels))?;
+    let mut command = Command::new(python);
+    command.args(["-m", "maturin", "build", "--profile", profile]).args(options).arg("--out").arg(&wheels);
+    if std::env::var_os("CARGO_TARGET_DIR").is_none() {
+        command.env("CARGO_TARGET_DIR", workspace().join("target"));
+    }
+    run_in(&workspace().join("python"), &mut command)?;
     let mut built = std::fs::read_dir(&wheels).with_context(|| wheels.display().to_string())?;
     Ok(built.next().context("maturin built no wheel")??.path())
 }

@@ -23,6 +23,8 @@ pub struct ModuleInfo {
     pub is_paused: bool,
     /// How often it was started again after a panic.
     pub restarts: u32,
+    /// What the panic said that ended it, until it is started again.
+    pub panic: Option<Arc<str>>,
 }
 
 /// What is known of a module beside its cell.
@@ -34,6 +36,8 @@ pub(crate) struct Member {
     pub(crate) uses: Vec<Use>,
     /// How often it was started again after a panic.
     pub(crate) restarts: u32,
+    /// What the panic said that ended it, until it is started again.
+    pub(crate) panic: Option<Arc<str>>,
     /// Panics in a row, without a time in which it ran well.
     pub(crate) panics_in_a_row: u32,
     pub(crate) started: Time,

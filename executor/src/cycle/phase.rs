@@ -119,7 +119,8 @@ impl CoreState {
             };
             let is_detached = matches!(member.id.place, Place::Detached(_));
             let (name, role, restarts) = (Arc::clone(&member.name), member.role(), member.restarts);
-            Some(ModuleInfo { name, state, role, is_detached, is_paused, restarts })
+            let panic = member.panic.clone();
+            Some(ModuleInfo { name, state, role, is_detached, is_paused, restarts, panic })
         };
         self.members.iter().filter_map(describe).collect()
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::causes::{Asked, MESSAGES};
 use super::link::Link;
+use crate::log::LogLimits;
 use crate::threads::drop_guarded;
 use crate::topics::{Outboxes, Topics};
 use crate::{ModuleId, Time};
@@ -67,6 +68,8 @@ pub(crate) struct ModuleIo {
     pub(crate) received: usize,
     /// Counts the runs.
     pub(crate) run: u64,
+    /// The lines of its log that are not written each time.
+    pub(crate) log_limits: LogLimits,
     /// The port of messages.
     pub(crate) outboxes: Outboxes,
     /// Those of the other mechanisms, by their numbers.
@@ -76,7 +79,7 @@ pub(crate) struct ModuleIo {
 impl ModuleIo {
     pub(crate) fn new(name: Arc<str>, id: ModuleId, link: Arc<Link>) -> Self {
         let (asked, outboxes, ports) = (Asked::default(), Outboxes::default(), Vec::new());
-        Self { name, id, link, asked, received: 0, run: 0, outboxes, ports }
+        Self { name, id, link, asked, received: 0, run: 0, log_limits: LogLimits::default(), outboxes, ports }
     }
 
     /// The module's port of the mechanism with that number, if it has one.

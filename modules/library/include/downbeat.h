@@ -167,6 +167,30 @@ struct downbeat_host_v1 {
     int32_t (*saved)(const downbeat_host_v1 *host, const uint8_t *state, size_t size);
 };
 
+/* When a line of the log was written that is not written each time. For each such place in the source, the state of the module has
+ * one, set to zero. */
+typedef struct downbeat_log_limit {
+    int64_t written_ns;
+    uint64_t suppressed; /* how often the line was left out before */
+    int32_t was_written;
+} downbeat_log_limit;
+
+/* Whether a line is to be written that is written at most once per period, by the time of the cycle; with a negative period, once:
+ *
+ *     if (downbeat_log_is_due(host, &self->limit, 10000000000)) host->log(host, DOWNBEAT_WARN, "the servo is silent");
+ */
+static inline int32_t downbeat_log_is_due(const downbeat_host_v1 *host, downbeat_log_limit *limit, int64_t period_ns) {
+    int64_t now = host->now(host);
+    if (limit->was_written && (period_ns < 0 || (limit->written_ns <= now && now - limit->written_ns < period_ns))) {
+        limit->suppressed++;
+        return 0;
+    }
+    if (!limit->was_written) limit->suppressed = 0;
+    limit->written_ns = now;
+    limit->was_written = 1;
+    return 1;
+}
+
 /* The functions of a module. */
 typedef struct downbeat_module_v1 {
     uint32_t abi_version; /* DOWNBEAT_ABI_VERSION */

@@ -20,6 +20,7 @@
 #include <cstdint>
 #include <cstring>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <stdexcept>
@@ -432,6 +433,19 @@ template <class S> class Request {
     std::uint64_t id_;
 };
 
+// A place in the source: that of the call whose default argument it is.
+class Place {
+  public:
+    explicit Place(const char *file = __builtin_FILE(), int line = __builtin_LINE()) : file_(file), line_(line) {}
+    bool operator<(const Place &other) const {
+        return line_ != other.line_ ? line_ < other.line_ : std::strcmp(file_, other.file_) < 0;
+    }
+
+  private:
+    const char *file_;
+    int line_;
+};
+
 // A module. Ports and settings are declared in `setup`; what a callback requests takes effect after the cycle.
 class Module {
   public:
@@ -463,6 +477,25 @@ class Module {
     void info(const std::string &text) const { host_->log(host_, DOWNBEAT_INFO, text.c_str()); }
     void warn(const std::string &text) const { host_->log(host_, DOWNBEAT_WARN, text.c_str()); }
     void error(const std::string &text) const { host_->log(host_, DOWNBEAT_ERROR, text.c_str()); }
+
+    // A line that is written at most once per period, with a count of those left out; and one that is written once. The place in
+    // the source tells lines apart: leave `place` as it is.
+    void debug_every(std::chrono::nanoseconds period, const std::string &text, Place place = Place()) const {
+        log_limited(DOWNBEAT_DEBUG, period.count(), text, place);
+    }
+    void info_every(std::chrono::nanoseconds period, const std::string &text, Place place = Place()) const {
+        log_limited(DOWNBEAT_INFO, period.count(), text, place);
+    }
+    void warn_every(std::chrono::nanoseconds period, const std::string &text, Place place = Place()) const {
+        log_limited(DOWNBEAT_WARN, period.count(), text, place);
+    }
+    void error_every(std::chrono::nanoseconds period, const std::string &text, Place place = Place()) const {
+        log_limited(DOWNBEAT_ERROR, period.count(), text, place);
+    }
+    void debug_once(const std::string &text, Place place = Place()) const { log_limited(DOWNBEAT_DEBUG, -1, text, place); }
+    void info_once(const std::string &text, Place place = Place()) const { log_limited(DOWNBEAT_INFO, -1, text, place); }
+    void warn_once(const std::string &text, Place place = Place()) const { log_limited(DOWNBEAT_WARN, -1, text, place); }
+    void error_once(const std::string &text, Place place = Place()) const { log_limited(DOWNBEAT_ERROR, -1, text, place); }
 
     template <class T> Publisher<T> publish(const std::string &topic) {
         std::uint32_t number = 0;
@@ -631,6 +664,16 @@ class Module {
         }
     }
 
+    void log_limited(std::int32_t severity, std::int64_t period_ns, const std::string &text, const Place &place) const {
+        downbeat_log_limit &limit = log_limits_[place];
+        if (!downbeat_log_is_due(host_, &limit, period_ns)) {
+            return;
+        }
+        std::string line = limit.suppressed ? text + " suppressed=" + std::to_string(limit.suppressed) : text;
+        limit.suppressed = 0;
+        host_->log(host_, severity, line.c_str());
+    }
+
     template <class T> const std::vector<std::uint8_t> &encoded(const T &message) {
         writer_.start();
         writer_.put(message);
@@ -643,6 +686,7 @@ class Module {
     std::vector<std::function<void()>> timers_, tasks_;
     std::vector<SettingCallbacks> settings_;
     std::function<void()> each_run_;
+    mutable std::map<Place, downbeat_log_limit> log_limits_;
 };
 
 template <class T> void Publisher<T>::operator()(const T &message) const {

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Robot, SOURCES, build, cpp, generated, has_compiler, library};
+use common::{Log, Robot, SOURCES, build, cpp, generated, has_compiler, library};
 use downbeat_executor::{LifecycleState, ModuleOptions, Restart, SettingValue};
 use downbeat_library_host::{LibraryOptions, load, set_child_command};
 use downbeat_msgs::std_msgs::msg::Float64;
@@ -72,6 +72,31 @@ fn a_module_in_cpp_serves_calls_schedules_and_refuses_settings() {
         counts.try_iter().for_each(drop);
         robot.cycles(5);
         assert_eq!(counts.try_iter().count(), 0, "the flag stops it");
+    }
+}
+
+#[test]
+fn lines_of_the_log_are_limited_by_the_time_of_cycles() {
+    let (Some(amplifier), Some(counter)) = (library("amplifier.c", &[]), library("counter.cpp", &[])) else {
+        return;
+    };
+    for (in_process, child) in both(&amplifier).into_iter().zip(both(&counter)) {
+        let log = Log::default();
+        let _logging = tracing::subscriber::set_default(log.clone());
+        let mut robot = Robot::new();
+        robot
+            .add(&LibraryOptions { module: "amplifier".into(), ..in_process }, ModuleOptions::default())
+            .unwrap();
+        robot.add(&child, ModuleOptions::default()).unwrap();
+        let input = robot.core.inlet::<Float64>("in").unwrap();
+        for _ in 0..3 {
+            input.publish(Float64 { data: 1.0 }).unwrap();
+            robot.cycles(7);
+        }
+        let text = log.text();
+        let count = |line: &str| text.matches(line).count();
+        assert_eq!([count("message=amplifies"), count("message=began")], [1, 1], "{text}");
+        assert_eq!([count("message=counts "), count("message=counts suppressed=9")], [2, 1], "{text}");
     }
 }
 

@@ -106,28 +106,27 @@ impl Module for ForwardCommandController {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::testing::{Collector, core_at_zero};
-    use downbeat_executor::{Core, ModuleOptions};
+    use downbeat_executor::{ModuleOptions, Probe, ProbeError};
 
-    fn add(core: &mut Core, interface: &str) -> Result<(), SetupError> {
+    fn add(probe: &mut Probe, interface: &str) -> Result<(), ProbeError> {
         let settings = [
             ("joints".to_owned(), vec!["left".to_owned(), "right".to_owned()].into()),
             ("interface_name".to_owned(), interface.to_owned().into()),
         ];
         let options = ModuleOptions { settings: settings.into(), ..ModuleOptions::default() };
-        core.add_with("wheels", ForwardCommandController::default(), options).map(drop)
+        probe.add_with("wheels", ForwardCommandController::default(), options)
     }
 
     #[test]
     fn commands_get_the_names_of_the_joints() {
-        let (mut core, _clock) = core_at_zero();
-        add(&mut core, "velocity").unwrap();
-        let forwarded = Collector::<JointState>::add(&mut core, "joint_commands");
-        let commands = core.inlet("wheels/commands").unwrap();
+        let mut probe = Probe::new();
+        add(&mut probe, "velocity").unwrap();
+        let forwarded = probe.listen::<JointState>("joint_commands").unwrap();
         for data in [vec![1.0, -2.0], vec![1.0], vec![f64::NAN, 3.0]] {
-            commands.publish(Float64MultiArray { data, ..Float64MultiArray::default() }).unwrap();
+            probe
+                .publish("wheels/commands", Float64MultiArray { data, ..Float64MultiArray::default() })
+                .unwrap();
         }
-        (0..3).for_each(|_| core.cycle().unwrap());
         let forwarded = forwarded.take();
         let seen: Vec<_> =
             forwarded.iter().map(|command| (&command.name[..], &command.velocity[..])).collect();
@@ -138,7 +137,7 @@ mod tests {
 
     #[test]
     fn an_unknown_interface_is_refused() {
-        let refused = add(&mut core_at_zero().0, "torque").unwrap_err().to_string();
+        let refused = add(&mut Probe::new(), "torque").unwrap_err().to_string();
         assert!(refused.contains("\"torque\" is none of position, velocity, effort"), "{refused}");
     }
 }

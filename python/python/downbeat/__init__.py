@@ -19,6 +19,9 @@ from downbeat.module import (
 )
 from downbeat.program import main, replay, run, start
 
+# Needs the names above.
+from downbeat import test  # isort: skip
+
 __all__ = [
     "ActionClient",
     "Bag",
@@ -49,4 +52,5 @@ __all__ = [
     "setting",
     "start",
     "subscribe",
+    "test",
 ]

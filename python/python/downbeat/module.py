@@ -1,6 +1,7 @@
 """Modules: what a user's class derives from, and how it declares what it publishes, receives and does."""
 
 import random
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Generic, Self, TypeVar, cast, overload
 
@@ -144,22 +145,47 @@ class Task:
 
 
 class Log:
-    """Lines in the log of the program, under the name of the module; in ROS 2 on ``/rosout``."""
+    """Lines in the log of the program, under the name of the module; in ROS 2 on ``/rosout``.
+
+    ``self.log.warning("servo 5 is silent", every="10s")`` writes the line of this place in the source at most once in ten
+    seconds, and how often it was left out; with ``once=True`` it is written once in the life of the module. Times are those of
+    cycles, so that a replay writes the same lines.
+    """
 
     def __init__(self, link: _core.Link) -> None:
         self._link = link
+        # By place in the source: when the line was written, and how often it was left out since.
+        self._limits: dict[tuple[str, int], tuple[int, int]] = {}
 
-    def debug(self, text: object) -> None:
-        self._link.log(10, str(text))
+    def debug(self, text: object, *, every: float | str | None = None, once: bool = False) -> None:
+        self._write(10, text, every, once)
 
-    def info(self, text: object) -> None:
-        self._link.log(20, str(text))
+    def info(self, text: object, *, every: float | str | None = None, once: bool = False) -> None:
+        self._write(20, text, every, once)
 
-    def warning(self, text: object) -> None:
-        self._link.log(30, str(text))
+    def warning(self, text: object, *, every: float | str | None = None, once: bool = False) -> None:
+        self._write(30, text, every, once)
 
-    def error(self, text: object) -> None:
-        self._link.log(40, str(text))
+    warn = warning
+
+    def error(self, text: object, *, every: float | str | None = None, once: bool = False) -> None:
+        self._write(40, text, every, once)
+
+    def _write(self, level: int, text: object, every: float | str | None, once: bool) -> None:
+        line = str(text)
+        if once or every is not None:
+            place = sys._getframe(2)
+            key, now = (place.f_code.co_filename, place.f_lineno), self._link.now
+            if key in self._limits:
+                written, suppressed = self._limits[key]
+                period = 0 if every is None else round(duration(every) * 1e9)
+                if once or written <= now < written + period:
+                    self._limits[key] = (written, suppressed + 1)
+                    return
+                if suppressed:
+                    line += f" suppressed={suppressed}"
+            self._limits[key] = (now, 0)
+        self._link.log(level, line)
 
 
 class Module:

@@ -38,8 +38,9 @@ pub(crate) fn new(arguments: &NewArguments) -> anyhow::Result<()> {
     let folder = &arguments.folder;
     let name = Name::of_folder(folder)?;
     let origin = match (&arguments.git, &arguments.rev) {
-        (Some(url), Some(revision)) => Origin::git(url, revision),
-        _ => Origin::checkout()?,
+        _ if !arguments.template.is_for_cargo() => None,
+        (Some(url), Some(revision)) => Some(Origin::git(url, revision)),
+        _ => Some(Origin::checkout()?),
     };
     if !arguments.force {
         check_empty(folder)?;
@@ -47,11 +48,15 @@ pub(crate) fn new(arguments: &NewArguments) -> anyhow::Result<()> {
     for (path, content) in arguments.template.files() {
         let path = folder.join(name.put_into(path));
         match std::str::from_utf8(content) {
-            Ok(text) => write(&path, origin.put_into(&name.put_into(text)).as_bytes())?,
+            Ok(text) => {
+                let text = name.put_into(text);
+                let text = origin.as_ref().map_or(text.clone(), |origin| origin.put_into(&text));
+                write(&path, text.as_bytes())?;
+            }
             Err(_) => write(&path, content)?, // a bag file
         }
     }
-    for (path, content) in origin.files()? {
+    for (path, content) in origin.iter().map(Origin::files).collect::<anyhow::Result<Vec<_>>>()?.concat() {
         write(&folder.join(path), content.as_bytes())?;
     }
     println!("{} is ready. Next:\n", folder.display());
@@ -84,7 +89,17 @@ fn write(path: &Path, content: &[u8]) -> anyhow::Result<()> {
 pub(crate) enum Template {
     /// A robot: a module with a message and a test, a robot file that runs without hardware, a recorded run.
     Robot,
-    /// Messages, services and actions from .msg, .srv and .action files.
+    /// A rover: differential drive with emulated servos, odometry, a module that patrols.
+    Rover,
+    /// An arm of emulated servos, with a trajectory controller and a module for poses.
+    Arm,
+    /// A camera and a module that looks at its pictures, in Python with NumPy.
+    Camera,
+    /// A robot with modules in Python.
+    Python,
+    /// A robot with modules in C++.
+    Cpp,
+    /// Messages, services and actions from .msg, .srv and .action files, for ROS 2 (colcon) too.
     Messages,
     /// A library with a module, for several robots.
     Module,
@@ -111,12 +126,85 @@ const ROBOT: &[File] = &[
     file!("tests/field_run/field_run_0.mcap", "robot/tests/field_run/field_run_0.mcap"),
 ];
 
+/// The robot file of a project, which begins as that of the robot that `downbeat compose` offers.
+macro_rules! robot_file {
+    ($template:literal, $more:literal) => {
+        (
+            "robot.toml",
+            concat!(
+                include_str!(concat!("templates/", $template, "/robot.toml")),
+                include_str!(concat!("templates/", $template, "/", $more))
+            )
+            .as_bytes(),
+        )
+    };
+}
+
+const ROVER: &[File] = &[
+    file!("Cargo.toml", "rover/Cargo.toml.template"),
+    file!("README.md", "rover/README.md"),
+    file!(".gitignore", "shared/gitignore"),
+    robot_file!("rover", "patrol.toml"),
+    file!("rover_servos.toml", "rover/rover_servos.toml"),
+    file!("rover.urdf", "rover/rover.urdf"),
+    file!("src/main.rs", "rover/src/main.rs"),
+    file!("src/patrol.rs", "rover/src/patrol.rs"),
+    file!("tests/field_run/metadata.yaml", "rover/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "rover/tests/field_run/field_run_0.mcap"),
+];
+
+const ARM: &[File] = &[
+    file!("Cargo.toml", "arm/Cargo.toml.template"),
+    file!("README.md", "arm/README.md"),
+    file!(".gitignore", "shared/gitignore"),
+    robot_file!("arm", "poses.toml"),
+    file!("arm_servos.toml", "arm/arm_servos.toml"),
+    file!("arm.urdf", "arm/arm.urdf"),
+    file!("src/main.rs", "arm/src/main.rs"),
+    file!("src/poses.rs", "arm/src/poses.rs"),
+    file!("tests/field_run/metadata.yaml", "arm/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "arm/tests/field_run/field_run_0.mcap"),
+];
+
+const CAMERA: &[File] = &[
+    file!("README.md", "camera/README.md"),
+    file!("robot.toml", "camera/robot.toml"),
+    file!("camera.py", "camera/camera.py"),
+    file!("spot.py", "camera/spot.py"),
+    file!("test_spot.py", "camera/test_spot.py"),
+    file!("tests/field_run/metadata.yaml", "camera/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "camera/tests/field_run/field_run_0.mcap"),
+];
+
+const PYTHON: &[File] = &[
+    file!("README.md", "python/README.md"),
+    file!("robot.toml", "python/robot.toml"),
+    file!("level_head.py", "python/level_head.py"),
+    file!("simulated_imu.py", "python/simulated_imu.py"),
+    file!("test_level_head.py", "python/test_level_head.py"),
+    file!("tests/field_run/metadata.yaml", "python/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "python/tests/field_run/field_run_0.mcap"),
+];
+
+const CPP: &[File] = &[
+    file!("README.md", "cpp/README.md"),
+    file!(".gitignore", "cpp/gitignore"),
+    file!("CMakeLists.txt", "cpp/CMakeLists.txt"),
+    file!("robot.toml", "cpp/robot.toml"),
+    file!("level_head.cpp", "cpp/level_head.cpp"),
+    file!("simulated_imu.cpp", "cpp/simulated_imu.cpp"),
+    file!("tests/field_run/metadata.yaml", "cpp/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "cpp/tests/field_run/field_run_0.mcap"),
+];
+
 const MESSAGES: &[File] = &[
     file!("Cargo.toml", "messages/Cargo.toml.template"),
     file!("README.md", "messages/README.md"),
     file!(".gitignore", "shared/gitignore"),
     file!("build.rs", "messages/build.rs"),
     file!("src/lib.rs", "messages/src/lib.rs"),
+    file!("my_robot/package.xml", "messages/my_robot/package.xml"),
+    file!("my_robot/CMakeLists.txt", "messages/my_robot/CMakeLists.txt"),
     file!("my_robot/msg/HeadTilt.msg", "messages/my_robot/msg/HeadTilt.msg"),
     file!("my_robot/srv/LevelHead.srv", "messages/my_robot/srv/LevelHead.srv"),
     file!("my_robot/action/Look.action", "messages/my_robot/action/Look.action"),
@@ -135,16 +223,34 @@ impl Template {
     fn files(self) -> &'static [File] {
         match self {
             Self::Robot => ROBOT,
+            Self::Rover => ROVER,
+            Self::Arm => ARM,
+            Self::Camera => CAMERA,
+            Self::Python => PYTHON,
+            Self::Cpp => CPP,
             Self::Messages => MESSAGES,
             Self::Module => MODULE,
         }
     }
 
+    /// Whether cargo builds it, from the source of downbeat.
+    fn is_for_cargo(self) -> bool {
+        self.files().iter().any(|(path, _)| *path == "Cargo.toml")
+    }
+
     /// The first commands to run in the project.
     fn commands(self) -> &'static [&'static str] {
         match self {
-            Self::Robot => &["cargo run -- run robot.toml", "cargo test"],
-            Self::Messages | Self::Module => &["cargo test"],
+            Self::Robot | Self::Rover | Self::Arm => {
+                &["cargo run --release -- run robot.toml", "cargo test --release"]
+            }
+            Self::Camera | Self::Python => &["downbeat run robot.toml", "python -m pytest"],
+            Self::Cpp => &[
+                "cmake -B build && cmake --build build",
+                "downbeat run robot.toml",
+                "ctest --test-dir build",
+            ],
+            Self::Messages | Self::Module => &["cargo test --release"],
         }
     }
 }

@@ -40,6 +40,7 @@ pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(
         source,
         uses: Vec::new(),
         restarts: 0,
+        panic: None,
         panics_in_a_row: 0,
         started,
         periods: Vec::new(),

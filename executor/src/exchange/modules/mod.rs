@@ -213,6 +213,7 @@ impl Modules {
         let is_final = phase.state.link.is_closed() || phase.state.members.is_leaving(order);
         let now = phase.now();
         let Some(member) = phase.state.members.get_mut(order) else { return };
+        member.panic = Some(reason.into());
         let module = &*member.name;
         let backoff = match member.options.restart {
             _ if is_final => {
@@ -344,6 +345,7 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     phase.state.gone.push(member.id);
     phase.state.has_ends = true;
     member.restarts += 1;
+    member.panic = None;
     member.id.life += 1;
     member.started = phase.now();
     let (module, restarts) = (Arc::clone(&member.name), member.restarts);

@@ -4,6 +4,7 @@
 typedef struct amplifier {
     std_msgs__msg__Float64 message;
     downbeat_writer writer;
+    downbeat_log_limit began;
 } amplifier;
 
 static void *create(const downbeat_host_v1 *host) {
@@ -47,6 +48,9 @@ static int32_t handle(void *self, const downbeat_host_v1 *host, const downbeat_e
     }
     if (of->message.data == 4321.0) {
         return host->publish(host, 0, (const uint8_t *)"\0\1\0\0", 4);
+    }
+    if (downbeat_log_is_due(host, &of->began, -1)) {
+        host->log(host, DOWNBEAT_INFO, "amplifies");
     }
     of->message.data *= *(const double *)gain.data;
     return std_msgs__msg__Float64__publish(host, 0, &of->message, &of->writer);

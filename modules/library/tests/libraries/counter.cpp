@@ -31,6 +31,8 @@ class Counter : public downbeat::Module {
             if (!std::vector<bool>(*flags_).at(0)) {
                 return;
             }
+            info_every(100ms, "counts");
+            warn_once("began");
             count_ += *step_;
             out({count_});
             version({VERSION});

@@ -15,4 +15,19 @@ mod tests {
         assert_eq!(HeadTilt::TYPE_NAME, "my_robot/msg/HeadTilt");
         Ok(())
     }
+
+    #[test]
+    fn ros_builds_every_interface() -> Result<(), std::io::Error> {
+        let listed = std::fs::read_to_string("my_robot/CMakeLists.txt")?;
+        for folder in ["msg", "srv", "action"].map(|kind| format!("my_robot/{kind}")) {
+            for file in std::fs::read_dir(folder)? {
+                let path = file?.path().to_string_lossy().replace("my_robot/", "");
+                assert!(
+                    listed.contains(&format!("\"{path}\"")),
+                    "my_robot/CMakeLists.txt does not list {path}"
+                );
+            }
+        }
+        Ok(())
+    }
 }

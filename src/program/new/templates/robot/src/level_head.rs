@@ -8,6 +8,7 @@
 
 use std::time::Duration;
 
+use downbeat::executor::log::warn_every;
 use downbeat::executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat::msgs::Message;
 use downbeat::msgs::sensor_msgs::msg::{Imu, JointState};
@@ -64,11 +65,15 @@ impl Module for LevelHead {
 impl LevelHead {
     fn measure(&mut self, imu: Received<'_, Imu>, ctx: &mut Context<'_, Ports>) {
         let now = ctx.now();
-        let elapsed = self.measured.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
+        let elapsed =
+            self.measured.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
         let gain = *ctx.get(ctx.ports.gain);
         let angle = self.angle + gain * imu.angular_velocity.y * elapsed.as_secs_f64();
         self.angle = angle.clamp(LOWEST, HIGHEST);
         let is_at_limit = self.angle != angle;
+        if is_at_limit {
+            warn_every!(ctx, Duration::from_secs(5), "the head is at its limit: {:.2} rad", self.angle);
+        }
         let tilt = HeadTilt { header: imu.header.clone(), angle: self.angle, is_at_limit };
         ctx.publish(ctx.ports.tilt, tilt);
     }
@@ -81,45 +86,25 @@ impl LevelHead {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::{Sender, channel};
-
     use downbeat::TestResult;
-    use downbeat::executor::{Core, ManualClock};
+    use downbeat::executor::Probe;
 
     use super::*;
 
-    /// Forwards the messages of the module.
-    struct Ear(Sender<HeadTilt>);
-
-    impl Module for Ear {
-        type Ports = ();
-
-        fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-            setup.subscribe::<HeadTilt, _>("head_tilt", |ear, tilt, _| drop(ear.0.send(tilt.clone())))
-        }
-    }
-
-    /// The test advances the clock, so the result is always the same.
+    /// The probe advances the clock, so the result is always the same.
     #[test]
     fn the_head_turns_against_the_body_as_far_as_the_joint_allows() -> TestResult {
-        let clock = ManualClock::new(Time::ZERO);
-        let mut core = Core::new().with_clock(clock.clone());
-        let (sender, heard) = channel();
-        core.add("level_head", LevelHead::default())?;
-        core.add("ear", Ear(sender))?;
-        let imu = core.inlet("imu/data_raw")?;
-
+        let mut probe = Probe::new();
+        probe.add("level_head", LevelHead::default())?;
+        let tilts = probe.listen::<HeadTilt>("head_tilt")?;
         let mut turning = Imu::default();
         turning.angular_velocity.y = 0.5; // rad/s
-        for _ in 0..3 {
-            imu.publish(turning.clone())?;
-            for _ in 0..3 {
-                core.cycle()?; // The message joins, the module receives it, the ear receives the module's message.
-            }
-            clock.advance(Duration::from_secs(1));
+        for _ in 0..4 {
+            probe.publish("imu/data_raw", turning.clone())?;
+            probe.advance(Duration::from_secs(1))?;
         }
-        let heard: Vec<(f64, bool)> = heard.try_iter().map(|tilt| (tilt.angle, tilt.is_at_limit)).collect();
-        assert_eq!(heard, [(0.0, false), (0.45, false), (0.9, false)]);
+        let tilts: Vec<_> = tilts.take().iter().map(|tilt| (tilt.angle, tilt.is_at_limit)).collect();
+        assert_eq!(tilts, [(0.0, false), (0.45, false), (0.9, false), (0.9, true)]);
         Ok(())
     }
 }

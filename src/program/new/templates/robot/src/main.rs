@@ -14,7 +14,9 @@ fn app() -> App {
     App::new()
         .interfaces(level_head::INTERFACES)
         .kind("level_head", "holds the head level", LevelHead::default)
-        .add_kind(Kind::new("simulated_imu", "an IMU that sways to and fro", SimulatedImu::default).emulated())
+        .add_kind(
+            Kind::new("simulated_imu", "an IMU that sways to and fro", SimulatedImu::default).emulated(),
+        )
 }
 
 fn main() -> ExitCode {

@@ -1,0 +1,177 @@
+//! Lines in the log of the program, and on `/rosout` in ROS 2, under the name of the module that writes them.
+//!
+//! ```
+//! use std::time::Duration;
+//! use downbeat_executor::log::{info, warn_every, warn_once};
+//! use downbeat_executor::{Module, Probe, Setup, SetupError};
+//!
+//! struct Battery;
+//!
+//! impl Module for Battery {
+//!     type Ports = ();
+//!
+//!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+//!         info!("measures the battery");
+//!         setup.subscribe::<f64, _>("voltage", |_, &voltage, ctx| {
+//!             if voltage < 11.0 {
+//!                 warn_every!(ctx, Duration::from_secs(10), "the battery has {voltage} V");
+//!             }
+//!             if voltage > 12.6 {
+//!                 warn_once!(ctx, "{voltage} V: this is not the battery of the manual");
+//!             }
+//!         })
+//!     }
+//! }
+//!
+//! let mut probe = Probe::new();
+//! probe.add("battery", Battery)?;
+//! probe.publish("voltage", 10.9)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! `debug!`, `info!`, `warn!` and `error!` are those of the crate `tracing`: named values (`warn!(servo = 5, "is silent")`) follow the
+//! text. The forms `_every` and `_once` take the context of the callback first. Each of their places in the source counts by itself
+//! and for each module by itself, by the time of cycles, so that a replay writes the same lines. A line of `_every` that follows lines
+//! which were left out ends with `suppressed=` and their number.
+
+use std::time::Duration;
+
+use crate::{Context, Time};
+
+#[doc(inline)]
+pub use crate::{
+    debug_every, debug_once, error_every, error_once, info_every, info_once, warn_every, warn_once,
+};
+pub use tracing::{debug, error, info, trace, warn};
+
+/// When a module has last written the lines that are limited.
+#[derive(Default)]
+pub(crate) struct LogLimits(Vec<Limit>);
+
+struct Limit {
+    /// The place in the source.
+    site: &'static str,
+    written: Time,
+    suppressed: u64,
+}
+
+impl LogLimits {
+    fn is_due(&mut self, site: &'static str, now: Time, period: Option<Duration>) -> Option<u64> {
+        let Some(limit) = self.0.iter_mut().find(|limit| limit.site == site) else {
+            self.0.push(Limit { site, written: now, suppressed: 0 });
+            return Some(0);
+        };
+        // A clock that went back starts a new period.
+        let is_due = period.is_some_and(|period| now < limit.written || now >= limit.written + period);
+        if !is_due {
+            limit.suppressed += 1;
+            return None;
+        }
+        limit.written = now;
+        Some(std::mem::take(&mut limit.suppressed))
+    }
+}
+
+impl<P> Context<'_, P> {
+    /// For the macros of [`log`](crate::log), and for wrappers of other loggers: `None` if the module has written the line of this
+    /// place within `period` (or at all, without a period), otherwise how often it was left out since.
+    pub fn log_is_due(&mut self, site: &'static str, period: Option<Duration>) -> Option<u64> {
+        let now = self.now();
+        self.io().log_limits.is_due(site, now, period)
+    }
+}
+
+#[doc(hidden)]
+#[macro_export]
+macro_rules! __log_limited {
+    ($level:ident, $context:expr, $period:expr, $($line:tt)+) => {
+        match $context.log_is_due(::core::concat!(::core::file!(), ":", ::core::line!(), ":", ::core::column!()), $period) {
+            ::core::option::Option::None => {}
+            ::core::option::Option::Some(0) => $crate::log::$level!($($line)+),
+            ::core::option::Option::Some(suppressed) => $crate::log::$level!(suppressed, $($line)+),
+        }
+    };
+}
+
+/// Writes a line of level DEBUG at most once per period: `debug_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
+/// [`log`](crate::log).
+#[macro_export]
+macro_rules! debug_every {
+    ($context:expr, $period:expr, $($line:tt)+) => {
+        $crate::__log_limited!(debug, $context, ::core::option::Option::Some($period), $($line)+)
+    };
+}
+
+/// Writes a line of level DEBUG once in the life of the module: `debug_once!(ctx, "the first picture")`. See [`log`](crate::log).
+#[macro_export]
+macro_rules! debug_once {
+    ($context:expr, $($line:tt)+) => {
+        $crate::__log_limited!(debug, $context, ::core::option::Option::None, $($line)+)
+    };
+}
+
+/// Writes a line of level INFO at most once per period: `info_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
+/// [`log`](crate::log).
+#[macro_export]
+macro_rules! info_every {
+    ($context:expr, $period:expr, $($line:tt)+) => {
+        $crate::__log_limited!(info, $context, ::core::option::Option::Some($period), $($line)+)
+    };
+}
+
+/// Writes a line of level INFO once in the life of the module: `info_once!(ctx, "the first picture")`. See [`log`](crate::log).
+#[macro_export]
+macro_rules! info_once {
+    ($context:expr, $($line:tt)+) => {
+        $crate::__log_limited!(info, $context, ::core::option::Option::None, $($line)+)
+    };
+}
+
+/// Writes a line of level WARN at most once per period: `warn_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
+/// [`log`](crate::log).
+#[macro_export]
+macro_rules! warn_every {
+    ($context:expr, $period:expr, $($line:tt)+) => {
+        $crate::__log_limited!(warn, $context, ::core::option::Option::Some($period), $($line)+)
+    };
+}
+
+/// Writes a line of level WARN once in the life of the module: `warn_once!(ctx, "the first picture")`. See [`log`](crate::log).
+#[macro_export]
+macro_rules! warn_once {
+    ($context:expr, $($line:tt)+) => {
+        $crate::__log_limited!(warn, $context, ::core::option::Option::None, $($line)+)
+    };
+}
+
+/// Writes a line of level ERROR at most once per period: `error_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
+/// [`log`](crate::log).
+#[macro_export]
+macro_rules! error_every {
+    ($context:expr, $period:expr, $($line:tt)+) => {
+        $crate::__log_limited!(error, $context, ::core::option::Option::Some($period), $($line)+)
+    };
+}
+
+/// Writes a line of level ERROR once in the life of the module: `error_once!(ctx, "the first picture")`. See [`log`](crate::log).
+#[macro_export]
+macro_rules! error_once {
+    ($context:expr, $($line:tt)+) => {
+        $crate::__log_limited!(error, $context, ::core::option::Option::None, $($line)+)
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_place_counts_what_it_leaves_out_and_a_clock_that_goes_back_starts_again() {
+        let mut limits = LogLimits::default();
+        let second = Some(Duration::from_secs(1));
+        let at = |ms: i64| Time::from_nanos(ms * 1_000_000);
+        let due: Vec<_> = [0, 400, 999, 1000, 1500, 300].map(|ms| limits.is_due("a", at(ms), second)).into();
+        assert_eq!(due, [Some(0), None, None, Some(2), None, Some(1)]);
+        assert_eq!([0, 5000].map(|ms| limits.is_due("b", at(ms), None)), [Some(0), None]);
+    }
+}

@@ -1,0 +1,198 @@
+//! The first hour of a new user: the commands of the README and of projects, as they stand there, in an empty home directory. What
+//! each step compiles is counted; how long it takes is printed.
+//!
+//! Commands run without `--release`, whose first build takes minutes of processor time more; what is shared between the checkout and
+//! projects is the same. Other commands of the pages are run by `tests/docs.rs`, those for Python by `python/tests/`.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+/// The root of the repository.
+const CHECKOUT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// A user with an empty home directory.
+struct User {
+    home: PathBuf,
+    /// The working directory.
+    folder: PathBuf,
+    /// Where cargo puts what it compiles.
+    target: PathBuf,
+    seconds: Vec<(String, f64, Vec<String>)>,
+}
+
+impl User {
+    fn new(name: &str) -> Self {
+        let home = Path::new(CHECKOUT).join("target/first_hour").join(name);
+        if home.exists() {
+            std::fs::remove_dir_all(&home).unwrap();
+        }
+        std::fs::create_dir_all(&home).unwrap();
+        let target = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap().parent().unwrap().to_owned();
+        Self { home, folder: CHECKOUT.into(), target, seconds: Vec::new() }
+    }
+
+    /// Runs a line of a page in a shell, which must succeed. Returns what it prints, and the packages that were compiled.
+    fn types(&mut self, line: &str) -> (String, Vec<String>) {
+        let began = Instant::now();
+        let typed = line
+            .replace("--release ", "")
+            .replace(" --release", "")
+            .replace("../my_robot", &self.path("my_robot"));
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &typed]).current_dir(&self.folder).stdin(Stdio::null());
+        let folders = |variable: &str, name: &str| {
+            let home = PathBuf::from(std::env::var_os("HOME").unwrap_or_default());
+            std::env::var_os(variable).map_or_else(|| home.join(name), PathBuf::from)
+        };
+        // Cargo and its crates are installed already; nothing is downloaded.
+        shell
+            .env("CARGO_HOME", folders("CARGO_HOME", ".cargo"))
+            .env("RUSTUP_HOME", folders("RUSTUP_HOME", ".rustup"));
+        shell.env("HOME", &self.home).env("CARGO_NET_OFFLINE", "true").env("CARGO_TERM_COLOR", "never");
+        let path = format!("{}:{}", self.target.join("debug").display(), std::env::var("PATH").unwrap());
+        shell.env("PATH", path).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", "195");
+        shell.env_remove("DOWNBEAT_LOG");
+        // Of the cargo that runs this test: a shell of a user has none of it.
+        for (variable, _) in std::env::vars().filter(|(name, _)| name.starts_with("CARGO_PKG_")) {
+            shell.env_remove(variable);
+        }
+        for variable in ["CARGO", "CARGO_MANIFEST_DIR", "CARGO_MANIFEST_PATH", "LD_LIBRARY_PATH"] {
+            shell.env_remove(variable);
+        }
+        let output = shell.output().unwrap();
+        let text =
+            [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+        assert!(output.status.success(), "{line}: {text}");
+        let lines = text.lines().filter_map(|line| line.trim().strip_prefix("Compiling "));
+        let compiled: Vec<_> = lines.filter_map(|line| line.split(' ').next()).map(str::to_owned).collect();
+        self.seconds.push((line.to_owned(), began.elapsed().as_secs_f64(), compiled.clone()));
+        (text, compiled)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.home.join(name).to_str().unwrap().to_owned()
+    }
+
+    fn cd(&mut self, name: &str) {
+        self.folder = self.home.join(name);
+    }
+
+    /// Makes a project and moves there.
+    fn begins(&mut self, name: &str, template: &str) {
+        self.folder = self.home.clone();
+        let (next, _) = self.types(&format!("downbeat new {name} --template {template}"));
+        assert!(next.contains("is ready"), "{next}");
+        self.cd(name);
+    }
+
+    fn report(&self) {
+        for (line, seconds, compiled) in &self.seconds {
+            let compiled = match compiled.len() {
+                0 => String::new(),
+                1..4 => format!("   compiled {}", compiled.join(", ")),
+                many => format!("   compiled {many} packages"),
+            };
+            println!("{seconds:>7.1} s  {line}{compiled}");
+        }
+    }
+}
+
+/// The lines of the first `sh` block of the README below a heading.
+fn readme(heading: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(Path::new(CHECKOUT).join("README.md")).unwrap();
+    let (_, section) = text.split_once(&format!("## {heading}\n")).unwrap();
+    let (_, block) = section.split_once("```sh\n").unwrap();
+    block.split("```").next().unwrap().lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
+    let mut user = User::new("rust");
+
+    let first = readme("Run it").remove(0);
+    let (text, _) = user.types(&format!("{first} --duration 2s"));
+    assert!(text.contains("joint_states"), "{text}");
+
+    let lines = readme("Your own robot");
+    let [new, cd, run, test] = &*lines else { panic!("{lines:?}") };
+    assert!(new.contains("-- new ../my_robot") && cd == "cd ../my_robot", "{lines:?}");
+    let (text, compiled) = user.types(new);
+    assert!(compiled.is_empty(), "`new` copies, but compiled {compiled:?}: {text}");
+    user.cd("my_robot");
+    let (text, compiled) = user.types(&format!("{run} --duration 1s"));
+    assert_eq!(compiled, ["my_robot"], "{text}");
+    assert!(text.contains("/head_tilt"), "{text}");
+    let (text, compiled) = user.types(test);
+    assert_eq!(compiled, ["my_robot"], "{text}");
+    assert!(text.contains("2 passed"), "{text}");
+    // Of its README.
+    let (text, _) = user.types("cargo run -- check robot.toml -p level_head.gain:=1");
+    assert!(text.contains("level_head_msgs/msg/HeadTilt") && text.contains("gain = 1"), "{text}");
+    let (text, _) = user
+        .types("cargo run -- run robot.toml --duration 2s --record my_run && cargo run -- bag info my_run");
+    assert!(text.contains("level_head_msgs/msg/HeadTilt"), "{text}");
+    user.types("cargo run -- bag replay robot.toml my_run --strict");
+    let (text, _) =
+        user.types("! cargo run -- bag replay robot.toml my_run --strict -p level_head.gain:=0.5");
+    assert!(text.contains("head_tilt"), "{text}");
+
+    for (template, tests, topics) in
+        [("rover", "3 passed", ["/odom", "/joint_states"]), ("arm", "2 passed", ["/tf", "/joint_states"])]
+    {
+        let name = format!("my_{template}");
+        user.begins(&name, template);
+        let (text, compiled) = user.types("cargo test --release");
+        assert_eq!(compiled, [&*name], "{text}");
+        assert!(text.contains(tests), "{text}");
+        let (text, compiled) = user.types("cargo run --release -- run robot.toml --fast --duration 4s");
+        assert_eq!(compiled, [name], "{text}");
+        assert!(topics.iter().all(|topic| text.contains(topic)) && !text.contains("WARN"), "{text}");
+    }
+
+    user.begins("my_msgs", "messages");
+    let (text, compiled) = user.types("cargo test --release");
+    assert!(compiled == ["my_msgs"] && text.contains("2 passed"), "{compiled:?}: {text}");
+    let (text, _) = user.types("downbeat interface show my_msgs/msg/HeadTilt --from my_msgs");
+    assert!(text.contains("is_at_limit"), "{text}");
+    let package = std::fs::read_to_string(user.folder.join("my_msgs/package.xml")).unwrap();
+    let package = package.replace("<?xml-model", "<?other");
+    let package = roxmltree::Document::parse(&package).unwrap();
+    let text =
+        |tag: &str| package.descendants().find(|node| node.has_tag_name(tag)).and_then(|node| node.text());
+    assert_eq!([text("name"), text("member_of_group")], [Some("my_msgs"), Some("rosidl_interface_packages")]);
+
+    user.begins("my_module", "module");
+    let (text, compiled) = user.types("cargo test --release");
+    assert_eq!(compiled, ["my_module"], "{text}");
+    assert_eq!(text.matches("1 passed").count(), 2, "its test and its doc test: {text}");
+
+    user.report();
+}
+
+#[test]
+fn modules_in_cpp_are_built_run_and_replayed() {
+    let has = |program: &str| Command::new(program).arg("--version").output().is_ok();
+    if !has("c++") {
+        return eprintln!("skipped: this machine has no c++");
+    }
+    let mut user = User::new("cpp");
+    user.begins("my_cpp", "cpp");
+    if has("cmake") {
+        user.types("cmake -B build && cmake --build build && ctest --test-dir build --output-on-failure");
+    } else {
+        // What its CMakeLists.txt does.
+        user.types("downbeat interface generate --lang cpp --out build/include sensor_msgs/msg/Imu sensor_msgs/msg/JointState");
+        for module in ["level_head", "simulated_imu"] {
+            let flags = "-std=c++17 -O2 -shared -fPIC -Wall -Wextra -Werror -isystem build/include";
+            user.types(&format!("c++ {flags} {module}.cpp -o build/lib{module}.so"));
+        }
+        user.types("downbeat bag replay robot.toml tests/field_run --strict");
+    }
+    let (text, _) = user.types("downbeat run robot.toml --fast --duration 4s");
+    assert!(text.contains("joint_commands") && !text.contains("WARN"), "{text}");
+    user.report();
+}
