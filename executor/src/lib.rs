@@ -185,7 +185,7 @@ pub use exchange::{
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
 pub use module::{
     Context, Inbox, LifeEvent, LifeStep, LifecycleState, Listening, Module, ModuleChange, ModuleId,
-    ModuleOptions, Port, Restart, Role, SettingType, SettingValue, Setup, Synchrony, Transition,
+    ModuleOptions, Port, Restart, Role, SettingType, SettingValue, Setup, StopRequest, Synchrony, Transition,
     TransitionError, TransitionRefused,
 };
 pub use observe::{

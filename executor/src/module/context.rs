@@ -1,8 +1,11 @@
 //! What a callback can do.
 
 use super::cell::Input;
+use super::link::Link;
 use super::port::{ModuleIo, Port};
 use crate::Time;
+use std::fmt;
+use std::sync::Arc;
 
 /// A callback's access to the executor. Everything it asks for takes effect in the sync phase.
 ///
@@ -65,8 +68,36 @@ impl<'a, P> Context<'a, P> {
         &self.io.name
     }
 
+    /// Whether the core is asked to stop, for a callback that computes for long: it may give up what nothing will use any more.
+    ///
+    /// A request comes at any time, so messages must not depend on it, except those of a callback that would end too late.
+    #[must_use]
+    pub fn stop_request(&self) -> StopRequest {
+        StopRequest { link: Arc::clone(&self.io.link) }
+    }
+
     #[cold]
     pub(crate) fn foreign(&self, did: &str) -> ! {
         panic!("module \"{}\" {did} a key of another module", self.io.name)
+    }
+}
+
+/// A request to stop a core, see [`Context::stop_request`].
+#[derive(Clone)]
+pub struct StopRequest {
+    link: Arc<Link>,
+}
+
+impl StopRequest {
+    /// True once the core has been asked to stop.
+    #[must_use]
+    pub fn is_made(&self) -> bool {
+        self.link.stop_is_requested()
+    }
+}
+
+impl fmt::Debug for StopRequest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("StopRequest").field("is_made", &self.is_made()).finish_non_exhaustive()
     }
 }

@@ -15,7 +15,7 @@ mod setup;
 pub(crate) use behaviour::{Behaviour, ModuleBehaviour};
 pub(crate) use causes::{Asked, Causes, JOBS, MESSAGES, MODULES, SERVICES, SETTINGS, TIMERS};
 pub(crate) use cell::{Hold, Input, ModuleCell};
-pub use context::Context;
+pub use context::{Context, StopRequest};
 pub use id::ModuleId;
 pub(crate) use id::{Direction, Place, Use, UseEnds};
 pub use lifecycle::{

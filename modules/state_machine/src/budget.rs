@@ -2,6 +2,7 @@
 
 use parking_lot::Mutex;
 use rustix::time::{ClockId, clock_gettime};
+use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,10 @@ use std::time::{Duration, Instant};
 /// Where this bound is reached depends on the machine. Therefore it is a fault of the chart, which is reported and recorded.
 pub(crate) const LIMIT: Duration = Duration::from_millis(500);
 
+/// The same while the robot is asked to stop: expressions that are done soon are not interrupted, so that the last cycle of a robot does not
+/// depend on when the request came.
+const LIMIT_AT_STOP: Duration = Duration::from_millis(20);
+
 /// Operations between two looks at the clock.
 const INTERVAL: u64 = 16;
 
@@ -18,34 +23,76 @@ const INTERVAL: u64 = 16;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Budget(Arc<Mutex<Spent>>);
 
-#[derive(Debug, Default)]
+/// Whether the robot is asked to stop.
+pub(crate) type IsStopping = Box<dyn Fn() -> bool + Send + Sync>;
+
+/// Why no time is left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Over {
+    Limit,
+    Stop,
+}
+
+#[derive(Default)]
 struct Spent {
     begun: Option<Instant>,
     /// Processor time of the thread when [`LIMIT`] had passed by the clock: on a busy machine it may not have run at all by then.
     processor: Option<Duration>,
-    is_over: bool,
+    over: Option<Over>,
+    is_stopping: Option<IsStopping>,
 }
 
 impl Budget {
-    /// An event begins.
+    /// An event begins. Nothing begins after an interruption.
     pub(crate) fn begin(&self) {
-        *self.0.lock() = Spent { begun: Some(Instant::now()), ..Spent::default() };
+        let mut spent = self.0.lock();
+        let over = spent.over.filter(|over| *over == Over::Stop);
+        *spent = Spent {
+            begun: Some(Instant::now()),
+            processor: None,
+            over,
+            is_stopping: spent.is_stopping.take(),
+        };
+    }
+
+    /// Interrupts expressions that run for long when `is_stopping`.
+    pub(crate) fn interrupt_when(&self, is_stopping: IsStopping) {
+        self.0.lock().is_stopping = Some(is_stopping);
     }
 
     /// Whether no time is left. Looks at the clock after some operations only, of which there were `count`.
     pub(crate) fn is_over_after(&self, count: u64) -> bool {
-        count.is_multiple_of(INTERVAL) && self.is_over()
+        count.is_multiple_of(INTERVAL) && self.over().is_some()
     }
 
-    /// Whether no time is left.
-    pub(crate) fn is_over(&self) -> bool {
+    /// Why no time is left.
+    pub(crate) fn over(&self) -> Option<Over> {
         let mut spent = self.0.lock();
-        if !spent.is_over && spent.begun.is_some_and(|begun| begun.elapsed() >= LIMIT) {
-            let now = processor_time();
-            let since = *spent.processor.get_or_insert(now);
-            spent.is_over = now.saturating_sub(since) >= LIMIT;
+        if spent.over.is_none() {
+            spent.over = spent.look();
         }
-        spent.is_over
+        spent.over
+    }
+}
+
+impl Spent {
+    fn look(&mut self) -> Option<Over> {
+        let elapsed = self.begun?.elapsed();
+        if elapsed >= LIMIT_AT_STOP && self.is_stopping.as_ref().is_some_and(|is_stopping| is_stopping()) {
+            return Some(Over::Stop);
+        }
+        if elapsed < LIMIT {
+            return None;
+        }
+        let now = processor_time();
+        let since = *self.processor.get_or_insert(now);
+        (now.saturating_sub(since) >= LIMIT).then_some(Over::Limit)
+    }
+}
+
+impl fmt::Debug for Spent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Spent").field("begun", &self.begun).field("over", &self.over).finish_non_exhaustive()
     }
 }
 

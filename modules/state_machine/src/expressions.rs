@@ -6,7 +6,7 @@
 //!
 //! Texts may be in single quotes as well, since attributes of XML are in double quotes; rhai's characters therefore do not exist.
 
-use crate::budget::{Budget, LIMIT};
+use crate::budget::{Budget, IsStopping, LIMIT, Over};
 use crate::functions;
 use parking_lot::RwLock;
 use rhai::packages::{Package, StandardPackage};
@@ -167,10 +167,21 @@ impl Evaluator {
     /// # Errors
     /// If expressions for this event have taken too long already.
     fn check_time(&self, program: &Program) -> Result<(), Problem> {
-        match self.budget.is_over() {
-            true => Err(problem(program, &EvalAltResult::ErrorTerminated(Dynamic::UNIT, Position::NONE))),
-            false => Ok(()),
+        match self.budget.over() {
+            Some(_) => {
+                Err(self.problem(program, &EvalAltResult::ErrorTerminated(Dynamic::UNIT, Position::NONE)))
+            }
+            None => Ok(()),
         }
+    }
+
+    /// Interrupts expressions that run for long when the robot is asked to stop.
+    pub(crate) fn interrupt_when(&self, is_stopping: IsStopping) {
+        self.budget.interrupt_when(is_stopping);
+    }
+
+    fn problem(&self, program: &Program, error: &EvalAltResult) -> Problem {
+        problem(program, error, self.budget.over())
     }
 
     /// The value of an expression. Variables that it makes are forgotten.
@@ -179,7 +190,7 @@ impl Evaluator {
         let variables = scope.len();
         let value = self.engine.eval_ast_with_scope::<Dynamic>(scope, &program.ast);
         scope.rewind(variables);
-        value.map(Dynamic::flatten).map_err(|error| problem(program, &error))
+        value.map(Dynamic::flatten).map_err(|error| self.problem(program, &error))
     }
 
     /// Whether a condition holds.
@@ -221,7 +232,7 @@ impl Evaluator {
                 scope.set_value(name, value);
             }
         }
-        result.map_err(|error| problem(program, &error))
+        result.map_err(|error| self.problem(program, &error))
     }
 }
 
@@ -250,7 +261,7 @@ fn engine() -> Engine {
     engine
 }
 
-fn problem(program: &Program, error: &EvalAltResult) -> Problem {
+fn problem(program: &Program, error: &EvalAltResult, over: Option<Over>) -> Problem {
     let position = error.position();
     let mut bare = error.to_string();
     if let Some(end) = bare.rfind(" (line ") {
@@ -260,9 +271,12 @@ fn problem(program: &Program, error: &EvalAltResult) -> Problem {
         bare = format!("it takes more than {MOST_OPERATIONS} operations; does a loop in it end?");
     }
     if matches!(error, EvalAltResult::ErrorTerminated(..)) {
-        bare = format!(
-            "what the chart computes for one event takes longer than {LIMIT:?}; are texts or arrays in a loop large?"
-        );
+        bare = match over {
+            Some(Over::Stop) => "interrupted, since the robot stops".to_owned(),
+            _ => format!(
+                "what the chart computes for one event takes longer than {LIMIT:?}; are texts or arrays in a loop large?"
+            ),
+        };
     }
     let text = format!("`{}`: {bare}", shortened(&program.text));
     Problem { line: line_of(program.line, position), text }
@@ -341,6 +355,8 @@ fn with_double_quotes(text: &str) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
+    use std::sync::atomic::{AtomicBool, Ordering};
+
     use super::*;
 
     fn value(text: &str) -> Result<Dynamic, Problem> {
@@ -403,6 +419,33 @@ mod tests {
             evaluator.begin(Duration::ZERO);
             assert!(evaluator.value(&next, &mut Scope::new()).is_ok(), "the next event has its own time");
         }
+    }
+
+    #[test]
+    fn a_stop_request_interrupts_what_runs_for_long_and_only_that() {
+        let is_stopping = Arc::new(AtomicBool::new(true));
+        let evaluator = Evaluator::new();
+        let seen = Arc::clone(&is_stopping);
+        evaluator.interrupt_when(Box::new(move || seen.load(Ordering::Relaxed)));
+        let short = Program::new("1 + 1", 1, Syntax::Expression).unwrap();
+        evaluator.begin(Duration::ZERO);
+        assert!(evaluator.value(&short, &mut Scope::new()).is_ok());
+
+        let long =
+            "let a = [];\nfor i in 0..4000 { a.push((i * 7919) % 4001); }\nloop { let b = a; b.sort(); }";
+        let long = Program::new(long, 1, Syntax::Statements).unwrap();
+        is_stopping.store(false, Ordering::Relaxed);
+        evaluator.begin(Duration::ZERO);
+        let stop = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            is_stopping.store(true, Ordering::Relaxed);
+        });
+        let problem = evaluator.run(&long, &mut Scope::new()).unwrap_err();
+        // Otherwise it ends by its limit, with another text.
+        assert!(problem.text.contains("interrupted, since the robot stops"), "{problem}");
+        stop.join().unwrap();
+        evaluator.begin(Duration::ZERO);
+        assert!(evaluator.value(&short, &mut Scope::new()).is_err(), "nothing begins any more");
     }
 
     #[test]

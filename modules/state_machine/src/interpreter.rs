@@ -220,6 +220,11 @@ impl Interpreter {
         }
     }
 
+    /// Interrupts scripts that run for long when `is_stopping`.
+    pub fn interrupt_when(&self, is_stopping: impl Fn() -> bool + std::marker::Send + Sync + 'static) {
+        self.evaluator.interrupt_when(Box::new(is_stopping));
+    }
+
     /// The chart.
     #[must_use]
     pub fn chart(&self) -> &Chart {

@@ -358,6 +358,10 @@ impl StateMachine {
         }
         if std::mem::take(&mut self.is_due) {
             self.provide_settings(context)?;
+            if !self.has_started {
+                let stop = context.stop_request();
+                self.interpreter.interrupt_when(move || stop.is_made());
+            }
             let mut effects = match (self.memory.take(), self.has_started) {
                 (Some(memory), false) => self.interpreter.resume(memory, now),
                 (None, false) => self.interpreter.start(now),

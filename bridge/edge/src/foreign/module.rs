@@ -4,7 +4,7 @@ use super::Declarations;
 use crate::KnownType;
 use bytes::Bytes;
 use downbeat_executor::{
-    AnyPublication, Context, ModuleOptions, Setting, SettingValue, Task, Time, Transition,
+    AnyPublication, Context, ModuleOptions, Setting, SettingValue, StopRequest, Task, Time, Transition,
 };
 use downbeat_msgs::cdr;
 use parking_lot::Mutex;
@@ -218,6 +218,12 @@ impl ForeignContext<'_, '_> {
     #[must_use]
     pub fn module_name(&self) -> &str {
         self.context.module_name()
+    }
+
+    /// Whether the core is asked to stop.
+    #[must_use]
+    pub fn stop_request(&self) -> StopRequest {
+        self.context.stop_request()
     }
 
     /// Publishes a message: encapsulation header (of either byte order) and body.
