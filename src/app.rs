@@ -200,7 +200,7 @@ impl App {
     }
 
     /// Runs the command line with all commands of `downbeat`. Errors are printed and lead to exit code 1.
-    /// Sets up logging and handles SIGINT and SIGTERM of the process.
+    /// Sets up logging, reports panics through it, and handles SIGINT, SIGTERM, SIGHUP and SIGQUIT of the process.
     #[cfg(feature = "cli")]
     #[must_use]
     pub fn main(&self) -> std::process::ExitCode {

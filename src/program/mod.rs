@@ -34,11 +34,13 @@ mod top;
 #[cfg(any(feature = "plots", feature = "top"))]
 mod topic_field;
 mod trace;
+mod unfinished;
 #[cfg(feature = "view")]
 mod view;
 #[cfg(feature = "football")]
 mod vision;
 
+use std::backtrace::{Backtrace, BacktraceStatus};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -54,12 +56,13 @@ use screen::Screen;
 /// Runs a command line, the name of the program first. Errors are printed on standard error and exit with code 1.
 pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = Cli::parse_with_ros_args(line);
-    let screen = Screen::new();
+    let screen = Screen::of_process().clone();
     let Cli { command, ros } = cli;
     if matches!(command, Command::LibraryChild) {
         // Before anything can print: its standard output is a pipe to the robot.
         return downbeat_library_host::child();
     }
+    report_panics();
     let log = match Log::start(&screen, &ros.log) {
         Ok(log) => log,
         Err(error) => return fail(&error),
@@ -68,6 +71,11 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Ok(catalog) => catalog,
         Err(error) => return fail(&error.into()),
     };
+    if ends_when_done(&command)
+        && let Err(error) = unfinished::end_on_signals()
+    {
+        return fail(&error);
+    }
     let environment = Environment { catalog, ros: &ros };
     let result = match command {
         Command::Run(arguments) => run::run(&arguments, catalog, &ros, &screen, &log),
@@ -130,11 +138,24 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::LibraryChild => Ok(()),
     };
     screen.show(Vec::new());
+    screen.flush();
     log.close();
     match result {
         Ok(()) if output::has_failed() => ExitCode::FAILURE,
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => fail(&error),
+    }
+}
+
+/// Whether a command runs for long, but has nothing to stop in order.
+fn ends_when_done(command: &Command) -> bool {
+    let Command::Bag(command) = command else { return false };
+    match command {
+        BagCommand::Info(_) | BagCommand::Check(_) | BagCommand::Repair(_) | BagCommand::Reindex(_) => true,
+        BagCommand::Convert(_) | BagCommand::Cut(_) | BagCommand::Diff(_) | BagCommand::Export(_) => true,
+        #[cfg(feature = "plots")]
+        BagCommand::Plot(_) => true,
+        _ => false,
     }
 }
 
@@ -144,6 +165,25 @@ fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {
     anyhow::bail!(
         "this program is built without the feature `{feature}`: build it with --features {feature}; {instead}"
     )
+}
+
+/// Reports panics like the standard library, but through the screen: a halted terminal must not halt the module that panics.
+fn report_panics() {
+    std::panic::set_hook(Box::new(|panic| {
+        let thread = std::thread::current();
+        let name = thread.name().unwrap_or("<unnamed>");
+        let mut text = format!("thread '{name}' {panic}\n");
+        let backtrace = Backtrace::capture();
+        if backtrace.status() == BacktraceStatus::Captured {
+            text.push_str(&format!("stack backtrace:\n{backtrace}"));
+        }
+        if name == "main" {
+            // The process is about to end.
+            eprintln!("{}", text.trim_end());
+        } else {
+            Screen::of_process().log(logging::Stream::Error, output::escaped(format_args!("{text}")));
+        }
+    }));
 }
 
 fn print_completions(shell: clap_complete::Shell) {

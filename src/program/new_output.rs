@@ -84,8 +84,8 @@ impl Force {
         Ok(())
     }
 
-    /// Like [`Force::check`], and removes existing output. `inputs` are never replaced.
-    pub(crate) fn make_way<'a>(
+    /// Like [`Force::check`]. `inputs` are never replaced.
+    pub(crate) fn check_with<'a>(
         self,
         output: Output,
         path: &Path,
@@ -98,6 +98,18 @@ impl Force {
                 bail!("{} is the input; choose another path for the {}", path.display(), output.name());
             }
         }
+        Ok(())
+    }
+
+    /// Like [`Force::check_with`], and removes existing output.
+    pub(crate) fn make_way<'a>(
+        self,
+        output: Output,
+        path: &Path,
+        inputs: impl IntoIterator<Item = &'a Path>,
+    ) -> anyhow::Result<()> {
+        self.check_with(output, path, inputs)?;
+        let Ok(place) = fs::canonicalize(path) else { return Ok(()) };
         // Files are overwritten.
         if output != Output::File {
             fs::remove_dir_all(&place).with_context(|| format!("cannot replace {}", path.display()))?;

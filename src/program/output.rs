@@ -5,10 +5,12 @@
 
 use std::fmt;
 use std::io::{self, ErrorKind, Write};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rustix::io::Errno;
 
+use super::logging::Stream;
+use super::screen::Screen;
 use super::stop::{self, OutputEnd};
 use crate::msgs::write_printable_lines;
 
@@ -30,10 +32,23 @@ macro_rules! eprintln {
 ///
 /// Control characters are escaped, since names may come from untrusted sources.
 pub(crate) fn print(text: fmt::Arguments<'_>) {
-    match write_printable(io::stdout().lock(), text) {
-        Ok(()) => {}
-        Err(error) => output_failed(&error),
+    // What was logged before stands before.
+    Screen::of_process().flush();
+    WRITES.fetch_add(1, Ordering::Relaxed);
+    let written = write_printable(io::stdout().lock(), text);
+    WRITES.fetch_add(1, Ordering::Relaxed);
+    if let Err(error) = written {
+        output_failed(&error);
     }
+}
+
+/// How often writing to standard output began and ended. Other threads than the one that runs the command do not write.
+static WRITES: AtomicU64 = AtomicU64::new(0);
+
+/// Which write to standard output is in progress, if any.
+pub(super) fn write_in_progress() -> Option<u64> {
+    let writes = WRITES.load(Ordering::Relaxed);
+    (writes % 2 == 1).then_some(writes)
 }
 
 /// Whether an error of standard output was reported. The process then exits with code 1.
@@ -52,13 +67,28 @@ fn output_failed(error: &io::Error) {
     }
     match stop::output_failed(is_unread) {
         OutputEnd::Continue => {}
-        OutputEnd::Exit => std::process::exit(is_reported.into()),
+        OutputEnd::Exit => {
+            Screen::of_process().flush();
+            std::process::exit(is_reported.into())
+        }
     }
 }
 
-/// Writes to standard error, unless it is closed.
+/// Writes to standard error, unless it is closed, and waits until it is written.
 pub(crate) fn print_error(text: fmt::Arguments<'_>) {
-    let _ = write_printable(io::stderr().lock(), text);
+    let screen = Screen::of_process();
+    // Makes place.
+    screen.flush();
+    screen.log(Stream::Error, escaped(text));
+    screen.flush();
+}
+
+/// The text with control characters escaped.
+pub(crate) fn escaped(text: fmt::Arguments<'_>) -> String {
+    let mut written = String::new();
+    // Writing to a `String` does not fail.
+    let _ = write_printable_lines(&mut written, &text.to_string());
+    written
 }
 
 fn write_printable(to: impl Write, text: fmt::Arguments<'_>) -> io::Result<()> {

@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use super::bag;
 use super::new_output::{Force, Output};
+use super::unfinished::write_file;
 use crate::bags::Selection;
 use crate::msgs::Message;
 use crate::msgs::cdr;
@@ -104,8 +105,7 @@ fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     }
     let colours = samples.learn(before).with_context(|| arguments.marks.display().to_string())?;
     arguments.force.make_way(Output::File, &arguments.output, [arguments.marks.as_path()])?;
-    std::fs::write(&arguments.output, colours.to_text())
-        .with_context(|| format!("writing {}", arguments.output.display()))?;
+    write_file(&arguments.output, colours.to_text())?;
     println!("{}: {} pictures", arguments.output.display(), pictures.len());
     let table = Table::new(&colours);
     for (number, pixels) in (1..).zip(&pictures) {

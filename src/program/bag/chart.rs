@@ -1,16 +1,16 @@
 //! Curves over time, drawn as SVG or PNG.
 
-use std::fs::File;
-use std::io::BufWriter;
 use std::ops::Range;
 use std::path::Path;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{anyhow, bail};
 use plotters::coord::Shift;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use crate::program::unfinished::write_file;
 
 /// The font family: in SVG the viewer's own, in PNG the font below.
 const FONT: &str = "sans-serif";
@@ -44,7 +44,7 @@ impl Chart {
     fn write_svg(&self, path: &Path) -> anyhow::Result<()> {
         let mut text = String::new();
         self.draw(&SVGBackend::with_string(&mut text, self.size).into_drawing_area())?;
-        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
+        write_file(path, text)
     }
 
     fn write_png(&self, path: &Path) -> anyhow::Result<()> {
@@ -52,11 +52,11 @@ impl Chart {
         let (width, height) = self.size;
         let mut pixels = vec![0; width as usize * height as usize * BYTES_PER_PIXEL];
         self.draw(&BitMapBackend::with_buffer(&mut pixels, self.size).into_drawing_area())?;
-        let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-        let mut encoder = png::Encoder::new(BufWriter::new(file), width, height);
+        let mut picture = Vec::new();
+        let mut encoder = png::Encoder::new(&mut picture, width, height);
         encoder.set_color(png::ColorType::Rgb);
         encoder.write_header()?.write_image_data(&pixels)?;
-        Ok(())
+        write_file(path, picture)
     }
 
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> anyhow::Result<()>

@@ -17,6 +17,7 @@ use crate::bags::TopicId;
 use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
 use crate::program::not_built;
+use crate::program::unfinished::Unfinished;
 use crate::robot::Catalog;
 use crate::table::{Cell, DecodeError, Decoder};
 
@@ -66,8 +67,9 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
         return not_built("tables", "available are csv and jsonl");
     }
     let output = &arguments.output;
-    arguments.force.make_way(Output::Tables, output, [bag.path()])?;
-    std::fs::create_dir(output)
+    let replaces = (arguments.force, Output::Tables);
+    let unfinished = Unfinished::directory(output, replaces, [bag.path()])?;
+    std::fs::create_dir(unfinished.written())
         .with_context(|| format!("cannot create the directory {}", output.display()))?;
     let topics = bag.topics().iter().enumerate();
     let wanted: Vec<_> = topics.filter(|(_, topic)| filter.is_wanted(&topic.info)).collect();
@@ -81,7 +83,8 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
         // Other programs write JSON of types that ROS 2 does not have.
         let is_foreign_json = decoder.is_err() && topic.info.is_json();
         let format = if is_foreign_json { Format::Jsonl } else { arguments.format };
-        let file = output.join(format!("{stem}.{}", format.extension()));
+        let name_of_file = format!("{stem}.{}", format.extension());
+        let file = unfinished.written().join(&name_of_file);
         let result = match format {
             _ if is_foreign_json => write_foreign_json(&source, &file),
             Format::Csv => {
@@ -103,6 +106,7 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
         match result {
             Ok(done) => {
                 unreadable += done.unreadable;
+                let file = output.join(&name_of_file);
                 println!("{name}: {} messages in {}", done.messages, printable(&file.to_string_lossy()));
             }
             // The other topics are still useful.
@@ -114,9 +118,10 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
             }
         }
     }
-    if std::fs::read_dir(output)?.next().is_none() {
+    if std::fs::read_dir(unfinished.written())?.next().is_none() {
         bail!("nothing was exported");
     }
+    unfinished.finish()?;
     carried_over(&[bag], unreadable)?;
     if left_out > 0 {
         bail!(

@@ -12,6 +12,7 @@ use crate::bags::{
     Compression, Copied, Copy, Reader, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
 };
 use crate::program::new_output::{Force, Output};
+use crate::program::unfinished::Unfinished;
 
 /// How a new bag is written.
 #[derive(Args)]
@@ -87,12 +88,17 @@ pub(crate) fn write(
     directory: &Path,
     layout: &LayoutArguments,
 ) -> anyhow::Result<Copied> {
-    layout.force.make_way(Output::Bag, directory, bags.iter().map(Reader::path))?;
+    let replaces = (layout.force, Output::Bag);
+    let unfinished = Unfinished::directory(directory, replaces, bags.iter().map(Reader::path))?;
     let options = custom_data(bags)
         .fold(layout.writer_options()?, |options, (key, value)| options.custom_data(key, value));
     let mut progress = Progress::new("writing", copy.message_count());
-    let copied = copy.into_writer(options.create(directory)?, |written| progress.at(written))?;
+    let copied = copy.into_writer(options.create(unfinished.written())?, |written| progress.at(written))?;
     drop(progress);
+    unfinished.finish()?;
+    for note in &copied.completed {
+        tracing::info!("{note}");
+    }
     for error in &copied.unreadable {
         tracing::warn!("{error}");
     }
@@ -106,8 +112,7 @@ pub(crate) fn write(
             layout.storage
         );
     }
-    let summary = &copied.summary;
-    println!("wrote {} messages into {}", summary.message_count(), summary.path.display());
+    println!("wrote {} messages into {}", copied.summary.message_count(), directory.display());
     Ok(copied)
 }
 

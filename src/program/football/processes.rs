@@ -372,7 +372,7 @@ fn pass_on(log: impl Read, screen: &Screen) {
             Ok(0) | Err(_) => return,
             Ok(_) => {
                 let line = String::from_utf8_lossy(&bytes);
-                screen.log(Stream::Error, &format!("{}\n", printable(line.trim_end())));
+                screen.log(Stream::Error, format!("{}\n", printable(line.trim_end())));
             }
         }
     }

@@ -6,6 +6,7 @@ use downbeat_library_host::messages::{Language, generate as generate_headers};
 use super::interfaces::Interfaces;
 use super::{GenerateArguments, HeaderLanguage, Registered};
 use crate::msgs::definitions::TypeName;
+use crate::program::unfinished::write_file;
 
 pub(super) fn generate(arguments: &GenerateArguments, registered: &Registered) -> anyhow::Result<()> {
     let interfaces = Interfaces::load(&arguments.source, registered)?;
@@ -26,7 +27,7 @@ pub(super) fn generate(arguments: &GenerateArguments, registered: &Registered) -
         if std::fs::read(&path).is_ok_and(|written| written == header.text.as_bytes()) {
             continue;
         }
-        std::fs::write(&path, &header.text).with_context(|| format!("cannot write {}", path.display()))?;
+        write_file(&path, &header.text)?;
     }
     println!("{} headers in {}", headers.len(), arguments.out.display());
     Ok(())

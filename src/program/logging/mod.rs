@@ -224,7 +224,7 @@ impl Console {
     fn write(&self, line: &LogLine, logger: &str) {
         let text =
             if self.has_colors { self.colored(line, logger) } else { plain(&self.format, line, logger) };
-        self.screen.log(self.stream, &text);
+        self.screen.log(self.stream, text);
     }
 
     /// In the colors of rcutils.

@@ -2,7 +2,7 @@
 //!
 //! | request | effect |
 //! | --- | --- |
-//! | SIGINT, SIGTERM, SIGHUP | an orderly stop; all requests within [`ONE_REQUEST`] of the first are the same request |
+//! | SIGINT, SIGTERM, SIGHUP | an orderly stop; all requests within [`ONE_REQUEST`] of the first are the same request. A command that waits for its standard output for that long ends as by a later one |
 //! | SIGQUIT | the same, after printing what runs |
 //! | a later one | the process closes its bags, leaves DDS and ends, within [`HURRY`] |
 //! | a third one | the process ends at once |
@@ -30,9 +30,7 @@ use super::output;
 use hurry::HURRY;
 use keyboard::restore_terminal;
 pub(crate) use keyboard::{Key, Keyboard};
-#[cfg(doc)]
-use requests::ONE_REQUEST;
-use requests::{Meaning, Requests};
+use requests::{Meaning, ONE_REQUEST, Requests};
 
 /// A request to stop. All values share the requests of the process.
 pub(crate) struct Stop {
@@ -113,6 +111,11 @@ impl Requested {
     }
 }
 
+/// Whether the command handles requests to stop.
+pub(super) fn is_handled() -> bool {
+    matches!(HANDLED.get(), Some(Ok(())))
+}
+
 /// What a failed write to standard output means for the process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OutputEnd {
@@ -125,7 +128,7 @@ pub(crate) enum OutputEnd {
 /// Standard output cannot be written; `is_unread` if what read it has gone. A pipe that nobody reads ends every command, as it ends
 /// `yes | head`; a terminal that was closed, or a full disk, only ends those that do nothing but print.
 pub(crate) fn output_failed(is_unread: bool) -> OutputEnd {
-    if !matches!(HANDLED.get(), Some(Ok(()))) {
+    if !is_handled() {
         return OutputEnd::Exit;
     }
     if is_unread || ENDS_WITH_OUTPUT.load(Ordering::Relaxed) {
@@ -134,26 +137,40 @@ pub(crate) fn output_failed(is_unread: bool) -> OutputEnd {
     OutputEnd::Continue
 }
 
-/// Handles the signals that ask a process to end, except a SIGHUP that whoever started this process wants to be ignored (`nohup`).
 fn handle_signals() -> io::Result<()> {
+    on_signals(|signal| {
+        let meaning = REQUESTED.requests.lock().take(Instant::now());
+        if meaning != Meaning::End && signal == SIGQUIT {
+            print_trace();
+        }
+        match meaning {
+            Meaning::Stop => {
+                REQUESTED.set();
+                in_background("output", move || end_if_halted(128 + signal));
+            }
+            Meaning::Same => {}
+            Meaning::Hurry => in_background("hurry", move || hurry::end(128 + signal)),
+            Meaning::End => end_now(128 + signal),
+        }
+    })
+}
+
+/// Handles the signals that ask a process to end, except a SIGHUP that whoever started this process wants to be ignored (`nohup`).
+pub(super) fn on_signals(handle: impl Fn(i32) + Send + 'static) -> io::Result<()> {
     let all = [SIGINT, SIGTERM, SIGQUIT, SIGHUP];
     let handled = all.into_iter().filter(|&signal| signal != SIGHUP || !is_ignored(signal));
     let mut signals = Signals::new(handled)?;
-    let wait = move || {
-        for signal in signals.forever() {
-            let meaning = REQUESTED.requests.lock().take(Instant::now());
-            if meaning != Meaning::End && signal == SIGQUIT {
-                print_trace();
-            }
-            match meaning {
-                Meaning::Stop => REQUESTED.set(),
-                Meaning::Same => {}
-                Meaning::Hurry => in_background("hurry", move || hurry::end(128 + signal)),
-                Meaning::End => end_now(128 + signal),
-            }
-        }
-    };
+    let wait = move || signals.forever().for_each(handle);
     thread::Builder::new().name("signals".to_owned()).spawn(wait).map(drop)
+}
+
+/// Ends the process if the command does not notice the request, since it writes to a terminal that was halted or a pipe that nobody reads.
+fn end_if_halted(code: i32) {
+    let begun = output::write_in_progress();
+    thread::sleep(ONE_REQUEST);
+    if begun.is_some() && output::write_in_progress() == begun {
+        hurry::end(code);
+    }
 }
 
 /// Prints what runs, before the stop begins. A terminal that takes no output does not keep it waiting.
@@ -176,7 +193,7 @@ fn in_background(name: &str, task: impl FnOnce() + Send + 'static) {
 }
 
 /// Ends the process without waiting for anything.
-fn end_now(code: i32) -> ! {
+pub(super) fn end_now(code: i32) -> ! {
     restore_terminal();
     signal_hook::low_level::exit(code)
 }

@@ -12,6 +12,7 @@ use crate::executor::{Graph, SettingValue};
 use crate::modules::kinematics::Robot;
 use crate::program::graph::of_robot;
 use crate::program::new_output::{Force, Output};
+use crate::program::unfinished::write_file;
 use crate::robot::{Catalog, RobotFile, RosArgs};
 
 #[derive(Args)]
@@ -45,7 +46,7 @@ pub(crate) fn layout(arguments: &LayoutArguments, catalog: &Catalog, ros: &RosAr
     let layout = of(&graph, description(&file).as_ref(), arguments.viewer);
     let text = serde_json::to_string_pretty(&layout)? + "\n";
     match &arguments.output {
-        Some(output) => Ok(std::fs::write(output, text)?),
+        Some(output) => write_file(output, text),
         None => {
             print!("{text}");
             Ok(())
