@@ -120,7 +120,12 @@ impl Shared {
         if !mem::replace(&mut pending.has_thread, true) {
             let shared = Arc::clone(self);
             let started = thread::Builder::new().name("screen".to_owned()).spawn(move || shared.write_all());
-            pending.has_thread = started.is_ok();
+            if started.is_err() {
+                pending.has_thread = false;
+                let (texts, block) = pending.take();
+                // A closed terminal is no reason to stop a robot.
+                let _ = Drawn::new().update(&texts, block);
+            }
         }
         drop(pending);
         self.changed.notify_all();
@@ -128,7 +133,7 @@ impl Shared {
 
     /// Writes until the process ends.
     fn write_all(&self) {
-        let mut drawn = Drawn { terminal: Term::stderr(), block: Vec::new() };
+        let mut drawn = Drawn::new();
         let mut pending = self.pending.lock();
         loop {
             self.changed.wait_while(&mut pending, |pending| pending.is_idle());
@@ -178,6 +183,10 @@ struct Drawn {
 }
 
 impl Drawn {
+    fn new() -> Self {
+        Self { terminal: Term::stderr(), block: Vec::new() }
+    }
+
     fn update(&mut self, texts: &[Text], block: Option<Vec<String>>) -> io::Result<()> {
         // One of the streams may still be open.
         let _ = self.terminal.clear_last_lines(self.block.len());
