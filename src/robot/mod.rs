@@ -7,6 +7,7 @@
 mod actions;
 mod build;
 mod catalog;
+mod commanders;
 mod expose;
 mod file;
 mod kind;
