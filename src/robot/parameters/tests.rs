@@ -103,6 +103,12 @@ fn errors_in_a_parameter_file_contain_the_line_and_the_nearest_name() {
         ("/ns/r:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),
         ("/ns/r:\n  ros__parameters: 3", ":2: expected parameters with their values"),
         ("/ns/r:\n  ros_parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
+        (
+            "/ns/r:\n  ros_parameters:\n    mux.hold_s: 1",
+            ":2: \"ros_parameters\" is not ros__parameters, with two underscores; did you mean that?",
+        ),
+        ("/ns/r:\n  ros__paramters:\n    mux.hold_s: 1", ":2: \"ros__paramters\" is not ros__parameters"),
+        ("/ns/r:\n  ros__params: {mux.hold_s: 1}", ":2: \"ros__params\" is not ros__parameters"),
         ("ros__parameters:\n  mux.hold_s: 1", ":1: ros__parameters must be under the name of a node"),
         ("/ns/r:\n  ros__parameters:\n    mux.hold_s: [1,", ":"),
         ("/ns/r:\n  ros__parameters:\n    mux.hold_s: 1\n    mux.hold_s: 2", "duplicate"),
