@@ -171,7 +171,6 @@ fn a_scan_says_that_a_board_has_switched_off_the_servos_behind_it() {
     assert_eq!(board, expected);
     servo("write", &["200", "dynamixel_power", "1"]);
     wait_until("the servos answer", || servo("scan", &["--last-id", "2"]).lines().count() == 2);
-    assert!(!servo("scan", &["--last-id", "200"]).contains("switched off"));
 }
 
 #[test]
