@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn two_modules_that_command_the_same_joints_are_named_with_the_multiplexer() {
         let both = [forward("arm", "\"lift\", \"turn\""), forward("hand", "\"grip\", \"turn\"")].concat();
-        let expected = "robot.toml:9: \"arm\" and \"hand\" both command turn on topic \"joint_commands\", and the last command \
+        let expected = "robot.toml:12: \"arm\" and \"hand\" both command turn on topic \"joint_commands\", and the last command \
                         applies: let each publish on a topic of its own (`remap`), and name these in the setting `sources` of a \
                         module of kind \"joint_command_mux\"";
         assert_eq!(sentences(&both), [expected]);

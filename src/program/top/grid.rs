@@ -400,10 +400,10 @@ pub(crate) mod tests {
     fn rates_and_shares_cover_the_time_between_two_snapshots() {
         let grid = Grid::of_modules(&snapshot(10), &snapshot(12), Sort::Order);
         let expected = [
-            "MODULE   STATE            RUNS/S      P50      P99      MAX     CPU    WAIT  IN/S  OUT/S  INBOX  DROPS  OVERRUNS  PANICS",
-            "motion   active              100  20.0 µs  40.0 µs  60.0 µs   0.2 %       -   200    100      0      0         0       0",
-            "vision   active detached    10.0  50.0 ms   100 ms   150 ms   5.0 %  45.0 %  20.0   10.0      3     17         0       0",
-            "planner  failed                0        -        -        -       -       -     0      0      0      0         0       1",
+            "MODULE   STATE            RUNS/S      P50      P99      MAX    CPU    WAIT  IN/S  OUT/S  INBOX  DROPS  OVERRUNS  PANICS",
+            "motion   active              100  20.0 µs  40.0 µs  60.0 µs  0.2 %       -   200    100      0      0         0       0",
+            "vision   active detached    10.0  50.0 ms   100 ms   150 ms  5.0 %  45.0 %  20.0   10.0      3     17         0       0",
+            "planner  failed                0        -        -        -      -       -     0      0      0      0         0       1",
         ];
         assert_eq!(grid.lines().collect::<Vec<_>>(), expected);
     }

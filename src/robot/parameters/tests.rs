@@ -102,7 +102,7 @@ fn errors_in_a_parameter_file_contain_the_line_and_the_nearest_name() {
         ),
         ("/ns/r:\n  ros__parameters:\n    mux.hold_s:", ":3: expected true, false, a number"),
         ("/ns/r:\n  ros__parameters: 3", ":2: expected parameters with their values"),
-        ("/ns/r:\n  ros_parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
+        ("/ns/r:\n  parameters:\n    mux.hold_s: 1", ":3: expected the name of a node"),
         (
             "/ns/r:\n  ros_parameters:\n    mux.hold_s: 1",
             ":2: \"ros_parameters\" is not ros__parameters, with two underscores; did you mean that?",
