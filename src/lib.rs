@@ -10,6 +10,7 @@ pub mod compose;
 pub mod duration;
 pub mod encoding;
 mod failure;
+mod features;
 pub mod inspect;
 pub mod journal;
 pub mod playback;

@@ -125,8 +125,17 @@ fn errors_of_plot_and_export_list_the_valid_choices() {
         String::from_utf8(output.stderr).unwrap()
     };
     let field = |field: &str, output: &Path| refused(&["bag", "plot", text(&bag), field, "-o", text(output)]);
-    assert!(field("joint_state:position", &plot).contains("it has /joint_states"));
-    assert!(field("joint_states:positions", &plot).contains("it has header.stamp.sec, "));
+    assert!(
+        field("joint_state:position", &plot)
+            .contains("has no topic /joint_state, did you mean /joint_states?")
+    );
+    assert!(field("xyz:position", &plot).contains("has no topic /xyz; it has /"));
+    assert!(
+        field("joint_states:positions", &plot).contains("no number at positions, did you mean position?")
+    );
+    let element = field("joint_states:position[head_pna]", &plot);
+    assert!(element.contains("did you mean position[head_pan]?"), "{element}");
+    assert!(field("joint_states:xyz", &plot).contains("it has header.stamp.sec, "));
     assert!(field("joint_states:name", &plot).contains("no number at name"));
     assert!(field("joint_states", &plot).contains("TOPIC:FIELD"));
     assert!(field("joint_states:position", &folder.path().join("plot.pdf")).contains(".svg or .png"));

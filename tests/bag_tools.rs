@@ -111,7 +111,7 @@ fn bags_are_filtered_merged_cut_and_compared() {
     let expected = if cfg!(feature = "sqlite") {
         "does not support compression"
     } else {
-        "build with `--features sqlite`"
+        "build with --features sqlite"
     };
     assert!(!output.status.success() && message.contains(expected), "{message}");
     assert!(!database.exists());

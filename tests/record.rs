@@ -84,7 +84,7 @@ fn said(bag: &Path) -> Vec<u32> {
 const NO_ZSTD: &str = if cfg!(feature = "sqlite") {
     "sqlite3 does not support compression"
 } else {
-    "build with `--features sqlite`"
+    "build with --features sqlite"
 };
 
 #[test]

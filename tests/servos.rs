@@ -144,9 +144,33 @@ fn a_scan_lists_the_devices_of_both_families() {
     let dynamixel = Servos::of("op3", 2_000_000);
     let board = dynamixel.servo("scan", &["--last-id", "253", "--protocol", "dynamixel2"]);
     assert_eq!(
-        board, "id 200: unknown model 0, dynamixel2 at 2000000 bit/s\n",
-        "the servos have no power yet"
+        board,
+        "id 200: unknown model 0, dynamixel2 at 2000000 bit/s\n\
+         id 200 seems to have switched off the power of the servos behind it, which cannot answer: a robot switches it on with \
+         `power` of [[device]] (docs/servos.md)\n"
     );
+}
+
+#[test]
+fn a_scan_says_that_a_board_has_switched_off_the_servos_behind_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = folder.path().join("port");
+    let _emulator = Running::start(&["emulate", "darwin_op", "--link", text(&port)]);
+    wait_until("the emulated robot is there", || port.exists());
+    let options = ["--timeout-ms", "200", "--baud", "1000000", "--protocol", "dynamixel1"];
+    let servo = |command: &str, arguments: &[&str]| {
+        text_of(&[&["servo", command, text(&port)][..], arguments, &options[..]].concat())
+    };
+    let board = servo("scan", &["--last-id", "200"]);
+    let expected = format!(
+        "id 200: CM-730, firmware 19, dynamixel1 at 1000000 bit/s\nid 200 has switched off the power of the servos behind it, \
+         which cannot answer: `downbeat servo write {} 200 dynamixel_power 1 --baud 1000000 --protocol dynamixel1` switches it \
+         on; then scan again\n",
+        text(&port)
+    );
+    assert_eq!(board, expected);
+    servo("write", &["200", "dynamixel_power", "1"]);
+    wait_until("the servos answer", || servo("scan", &["--last-id", "2"]).lines().count() == 2);
 }
 
 #[test]

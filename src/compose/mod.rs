@@ -5,7 +5,7 @@
 //!
 //! | ask | arguments | answer |
 //! | --- | --- | --- |
-//! | `profile` | | `{schema, kinds: [KindProfile], launchers, templates: [{name, title, about}], interfaces: [message type]}` |
+//! | `profile` | | `{schema, kinds: [KindProfile], missing: [{kind, reason}], launchers, templates: [{name, title, about}], interfaces: [message type]}` |
 //! | `document` | `refresh`? | the document, see below; `refresh` also looks again at the files of modules |
 //! | `edit` | `edits: [Edit]` | the document after all of them; after an error nothing is changed |
 //! | `undo`, `redo` | | the document |
@@ -55,6 +55,7 @@ use std::io;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use crate::features::{built_without, missing_kinds};
 use crate::robot::{Catalog, ModuleSource, PROFILE_SCHEMA};
 use child::RobotProcess;
 use disk::{Place, Saved};
@@ -470,11 +471,16 @@ fn profile(catalog: &Catalog) -> Value {
         .kinds()
         .filter_map(|kind| catalog.profile(kind.name(), &BTreeMap::new(), &ModuleSource::default()))
         .collect();
+    let missing: Vec<_> = missing_kinds(catalog)
+        .into_iter()
+        .map(|(kind, feature)| json!({ "kind": kind, "reason": built_without(feature) }))
+        .collect();
     let templates: Vec<_> = templates::usable(catalog).collect();
     let messages: Vec<&str> = catalog.interfaces.messages().map(|message| message.name()).collect();
     json!({
         "schema": PROFILE_SCHEMA,
         "kinds": kinds,
+        "missing": missing,
         "launchers": catalog.launchers().collect::<Vec<_>>(),
         "templates": templates,
         "interfaces": messages,

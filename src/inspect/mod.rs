@@ -168,7 +168,7 @@ pub trait Inspected: Send + Sync + 'static {
     /// # Errors
     /// Returns a message if the robot has no page.
     fn view(&self) -> Result<String, String> {
-        Err("it has no page: it was built without the feature `view`".to_owned())
+        Err(format!("it has no page: it is {}", crate::features::built_without("view")))
     }
 
     /// Returns the endpoints that are exposed to ROS 2.

@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::cli::CheckArguments;
+use super::describe::print_missing_kinds;
 use crate::bridge::edge::{Interfaces, KnownService, KnownType};
 use crate::bridge::expose::ActionExposure;
 use crate::bridge::ros::{NodeName, ServiceName};
@@ -162,6 +163,7 @@ fn list_kinds(catalog: &Catalog) {
         }
         println!();
     }
+    print_missing_kinds(catalog);
 }
 
 fn print_settings(core: &Core, module: &str) {

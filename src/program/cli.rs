@@ -6,9 +6,11 @@ use std::time::Duration;
 
 use crate::bridge::middleware::Engine;
 use crate::duration::parse as duration;
+use crate::features::{built_without, missing_option};
 use crate::inspect::Request;
 use crate::msgs::encoding::Encoding;
 use crate::robot::{Catalog, RobotFile, RobotFileError, RosArgs};
+use clap::error::{ContextKind, ContextValue};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 
@@ -58,7 +60,15 @@ impl Cli {
             Ok((others, ros)) => (others, ros.with_variables(|name| std::env::var(name).ok())),
             Err(error) => refuse(error.to_string()),
         };
-        let mut cli = Self { ros, ..Self::parse_from(others) };
+        let line: Vec<OsString> = others.into_iter().collect();
+        let parsed = Self::try_parse_from(&line);
+        let parsed = parsed.unwrap_or_else(|error| match missing_feature(&line, &error) {
+            Some((option, feature)) => {
+                refuse(format!("{option} is not in this program, {}", built_without(feature)))
+            }
+            None => error.exit(),
+        });
+        let mut cli = Self { ros, ..parsed };
         if let Command::Bag(BagCommand::Record(arguments)) = &cli.command
             && let Some(level) = arguments.log_level
         {
@@ -84,6 +94,23 @@ impl Cli {
     }
 }
 
+/// The option in an error of the command line that a feature would add.
+fn missing_feature(line: &[OsString], error: &clap::Error) -> Option<(String, &'static str)> {
+    let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return None };
+    let name = option.split('=').next().unwrap_or_default();
+    let feature = line.iter().find_map(|word| missing_option(word.to_str()?, name))?;
+    Some((name.to_owned(), feature))
+}
+
+/// The arguments of a command that a feature would add.
+#[cfg(not(all(feature = "football", feature = "plots", feature = "view")))]
+#[derive(Args)]
+#[command(disable_help_flag = true)]
+pub(crate) struct NotBuiltIn {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+    _arguments: Vec<OsString>,
+}
+
 #[derive(Subcommand)]
 pub(crate) enum Command {
     /// Run a robot until Ctrl-C or for a time.
@@ -91,6 +118,9 @@ pub(crate) enum Command {
     /// Let simulated robots play football, drawn in the terminal; ends with the match. All data is simulated.
     #[cfg(feature = "football")]
     Match(super::football::MatchArguments),
+    /// (Not in this program, built without "football".) Let simulated robots play football.
+    #[cfg(not(feature = "football"))]
+    Match(NotBuiltIn),
     /// Run a robot of a match with --processes. The match starts it.
     #[cfg(feature = "football")]
     #[command(hide = true)]
@@ -102,6 +132,9 @@ pub(crate) enum Command {
     /// Compose a robot in a browser: its modules as a graph, checked while you edit. Prints the address of the page.
     #[cfg(feature = "view")]
     Compose(ComposeArguments),
+    /// (Not in this program, built without "view".) Compose a robot in a browser.
+    #[cfg(not(feature = "view"))]
+    Compose(NotBuiltIn),
     /// Watch a running robot: its cycles, modules and topics, live.
     Top(TopArguments),
     /// Record a trace of the next cycles of a running robot, for Perfetto or chrome://tracing.
@@ -109,6 +142,9 @@ pub(crate) enum Command {
     /// Opens the page of a running robot and prints its URL for a browser.
     #[cfg(feature = "view")]
     View(super::view::ViewRobot),
+    /// (Not in this program, built without "view".) Opens the page of a running robot.
+    #[cfg(not(feature = "view"))]
+    View(NotBuiltIn),
     /// Show what a running robot exposes to ROS 2, expose more, or remove topics.
     Expose(ExposeArguments),
     /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without running it.
@@ -149,6 +185,9 @@ pub(crate) enum Command {
     #[cfg(feature = "football")]
     #[command(subcommand)]
     Vision(super::vision::VisionCommand),
+    /// (Not in this program, built without "football".) Calibrate the vision of football players.
+    #[cfg(not(feature = "football"))]
+    Vision(NotBuiltIn),
     /// Create your own project: a robot, or with --template a package of messages or a module.
     New(NewArguments),
     /// Convert robot descriptions.
@@ -471,9 +510,15 @@ pub(crate) enum BagCommand {
     /// Draw fields of messages over time, as SVG or PNG.
     #[cfg(feature = "plots")]
     Plot(PlotArguments),
+    /// (Not in this program, built without "plots".) Draw fields of messages over time.
+    #[cfg(not(feature = "plots"))]
+    Plot(NotBuiltIn),
     /// Show bags to Foxglove, Lichtblick and PlotJuggler: play, pause and seek there.
     #[cfg(feature = "view")]
     View(ViewBagArguments),
+    /// (Not in this program, built without "view".) Show bags to Foxglove, Lichtblick and PlotJuggler.
+    #[cfg(not(feature = "view"))]
+    View(NotBuiltIn),
 }
 
 #[derive(Subcommand)]

@@ -8,6 +8,8 @@ use serde_json::json;
 
 use super::cli::DescribeArguments;
 use crate::executor::SettingValue;
+use crate::features::{built_without, missing_kind, missing_kinds};
+use crate::msgs::definitions::suggestion;
 use crate::robot::{
     Catalog, KindProfile, ModuleSource, PROFILE_SCHEMA, PortKind, PortRole, RobotFile, RosArgs, Runs,
     SettingProfile, setting_value,
@@ -24,7 +26,11 @@ pub(crate) fn describe(
     };
     if arguments.json {
         let kinds: Vec<_> = profiles.iter().map(|(_, profile)| profile).collect();
-        let mut json = json!({ "schema": PROFILE_SCHEMA, "kinds": kinds });
+        let missing: Vec<_> = missing_kinds(catalog)
+            .into_iter()
+            .map(|(kind, feature)| json!({ "kind": kind, "feature": feature, "reason": built_without(feature) }))
+            .collect();
+        let mut json = json!({ "schema": PROFILE_SCHEMA, "kinds": kinds, "missing": missing });
         if arguments.robot.is_some() {
             let modules = profiles.iter().map(|(name, profile)| json!({ "name": name, "profile": profile }));
             json = json!({ "schema": PROFILE_SCHEMA, "modules": modules.collect::<Vec<_>>() });
@@ -38,7 +44,21 @@ pub(crate) fn describe(
         }
         print(name, profile);
     }
+    if arguments.robot.is_none() && arguments.kinds.is_empty() {
+        print_missing_kinds(catalog);
+    }
     Ok(())
+}
+
+/// Prints the kinds that programs with more features have.
+pub(super) fn print_missing_kinds(catalog: &Catalog) {
+    let missing = missing_kinds(catalog);
+    if !missing.is_empty() {
+        println!("\nnot in this program");
+    }
+    for (kind, feature) in missing {
+        println!("  {kind:<24} {}", built_without(feature));
+    }
 }
 
 fn of_kinds(arguments: &DescribeArguments, catalog: &Catalog) -> anyhow::Result<Vec<(String, KindProfile)>> {
@@ -54,8 +74,10 @@ fn of_kinds(arguments: &DescribeArguments, catalog: &Catalog) -> anyhow::Result<
         .into_iter()
         .map(|name| {
             let kind = catalog.kind(&name).with_context(|| {
-                let hint =
-                    crate::msgs::definitions::suggestion(&name, catalog.kinds().map(|kind| kind.name()));
+                let hint = match missing_kind(&name) {
+                    Some(reason) => format!(": {reason}"),
+                    None => suggestion(&name, catalog.kinds().map(|kind| kind.name())),
+                };
                 format!("there is no kind \"{name}\"{hint}")
             })?;
             let given =

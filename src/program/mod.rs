@@ -83,16 +83,20 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::Match(arguments) => football::play(&arguments, catalog, &ros, &screen, &log),
         #[cfg(feature = "football")]
         Command::MatchRobot(arguments) => football::robot::run(&arguments, catalog, &ros, &screen, &log),
+        #[cfg(not(feature = "football"))]
+        Command::Match(_) | Command::Vision(_) => not_built("football", ""),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]
         Command::Compose(arguments) => compose::compose(&arguments, catalog),
+        #[cfg(not(feature = "view"))]
+        Command::Compose(_) | Command::View(_) | Command::Bag(BagCommand::View(_)) => not_built("view", ""),
         Command::Top(arguments) => top::top(&arguments),
         Command::Expose(arguments) => expose::expose(&arguments),
         Command::Trace(arguments) => trace::trace(&arguments),
         #[cfg(feature = "view")]
         Command::View(arguments) => view::view(&arguments, catalog, &ros),
-        Command::Chart(arguments) => chart::chart(&arguments),
+        Command::Chart(arguments) => chart::chart(&arguments, catalog),
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {
@@ -111,6 +115,8 @@ pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitC
         Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments, catalog),
         #[cfg(feature = "plots")]
         Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments, catalog),
+        #[cfg(not(feature = "plots"))]
+        Command::Bag(BagCommand::Plot(_)) => not_built("plots", "`bag export` writes tables"),
         #[cfg(feature = "view")]
         Command::Bag(BagCommand::View(arguments)) => bag::view::view(&arguments, catalog),
         Command::Interface(command) => interface::interface(&command, catalog),
@@ -160,10 +166,15 @@ fn ends_when_done(command: &Command) -> bool {
 }
 
 /// The error of a command that needs a feature of the package.
-#[cfg_attr(all(feature = "plots", feature = "tables", feature = "top"), allow(dead_code))]
+#[cfg_attr(
+    all(feature = "football", feature = "plots", feature = "tables", feature = "top", feature = "view"),
+    allow(dead_code)
+)]
 fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {
     anyhow::bail!(
-        "this program is built without the feature `{feature}`: build it with --features {feature}; {instead}"
+        "this program is {}{}{instead}",
+        crate::features::built_without(feature),
+        if instead.is_empty() { "" } else { "; " }
     )
 }
 

@@ -132,6 +132,11 @@ fn scan(arguments: &PortArguments, last_id: u8) -> anyhow::Result<()> {
         for found in &found {
             println!("{}", described(found));
         }
+        for board in &found {
+            if port.withholds_power(board)? {
+                println!("{}", without_power(board, &arguments.path));
+            }
+        }
         count += found.len();
     }
     if count == 0 {
@@ -224,6 +229,22 @@ fn device(raw: u8) -> anyhow::Result<Id> {
 
 fn caution(force: bool) -> Caution {
     if force { Caution::Force } else { Caution::Refuse }
+}
+
+/// What to do about servos that cannot answer, since the board before them has switched them off.
+fn without_power(board: &Found, path: &str) -> String {
+    let Found { id, line, model, .. } = board;
+    let remedy = match model {
+        Some(_) => format!(
+            "`downbeat servo write {path} {id} dynamixel_power 1 --baud {} --protocol {}` switches it on; then scan again",
+            line.baud,
+            line.protocol.key()
+        ),
+        // Registers are written by name.
+        None => "a robot switches it on with `power` of [[device]] (docs/servos.md)".to_owned(),
+    };
+    let seems = if model.is_some() { "has" } else { "seems to have" };
+    format!("id {id} {seems} switched off the power of the servos behind it, which cannot answer: {remedy}")
 }
 
 fn described(found: &Found) -> String {

@@ -6,6 +6,7 @@ use downbeat_executor::{
 };
 
 use super::LauncherChoice;
+use super::commanders::rival_commanders;
 use super::expose::canonical;
 use super::file::{LauncherEntry, ModuleEntry, RobotFile, RobotFileError, suggestion};
 use crate::journal;
@@ -44,6 +45,7 @@ impl RobotFile {
         robot.exposed()?;
         let topics: Vec<_> = robot.core.topics().cloned().collect();
         robot.file.passed_over(&topics).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        rival_commanders(&robot.file, &robot.core).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         robot.parameter_exposure()?;
         robot.lifecycle_exposures()?;
         robot.recorded_topics()?;
@@ -108,6 +110,21 @@ impl RobotFile {
             .map_err(|error| self.error_at(&module.at(module.thread_line), error.to_string()))
     }
 
+    /// The settings that a module also needs, where it lacks one: it refuses the first only.
+    fn further_settings(&self, module: &ModuleEntry, setting: &str) -> String {
+        if module.settings.contains_key(setting) {
+            return String::new();
+        }
+        let given = module.settings.iter().map(|(name, given)| (name.clone(), given.value.clone())).collect();
+        let profile = self.catalog.profile(module.kind.name(), &given, &module.source);
+        let needed = profile.into_iter().flat_map(|profile| profile.settings);
+        let needed = needed.filter(|known| {
+            known.is_required && known.name != setting && !module.settings.contains_key(&known.name)
+        });
+        let names: Vec<String> = needed.map(|known| format!("\"{}\"", known.name)).collect();
+        if names.is_empty() { String::new() } else { format!("; it also needs {}", names.join(", ")) }
+    }
+
     /// Converts the error of a module's setup to an error at the line that caused it.
     fn located(&self, module: &ModuleEntry, error: &SetupError) -> RobotFileError {
         let of_setting = |name: &String| module.settings.get(name).map(|setting| setting.place.clone());
@@ -116,7 +133,9 @@ impl RobotFile {
             SetupError::UnknownSetting { setting, known, .. } => {
                 (of_setting(setting), suggestion(setting, known.iter().map(String::as_str)))
             }
-            SetupError::SettingValue { setting, .. } => (of_setting(setting), String::new()),
+            SetupError::SettingValue { setting, .. } => {
+                (of_setting(setting), self.further_settings(module, setting))
+            }
             SetupError::UnknownTopic { topic, known, .. } => {
                 (of_remap(topic), suggestion(topic, known.iter().map(String::as_str)))
             }

@@ -499,16 +499,33 @@ pub(super) fn built_in() -> Vec<Kind> {
     #[cfg(feature = "network")]
     kinds.extend(network());
     #[cfg(feature = "mqtt")]
-    kinds.push(
-        Kind::device_with_interfaces(
-            "mqtt",
-            "topics of the robot on an MQTT broker, both ways, in JSON or CBOR",
-            downbeat_network::mqtt::broker::Broker::default,
-            downbeat_network::mqtt::Mqtt::new,
-        )
-        .with_files(&["password_file"]),
-    );
+    kinds.push(mqtt());
     kinds
+}
+
+/// The names of the kinds that features of this program add.
+#[cfg(test)]
+pub(crate) fn kinds_of_features() -> Vec<String> {
+    let ports = MemoryPorts::default();
+    let mut kinds: Vec<Kind> = simulator(ports.clone()).into_iter().collect();
+    #[cfg(feature = "football")]
+    kinds.extend(football(ports));
+    #[cfg(feature = "network")]
+    kinds.extend(network());
+    #[cfg(feature = "mqtt")]
+    kinds.push(mqtt());
+    kinds.iter().map(|kind| kind.name().to_owned()).collect()
+}
+
+#[cfg(feature = "mqtt")]
+fn mqtt() -> Kind {
+    Kind::device_with_interfaces(
+        "mqtt",
+        "topics of the robot on an MQTT broker, both ways, in JSON or CBOR",
+        downbeat_network::mqtt::broker::Broker::default,
+        downbeat_network::mqtt::Mqtt::new,
+    )
+    .with_files(&["password_file"])
 }
 
 #[cfg(feature = "football")]

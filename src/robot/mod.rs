@@ -7,6 +7,7 @@
 mod actions;
 mod build;
 mod catalog;
+mod commanders;
 mod expose;
 mod file;
 mod kind;
@@ -36,6 +37,8 @@ pub use file::{
     ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
     TopicChoice, ViewAccess, ViewEntry,
 };
+#[cfg(test)]
+pub(crate) use kind::kinds_of_features;
 pub use kind::{Kind, ModuleSource};
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{

@@ -165,11 +165,30 @@ impl Catalog {
         source: &ModuleSource,
     ) -> Option<KindProfile> {
         let kind = self.kind(kind)?;
-        let plain = Draft::of(self, kind, &BTreeMap::new(), source);
+        let plain = Draft::with_required(self, kind, &BTreeMap::new(), source);
         if settings.is_empty() {
             return Some(plain.profile(kind, &plain, settings));
         }
-        Some(Draft::of(self, kind, settings, source).profile(kind, &plain, settings))
+        Some(Draft::with_required(self, kind, settings, source).profile(kind, &plain, settings))
+    }
+}
+
+/// How often a kind may ask for one more setting.
+const MOST_REQUIRED: usize = 16;
+
+/// A value that a module may accept in place of a setting that it requires.
+fn placeholder(setting: &SettingInfo) -> SettingValue {
+    let text = setting.name.clone();
+    match &setting.value {
+        SettingValue::Bool(_) => true.into(),
+        SettingValue::Integer(_) => 1.into(),
+        SettingValue::Double(_) => 1.0.into(),
+        SettingValue::Text(_) => text.into(),
+        SettingValue::Bools(_) => vec![true].into(),
+        SettingValue::Bytes(_) => SettingValue::Bytes(vec![1]),
+        SettingValue::Integers(_) => vec![1_i64].into(),
+        SettingValue::Doubles(_) => vec![1.0].into(),
+        SettingValue::Texts(_) => vec![text].into(),
     }
 }
 
@@ -179,6 +198,8 @@ struct Draft {
     ports: Vec<PortProfile>,
     periods_s: Vec<f64>,
     problem: Option<SetupError>,
+    /// The settings without which the module is refused, in the order in which it asks for them.
+    required: Vec<String>,
 }
 
 impl Draft {
@@ -204,17 +225,58 @@ impl Draft {
                 .map(std::time::Duration::as_secs_f64)
                 .collect(),
             problem,
+            required: Vec::new(),
         }
+    }
+
+    /// The same with all settings that the module asks for: it refuses the first that is missing, and declares and asks for
+    /// further ones only when that is given.
+    fn with_required(
+        catalog: &Catalog,
+        kind: &Kind,
+        settings: &BTreeMap<String, SettingValue>,
+        source: &ModuleSource,
+    ) -> Self {
+        let mut draft = Self::of(catalog, kind, settings, source);
+        let mut filled = settings.clone();
+        let mut missing = refused_setting(draft.problem.as_ref());
+        while let Some(setting) = missing.take()
+            && draft.required.len() < MOST_REQUIRED
+            && !filled.contains_key(&setting)
+        {
+            draft.required.push(setting.clone());
+            let Some(info) = draft.settings.iter().find(|info| info.name == setting) else { break };
+            // A placeholder names no file.
+            if kind.files().contains(&setting) {
+                break;
+            }
+            filled.insert(setting, placeholder(info));
+            let next = Self::of(catalog, kind, &filled, source);
+            for info in next.settings {
+                if !draft.settings.iter().any(|known| known.name == info.name) {
+                    draft.settings.push(info);
+                }
+            }
+            missing = refused_setting(next.problem.as_ref());
+        }
+        draft
+    }
+
+    /// Why the module is refused, with everything that it asks for.
+    fn needs(&self) -> Option<String> {
+        let problem = self.problem.as_ref()?.to_string();
+        let others: Vec<String> =
+            self.required.iter().skip(1).map(|setting| format!("\"{setting}\"")).collect();
+        Some(match others.is_empty() {
+            true => problem,
+            false => format!("{problem}; it also needs {}", others.join(", ")),
+        })
     }
 
     /// `plain` is the draft without settings, this one that with those that are `given`.
     fn profile(&self, kind: &Kind, plain: &Self, given: &BTreeMap<String, SettingValue>) -> KindProfile {
         let [required, optional] = kind.keys();
         let key = |is_required| move |&name: &&'static str| KeyProfile { name, is_required };
-        let refused = match &plain.problem {
-            Some(SetupError::SettingValue { setting, .. }) => Some(setting),
-            _ => None,
-        };
         let setting = |info: &SettingInfo| {
             // What is not given has its default, also where it is declared only beside others.
             let default = match given.contains_key(&info.name) {
@@ -230,7 +292,7 @@ impl Draft {
                 choices: info.choices.clone(),
                 is_read_only: info.is_read_only,
                 is_file: kind.files().contains(&info.name),
-                is_required: refused == Some(&info.name),
+                is_required: plain.required.contains(&info.name) || self.required.contains(&info.name),
             }
         };
         KindProfile {
@@ -248,8 +310,15 @@ impl Draft {
             settings: self.settings.iter().map(setting).collect(),
             ports: self.ports.clone(),
             panel: panel(kind),
-            needs: self.problem.as_ref().map(ToString::to_string),
+            needs: self.needs(),
         }
+    }
+}
+
+fn refused_setting(problem: Option<&SetupError>) -> Option<String> {
+    match problem {
+        Some(SetupError::SettingValue { setting, .. }) => Some(setting.clone()),
+        _ => None,
     }
 }
 
@@ -368,6 +437,32 @@ mod tests {
         assert_eq!(interface.default, Some("position".into()));
         assert!(
             given.ports.iter().any(|port| port.role == PortRole::Publishes && port.what == PortKind::Topic)
+        );
+    }
+
+    #[test]
+    fn a_kind_that_needs_several_settings_names_all_of_them_at_once() {
+        let lacking = profile("diff_drive", &[]);
+        let required = |profile: &KindProfile| -> Vec<String> {
+            let required = profile.settings.iter().filter(|setting| setting.is_required);
+            required.map(|setting| setting.name.clone()).collect()
+        };
+        let all = ["left_wheel_names", "right_wheel_names", "wheel_separation", "wheel_radius"];
+        assert_eq!(required(&lacking), all, "{lacking:?}");
+        let needs = lacking.needs.unwrap();
+        assert!(needs.contains("setting \"left_wheel_names\""), "{needs}");
+        assert!(
+            needs.ends_with("; it also needs \"right_wheel_names\", \"wheel_separation\", \"wheel_radius\""),
+            "{needs}"
+        );
+        let given = profile("diff_drive", &[("left_wheel_names", vec!["l".to_owned()].into())]);
+        assert_eq!(required(&given), all);
+        let needs = given.needs.unwrap();
+        assert!(needs.ends_with("; it also needs \"wheel_separation\", \"wheel_radius\""), "{needs}");
+        let radius = given.settings.iter().find(|setting| setting.name == "wheel_radius").unwrap();
+        assert_eq!(
+            radius.default,
+            lacking.settings.iter().find(|setting| setting.name == "wheel_radius").unwrap().default
         );
     }
 

@@ -189,7 +189,10 @@ impl PreparedRobot {
     fn on(mut core: Core, file: RobotFile, clock: NodeClock) -> Result<Self, StartError> {
         #[cfg(not(feature = "view"))]
         if file.view.foxglove.is_some() || file.view.page.is_some() {
-            tracing::warn!("[view] has no effect: this program was built without the feature `view`");
+            tracing::warn!(
+                "[view] has no effect: this program is {}",
+                crate::features::built_without("view")
+            );
         }
         let diagnostics = add_diagnostics(&mut core, &file)?;
         let robot = file.build(core)?;

@@ -331,8 +331,8 @@ fn open_sqlite(path: &Path, source: Source) -> Result<BagFile, ReaderError> {
 
 #[cfg(not(feature = "sqlite"))]
 fn open_sqlite(path: &Path, _source: Source) -> Result<BagFile, ReaderError> {
-    let found = "it is an SQLite file, which this build does not read; build with `--features sqlite`, which needs a C \
-                 compiler"
+    let found = "it is an SQLite file, and this program is built without \"sqlite\": build with --features sqlite, which needs a \
+                 C compiler"
         .to_owned();
     Err(ReaderError::Unsupported { path: path.to_owned(), found })
 }

@@ -36,7 +36,7 @@ pub enum StorageOptions {
 pub enum StorageError {
     /// The feature `sqlite` is missing.
     #[error(
-        "this build does not write the storage sqlite3; build with `--features sqlite`, which needs a C compiler"
+        "this program writes no storage sqlite3, it is built without \"sqlite\": build with --features sqlite, which needs a C compiler"
     )]
     NotBuilt,
     /// The storage has no such preset.

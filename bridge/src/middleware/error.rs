@@ -109,5 +109,9 @@ fn engines() -> String {
 }
 
 fn hint(engine: &str) -> &'static str {
-    if engine == "rustdds" { "; build with the feature rustdds for that one" } else { "" }
+    if engine == "rustdds" {
+        "; this program is built without \"rustdds\": build with --features rustdds"
+    } else {
+        ""
+    }
 }

@@ -64,6 +64,11 @@ pub trait Middleware: Send + Sync {
     /// The endpoints of other participants that are known at this moment.
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint>;
 
+    /// The participants that were discovered, whether or not their endpoints are known yet. `None` where the engine does not tell.
+    fn remote_participants(&self) -> Option<Vec<[u8; 12]>> {
+        None
+    }
+
     /// Leaves the domain at once, for a process that is about to end without dropping it. Without an effect in engines that cannot, whose
     /// peers then wait for the lease to expire.
     fn leave(&self) {}

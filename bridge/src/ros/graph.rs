@@ -180,6 +180,20 @@ impl Graph {
         owners
     }
 
+    /// Whether all of these participants have announced their nodes, and all endpoints of these are known.
+    pub(super) fn has_heard_all(&self, participants: &[[u8; 12]], endpoints: &[RemoteEndpoint]) -> bool {
+        let known: BTreeSet<_> = endpoints.iter().map(|endpoint| endpoint.gid).collect();
+        let heard = self.heard.lock();
+        participants.iter().all(|participant| {
+            let nodes = heard.get(participant).map(|info| &info.node_entities_info_seq);
+            nodes.is_some_and(|nodes| {
+                let gids =
+                    nodes.iter().flat_map(|node| node.reader_gid_seq.iter().chain(&node.writer_gid_seq));
+                gids.into_iter().all(|gid| known.contains(&Gid(gid.data)))
+            })
+        })
+    }
+
     /// The nodes of others, as they announce them, with the endpoints that discovery found.
     pub(super) fn remote_nodes(&self, endpoints: &[RemoteEndpoint]) -> Vec<RemoteNode> {
         // A participant that vanished without a last word is known by having no endpoints any more.

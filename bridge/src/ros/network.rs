@@ -204,6 +204,24 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
+    fn all_is_heard_when_each_participant_has_announced_its_nodes_and_their_endpoints_are_known() {
+        let hub = Hub::new();
+        let observer = Participant::on(Arc::new(hub.join())).unwrap();
+        assert!(!observer.has_heard_all(), "no participant has answered");
+        let robot = Participant::on(Arc::new(hub.join())).unwrap();
+        assert!(!observer.has_heard_all(), "it has announced no node");
+        let node = robot.create_node(super::super::NodeName::new("/", "robot").unwrap()).unwrap();
+        let string = MessageType::new("std_msgs/msg/String").unwrap();
+        let _text = node.publish("text", &string, QosProfile::DEFAULT).unwrap();
+        assert!(observer.has_heard_all());
+        let other = hub.join();
+        let _writer = other
+            .create_writer(&Endpoint::new("rt/other", "std_msgs::msg::dds_::String_", QosProfile::DEFAULT))
+            .unwrap();
+        assert!(!observer.has_heard_all(), "another participant has announced no nodes");
+    }
+
+    #[test]
     fn names_of_others_reach_nobody_with_control_characters() {
         let hub = Hub::new();
         let observer = Participant::on(Arc::new(hub.join())).unwrap();

@@ -177,6 +177,16 @@ impl Participant {
         self.shared.middleware.remote_endpoints()
     }
 
+    /// Whether everything that others have announced so far is known: the nodes of each participant that was discovered, and
+    /// all endpoints of these. Participants that have not answered yet are not known, so that it may become false again. Never
+    /// true while there are none, or participants that are no ROS 2 nodes.
+    #[must_use]
+    pub fn has_heard_all(&self) -> bool {
+        let Some(participants) = self.shared.middleware.remote_participants() else { return false };
+        let endpoints = self.shared.middleware.remote_endpoints();
+        !participants.is_empty() && self.shared.graph.has_heard_all(&participants, &endpoints)
+    }
+
     /// The nodes of other participants. Those that were there before take some seconds to be heard of.
     #[must_use]
     pub fn remote_nodes(&self) -> Vec<RemoteNode> {

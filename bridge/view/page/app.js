@@ -241,8 +241,10 @@ const shown = new Map();
 const layoutKey = () => `layout.${robot.info?.name ?? ''}`;
 /** A link such as `#/scene+camera` names its panels: they stay in the address, and one's own dashboard stays as it was. */
 let isLinked = false;
+/** Whether somebody has placed panels. Until then the dashboard shows what suits the topics of the robot, each time anew. */
+let isEdited = false;
 function save() {
-  if (!isLinked) stored.set(layoutKey(), layout);
+  if (!isLinked) stored.set(layoutKey(), isEdited ? layout : { options: layout.options });
   else if (named().includes('+')) history.replaceState(null, '', `#/${layout.cards.map(({ kind }) => kind).join('+')}`);
 }
 /** @param {string} kind */
@@ -327,7 +329,7 @@ class Card {
       if (from < 0 || to < 0 || from === to) return;
       event.preventDefault();
       layout.cards.splice(to, 0, ...layout.cards.splice(from, 1));
-      arrange();
+      rearrange();
     });
   }
 
@@ -338,19 +340,20 @@ class Card {
     const move = (/** @type {number} */ by) => () => {
       layout.cards.splice(at, 1);
       layout.cards.splice(Math.max(0, Math.min(layout.cards.length, at + by)), 0, placed);
-      arrange();
+      rearrange();
     };
     const resize = (/** @type {number} */ by) => () => {
       const next = WIDTHS[Math.max(0, Math.min(WIDTHS.length - 1, WIDTHS.indexOf(placed.width) + by))];
       placed.width = next ?? 4;
       this.place();
+      isEdited = true;
       save();
     };
     openMenu(anchor, `Place ${this.title}`, [
       menuItem('right', 'Wider', resize(1)), menuItem('left', 'Narrower', resize(-1)),
-      menuItem('wider', placed.height > 1 ? 'Less high' : 'Higher', () => { placed.height = placed.height > 1 ? 1 : 2; this.place(); save(); }),
+      menuItem('wider', placed.height > 1 ? 'Less high' : 'Higher', () => { placed.height = placed.height > 1 ? 1 : 2; this.place(); isEdited = true; save(); }),
       h('hr'), menuItem('left', 'Move forward', move(-1)), menuItem('right', 'Move back', move(1)),
-      h('hr'), menuItem('trash', 'Remove', () => { layout.cards.splice(at, 1); delete layout.options[placed.key]; arrange(); }),
+      h('hr'), menuItem('trash', 'Remove', () => { layout.cards.splice(at, 1); delete layout.options[placed.key]; rearrange(); }),
     ]);
   }
 
@@ -405,7 +408,7 @@ function addMenu(anchor) {
   openMenu(anchor, 'Add to the dashboard', [
     ...entries.map((entry) => menuItem(entry.isOwn ? 'panel' : entry.id, entry.title, () => add(entry))),
     h('hr'),
-    menuItem('home', 'Panels as at first', () => { layout = { cards: defaultCards(), options: {} }; for (const card of shown.values()) card.end(); shown.clear(); arrange(); }),
+    menuItem('home', 'Panels as at first', () => { isEdited = false; layout = { cards: defaultCards(), options: {} }; for (const card of shown.values()) card.end(); shown.clear(); arrange(); }),
   ]);
 }
 
@@ -417,7 +420,7 @@ function add(entry) {
   for (let i = 2; taken.has(key); i++) key = `${entry.id}-${i}`;
   layout.cards.push({ key, kind: entry.id, width: entry.width, height: entry.height });
   show(DASHBOARD);
-  arrange();
+  rearrange();
   shown.get(key)?.element.scrollIntoView({ block: 'nearest' });
 }
 
@@ -454,11 +457,23 @@ function defaultCards() {
     : hasScene || hasCamera
       ? [[hasScene ? 'scene' : 'camera', 5, 2], [isBag ? 'topics' : 'graph', 7, 1], ['plot', 4, 1], ['diagnostics', 3, 1]]
       : [[isBag ? 'topics' : 'graph', 6, 1], ['plot', 6, 1], ['servos', 8, 1], ['diagnostics', 4, 1]];
+  // A match is seen in its own panel: in 3D there would be a ball without players, who have their descriptions elsewhere.
+  const own = entries.find(({ isOwn }) => isOwn);
+  if (own && !robot.channels.has('/robot_description')) {
+    const scene = places.findIndex(([kind]) => kind === 'scene');
+    places.splice(Math.max(0, scene), scene < 0 ? 0 : 1, [own.id, 6, 2]);
+  }
   if (!has('diagnostic_msgs/msg/DiagnosticArray')) places[places.length - 1][0] = 'log';
   return places.map(([kind, width, height]) => ({ key: kind, kind, width, height }));
 }
 
 const grid = h('div', { 'data-testid': 'dashboard' });
+
+/** Somebody has placed a panel. */
+function rearrange() {
+  isEdited = true;
+  arrange();
+}
 
 /** Shows what the address names: the dashboard, one panel, or a dashboard of the named panels. */
 function arrange() {
@@ -501,7 +516,8 @@ function build() {
   buildRail();
   if (builtFor !== name || layout.cards.length === 0) {
     const known = stored.get(layoutKey());
-    layout = Array.isArray(known?.cards) ? { cards: known.cards.slice(0, MOST_CARDS), options: known.options ?? {} } : { cards: defaultCards(), options: {} };
+    isEdited = Array.isArray(known?.cards);
+    layout = { cards: isEdited ? known.cards.slice(0, MOST_CARDS) : defaultCards(), options: known?.options ?? {} };
     // A link with several panels is a dashboard to share: `#scene+camera`.
     const several = named().split('+').map(entryOf).filter((entry) => entry !== undefined);
     isLinked = several.length > 1;
@@ -510,6 +526,19 @@ function build() {
   }
   arrange();
 }
+// Topics may appear after the page was opened: a camera, a description of the robot.
+robot.addEventListener('channels', () => {
+  if (isEdited || isLinked || builtFor !== robot.info?.name || layout.cards.length === 0) return;
+  const cards = defaultCards();
+  const kinds = (/** @type {Placed[]} */ placed) => placed.map(({ kind, width, height }) => `${kind} ${width} ${height}`).join();
+  if (kinds(cards) === kinds(layout.cards)) return;
+  layout.cards = cards;
+  for (const placed of cards) {
+    const card = shown.get(placed.key);
+    if (card) { card.placed = placed; card.place(); }
+  }
+  arrange();
+});
 window.addEventListener('hashchange', () => {
   // A link with a token opened in this page: the connection needs it from its start.
   if (/token=/.test(location.hash)) { takeToken(); location.reload(); }

@@ -1,6 +1,6 @@
 //! Two robots inside a program that has its own `main`, and messages between them and the program.
 
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
@@ -51,7 +51,7 @@ fn main() -> Result<(), Failure> {
     let leader_goal = leader.core().inlet("goal")?;
     let (sender, leader_positions) = channel();
     let leader_outlet = leader.core().outlet("position", Inbox::KeepAll, pass_to(sender))?;
-    let plan = RecordPlan::of_robot(Path::new("leader_run"), leader.file(), None);
+    let plan = RecordPlan::of_robot(&new_folder("leader_run"), leader.file(), None);
     leader.record(plan)?;
     let leader = leader.start()?;
 
@@ -81,6 +81,12 @@ fn main() -> Result<(), Failure> {
         println!("{} has {} messages", bag.path.display(), bag.message_count());
     }
     Ok(())
+}
+
+/// The first name that is free: a recording replaces no other.
+fn new_folder(name: &str) -> PathBuf {
+    let mut names = (1..).map(|number| PathBuf::from(format!("{name}_{number}")));
+    names.find(|path| !path.exists()).unwrap_or_default()
 }
 
 /// Sends each position to the program.

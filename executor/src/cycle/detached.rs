@@ -10,7 +10,7 @@ use crossbeam::sync::{Parker, Unparker};
 
 use crate::module::{Causes, Delivery, Input, Link, ModuleCell, Post, StepOutcome, TopicInput};
 use crate::observe::{Measuring, ModuleMeter, Span, Stopwatch};
-use crate::threads::{drop_guarded, unpoisoned};
+use crate::threads::{drop_guarded, processor_time, unpoisoned};
 use crate::{
     Clock, Inbox, LifecycleState, ModuleId, ModuleOptions, Role, Synchrony, ThreadError, ThreadOptions, Time,
 };
@@ -301,9 +301,12 @@ impl Runner {
         let is_paused = self.cell.is_paused();
         let inputs = inputs_of(&deliveries, skipped);
         // A run on a thread of its own costs far more than two readings of the clock.
+        let before = processor_time();
         let mut stopwatch = Stopwatch::start(Measuring::Trace);
         self.cell.run_detached(causes, deliveries.make_contiguous(), self.role, now);
         let span = stopwatch.lap().filter(|_| !is_paused);
+        let processor = processor_time().zip(before).map(|(after, before)| after.saturating_sub(before));
+        let span = span.map(|span| Span { processor, ..span });
         // Frees the batches for the cycles to come.
         drop_guarded("a message", || drop(deliveries));
         self.send(now, inputs, Run::Step { span, was_due: causes.has(Causes::DUE) && causes != Causes::ALL });

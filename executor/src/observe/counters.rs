@@ -19,6 +19,7 @@ pub(crate) struct ModuleMeter {
     dropped: u64,
     inbox: u64,
     run_time: Option<Box<TimeHistogram>>,
+    processor_ns: Option<u64>,
 }
 
 impl ModuleMeter {
@@ -44,6 +45,14 @@ impl ModuleMeter {
     pub(crate) fn took(&mut self, time: Duration) {
         if let Some(run_time) = &mut self.run_time {
             run_time.record(time);
+        }
+    }
+
+    /// A run spent that much of its time on a processor.
+    pub(crate) fn was_on_processor(&mut self, time: Option<Duration>) {
+        if let Some(time) = time {
+            let time_ns = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+            self.processor_ns = Some(self.processor_ns.unwrap_or(0).saturating_add(time_ns));
         }
     }
 
@@ -92,6 +101,7 @@ impl ModuleMeter {
             restarts: self.restarts,
             inbox: self.inbox,
             dropped: self.dropped,
+            processor_ns: self.processor_ns,
             run_time: self
                 .run_time
                 .as_ref()
@@ -171,6 +181,9 @@ mod tests {
         meter.panicked();
         meter.restarted();
         meter.overran(1);
+        for time in [None, Some(Duration::from_nanos(100)), Some(Duration::from_nanos(200))] {
+            meter.was_on_processor(time);
+        }
         let statistics = meter.statistics("motion", ModuleState::Active, true);
         let expected = ModuleStatistics {
             name: "motion".into(),
@@ -184,6 +197,7 @@ mod tests {
             restarts: 1,
             inbox: 2,
             dropped: 5,
+            processor_ns: Some(300),
             run_time: TimeStatistics::default(),
         };
         assert_eq!(statistics, expected);

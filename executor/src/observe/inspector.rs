@@ -150,6 +150,7 @@ impl Inspector {
         causes: impl FnOnce() -> Vec<TraceCause>,
     ) {
         meter.took(span.duration());
+        meter.was_on_processor(span.processor);
         if let Some(time) = due {
             self.timing.looped(module, time, span.duration());
         }
@@ -221,9 +222,9 @@ impl Inspector {
         }
         if self.measuring == Measuring::Trace {
             let thread = Some(std::thread::current());
-            let process = Span { begin, end: processed, thread: thread.clone() };
+            let process = Span { begin, end: processed, thread: thread.clone(), processor: None };
             self.add_to_trace(TraceEventKind::Process, None, info.cycle, &process, Vec::new());
-            let sync = Span { begin: processed, end: synced, thread };
+            let sync = Span { begin: processed, end: synced, thread, processor: None };
             self.add_to_trace(TraceEventKind::Sync, None, info.cycle, &sync, Vec::new());
         }
         // Inside the cycle the clock was read for each run and for each phase; taking the readings in is measured.

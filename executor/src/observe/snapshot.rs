@@ -144,6 +144,10 @@ pub struct ModuleStatistics {
     pub inbox: u64,
     /// Messages that its bounded inbox dropped.
     pub dropped: u64,
+    /// How much time its runs spent on a processor, where it is detached and the system tells: the rest of the time of its runs
+    /// it waited, for a device for example.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub processor_ns: Option<u64>,
     /// How long its measured runs took.
     pub run_time: TimeStatistics,
 }

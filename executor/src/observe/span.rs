@@ -38,6 +38,8 @@ pub(crate) struct Span {
     pub(crate) end: Instant,
     /// Where it ran, in a traced cycle.
     pub(crate) thread: Option<Thread>,
+    /// How much of it the thread spent on a processor, if that is known: a detached module may wait in its runs.
+    pub(crate) processor: Option<Duration>,
 }
 
 impl Span {
@@ -70,7 +72,7 @@ impl Stopwatch {
         let begin = self.last?;
         let end = Instant::now();
         self.last = Some(end);
-        Some(Span { begin, end, thread: self.thread.clone() })
+        Some(Span { begin, end, thread: self.thread.clone(), processor: None })
     }
 }
 

@@ -243,6 +243,7 @@ mod tests {
             begin: origin + Duration::from_nanos(begin_ns),
             end: origin + Duration::from_nanos(end_ns),
             thread: Some(thread.clone()),
+            processor: None,
         };
         let here = std::thread::current();
         let there = std::thread::Builder::new().name("eye \"left\"\n".into()).spawn(std::thread::current);

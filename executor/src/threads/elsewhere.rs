@@ -1,5 +1,7 @@
 //! Systems on which threads cannot be scheduled as asked.
 
+use std::time::Duration;
+
 use crate::ThreadError;
 
 #[derive(Clone, Copy)]
@@ -11,6 +13,10 @@ impl Scheduling {
     }
 
     pub(super) fn restore(self) {}
+}
+
+pub(crate) fn processor_time() -> Option<Duration> {
+    None
 }
 
 pub(super) fn set_cpus(thread: &str, _: &[usize]) -> Result<(), ThreadError> {

@@ -16,5 +16,6 @@ pub use receipt::Receipt;
 pub(crate) use receipt::{ReceiptSender, receipt};
 pub use spin::Spin;
 pub(crate) use spin::Spinner;
+pub(crate) use system::processor_time;
 pub use watchdog::Overrun;
 pub(crate) use watchdog::{Watch, Watchdog};

@@ -1,9 +1,11 @@
 //! Linux: CPU affinity and `SCHED_FIFO`, see sched(7).
 
 use std::io;
+use std::time::Duration;
 
 use rustix::process::{getpriority_process, setpriority_process};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::time::{ClockId, clock_gettime};
 use thread_priority::unix::{
     RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
     thread_schedule_policy_param,
@@ -47,6 +49,11 @@ impl Scheduling {
             None => {}
         }
     }
+}
+
+/// The time that the calling thread has spent on a processor.
+pub(crate) fn processor_time() -> Option<Duration> {
+    Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).ok()
 }
 
 pub(super) fn set_cpus(thread: &str, cpus: &[usize]) -> Result<(), ThreadError> {

@@ -10,6 +10,8 @@ use std::time::Duration;
 
 /// A goal this far from the position is a jump when the torque is enabled, in rad.
 const JUMP_RAD: f64 = 0.1;
+/// The register of a board that switches the power of the servos behind it.
+const POWER_SWITCH: &str = "dynamixel_power";
 /// Devices are asked this often before they count as silent.
 const ATTEMPTS: usize = 2;
 
@@ -251,6 +253,27 @@ impl ServoPort {
         let version = model.as_ref().and_then(|model| model.register("firmware_version").cloned());
         let firmware = version.and_then(|register| self.read_raw(id, &register).ok());
         Ok(Some(Found { id, line, number, firmware, model }))
+    }
+
+    /// Whether this device switches the power of the servos behind it and has it off: they cannot answer then.
+    ///
+    /// A device of an unknown number with the id that such boards have by default is taken for one if its switch reads as 0.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails.
+    pub fn withholds_power(&mut self, found: &Found) -> Result<bool, ServoError> {
+        let is_board = |model: &&Arc<Model>| {
+            let usual_id = model.register("id").map(|id| id.initial);
+            model.protocols.contains(&found.line.protocol) && usual_id == Some(found.id.raw().into())
+        };
+        let mut boards = models::built_in().iter().filter(is_board);
+        let switch = match &found.model {
+            Some(model) => model.register(POWER_SWITCH).cloned(),
+            None => boards.find_map(|model| model.register(POWER_SWITCH).cloned()),
+        };
+        let Some(switch) = switch else { return Ok(false) };
+        self.speak(found.line)?;
+        Ok(self.read_raw(found.id, &switch).is_ok_and(|value| value == 0))
     }
 
     /// Asks a device what it is, which must be a known model.

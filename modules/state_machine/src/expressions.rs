@@ -11,9 +11,9 @@ use crate::functions;
 use parking_lot::RwLock;
 use rhai::packages::{Package, StandardPackage};
 use rhai::{
-    AST, ASTNode, Dynamic, Engine, EvalAltResult, Expr, OptimizationLevel, ParseError, Position, Scope,
+    AST, ASTNode, Dynamic, Engine, EvalAltResult, Expr, OptimizationLevel, ParseError, Position, Scope, Stmt,
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
@@ -66,7 +66,7 @@ pub(crate) enum Syntax {
 }
 
 /// An error in a chart: found when it was read, or while it runs.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Problem {
     /// The line of the file, from 1.
     pub line: u32,
@@ -104,25 +104,77 @@ pub(crate) struct Path {
 }
 
 impl Program {
-    /// The variables that an expression names. None for one with functions, which have variables of their own.
+    /// The variables that it names outside its functions, which have variables of their own.
     pub(crate) fn paths(&self) -> Vec<Path> {
         let mut paths = Vec::new();
-        if self.ast.has_functions() {
-            return paths;
-        }
-        self.ast.walk(&mut |nodes: &[ASTNode<'_>]| {
-            let path = match nodes.last() {
-                Some(ASTNode::Expr(Expr::Dot(chain, ..))) => names_of(&chain.lhs, Some(&chain.rhs)),
-                Some(ASTNode::Expr(variable)) => names_of(variable, None),
+        self.each_node(&mut |node| {
+            let path = match node {
+                ASTNode::Expr(Expr::Dot(chain, ..)) => names_of(&chain.lhs, Some(&chain.rhs)),
+                ASTNode::Expr(variable) => names_of(variable, None),
                 _ => None,
             };
-            if let (Some(names), Some(ASTNode::Expr(expression))) = (path, nodes.last()) {
+            if let (Some(names), ASTNode::Expr(expression)) = (path, node) {
                 paths.push(Path { line: line_of(self.line, expression.position()), names });
             }
-            true
         });
         paths
     }
+
+    /// The variables that it declares outside its functions.
+    pub(crate) fn declared(&self) -> BTreeSet<String> {
+        let mut names = BTreeSet::new();
+        self.each_node(&mut |node| match node {
+            ASTNode::Stmt(Stmt::Var(declaration, ..)) => drop(names.insert(declaration.0.name.to_string())),
+            ASTNode::Stmt(Stmt::For(each, ..)) => {
+                names.insert(each.0.name.to_string());
+                names.extend(each.1.iter().map(|counter| counter.name.to_string()));
+            }
+            _ => {}
+        });
+        names
+    }
+
+    /// The functions that it calls and that nothing defines, with their lines.
+    pub(crate) fn unknown_calls(&self) -> Vec<(u32, String)> {
+        let own: BTreeSet<&str> = self.ast.iter_functions().map(|function| function.name).collect();
+        let mut unknown = Vec::new();
+        self.ast.walk(&mut |nodes: &[ASTNode<'_>]| {
+            if let Some(ASTNode::Expr(Expr::FnCall(call, position) | Expr::MethodCall(call, position))) =
+                nodes.last()
+                && !call.is_operator_call()
+                && !own.contains(&*call.name)
+                && !functions().contains(&*call.name)
+            {
+                unknown.push((line_of(self.line, *position), call.name.to_string()));
+            }
+            true
+        });
+        unknown
+    }
+
+    fn each_node(&self, visit: &mut dyn FnMut(&ASTNode<'_>)) {
+        for statement in self.ast.statements() {
+            statement.walk(&mut Vec::new(), &mut |nodes: &[ASTNode<'_>]| {
+                nodes.last().into_iter().for_each(&mut *visit);
+                true
+            });
+        }
+    }
+}
+
+/// The names of all functions that expressions may call.
+pub(crate) fn functions() -> &'static BTreeSet<String> {
+    static NAMES: LazyLock<BTreeSet<String>> = LazyLock::new(|| {
+        let engine = Evaluator::new().engine;
+        let registered =
+            engine.collect_fn_metadata(None, |function| Some(function.metadata.name.to_string()), true);
+        // The parser knows these.
+        let built_in =
+            ["Fn", "call", "curry", "debug", "is_def_fn", "is_def_var", "is_shared", "print", "type_of"];
+        let names = registered.into_iter().chain(built_in.map(str::to_owned));
+        names.filter(|name| name.chars().all(|c| c == '_' || c.is_ascii_alphanumeric())).collect()
+    });
+    &NAMES
 }
 
 fn names_of(variable: &Expr, fields: Option<&Expr>) -> Option<Vec<String>> {

@@ -54,6 +54,38 @@ struct StateMachine {
     /// Receives and calls since the last step.
     is_due: bool,
     watch: Watch,
+    faults: Faults,
+}
+
+/// Limits how often the same fault is logged: an expression may fail at every message.
+#[derive(Default)]
+struct Faults {
+    /// When each fault was logged, and how often it has occurred since.
+    logged: BTreeMap<Problem, (Time, u64)>,
+}
+
+impl Faults {
+    /// The least time between two lines of the log about the same fault.
+    const PERIOD: Duration = Duration::from_secs(10);
+    /// The most faults that are told apart.
+    const MOST: usize = 64;
+
+    /// Whether a fault is logged now; then how often it was not since the last time.
+    fn allow(&mut self, problem: &Problem, now: Time) -> Option<u64> {
+        if let Some((last, left_out)) = self.logged.get_mut(problem) {
+            if now.saturating_since(*last) < Self::PERIOD && now >= *last {
+                *left_out += 1;
+                return None;
+            }
+            *last = now;
+            return Some(std::mem::take(left_out));
+        }
+        if self.logged.len() >= Self::MOST {
+            self.logged.pop_first();
+        }
+        self.logged.insert(problem.clone(), (now, 0));
+        Some(0)
+    }
 }
 
 /// What the declarations returned, and the types behind.
@@ -117,6 +149,7 @@ impl StateMachine {
             report,
             is_due: true,
             watch,
+            faults: Faults::default(),
         })
     }
 
@@ -139,9 +172,8 @@ impl StateMachine {
             let number = declarations.subscribe(&port.topic, &port.type_name, None);
             ports.subscriptions.insert(number, (port.clone(), of));
         }
-        let messages =
-            ports.subscriptions.values().map(|(port, of)| (port.name.clone(), of.clone())).collect();
-        let unknown = crate::check::unknown_names(&chart, &messages);
+        let unknown = chart.unknown_names(&|name| declarations.definition(name));
+        let unknown = unknown.map_err(|problem| self.at(problem.line, &problem.text))?;
         if !unknown.is_empty() {
             let lines: Vec<String> =
                 unknown.iter().map(|problem| self.at(problem.line, &problem.text)).collect();
@@ -413,15 +445,13 @@ impl StateMachine {
                 }
                 Effect::Fault(problem) => {
                     *has_moved = true;
-                    self.note(&module, &problem);
+                    self.note(&module, &problem, context.now());
                 }
                 Effect::Send { target, event, data, id, line } => {
                     if let Err(text) = self.send(&target, event.as_deref(), &data, id, context) {
                         *has_moved = true;
-                        self.note(
-                            &module,
-                            &Problem { line, text: format!("<send> to \"{target}\": {text}") },
-                        );
+                        let problem = Problem { line, text: format!("<send> to \"{target}\": {text}") };
+                        self.note(&module, &problem, context.now());
                         failed.push(text);
                     }
                 }
@@ -430,9 +460,12 @@ impl StateMachine {
         failed
     }
 
-    fn note(&mut self, module: &str, problem: &Problem) {
+    fn note(&mut self, module: &str, problem: &Problem, now: Time) {
         self.report.fault = problem.to_string();
-        tracing::error!(module, "{}", self.at(problem.line, &problem.text));
+        if let Some(left_out) = self.faults.allow(problem, now) {
+            let more = if left_out > 0 { format!(" (and {left_out} times before)") } else { String::new() };
+            tracing::error!(module, "{}{more}", self.at(problem.line, &problem.text));
+        }
     }
 
     fn provide_settings(&mut self, context: &ForeignContext<'_, '_>) -> Result<(), String> {
@@ -612,4 +645,24 @@ impl Watch {
 fn stamp(path: &Path) -> Option<(SystemTime, u64)> {
     let file = std::fs::metadata(path).ok()?;
     Some((file.modified().ok()?, file.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_that_repeats_is_logged_once_in_ten_seconds_with_a_count() {
+        let mut faults = Faults::default();
+        let fault = |line| Problem { line, text: "`ball.w`: no such field".into() };
+        let at = |tenths: u64| Time::ZERO + Duration::from_millis(100 * tenths);
+        assert_eq!(faults.allow(&fault(3), at(0)), Some(0));
+        let logged: Vec<_> = (1..=200).filter_map(|tenths| faults.allow(&fault(3), at(tenths))).collect();
+        assert_eq!(logged, [99, 99]);
+        assert_eq!(faults.allow(&fault(4), at(200)), Some(0), "another fault has its own line");
+        for line in 10..1000 {
+            faults.allow(&fault(line), at(201));
+        }
+        assert!(faults.logged.len() <= Faults::MOST);
+    }
 }

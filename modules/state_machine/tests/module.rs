@@ -217,9 +217,48 @@ fn what_the_robot_does_not_have_is_reported_with_file_and_line() {
         ),
         ("<state id='a'><onentry><log expr='bal + 1'/></onentry></state>", "there is no variable \"bal\""),
         ("<state id='a'><invoke/></state>", "<invoke> is not supported"),
+        (
+            "<state id='a'><transition cond='distnce(a, b) > 1' target='a'/></state>",
+            "there is no function \"distnce\", did you mean \"distance\"?",
+        ),
+        (
+            "<script>fn twice(x) { 2 * x }\nlet y = twice(1);\nlet z = thrice(2);</script><state id='a'/>",
+            "chart.scxml:4: `fn twice(x) { 2 * x }`: there is no function \"thrice\"",
+        ),
+        (
+            "<downbeat:subscribe topic='ball' type='geometry_msgs/msg/PointStamped'/><script>let far = ball.pint.x;</script><state id='a'/>",
+            "has no field \"pint\", did you mean \"point\"?",
+        ),
+        (
+            "<downbeat:subscribe topic='ball' type='geometry_msgs/msg/PointStamped' event='seen'/><state id='a'><transition event='seen' cond='_event.data.pt.x > 0' target='a'/></state>",
+            "geometry_msgs/msg/PointStamped has no field \"pt\"",
+        ),
+        (
+            "<downbeat:service name='reset' type='std_srvs/srv/Trigger'/><state id='a'><transition event='done.call.reset' cond='_event.data.succes' target='a'/></state>",
+            "did you mean \"success\"?",
+        ),
+        (
+            "<state id='a'><transition event='x' cond=\"_event.dat == 'y'\" target='a'/></state>",
+            "`_event` has no \"dat\", did you mean \"data\"?",
+        ),
+        (
+            "<downbeat:publish topic='cmd_vel' type='geometry_msgs/msg/Twist'/><state id='a'><onentry><send target='cmd_vel'><param name='linear.vx' expr='1.0'/></send></onentry></state>",
+            "<param name=\"linear.vx\">: geometry_msgs/msg/Vector3 has no field \"vx\"",
+        ),
     ] {
         let Err(problem) = Robot::new(chart) else { panic!("{chart}") };
         assert!(problem.contains(words), "{problem}");
     }
     assert!(!Path::new("chart.scxml").exists());
+}
+
+#[test]
+fn what_a_script_declares_and_the_functions_of_the_language_are_known() {
+    let chart = "<downbeat:subscribe topic='ball' type='geometry_msgs/msg/PointStamped' event='seen'/>\
+        <script>fn twice(x) { 2 * x } let ball = #{pint: [1, 2]}; for i in 0..2 { ball.pint.push(twice(i)); } print(type_of(ball.pint.len()));</script>\
+        <state id='a'><transition event='seen' cond='_event.data.point.x.abs() > max(1, 2) &amp;&amp; time_in(\"a\") > 0.0 &amp;&amp; has(\"ball\")' target='a'/>\
+        <transition event='other' cond='_event.data.anything' target='a'/></state>";
+    if let Err(problem) = Robot::new(chart) {
+        panic!("{problem}");
+    }
 }

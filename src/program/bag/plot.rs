@@ -1,5 +1,6 @@
 //! `downbeat bag plot`
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
@@ -10,6 +11,7 @@ use super::open;
 use super::select::{Source, absolute};
 use crate::bags::Reader;
 use crate::bridge::edge::Interfaces;
+use crate::msgs::definitions::nearest;
 use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
 use crate::program::topic_field::TopicField;
@@ -87,7 +89,13 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
     let Wanted { topic: name, path } = wanted;
     let known =
         || bag.topics().iter().map(|topic| printable(&topic.info.name)).collect::<Vec<_>>().join(", ");
-    let id = bag.topic(name).with_context(|| format!("the bag has no topic {name}; it has {}", known()))?;
+    let id = bag.topic(name).with_context(|| {
+        let topics = bag.topics().iter().map(|topic| topic.info.name.as_str());
+        match nearest(name, topics) {
+            Some(topic) => format!("the bag has no topic {name}, did you mean {}?", printable(topic)),
+            None => format!("the bag has no topic {name}; it has {}", known()),
+        }
+    })?;
     let source = Source::new(bag, id);
     let decoder = Decoder::of(source.topic, interfaces)?;
     let columns = source.columns(&decoder)?;
@@ -102,6 +110,7 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
         .collect();
     let start = bag.start_time().unwrap_or(0);
     let mut curves: Vec<Curve> = Vec::new();
+    let mut named = BTreeSet::new();
     // Only keeps numbers, since images are large.
     let rows = |data| Ok(columns.row(&decoder.decode(data)?));
     source.each("reading", rows, |[time, _], row| {
@@ -122,6 +131,9 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
                     _ => all[chosen.index].name.clone(),
                 };
                 if !is_by_number && !wanted.holds(&path) {
+                    if named.len() < MOST_NAMED {
+                        named.insert(path);
+                    }
                     continue;
                 }
                 let name = printable(&format!("{name}:{path}")).into_owned();
@@ -140,9 +152,25 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
     if curves.is_empty() {
         let numbers = all.iter().filter(|column| is_number(column.kind));
         let numbers: Vec<_> = numbers.map(|column| column.name.as_str()).collect();
+        if let Some(meant) = suggested_path(path, &numbers, &named) {
+            bail!("{name} has no number at {path}, did you mean {}?", printable(&meant));
+        }
         bail!("{name} has no number at {path}; it has {}", numbers.join(", "));
     }
     Ok(curves)
+}
+
+/// The most paths with names of elements among which the nearest is sought.
+const MOST_NAMED: usize = 1000;
+
+/// The path that is most similar to a wrong one: of a number, of an element by its name, or of an array or message.
+fn suggested_path(path: &str, numbers: &[&str], named: &BTreeSet<String>) -> Option<String> {
+    let mut known: BTreeSet<&str> = numbers.iter().copied().chain(named.iter().map(String::as_str)).collect();
+    // Whole arrays and messages are paths too.
+    known.extend(numbers.iter().flat_map(|number| {
+        number.char_indices().filter(|(_, letter)| ['.', '['].contains(letter)).map(|(end, _)| &number[..end])
+    }));
+    nearest(path, known).map(str::to_owned)
 }
 
 /// A column of numbers.

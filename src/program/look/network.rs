@@ -62,6 +62,9 @@ const POLL: Duration = Duration::from_millis(20);
 /// Participants answer the first announcement within this time, with some margin for slow ones.
 const AT_LEAST: Duration = Duration::from_secs(2);
 
+/// The same where everything that was discovered has answered completely: most answer within some milliseconds.
+const AT_LEAST_ANSWERED: Duration = Duration::from_millis(450);
+
 /// How long nothing new must be discovered before a list is considered complete.
 const QUIET: Duration = Duration::from_secs(1);
 
@@ -137,7 +140,15 @@ impl Look {
         let mut found = self.participant.found();
         let mut changed = begin;
         while begin.elapsed() < self.longest && !self.stop.is_due() {
-            if begin.elapsed() >= at_least && changed.elapsed() >= quiet && is_enough(&found) {
+            let is_complete = |at_least: Duration, quiet: Duration| {
+                begin.elapsed() >= at_least && changed.elapsed() >= quiet && is_enough(&found)
+            };
+            // Where answers came late, others may come later still.
+            let answered_in = changed.saturating_duration_since(begin);
+            if is_complete(at_least, quiet)
+                || is_complete(at_least.min(AT_LEAST_ANSWERED), quiet.min(TOGETHER.max(answered_in)))
+                    && self.participant.has_heard_all()
+            {
                 break;
             }
             self.stop.sleep(POLL);

@@ -59,14 +59,14 @@ impl Grid {
             .modules
             .iter()
             .map(|module| (module, before.get(&module.name).copied().unwrap_or(&new)))
-            .map(|(module, before)| (module, before, core_share(before, module, seconds)))
+            .map(|(module, before)| (module, before, Shares::of(before, module, seconds)))
             .collect();
         match sort {
             Sort::Order => {}
-            Sort::Busiest => rows.sort_by(|(.., a), (.., b)| descending(*a, *b)),
+            Sort::Busiest => rows.sort_by(|(.., a), (.., b)| descending(a.processor, b.processor)),
             Sort::Name => rows.sort_by(|(a, ..), (b, ..)| a.name.cmp(&b.name)),
         }
-        let cells = |(module, before, share): (&ModuleStatistics, &ModuleStatistics, f64)| {
+        let cells = |(module, before, shares): (&ModuleStatistics, &ModuleStatistics, Shares)| {
             let rate = |now: u64, then: u64| rate(now.saturating_sub(then) as f64 / seconds);
             let detached = if module.is_detached { " detached" } else { "" };
             let mut cells = vec![
@@ -75,11 +75,12 @@ impl Grid {
                 rate(module.runs, before.runs),
             ];
             cells.extend(times(&module.run_time));
-            cells.push(if module.run_time.count == 0 {
-                "-".into()
-            } else {
-                format!("{:.1} %", share * 100.0)
-            });
+            let percent = |share: f64| match module.run_time.count {
+                0 => "-".into(),
+                _ => format!("{:.1} %", share * 100.0),
+            };
+            cells.push(percent(shares.processor));
+            cells.push(shares.waiting.map_or_else(|| "-".into(), percent));
             cells.extend([rate(module.received, before.received), rate(module.published, before.published)]);
             let counts =
                 [module.inbox, module.dropped, module.overruns, module.panics].map(|count| count.to_string());
@@ -87,8 +88,8 @@ impl Grid {
             cells
         };
         let headings = vec![
-            "MODULE", "STATE", "RUNS/S", "P50", "P99", "MAX", "CORE", "IN/S", "OUT/S", "INBOX", "DROPS",
-            "OVERRUNS", "PANICS",
+            "MODULE", "STATE", "RUNS/S", "P50", "P99", "MAX", "CPU", "WAIT", "IN/S", "OUT/S", "INBOX",
+            "DROPS", "OVERRUNS", "PANICS",
         ];
         Self { headings, rows: rows.into_iter().map(cells).collect() }
     }
@@ -150,7 +151,7 @@ impl Grid {
 
     /// Columns of numbers in the order in which they are omitted on a narrow terminal. The others are always
     /// shown: the busiest module and losses matter most.
-    const DISPENSABLE: [&'static str; 14] = [
+    const DISPENSABLE: [&'static str; 15] = [
         "INBOX",
         "MAX",
         "LARGEST",
@@ -159,6 +160,7 @@ impl Grid {
         "IN/S",
         "OUT/S",
         "SUBSCRIBERS",
+        "WAIT",
         "OVERRUNS",
         "MESSAGES",
         "PANICS",
@@ -270,8 +272,31 @@ fn short_maximum(times: &TimeStatistics) -> String {
     if times.max_ns == 0 { "-".into() } else { short(Duration::from_nanos(times.max_ns)) }
 }
 
-/// The share of one core that a module used between two snapshots, extrapolated from its measured runs.
-fn core_share(before: &ModuleStatistics, module: &ModuleStatistics, seconds: f64) -> f64 {
+/// What a module did with the time between two snapshots.
+#[derive(Clone, Copy)]
+struct Shares {
+    /// The share of one processor that it used. A module that is not detached is taken to compute all the time of its runs.
+    processor: f64,
+    /// The share of the time that it waited in its runs, where that is known.
+    waiting: Option<f64>,
+}
+
+impl Shares {
+    fn of(before: &ModuleStatistics, module: &ModuleStatistics, seconds: f64) -> Self {
+        let running = running_share(before, module, seconds);
+        match module.processor_ns {
+            None => Self { processor: running, waiting: None },
+            Some(now_ns) => {
+                let used_ns = now_ns.saturating_sub(before.processor_ns.unwrap_or(0));
+                let processor = used_ns as f64 / (seconds * 1e9);
+                Self { processor, waiting: Some((running - processor).max(0.0)) }
+            }
+        }
+    }
+}
+
+/// The share of the time between two snapshots in which a module ran, extrapolated from its measured runs.
+fn running_share(before: &ModuleStatistics, module: &ModuleStatistics, seconds: f64) -> f64 {
     let (now, then) = (&module.run_time, &before.run_time);
     let count = now.count.saturating_sub(then.count);
     let mean_ns = match count {
@@ -328,6 +353,7 @@ pub(crate) mod tests {
         let cycle = 100 * seconds;
         let mut vision = module("vision", true, 10 * seconds, 50_000_000);
         (vision.inbox, vision.dropped) = (3, 17);
+        vision.processor_ns = Some(seconds * 50_000_000);
         let mut planner = module("planner", false, 0, 0);
         planner.state = ModuleState::Failed;
         planner.panics = 1;
@@ -374,10 +400,10 @@ pub(crate) mod tests {
     fn rates_and_shares_cover_the_time_between_two_snapshots() {
         let grid = Grid::of_modules(&snapshot(10), &snapshot(12), Sort::Order);
         let expected = [
-            "MODULE   STATE            RUNS/S      P50      P99      MAX    CORE  IN/S  OUT/S  INBOX  DROPS  OVERRUNS  PANICS",
-            "motion   active              100  20.0 µs  40.0 µs  60.0 µs   0.2 %   200    100      0      0         0       0",
-            "vision   active detached    10.0  50.0 ms   100 ms   150 ms  50.0 %  20.0   10.0      3     17         0       0",
-            "planner  failed                0        -        -        -       -     0      0      0      0         0       1",
+            "MODULE   STATE            RUNS/S      P50      P99      MAX    CPU    WAIT  IN/S  OUT/S  INBOX  DROPS  OVERRUNS  PANICS",
+            "motion   active              100  20.0 µs  40.0 µs  60.0 µs  0.2 %       -   200    100      0      0         0       0",
+            "vision   active detached    10.0  50.0 ms   100 ms   150 ms  5.0 %  45.0 %  20.0   10.0      3     17         0       0",
+            "planner  failed                0        -        -        -      -       -     0      0      0      0         0       1",
         ];
         assert_eq!(grid.lines().collect::<Vec<_>>(), expected);
     }

@@ -14,6 +14,7 @@ use downbeat_modules::darwin_op_emulator::MemoryPorts;
 
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, launcher, suggestion};
+use crate::features::missing_kind;
 use crate::journal;
 use crate::robot::Catalog;
 use crate::robot::kind::{INBOX, Kind, ModuleSource};
@@ -115,12 +116,9 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let kind_value = table.require("kind")?;
     let kind_name = kind_value.text()?;
     let kind = catalog.kind(kind_name).cloned().ok_or_else(|| {
-        let hint = match kind_name {
-            "python" => {
-                ": install the wheel (`pip install downbeat`) and start the robot with its command `downbeat`"
-                    .to_owned()
-            }
-            _ => suggestion(kind_name, catalog.kinds().map(Kind::name)),
+        let hint = match missing_kind(kind_name) {
+            Some(reason) => format!(": {reason}"),
+            None => suggestion(kind_name, catalog.kinds().map(Kind::name)),
         };
         kind_value.error(format!("unknown kind of module \"{kind_name}\"{hint}"))
     })?;

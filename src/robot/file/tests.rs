@@ -74,7 +74,8 @@ fn a_recording_is_mcap_unless_the_file_names_another_storage() {
             ":7: the storage sqlite3 does not support the encoding json",
         )
     } else {
-        (":6: this build does not write the storage sqlite3", ":6: this build does not write")
+        let not_built = ":6: this program writes no storage sqlite3, it is built without \"sqlite\"";
+        (not_built, not_built)
     };
     let message = problem(&record("storage = \"sqlite3\"\ncompression = \"zstd\""));
     assert!(message.contains(compressed), "{message}");

@@ -7,6 +7,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use downbeat_executor::SettingValue;
+use downbeat_msgs::definitions::nearest;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 use serde_norway::Value;
 
@@ -70,6 +71,18 @@ fn matches_parts(pattern: &[String], node: &[String]) -> bool {
 
 const PARAMETERS: &str = "ros__parameters";
 
+/// Whether a key is a misspelt `ros__parameters`: it looks like that, and there is none below it.
+fn is_meant_for_parameters(key: &str, value: &Value) -> bool {
+    fn has_parameters(value: &Value) -> bool {
+        value.as_mapping().is_some_and(|map| {
+            map.contains_key(PARAMETERS) || map.iter().any(|(_, below)| has_parameters(below))
+        })
+    }
+    let lower = key.to_lowercase();
+    let is_similar = lower.starts_with("ros") && nearest(&lower, [PARAMETERS]).is_some();
+    key != PARAMETERS && is_similar && !has_parameters(value)
+}
+
 fn collect_nodes(
     source: &Arc<Source>,
     value: &Value,
@@ -86,6 +99,10 @@ fn collect_nodes(
             .as_str()
             .ok_or_else(|| place(keys).error("a key is not the name of a node; put it in quotes"))?;
         keys.push(key.to_owned());
+        if is_meant_for_parameters(key, value) {
+            let problem = format!("\"{key}\" is not {PARAMETERS}, with two underscores; did you mean that?");
+            return Err(place(keys).error(problem));
+        }
         if key != PARAMETERS {
             collect_nodes(source, value, keys, nodes)?;
         } else if keys.len() == 1 {

@@ -54,7 +54,7 @@ impl Readme {
         self
     }
 
-    /// Runs the commands.
+    /// Runs the commands, twice: whoever tries an example tries it again.
     ///
     /// # Panics
     /// Panics if a command fails, does not end, or does not print the expected output.
@@ -63,9 +63,11 @@ impl Readme {
         let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let blocks = page::blocks(&text);
         assert!(!blocks.is_empty(), "{} has no commands", path.display());
-        for block in blocks {
-            let place = format!("{}:{}", path.display(), block.line);
-            session::run(&block, &place, self.folder.path(), &self.programs, &self.program);
+        for time in ["", ", the second time"] {
+            for block in &blocks {
+                let place = format!("{}:{}{time}", path.display(), block.line);
+                session::run(block, &place, self.folder.path(), &self.programs, &self.program);
+            }
         }
     }
 }

@@ -156,6 +156,12 @@ impl Participant {
         self.engine.lock().participant.remote_endpoints().cloned().collect()
     }
 
+    /// Returns the participants that were discovered, whether or not their endpoints are known.
+    #[must_use]
+    pub fn remote_participants(&self) -> Vec<GuidPrefix> {
+        self.engine.lock().participant.remote_participants().map(|data| data.prefix).collect()
+    }
+
     /// Leaves the domain at once: its endpoints no longer send or receive. For a process that is about to end without dropping it.
     pub fn leave(&self) {
         self.engine.stop();

@@ -14,6 +14,7 @@ use bytes::Bytes;
 use downbeat_msgs::qos::Durability;
 use parking_lot::Mutex;
 use state::{Handlers, HubReader, HubWriter, SharedHandler, State, WriterHistory, deliver};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -92,6 +93,14 @@ impl Middleware for InProcessParticipant {
         deliver(news);
         let (hub, endpoint) = (self.hub.clone(), endpoint.clone());
         Ok(Box::new(InProcessReader { gid, hub, endpoint, on_sample, handlers }))
+    }
+
+    fn remote_participants(&self) -> Option<Vec<[u8; 12]>> {
+        let state = self.hub.state.lock();
+        let gids = state.writers.keys().chain(state.readers.keys());
+        let others: BTreeSet<_> =
+            gids.map(|gid| gid.participant()).filter(|other| *other != self.gid.participant()).collect();
+        Some(others.into_iter().collect())
     }
 
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint> {

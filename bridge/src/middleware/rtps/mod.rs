@@ -72,6 +72,10 @@ impl Middleware for RtpsParticipant {
         self.participant.remote_endpoints().into_iter().map(remote).collect()
     }
 
+    fn remote_participants(&self) -> Option<Vec<[u8; 12]>> {
+        Some(self.participant.remote_participants().into_iter().map(|prefix| prefix.0).collect())
+    }
+
     fn leave(&self) {
         self.participant.leave();
     }

@@ -7,7 +7,8 @@
  *   is_read_only: boolean, is_file: boolean, is_required: boolean }} Setting
  * @typedef {{ kind: string, about: string, is_emulated: boolean, uses_device: boolean, runs: string, periods_s: number[],
  *   keys: { name: string, is_required: boolean }[], settings: Setting[], ports: Port[], needs?: string }} Profile
- * @typedef {{ schema: number, kinds: Profile[], launchers: string[], templates: { name: string, title: string, about: string }[],
+ * @typedef {{ kind: string, reason: string }} Missing
+ * @typedef {{ schema: number, kinds: Profile[], missing: Missing[], launchers: string[], templates: { name: string, title: string, about: string }[],
  *   interfaces: string[] }} Profiles
  * @typedef {Port & { topic: string }} ShownPort
  * @typedef {{ name: string, kind: string, line: number, given: any, profile: Profile | null, ports: ShownPort[] }} Module

@@ -26,6 +26,8 @@ const OPTIONS = [
   { key: 'deadline', label: 'Deadline', about: 'how long a run may take, such as 20ms', type: 'text' },
 ];
 
+/** Longer names do not fit beside their field. */
+const LONG_NAME = 16;
 /** Keys of other kinds that are booleans. */
 const FLAGS = new Set(['reload', 'isolate']);
 
@@ -48,7 +50,7 @@ function row({ label, about, problem, isRequired, name, ...rest }, change) {
   control.dataset.key = name;
   if (problem) control.setAttribute('aria-invalid', 'true');
   return h('div', { class: `row${isGiven ? ' given' : ''}${isRequired && !isGiven ? ' required' : ''}` },
-    h('label', { for: id }, label, isRequired ? h('span', { class: 'needed' }, ' required') : null),
+    h('label', { for: id, title: label, class: label.length + (isRequired ? ' required'.length : 0) > LONG_NAME ? 'long' : '' }, label, isRequired ? h('span', { class: 'needed' }, ' required') : null),
     isGiven && !isRequired ? iconButton('close', `Back to the default of ${label}`, () => change(null), { class: 'icon-button reset' }) : null,
     control,
     h('p', { class: 'about', id: `${id}-about` }, notes),
@@ -153,7 +155,7 @@ export function inspector(root, actions) {
           label: setting.name, about: setting.description + (setting.is_file ? ' (a file)' : ''), type: setting.type, value: given.settings?.[setting.name], fallback: setting.default,
           range: setting.range, choices: setting.choices, name: `settings.${setting.name}`, problem: of(`settings.${setting.name}`), isRequired: setting.is_required,
         }, (value) => actions.edit([{ op: 'set_setting', module: name, setting: setting.name, value, is_double: setting.type.startsWith('double') }]))),
-        ...unknown.map(([setting, value]) => h('div', { class: 'row given' }, h('label', null, setting),
+        ...unknown.map(([setting, value]) => h('div', { class: 'row given' }, h('label', { title: setting, class: setting.length > LONG_NAME ? 'long' : '' }, setting),
           iconButton('close', `Remove ${setting}`, () => actions.edit([{ op: 'set_setting', module: name, setting, value: null }]), { class: 'icon-button reset' }),
           h('code', null, words(value)), h('p', { class: 'problem' }, 'The kind has no such setting.')))) : null,
       module.ports.length ? group('Ports', true, 'ports', ...module.ports.map((port) => ofPort(doc, module, port))) : null,

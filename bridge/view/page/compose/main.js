@@ -336,7 +336,7 @@ editor.addEventListener('state', async () => {
   if (!editor.isOpen) return;
   try {
     profiles = await editor.ask('profile');
-    kinds.show(/** @type {Profiles} */ (profiles).kinds);
+    kinds.show(/** @type {Profiles} */ (profiles).kinds, /** @type {Profiles} */ (profiles).missing);
     props.know(/** @type {Profiles} */ (profiles));
     drawWelcome();
     show(await editor.ask('document'));

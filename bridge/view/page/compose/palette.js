@@ -18,6 +18,8 @@ const matches = (kind, text) => [kind.kind, kind.about, ...kind.ports.flatMap((p
 export function palette(root, add) {
   /** @type {Profile[]} */
   let kinds = [];
+  /** @type {import('./asks.js').Missing[]} */
+  let missing = [];
   const list = h('ul', { class: 'kinds' });
   const count = h('p', { class: 'sr', role: 'status' });
   const search = h('input', { type: 'search', placeholder: 'Search', 'aria-label': 'Search kinds', oninput: draw });
@@ -47,12 +49,14 @@ export function palette(root, add) {
     list.replaceChildren(...found.map((kind) => h('li', null,
       h('button', { type: 'button', class: 'kind', onclick: () => add(kind), title: `Add ${kind.kind}` },
         h('b', null, kind.kind), hints(kind) ? h('small', { class: 'hint' }, hints(kind)) : null, h('span', null, kind.about)))));
-    if (found.length === 0) list.append(h('li', { class: 'muted' }, 'No kind has this in its name, text, topics or types.'));
+    const lacking = missing.filter((kind) => text === '' || kind.kind.includes(text));
+    list.append(...lacking.map((kind) => h('li', { class: 'missing muted' }, h('b', null, kind.kind), h('span', null, kind.reason))));
+    if (found.length + lacking.length === 0) list.append(h('li', { class: 'muted' }, 'No kind has this in its name, text, topics or types.'));
   }
 
   return {
-    /** @param {Profile[]} found */
-    show(found) { kinds = found; draw(); },
+    /** @param {Profile[]} found @param {import('./asks.js').Missing[]} lacking */
+    show(found, lacking) { kinds = found; missing = lacking; draw(); },
     focus() { search.focus(); search.select(); },
   };
 }

@@ -88,6 +88,9 @@ async function compose(url) {
   await is('new file');
   assert(await page.getByRole('button', { name: 'Run', exact: true }).isDisabled());
   await picture('beginning');
+  const wrapped = (selector) => page.locator(selector).evaluateAll((names) => names
+    .filter((name) => name.getClientRects().length !== 1 || name.clientHeight > 26).map((name) => name.textContent));
+  assert.deepEqual(await wrapped('.kind b'), [], 'the names of kinds stay on one line');
 
   // Modules, found by search and added with mouse and keyboard.
   const search = page.getByRole('searchbox', { name: 'Search kinds' });
@@ -131,6 +134,14 @@ async function compose(url) {
   await page.locator('.graph-refusal').filter({ hasText: 'sensor_msgs/msg/Imu' }).waitFor();
   assert.equal(await wires(), before + 1);
 
+  // Names of settings stay on one line, also long ones.
+  for (const module of ['darwin_op', 'stand_nod_wave']) {
+    await page.locator(`.graph-body[data-node="${module}"] .graph-title`).click();
+    await page.locator('.row > label').first().waitFor();
+    assert.deepEqual(await wrapped('.row > label'), []);
+    const cut = await page.locator('.row > label').evaluateAll((names) => names.filter((name) => name.scrollWidth > name.clientWidth + 1).map((name) => name.textContent));
+    assert.deepEqual(cut, []);
+  }
   // A problem, with its place.
   await page.locator('.graph-body[data-node="darwin_op"] .graph-title').click();
   await give('settings.gyro_axes', 'x y up');

@@ -35,6 +35,14 @@ test('the field shows score and time, and each robot believes to be about where 
   }
 });
 
+test('the dashboard opens with the field and all players', async () => {
+  await show('/dashboard');
+  const first = page.locator('[data-testid="dashboard"] > section').first();
+  await until('the panel of the match is first', async () => await first.getAttribute('data-testid') === 'panel-match');
+  await until('four robots are listed', async () => (await first.getByTestId('match-robots').locator('tbody tr').count()) === 4);
+  await show('match');
+});
+
 test('the field is drawn: carpet, lines, robots and the ball', async () => {
   const counted = () => page.getByTestId('match-field').evaluate((canvas) => {
     const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);

@@ -318,6 +318,32 @@ test('the dashboard shows the robot, and a theme is chosen', async () => {
   });
 });
 
+test('the dashboard follows the topics of the robot until somebody places a panel', async () => {
+  await look(page, 'dashboard');
+  const kept = () => page.evaluate(() => JSON.parse(localStorage.getItem('downbeat.layout.darwin_op') ?? '{}').cards?.map(({ kind }) => kind));
+  assert.equal(await kept(), undefined);
+  const shown = () => page.locator('[data-testid="dashboard"] > section').evaluateAll((cards) => cards.map((card) => card.dataset.testid));
+  const first = await shown();
+  await page.evaluate(() => {
+    const { robot } = window;
+    robot.channels.set('/late', { topic: '/late', schemaName: 'sensor_msgs/msg/CompressedImage' });
+    robot.dispatchEvent(new Event('channels'));
+  });
+  await until('a camera that appears is shown', async () => (await shown()).includes('panel-camera'));
+  await page.evaluate(() => {
+    const { robot } = window;
+    robot.channels.delete('/late');
+    robot.dispatchEvent(new Event('channels'));
+  });
+  await until('and is gone with its topic', async () => JSON.stringify(await shown()) === JSON.stringify(first));
+  await page.getByTestId('add-panel').click();
+  await page.getByRole('menuitem', { name: 'Servos' }).click();
+  await until('an edited layout is kept', async () => (await kept())?.includes('servos'));
+  await page.getByTestId('add-panel').click();
+  await page.getByRole('menuitem', { name: 'Panels as at first' }).click();
+  await until('and then no longer', async () => (await kept()) === undefined);
+});
+
 for (const scheme of ['light', 'dark']) {
   test(`axe finds no serious fault, ${scheme}`, async () => {
     const seen = await open(browser, url, { scheme });

@@ -37,7 +37,7 @@ pub enum EngineError {
         name: String,
     },
     /// The program was built without the engine.
-    #[error("this program was built without MuJoCo; build it with `--features mujoco`")]
+    #[error("this program is built without \"mujoco\": build with --features mujoco")]
     NotBuiltIn,
     /// There is no library.
     #[error(

@@ -1,0 +1,186 @@
+//! The features of this package: what each of them adds, and what a program without one says about it.
+
+use crate::robot::Catalog;
+
+/// A feature of the package `downbeat`.
+pub(crate) struct Feature {
+    /// Its name in Cargo.toml.
+    pub(crate) name: &'static str,
+    is_built_in: bool,
+    /// The kinds of modules that it adds.
+    kinds: &'static [&'static str],
+    /// The options that it adds, with the commands that have them.
+    #[cfg_attr(not(feature = "cli"), allow(dead_code))]
+    options: &'static [(&'static str, &'static [&'static str])],
+    /// Whether the Python wheel is built with it: `full` in python/Cargo.toml.
+    is_in_wheel: bool,
+}
+
+const NOTHING: Feature =
+    Feature { name: "", is_built_in: false, kinds: &[], options: &[], is_in_wheel: true };
+
+const FEATURES: [Feature; 10] = [
+    Feature {
+        name: "football",
+        is_built_in: cfg!(feature = "football"),
+        kinds: &["football_match", "head", "localisation", "team", "truth_beliefs", "vision", "walk_to"],
+        ..NOTHING
+    },
+    Feature { name: "mqtt", is_built_in: cfg!(feature = "mqtt"), kinds: &["mqtt"], ..NOTHING },
+    Feature { name: "mujoco", is_built_in: cfg!(feature = "mujoco"), ..NOTHING },
+    Feature {
+        name: "network",
+        is_built_in: cfg!(feature = "network"),
+        kinds: &["game_controller", "game_controller_sender", "tcp_lines", "team_communication", "udp_lines"],
+        ..NOTHING
+    },
+    Feature {
+        name: "physics",
+        is_built_in: cfg!(feature = "physics"),
+        kinds: &["darwin_op_simulator"],
+        ..NOTHING
+    },
+    Feature { name: "plots", is_built_in: cfg!(feature = "plots"), ..NOTHING },
+    Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },
+    Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
+    Feature { name: "top", is_built_in: cfg!(feature = "top"), options: &[("--plot", &["top"])], ..NOTHING },
+    Feature {
+        name: "view",
+        is_built_in: cfg!(feature = "view"),
+        options: &[
+            ("--view", &["run", "match"]),
+            ("--foxglove", &["run", "match"]),
+            ("--view-read-only", &["run", "match"]),
+        ],
+        ..NOTHING
+    },
+];
+
+/// What a program without a feature says where it is needed: the end of a sentence.
+pub(crate) fn built_without(feature: &str) -> String {
+    let is_in_wheel = FEATURES.iter().any(|known| known.name == feature && known.is_in_wheel);
+    let wheel = match is_in_wheel {
+        true => ", or install the wheel of `cargo xtask wheel`, which has it",
+        false => "",
+    };
+    format!(
+        "built without \"{feature}\": build with --features {feature} (an app: as a feature of downbeat in its \
+         Cargo.toml){wheel}"
+    )
+}
+
+/// Why a program has no kind of this name, if it knows.
+pub(crate) fn missing_kind(kind: &str) -> Option<String> {
+    missing_kind_if(kind, |feature| feature.is_built_in)
+}
+
+fn missing_kind_if(kind: &str, is_built_in: impl Fn(&Feature) -> bool) -> Option<String> {
+    if kind == "python" {
+        return Some(
+            "modules in Python are for the command `downbeat` of the wheel: build it with `cargo xtask wheel`, install it \
+             with `pip install target/wheels/release/downbeat-*.whl`"
+                .to_owned(),
+        );
+    }
+    let feature = FEATURES.iter().find(|feature| feature.kinds.contains(&kind))?;
+    match is_built_in(feature) {
+        // An app without the built-in kinds.
+        true => Some("the app lacks the built-in kinds: `App::with_built_in_kinds` has them".to_owned()),
+        false => Some(built_without(feature.name)),
+    }
+}
+
+/// The kinds that this program lacks, with the features that have them, by name.
+pub(crate) fn missing_kinds(catalog: &Catalog) -> Vec<(&'static str, &'static str)> {
+    let kinds = FEATURES.iter().filter(|feature| !feature.is_built_in).flat_map(|feature| {
+        let missing = feature.kinds.iter().filter(|kind| catalog.kind(kind).is_none());
+        missing.map(|kind| (*kind, feature.name))
+    });
+    let mut kinds: Vec<_> = kinds.collect();
+    kinds.sort_unstable();
+    kinds
+}
+
+/// The feature that has an option of a command, if this program lacks it.
+#[cfg(feature = "cli")]
+pub(crate) fn missing_option(command: &str, option: &str) -> Option<&'static str> {
+    missing_option_if(command, option, |feature| feature.is_built_in)
+}
+
+#[cfg(feature = "cli")]
+fn missing_option_if(
+    command: &str,
+    option: &str,
+    is_built_in: impl Fn(&Feature) -> bool,
+) -> Option<&'static str> {
+    let has = |feature: &Feature| {
+        feature.options.iter().any(|(name, commands)| *name == option && commands.contains(&command))
+    };
+    FEATURES.iter().find(|feature| !is_built_in(feature) && has(feature)).map(|feature| feature.name)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn a_kind_that_is_not_built_in_names_its_feature_and_the_ways_to_have_it() {
+        let without = |kind| missing_kind_if(kind, |_| false);
+        let expected = "built without \"physics\": build with --features physics (an app: as a feature of downbeat in its \
+                        Cargo.toml), or install the wheel of `cargo xtask wheel`, which has it";
+        assert_eq!(without("darwin_op_simulator").unwrap(), expected);
+        assert!(without("walk_to").unwrap().starts_with("built without \"football\": "));
+        assert!(without("udp_lines").unwrap().starts_with("built without \"network\": "));
+        assert!(without("mqtt").unwrap().starts_with("built without \"mqtt\": "));
+        assert_eq!(without("darwin"), None);
+        let app = missing_kind_if("mqtt", |_| true).unwrap();
+        assert!(app.contains("App::with_built_in_kinds"), "{app}");
+        assert!(!built_without("sqlite").contains("wheel"), "it compiles C");
+    }
+
+    #[test]
+    fn every_kind_of_a_feature_is_listed_and_no_other() {
+        let listed = FEATURES.iter().filter(|feature| feature.is_built_in).flat_map(|feature| feature.kinds);
+        let listed: BTreeSet<&str> = listed.copied().collect();
+        let of_features = crate::robot::kinds_of_features();
+        assert_eq!(listed, of_features.iter().map(String::as_str).collect());
+        assert!(missing_kinds(&Catalog::built_in()).iter().all(|(kind, _)| !listed.contains(kind)));
+    }
+
+    #[test]
+    fn an_option_that_is_not_built_in_names_its_feature() {
+        let without = |command, option| missing_option_if(command, option, |_| false);
+        assert_eq!(without("run", "--view"), Some("view"));
+        assert_eq!(without("match", "--foxglove"), Some("view"));
+        assert_eq!(without("top", "--plot"), Some("top"));
+        assert_eq!(without("check", "--view"), None);
+        assert_eq!(missing_option_if("run", "--view", |_| true), None);
+    }
+
+    #[test]
+    fn the_wheel_is_built_with_every_feature_that_this_says() {
+        let manifest = include_str!("../python/Cargo.toml");
+        let full = manifest.lines().find(|line| line.starts_with("full = ")).unwrap();
+        let defaults = ["plots", "top", "view"];
+        for feature in FEATURES.iter().filter(|feature| !defaults.contains(&feature.name)) {
+            let is_named = full.contains(&format!("\"downbeat/{}\"", feature.name));
+            assert_eq!(is_named, feature.is_in_wheel, "{}", feature.name);
+        }
+        let project = include_str!("../python/pyproject.toml");
+        assert!(project.contains("features = [\"full\"]"), "maturin builds with them");
+    }
+
+    #[test]
+    fn every_feature_of_the_package_is_known() {
+        let manifest = include_str!("../Cargo.toml");
+        let features = manifest.split("[features]\n").nth(1).unwrap().split("\n[").next().unwrap();
+        let names = features.lines().filter_map(|line| line.split_once(" = ["));
+        let names: BTreeSet<&str> = names
+            .map(|(name, _)| name)
+            .filter(|name| !["default", "cli", "rustdds"].contains(name))
+            .collect();
+        assert_eq!(names, FEATURES.iter().map(|feature| feature.name).collect());
+    }
+}
