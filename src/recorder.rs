@@ -84,7 +84,7 @@ pub fn record_while(
             core.outlet(&topic.name, &inbox, move |message: Received<'_, RawMessage>| {
                 to_bag.take(message.time(), &message);
             })?
-        } else if let Some(message_type) = interfaces.message_of(topic.message_type_id) {
+        } else if let Some(message_type) = interfaces.message_in(topic) {
             let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
             let to_bag = ToBag { bag: bag.clone(), codec, topic: bag.sender.add_topic(info)? };
             message_type.outlet(core, &topic.name, &inbox, to_bag)?
@@ -98,8 +98,7 @@ pub fn record_while(
 
 /// Whether the messages of a topic can be recorded.
 pub(crate) fn is_recordable(topic: &TopicInfo, interfaces: &Interfaces) -> bool {
-    topic.message_type_id == TypeId::of::<RawMessage>()
-        || interfaces.message_of(topic.message_type_id).is_some()
+    topic.message_type_id == TypeId::of::<RawMessage>() || interfaces.message_in(topic).is_some()
 }
 
 /// Topics that a recording skips, since their Rust types are not registered as messages.
