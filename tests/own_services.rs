@@ -296,3 +296,139 @@ fn a_call_to_ros_has_the_type_of_the_module_or_of_the_file() {
     let said = text(&command(folder, "131", &["check", "caller.toml"]).output().unwrap());
     assert!(said.contains("unknown service type \"lab_msgs/srv/Levl\""), "{said}");
 }
+
+const TURN: &str = "float64 angle\n---\nfloat64 turned\n---\nfloat64 left\n";
+
+const TURNER: &str = r#"
+#include "downbeat.hpp"
+#include "lab_msgs/action/turn.hpp"
+
+using lab_msgs::action::Turn;
+
+// Turns by a step in each period.
+class Turner : public downbeat::Module {
+    void setup() override {
+        act<Turn>("turn", [this](const downbeat::Goal<Turn> &goal) {
+            if (goal.request().angle > 3.0) {
+                throw downbeat::Error("too far");
+            }
+            goals_.push_back({goal, 0.0});
+        });
+        every(std::chrono::milliseconds(20), [this] { work(); });
+    }
+
+    void work() {
+        std::vector<Running> left;
+        for (Running &running : goals_) {
+            running.turned += 0.25;
+            Turn::Result result;
+            result.turned = running.turned;
+            Turn::Feedback feedback;
+            feedback.left = running.goal.request().angle - running.turned;
+            running.goal.feedback(feedback);
+            if (running.goal.is_canceling()) {
+                running.goal.canceled(result);
+            } else if (feedback.left <= 0.0) {
+                running.goal.succeed(result);
+            } else {
+                left.push_back(running);
+            }
+        }
+        goals_ = left;
+    }
+
+    struct Running {
+        downbeat::Goal<Turn> goal;
+        double turned;
+    };
+    std::vector<Running> goals_;
+};
+
+DOWNBEAT_MODULE(Turner)
+"#;
+
+const ASKER: &str = r#"
+#include "downbeat.hpp"
+#include "lab_msgs/action/turn.hpp"
+#include "std_msgs/msg/float64.hpp"
+
+using lab_msgs::action::Turn;
+using std_msgs::msg::Float64;
+
+// Turns a little further each time; publishes how far, or the status.
+class Asker : public downbeat::Module {
+    void setup() override {
+        auto out = publish<Float64>("turned");
+        auto turn = action_client<Turn>("turn", std::chrono::seconds(1));
+        every(std::chrono::milliseconds(100), [this, out, turn] {
+            Turn::Goal goal;
+            goal.angle = number_++ % 4;
+            turn.send(
+                goal, [out](const downbeat::GoalEnd<Turn> &end) { out({end.result ? end.result->turned : -1.0}); },
+                [out](const Turn::Feedback &feedback) { out({100.0 + feedback.left}); });
+        });
+    }
+    int number_ = 1;
+};
+
+DOWNBEAT_MODULE(Asker)
+"#;
+
+const TURNING: &str = r#"
+[robot]
+name = "turning"
+
+[[module]]
+kind = "library"
+name = "turner"
+path = "libturner.so"
+
+[[module]]
+kind = "library"
+name = "asker"
+path = "libasker.so"
+isolate = true
+
+[expose]
+actions = ["turn"]
+out = ["turned"]
+
+[record]
+topics = "all"
+"#;
+
+#[test]
+fn libraries_serve_and_use_an_action_that_only_they_know() {
+    if !has_compiler() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write(folder, "lab_msgs/action/Turn.action", TURN);
+    write(folder, "turner.cpp", TURNER);
+    write(folder, "asker.cpp", ASKER);
+    write(folder, "robot.toml", TURNING);
+    shell(folder, "downbeat interface generate --lang cpp --from . lab_msgs");
+    shell(folder, "downbeat interface generate --lang cpp std_msgs/msg/Float64");
+    for name in ["turner", "asker"] {
+        let flags = "-std=c++17 -Wall -Wextra -Wpedantic -Werror -O1 -shared -fPIC -Iinclude";
+        shell(folder, &format!("c++ {flags} {name}.cpp -o lib{name}.so"));
+    }
+    std::fs::remove_dir_all(folder.join("lab_msgs")).unwrap();
+    let mut robot =
+        Running::start_by(&mut command(folder, "132", &["run", "robot.toml", "--record", "turned"]));
+    robot.wait_for_output("exposed service: /turn/_action/get_result");
+    let send = |angle: &str, more: &[&str]| {
+        let goal = ["action", "send_goal", "/turn", "lab_msgs/action/Turn", angle];
+        text(&command(folder, "132", &[&goal, more].concat()).output().unwrap())
+    };
+    let sent = send("{angle: 1.0}", &["--feedback"]);
+    assert!(sent.contains("turned: 1.0") && sent.contains("SUCCEEDED"), "{sent}\n{}", robot.output());
+    assert!(sent.contains("left: 0.25"), "{sent}");
+    let refused = send("{angle: 4.0}", &[]);
+    assert!(refused.contains("Goal was rejected"), "{refused}");
+    robot.interrupt();
+    let replayed = command(folder, "132", &["bag", "replay", "robot.toml", "turned"]).output().unwrap();
+    let said = text(&replayed);
+    assert!(replayed.status.success() && said.contains("get_result answers"), "{said}");
+}
