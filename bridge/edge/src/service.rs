@@ -7,9 +7,7 @@ use bytes::Bytes;
 use downbeat_executor::{
     CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup, SetupError,
 };
-use downbeat_msgs::dynamic::{
-    DynamicMessage, DynamicType, FieldError, InterfaceDefinition, TypeLookupError,
-};
+use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, FieldError, InterfaceDefinition, TypeLookupError};
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
 use downbeat_msgs::std_srvs::srv::Empty;
 use downbeat_msgs::{Message, Service, cdr};
