@@ -304,7 +304,8 @@ impl Interfaces {
         };
         let by_definition = || {
             let parsed = name.parse().ok().filter(|parsed: &TypeName| parsed.kind != Kind::Message)?;
-            KnownService::defined(&self.definition(&parsed).ok()?, name).ok()
+            let definition = self.definition(&parsed).ok()?;
+            KnownService::defined(&definition, name).ok()
         };
         let registered = self.tables.services.get(name).copied();
         let registered = registered.or_else(|| of_action("_SendGoal", KnownAction::send_goal));
