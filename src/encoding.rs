@@ -124,7 +124,16 @@ impl RecordedType {
     /// is not supported.
     pub fn of(topic: &RecordedTopic, interfaces: &Interfaces) -> Result<Self, RecordedTypeError> {
         let Some(format) = topic.info.format.as_ref().filter(|_| !topic.info.is_cdr()) else {
-            return Ok(Self { message_type: interfaces.message(&topic.info.type_name)?, codec: None });
+            let message_type = interfaces.find_message(&topic.info.type_name)?;
+            // Messages that pass through as bytes are those of the recorded definition.
+            let recorded = topic.info.type_hash.as_str();
+            if message_type.is_raw() && !recorded.is_empty() && recorded != message_type.hash() {
+                return Err(RecordedTypeError::Definition {
+                    topic: topic.info.name.clone(),
+                    type_name: message_type.name().into(),
+                });
+            }
+            return Ok(Self { message_type, codec: None });
         };
         let schema = &format.schema;
         let Some(encoding) = Encoding::of_channel(&format.message_encoding, &schema.name) else {
@@ -136,7 +145,7 @@ impl RecordedType {
         // Other programs that write Foxglove's schemas do not use ROS 2 types. In JSON, their messages have Foxglove's fields.
         let is_foxglove = matches!(encoding, Encoding::FoxgloveProtobuf | Encoding::FoxgloveFlatBuffers);
         let foreign = foxglove::types().find(|(_, name)| is_foxglove && *name == topic.info.type_name);
-        let found = interfaces.message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros));
+        let found = interfaces.find_message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros));
         let message_type = found.map_err(|error| match topic.info.type_name.contains('/') {
             // It may be one that this program does not know.
             true => RecordedTypeError::Unknown(error),

@@ -79,15 +79,17 @@ pub fn record_while(
     let mut outlets = Vec::new();
     for topic in topics {
         let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
-        let outlet = if topic.message_type_id == TypeId::of::<RawMessage>() {
+        // The definition of what comes from ROS 2 may become known later.
+        let known = interfaces.message_in(topic).filter(|known| !known.definition().is_empty());
+        let outlet = if let Some(message_type) = known {
+            let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
+            let to_bag = ToBag { bag: bag.clone(), codec, topic: bag.sender.add_topic(info)? };
+            message_type.outlet(core, &topic.name, &inbox, to_bag)?
+        } else if topic.message_type_id == TypeId::of::<RawMessage>() {
             let mut to_bag = RawToBag::new(bag.clone(), name, qos);
             core.outlet(&topic.name, &inbox, move |message: Received<'_, RawMessage>| {
                 to_bag.take(message.time(), &message);
             })?
-        } else if let Some(message_type) = interfaces.message_of(topic.message_type_id) {
-            let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
-            let to_bag = ToBag { bag: bag.clone(), codec, topic: bag.sender.add_topic(info)? };
-            message_type.outlet(core, &topic.name, &inbox, to_bag)?
         } else {
             continue;
         };
@@ -98,8 +100,7 @@ pub fn record_while(
 
 /// Whether the messages of a topic can be recorded.
 pub(crate) fn is_recordable(topic: &TopicInfo, interfaces: &Interfaces) -> bool {
-    topic.message_type_id == TypeId::of::<RawMessage>()
-        || interfaces.message_of(topic.message_type_id).is_some()
+    topic.message_type_id == TypeId::of::<RawMessage>() || interfaces.message_in(topic).is_some()
 }
 
 /// Topics that a recording skips, since their Rust types are not registered as messages.

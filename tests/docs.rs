@@ -196,6 +196,10 @@ fn every_robot_file_on_a_page_is_read() {
         let included = "[robot]\nname = \"player\"\n[[module]]\nname = \"hardware\"\nkind = \"darwin_op\"\n";
         std::fs::create_dir(folder.path().join("football")).unwrap();
         std::fs::write(folder.path().join("football/player.toml"), included).unwrap();
+        // What `interfaces` names.
+        let services = folder.path().join("src/site_msgs/srv");
+        std::fs::create_dir_all(&services).unwrap();
+        std::fs::write(services.join("Level.srv"), "float64 angle\n---\nbool is_level\n").unwrap();
         let path = folder.path().join("robot.toml");
         std::fs::write(&path, file).unwrap();
         RobotFile::read(&path).map_err(|error| format!("{page}:{line}: {error}")).unwrap();

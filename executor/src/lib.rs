@@ -179,7 +179,7 @@ pub use error::{SetupError, Version};
 pub use exchange::{
     CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError, Job,
     JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
-    ServiceInfo, Setting, SettingInfo, SettingRefused, SettingsChange, StandIn, StepInput, Task,
+    ServiceInfo, ServiceType, Setting, SettingInfo, SettingRefused, SettingsChange, StandIn, StepInput, Task,
     UnknownModule,
 };
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};

@@ -272,8 +272,8 @@ impl State {
     fn type_on(&mut self, topic: &str) -> PyResult<&'static str> {
         self.require_topic(topic)?;
         let name = topic.trim_start_matches('/');
-        let type_id = self.probe.core().topics().find(|info| *info.name == *name);
-        let known = type_id.and_then(|info| self.catalog.interfaces.message_of(info.message_type_id));
+        let found = self.probe.core().topics().find(|info| *info.name == *name);
+        let known = found.and_then(|info| self.catalog.interfaces.message_in(info));
         let known = known.ok_or_else(|| {
             PyTypeError::new_err(format!(
                 "the type of {topic:?} is not built in: pass a message of its class"

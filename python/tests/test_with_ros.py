@@ -177,3 +177,80 @@ def test_rclpys_messages_are_published_as_they_are(write, monkeypatch):
         peer.wait(lambda: heard, "cmd_vel")
         peer.stop()
     assert heard[0].linear.x == 0.25
+
+
+OWN = """
+    import downbeat as db
+
+    class Counter(db.Module):
+        def setup(self):
+            self.goal = None
+
+        @db.serve("echo", "test_msgs/srv/BasicTypes")
+        def echo(self, request):
+            return {"int64_value": -request.int64_value, "string_value": request.string_value + "!"}
+
+        @db.action("count", "test_msgs/action/Fibonacci")
+        def count(self, goal):
+            self.goal = goal
+
+        @db.every("20ms")
+        def work(self):
+            if self.goal is not None:
+                self.goal.feedback(sequence=[1, 1])
+                self.goal.succeed(sequence=list(range(self.goal.request.order)))
+                self.goal = None
+"""
+
+OWN_ROBOT = """
+    [robot]
+    name = "counter"
+
+    [[module]]
+    kind = "python"
+    name = "counter"
+    module = "counter.py:Counter"
+
+    [expose]
+    services = ["echo"]
+    actions = ["count"]
+    service_introspection = "contents"
+"""
+
+
+def test_rclpy_calls_services_and_actions_that_the_program_knows_by_definition_only(write, monkeypatch):
+    domain = 30 + os.getpid() % 30
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    write("counter.py", OWN)
+    from rclpy.action import ActionClient
+    from test_msgs.action import Fibonacci
+    from test_msgs.srv import BasicTypes
+
+    with downbeat.start(write("robot.toml", OWN_ROBOT)):
+        peer = Peer(domain)
+        events = []
+        peer.node.create_subscription(BasicTypes.Event, "echo/_service_event", events.append, 10)
+        client = peer.node.create_client(BasicTypes, "echo")
+        peer.wait(lambda: peer.node.count_publishers("/echo/_service_event"), "events")
+        # The type and its hash are announced as rclpy's own.
+        own = peer.node.create_publisher(BasicTypes.Event, "own", 10)
+        (theirs,) = peer.node.get_publishers_info_by_topic("/echo/_service_event")
+        (ours,) = peer.wait(lambda: peer.node.get_publishers_info_by_topic("/own"), "its own publisher")
+        assert (theirs.topic_type, theirs.topic_type_hash) == (ours.topic_type, ours.topic_type_hash)
+        peer.node.destroy_publisher(own)
+        response = peer.call(client, BasicTypes.Request(int64_value=2**40, string_value="grün"))
+        assert (response.int64_value, response.string_value) == (-(2**40), "grün!")
+        peer.wait(lambda: len(events) >= 2, "a request and a response")
+        asked = next(event.request[0] for event in events if event.request)
+        assert (asked.int64_value, asked.string_value) == (2**40, "grün")
+
+        action = ActionClient(peer.node, Fibonacci, "count")
+        assert action.wait_for_server(60.0)
+        heard = []
+        sent = action.send_goal_async(Fibonacci.Goal(order=4), feedback_callback=heard.append)
+        peer.wait(sent.done, "the goal")
+        assert sent.result().accepted
+        result = sent.result().get_result_async()
+        peer.wait(result.done, "the result")
+        assert list(result.result().result.sequence) == [0, 1, 2, 3] and list(heard[0].feedback.sequence) == [1, 1]
+        peer.stop()

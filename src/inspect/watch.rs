@@ -158,7 +158,7 @@ impl Watch {
     }
 
     fn known_type(&self, topic: &TopicInfo) -> Result<KnownType, String> {
-        self.interfaces.message_of(topic.message_type_id).ok_or_else(|| {
+        self.interfaces.message_in(topic).ok_or_else(|| {
             format!(
                 "{} carries {}, which is no message of ROS 2 and has no fields",
                 topic.name, topic.message_type

@@ -55,7 +55,7 @@ fn check_robot(
         print_settings(core, &module.name);
     }
     println!("\ntopics");
-    core.topics().for_each(|topic| print_topic(topic, &catalog.interfaces));
+    core.topics().for_each(|topic| print_topic(topic, &file.catalog.interfaces));
     println!("\nexposed to ROS 2 as node {}", file.node_name()?);
     print_exposed(&exposed, &file.node_name()?.to_string());
     print!("{}", NodeReport::of(&robot)?);
@@ -139,7 +139,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
 }
 
 fn type_name(topic: &TopicInfo, interfaces: &Interfaces) -> &'static str {
-    interfaces.message_of(topic.message_type_id).map_or(topic.message_type, KnownType::name)
+    interfaces.message_in(topic).map_or(topic.message_type, KnownType::name)
 }
 
 fn list_kinds(catalog: &Catalog) {

@@ -10,7 +10,7 @@ use crate::executor::{Core, Graph, GraphEdge, GraphModule, GraphService, GraphTo
 use crate::msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
 use crate::msgs::qos::{Durability, Liveliness, Reliability};
 use crate::program::look::{Environment, Look, Patience};
-use crate::robot::{Catalog, RobotFile, RosArgs};
+use crate::robot::{Catalog, Robot, RobotFile, RosArgs};
 
 pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
     let format = if arguments.json { Some(GraphFormat::Json) } else { arguments.format };
@@ -40,12 +40,13 @@ pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs
 }
 
 pub(super) fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Graph> {
-    let core = RobotFile::read_with(path, catalog, ros)?.on_any_machine().build(Core::new())?.core;
+    let Robot { core, file } =
+        RobotFile::read_with(path, catalog, ros)?.on_any_machine().build(Core::new())?;
     let mut graph = core.graph();
     // With their ROS names, if they have one.
     for topic in core.topics() {
         let shown = graph.topics.iter_mut().find(|shown| *shown.name == *topic.name);
-        if let (Some(shown), Some(known)) = (shown, catalog.interfaces.message_of(topic.message_type_id)) {
+        if let (Some(shown), Some(known)) = (shown, file.catalog.interfaces.message_in(topic)) {
             shown.message_type = known.name().to_owned();
         }
     }

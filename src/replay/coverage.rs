@@ -137,7 +137,7 @@ fn reason(
     if options.excludes(name) {
         return Some(Why::Excluded);
     }
-    let plain = graph.types.get(name).filter(|known| interfaces.message_of(known.message_type_id).is_none());
+    let plain = graph.types.get(name).filter(|known| interfaces.message_in(known).is_none());
     let Some(id) = reader.topic(&format!("/{name}")) else {
         return Some(match plain {
             Some(known) => Why::PlainType { rust_type: known.message_type.to_owned() },

@@ -152,9 +152,7 @@ impl Captured {
         let captured = Self::default();
         let topics = core.topics().filter(|topic| topic.is_published && is_wanted(&topic.name));
         let topics: Vec<_> = topics
-            .filter_map(|topic| {
-                Some((Arc::clone(&topic.name), interfaces.message_of(topic.message_type_id)?))
-            })
+            .filter_map(|topic| Some((Arc::clone(&topic.name), interfaces.message_in(topic)?)))
             .collect();
         let inbox = OutletInbox::new("replay", Inbox::KeepAll);
         for (topic, message_type) in topics {

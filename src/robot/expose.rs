@@ -88,7 +88,7 @@ impl RobotFile {
     fn is_passed_over(&self, entry: &ExposeEntry, pattern: &TopicPattern, topic: &TopicInfo) -> bool {
         pattern.matches(&topic.name)
             && can_be_meant(entry, topic)
-            && self.catalog.interfaces.message_of(topic.message_type_id).is_none()
+            && self.catalog.interfaces.message_in(topic).is_none()
     }
 
     /// The endpoints of these exposures, with all names as remapping rules make them.
@@ -192,7 +192,7 @@ impl<'a> Selection<'a> {
 
     /// A topic that a pattern may mean, with its type.
     fn candidate(&self, entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
-        let message_type = self.interfaces().message_of(topic.message_type_id)?;
+        let message_type = self.interfaces().message_in(topic)?;
         let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());
         (has_type && can_be_meant(entry, topic)).then_some((topic, message_type))
     }
@@ -213,7 +213,7 @@ impl<'a> Selection<'a> {
         if entry.direction == Direction::Out && !topic.is_published {
             return refuse(format!("no module publishes \"{}\"; does it belong under \"in\"?", topic.name));
         }
-        let Some(message_type) = self.interfaces().message_of(topic.message_type_id) else {
+        let Some(message_type) = self.interfaces().message_in(topic) else {
             let (name, carried) = (&topic.name, topic.message_type);
             return refuse(format!("\"{name}\" carries {carried}, {}", unregistered(carried, "ROS message")));
         };
@@ -236,7 +236,7 @@ impl<'a> Selection<'a> {
         let topic = self.topics.iter().find(|topic| *topic.name == *name);
         if let Some(topic) = topic.filter(|topic| topic.message_type_id != message_type.rust_type()) {
             let carried = topic.message_type;
-            let problem = match self.interfaces().message_of(topic.message_type_id) {
+            let problem = match self.interfaces().message_in(topic) {
                 Some(_) => "; only what modules take or give as bytes can be raw".to_owned(),
                 None => format!(", {}", unregistered(carried, "ROS message")),
             };

@@ -90,6 +90,8 @@ pub struct ModuleSource {
     pub keys: BTreeMap<String, SettingValue>,
     /// How long one run of the module may take.
     pub deadline: Option<Duration>,
+    /// The folders of interfaces that the robot file names.
+    pub interfaces: Vec<PathBuf>,
 }
 
 /// How a kind of modules in other languages reads a robot file.

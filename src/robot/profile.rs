@@ -337,7 +337,7 @@ fn ports(core: &Core, catalog: &Catalog) -> Vec<PortProfile> {
     let interfaces = &catalog.interfaces;
     let topic = |index: usize, role| {
         let info = &topics.iter().find(|info| *info.name == *graph.topics[index].name)?;
-        let known = interfaces.message_of(info.message_type_id);
+        let known = interfaces.message_in(info);
         let is_own = !info.name.starts_with("executor/") && !info.name.contains("/_action/");
         is_own.then(|| PortProfile {
             name: info.name.to_string(),

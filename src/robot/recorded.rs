@@ -52,7 +52,7 @@ impl Robot {
         chosen.retain(|topic| !entry.except.iter().any(|pattern| matches(pattern, &topic.name)));
         if !entry.types.is_empty() {
             chosen.retain(|topic| {
-                let known = self.file.catalog.interfaces.message_of(topic.message_type_id);
+                let known = self.file.catalog.interfaces.message_in(topic);
                 known.is_some_and(|known| entry.types.iter().any(|name| name == known.name()))
             });
         }

@@ -83,7 +83,7 @@ impl Recordable {
     fn retain(&mut self, filter: &TopicFilter) {
         let interfaces = &self.interfaces;
         self.topics.retain(|topic| {
-            let known = interfaces.message_of(topic.message_type_id);
+            let known = interfaces.message_in(topic);
             let type_name = known.map_or(topic.message_type, KnownType::name);
             filter.takes_name_and_type(&format!("/{}", topic.name), type_name)
         });

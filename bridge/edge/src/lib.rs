@@ -18,20 +18,23 @@ mod action;
 mod core_access;
 pub mod foreign;
 mod interfaces;
+mod learned;
 mod message;
 mod parameter;
 mod refusal;
 mod service;
+mod service_codec;
 
 pub use action::KnownAction;
 pub use core_access::CoreAccess;
-pub use interfaces::{InterfaceConflict, Interfaces, UnknownType};
+pub use interfaces::{Described, InterfaceConflict, Interfaces, UnknownType};
+pub use learned::LearnError;
 pub use message::{
     EncodedInlet, EncodedInletError, KnownType, Offered, RawError, RawMessage, RawTypeError, Sink, Waiting,
 };
 pub use parameter::{parameter_type, parameter_value, setting_value};
 pub use refusal::Refusals;
 pub use service::{
-    EncodeEvent, EncodedAnswer, EncodedCallError, EncodedCaller, EncodedStandIn, EventContent, KnownService,
-    RemoteCall, RemoteService, RemoteServices, encode_event,
+    EncodedAnswer, EncodedCallError, EncodedCaller, EncodedStandIn, EventContent, EventError, KnownService,
+    RemoteCall, RemoteService, RemoteServices,
 };

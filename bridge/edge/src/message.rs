@@ -7,7 +7,7 @@ use downbeat_executor::{
     AnyMessage, AnyReceived, Core, Inlet, InletError, MessageType, Outlet, OutletInbox, SetupError, Time,
 };
 use downbeat_msgs::definitions::{Kind, TypeName};
-use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition};
+use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition, TypeLookupError};
 use downbeat_msgs::{Message, cdr};
 use parking_lot::Mutex;
 use std::any::{Any, TypeId};
@@ -140,6 +140,9 @@ pub enum RawTypeError {
         /// The name.
         name: String,
     },
+    /// The definition cannot be used.
+    #[error(transparent)]
+    Definition(Box<TypeLookupError>),
     /// The program uses too many raw types.
     #[error("{name} is one type too many: this program has met {MOST_TYPES} that are not compiled in")]
     TooMany {
@@ -148,13 +151,19 @@ pub enum RawTypeError {
     },
 }
 
+/// The raw types, by name.
+static TYPES: Mutex<BTreeMap<&'static str, Vec<KnownType>>> = Mutex::new(BTreeMap::new());
+
 /// Raw types live as long as the program, so there is a limit.
-const MOST_TYPES: usize = 1024;
+const MOST_TYPES: usize = 4096;
+
+/// The encapsulation of plain CDR.
+const PLAIN_LITTLE_ENDIAN: [u8; 2] = [0, 1];
 
 impl KnownType {
     /// The message type of a Rust type, which need not be registered.
     #[must_use]
-    pub fn of<T: Message>() -> Self {
+    pub const fn of<T: Message>() -> Self {
         Self { entry: Of::<T>::ENTRY }
     }
 
@@ -164,30 +173,55 @@ impl KnownType {
     /// # Errors
     /// If that is no name of a message type, or there are too many raw types.
     pub fn raw(name: &str, definitions: &Definitions) -> Result<Self, RawTypeError> {
-        static TYPES: Mutex<BTreeMap<&'static str, &'static Entry>> = Mutex::new(BTreeMap::new());
         let is_message = |found: &TypeName| found.kind == Kind::Message;
         if !name.parse().as_ref().is_ok_and(is_message) {
             return Err(RawTypeError::Name { name: name.to_owned() });
         }
+        match definitions.describe(name) {
+            Ok(definition) => Self::defined(definition),
+            Err(_) => Self::interned(name, ""),
+        }
+    }
+
+    /// The type of that definition, which may be that of a message of a service or an action, as one that passes through.
+    pub(crate) fn defined(definition: TypeDefinition) -> Result<Self, RawTypeError> {
+        let name = definition.message_type.name().to_string();
+        let raw = Self::interned(&name, &definition.hash)?;
+        raw.learn(definition);
+        Ok(raw)
+    }
+
+    /// The raw type of that name that the program has met; if there are several, the one that `choose` returns.
+    pub(crate) fn met(name: &str, choose: impl FnOnce() -> Option<Self>) -> Option<Self> {
+        let of_name = TYPES.lock().get(name).cloned()?;
+        match of_name.as_slice() {
+            [one] => Some(*one),
+            several => choose().or_else(|| several.first().copied()),
+        }
+    }
+
+    /// The raw type of that name and hash. With an empty hash, the first one of that name; with another one, the one whose definition
+    /// is unknown so far, if no other has it.
+    fn interned(name: &str, hash: &str) -> Result<Self, RawTypeError> {
         let mut types = TYPES.lock();
-        let entry = match types.get(name) {
-            Some(entry) => *entry,
-            None if types.len() >= MOST_TYPES => return Err(RawTypeError::TooMany { name: name.to_owned() }),
-            None => {
-                let name: &'static str = Box::leak(name.to_owned().into_boxed_str());
-                let rust = Rust::Raw(Box::leak(Box::new(OnceLock::new())));
-                let entry: &'static Entry = Box::leak(Box::new(Entry { name, rust }));
-                types.insert(name, entry);
-                entry
+        let of_name = types.get(name).map(Vec::as_slice).unwrap_or_default();
+        let found = match hash {
+            "" => of_name.first(),
+            hash => {
+                let with = |hash: &str| of_name.iter().find(|raw| raw.hash() == hash);
+                with(hash).or_else(|| with(""))
             }
         };
-        drop(types);
-        let raw = Self { entry };
-        if raw.hash().is_empty()
-            && let Ok(definition) = definitions.describe(name)
-        {
-            raw.learn(definition);
+        if let Some(found) = found {
+            return Ok(*found);
         }
+        if types.values().map(Vec::len).sum::<usize>() >= MOST_TYPES {
+            return Err(RawTypeError::TooMany { name: name.to_owned() });
+        }
+        let name: &'static str = Box::leak(name.to_owned().into_boxed_str());
+        let rust = Rust::Raw(Box::leak(Box::new(OnceLock::new())));
+        let raw = Self { entry: Box::leak(Box::new(Entry { name, rust })) };
+        types.entry(name).or_default().push(raw);
         Ok(raw)
     }
 
@@ -325,7 +359,7 @@ impl KnownType {
     pub fn in_core(self) -> MessageType {
         match &self.entry.rust {
             Rust::Compiled(compiled) => compiled.in_core,
-            Rust::Raw(_) => MessageType::of::<RawMessage>(),
+            Rust::Raw(_) => MessageType::of::<RawMessage>().named(self.name()),
         }
     }
 
@@ -338,6 +372,21 @@ impl KnownType {
             Rust::Compiled(compiled) => (compiled.decode)(cdr),
             Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, Bytes::copy_from_slice(cdr)))),
         }
+    }
+
+    /// Checks a serialized message of a raw type whose definition is known, and returns it as plain little-endian CDR. Other messages
+    /// are checked when they are decoded.
+    ///
+    /// # Errors
+    /// If the bytes are no such message.
+    pub(crate) fn checked(self, cdr: Bytes) -> cdr::Result<Bytes> {
+        let Rust::Raw(learned) = &self.entry.rust else { return Ok(cdr) };
+        let Some(Learned { dynamic, .. }) = learned.get() else { return Ok(cdr) };
+        if !cdr.starts_with(&PLAIN_LITTLE_ENDIAN) {
+            return Ok(DynamicMessage::from_cdr(dynamic, &cdr)?.to_cdr().into());
+        }
+        dynamic.validate_cdr(&cdr)?;
+        Ok(cdr)
     }
 
     /// Whether a message that a module received is of this type: raw messages of all types have one Rust type.
@@ -368,9 +417,13 @@ impl fmt::Display for KnownType {
     }
 }
 
+/// Raw types of one name with two definitions are two types.
 impl PartialEq for KnownType {
     fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name() && self.is_raw() == other.is_raw()
+        match (&self.entry.rust, &other.entry.rust) {
+            (Rust::Raw(own), Rust::Raw(other)) => std::ptr::eq(*own, *other),
+            _ => self.name() == other.name() && self.is_raw() == other.is_raw(),
+        }
     }
 }
 

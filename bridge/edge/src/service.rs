@@ -1,24 +1,27 @@
 //! Types of services, and how requests and responses enter a core as bytes and leave it as bytes.
 
 use crate::foreign::{CallEncodedIn, ForeignError, ForeignModule, ReplyEncoded};
+use crate::service_codec::{Compiled, RawService, ServiceCodec};
+use crate::{KnownType, RawTypeError};
 use bytes::Bytes;
 use downbeat_executor::{
-    CallError, Caller, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup,
-    SetupError, StandIn,
+    CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup, SetupError,
 };
-use downbeat_msgs::dynamic::DynamicType;
+use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, FieldError, InterfaceDefinition, TypeLookupError};
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
+use downbeat_msgs::std_srvs::srv::Empty;
 use downbeat_msgs::{Message, Service, cdr};
 use parking_lot::Mutex;
 use std::any::{Any, type_name};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// A service type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownService::of`]).
+/// A service type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownService::of`]). Requests and
+/// responses of a type of which only the definition is known pass through as bytes, which are checked.
 #[derive(Clone, Copy)]
 pub struct KnownService {
     entry: &'static Entry,
@@ -91,17 +94,21 @@ pub enum EventContent<'a> {
     Response(&'a [u8]),
 }
 
-/// Serializes an event of one service type.
-pub type EncodeEvent = fn(ServiceEventInfo, EventContent<'_>) -> Result<Vec<u8>, cdr::Error>;
+/// A service event was not serialized.
+#[derive(Debug, Error)]
+pub enum EventError {
+    /// The bytes are no request or response of the type.
+    #[error(transparent)]
+    Content(#[from] cdr::Error),
+    /// The definition of the event differs from the one that ROS 2 derives from a service.
+    #[error("the event of the service has other fields: {0}")]
+    Fields(#[from] FieldError),
+}
 
-/// Serializes an event of the service type `S`: encapsulation header (little-endian) and body.
-///
-/// # Errors
-/// When the content is no request or response of the type.
-pub fn encode_event<S: Service>(
+fn encode_event<S: Service>(
     info: ServiceEventInfo,
     content: EventContent<'_>,
-) -> Result<Vec<u8>, cdr::Error> {
+) -> Result<Vec<u8>, EventError> {
     let event = match content {
         EventContent::Nothing => S::event(info, None, None),
         // Decoded and encoded again: the alignment in the middle of a message differs.
@@ -111,41 +118,121 @@ pub fn encode_event<S: Service>(
     Ok(cdr::to_vec(&event))
 }
 
+fn encode_raw_event(
+    raw: &RawService,
+    info: ServiceEventInfo,
+    content: EventContent<'_>,
+) -> Result<Vec<u8>, EventError> {
+    // Those of a raw service are known.
+    let (Some(event), Some(request), Some(response)) =
+        (raw.event.dynamic(), raw.request.dynamic(), raw.response.dynamic())
+    else {
+        return encode_event::<Empty>(info, EventContent::Nothing);
+    };
+    let mut event = DynamicMessage::new(&event);
+    let bytes = cdr::to_vec(&info);
+    let info = event.get("info")?.as_message().map(|info| info.message_type());
+    if let Some(info) = info {
+        event.set("info", DynamicMessage::from_cdr(&info, &bytes)?)?;
+    }
+    match content {
+        EventContent::Nothing => {}
+        EventContent::Request(cdr) => event.push("request", DynamicMessage::from_cdr(&request, cdr)?)?,
+        EventContent::Response(cdr) => event.push("response", DynamicMessage::from_cdr(&response, cdr)?)?,
+    }
+    Ok(event.to_cdr())
+}
+
 impl KnownService {
     /// The service type of a Rust type, which need not be registered.
     #[must_use]
-    pub fn of<S: Service>() -> Self {
+    pub const fn of<S: Service>() -> Self {
         Self { entry: Of::<S>::ENTRY }
+    }
+
+    /// A service of the definition, which may be that of an action: one whose requests and responses pass through.
+    pub(crate) fn defined(definition: &InterfaceDefinition, name: &str) -> Result<Self, RawTypeError> {
+        // A hash is of the name too. Types live as long as the program; the messages limit how many there are.
+        static SERVICES: Mutex<BTreeMap<&'static str, &'static Entry>> = Mutex::new(BTreeMap::new());
+        let unusable = |error: TypeLookupError| RawTypeError::Definition(Box::new(error));
+        let (hash, definition_text) = definition.described(name).map_err(unusable)?;
+        if let Some(entry) = SERVICES.lock().get(hash.as_str()) {
+            return Ok(Self { entry });
+        }
+        let message =
+            |part: &str| KnownType::defined(definition.message(&format!("{name}_{part}")).map_err(unusable)?);
+        let (request, response, event) = (message("Request")?, message("Response")?, message("Event")?);
+        let (name, hash, definition) = (leak(name), leak(&hash), leak(&definition_text));
+        let raw = RawService { name, hash, definition, request, response, event };
+        let mut services = SERVICES.lock();
+        Ok(Self { entry: services.entry(hash).or_insert_with(|| Box::leak(Box::new(Entry::Raw(raw)))) })
     }
 
     /// As in `std_srvs/srv/SetBool`.
     #[must_use]
     pub fn name(self) -> &'static str {
-        self.entry.name
+        match self.entry {
+            Entry::Compiled(of) => of.name,
+            Entry::Raw(raw) => raw.name,
+        }
     }
 
     /// `RIHS01_` and 64 hexadecimal digits.
     #[must_use]
     pub fn hash(self) -> &'static str {
-        self.entry.hash
+        match self.entry {
+            Entry::Compiled(of) => of.hash,
+            Entry::Raw(raw) => raw.hash,
+        }
+    }
+
+    /// The definition text with all dependencies, as rosbag2 stores it for service events.
+    #[must_use]
+    pub fn definition(self) -> &'static str {
+        match self.entry {
+            Entry::Compiled(of) => of.definition,
+            Entry::Raw(raw) => raw.definition,
+        }
+    }
+
+    /// True if its requests and responses pass through as bytes.
+    #[must_use]
+    pub fn is_raw(self) -> bool {
+        matches!(self.entry, Entry::Raw(_))
     }
 
     /// The hashes of the messages of its requests, responses and events.
     #[must_use]
     pub fn message_hashes(self) -> [&'static str; 3] {
-        self.entry.message_hashes
+        match self.entry {
+            Entry::Compiled(of) => of.message_hashes,
+            Entry::Raw(raw) => [raw.request, raw.response, raw.event].map(KnownType::hash),
+        }
     }
 
     /// The type of its responses, for reading and writing them field by field; `None` while its definition is unknown.
     #[must_use]
     pub fn response_type(self) -> Option<DynamicType> {
-        (self.entry.response_type)()
+        match self.entry {
+            Entry::Compiled(of) => (of.response_type)(),
+            Entry::Raw(raw) => raw.response.dynamic(),
+        }
     }
 
-    /// Serializes events of the service.
-    #[must_use]
-    pub fn encode_event(self) -> EncodeEvent {
-        self.entry.encode_event
+    /// Serializes an event of the service: encapsulation header (little-endian) and body. An event without content is the same
+    /// whatever the type.
+    ///
+    /// # Errors
+    /// When the content is no request or response of the type.
+    pub fn encode_event(
+        self,
+        info: ServiceEventInfo,
+        content: EventContent<'_>,
+    ) -> Result<Vec<u8>, EventError> {
+        match self.entry {
+            Entry::Compiled(of) => (of.encode_event)(info, content),
+            Entry::Raw(raw) => encode_raw_event(raw, info, content),
+        }
     }
 
     /// Opens a caller of a service of modules, which any thread may use.
@@ -153,7 +240,11 @@ impl KnownService {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
     pub fn caller(self, core: &mut Core, service: &str) -> Result<EncodedCaller, SetupError> {
-        Ok(EncodedCaller { service: service.into(), call: (self.entry.caller)(core, service)?.into() })
+        let call = match self.entry {
+            Entry::Compiled(of) => (of.caller)(core, service)?,
+            Entry::Raw(raw) => caller(raw, core, service)?,
+        };
+        Ok(EncodedCaller { service: service.into(), call: call.into() })
     }
 
     /// Prepares a service that modules call and whose requests `call` takes. [`RemoteServices::add_to`] completes it.
@@ -167,7 +258,10 @@ impl KnownService {
         call: impl RemoteCall,
     ) -> Result<RemoteService, SetupError> {
         let answers_topic = format!("bridge/answers/{}", service.trim_start_matches('/'));
-        let answers = (self.entry.answers)(core, &answers_topic)?;
+        let answers = match self.entry {
+            Entry::Compiled(of) => (of.answers)(core, &answers_topic)?,
+            Entry::Raw(raw) => answers(raw, core, &answers_topic)?,
+        };
         Ok(RemoteService {
             service: service.to_owned(),
             service_type: self,
@@ -182,7 +276,10 @@ impl KnownService {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
     pub fn encode(self, core: &mut Core, service: &str) -> Result<(), SetupError> {
-        (self.entry.encode)(core, service)
+        match self.entry {
+            Entry::Compiled(of) => (of.encode)(core, service),
+            Entry::Raw(raw) => encode(raw, core, service),
+        }
     }
 
     /// Opens a stand-in, which answers calls of modules with serialized responses in place of a server.
@@ -190,7 +287,10 @@ impl KnownService {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
     pub fn stand_in(self, core: &mut Core, service: &str) -> Result<EncodedStandIn, SetupError> {
-        Ok(EncodedStandIn((self.entry.stand_in)(core, service)?))
+        Ok(EncodedStandIn(match self.entry {
+            Entry::Compiled(of) => (of.stand_in)(core, service)?,
+            Entry::Raw(raw) => stand_in(raw, core, service)?,
+        }))
     }
 
     /// Declares that a module in another language serves the service.
@@ -200,7 +300,10 @@ impl KnownService {
         service: &str,
         server: u32,
     ) -> Result<(), SetupError> {
-        (self.entry.serve_foreign)(setup, service, server)
+        match self.entry {
+            Entry::Compiled(of) => (of.serve_foreign)(setup, service, server),
+            Entry::Raw(raw) => serve_foreign(raw, setup, service, server),
+        }
     }
 
     /// Declares that a module in another language calls the service.
@@ -211,12 +314,18 @@ impl KnownService {
         timeout: Duration,
         client: u32,
     ) -> Result<CallEncodedIn, SetupError> {
-        (self.entry.foreign_client)(setup, service, timeout, client)
+        match self.entry {
+            Entry::Compiled(of) => (of.foreign_client)(setup, service, timeout, client),
+            Entry::Raw(raw) => foreign_client(raw, setup, service, timeout, client),
+        }
     }
 
-    /// The names of the Rust types of request and response.
-    pub(crate) fn rust_types(self) -> (&'static str, &'static str) {
-        (self.entry.rust_types)()
+    /// The names of the types of request and response in a core.
+    pub(crate) fn types_in_core(self) -> (&'static str, &'static str) {
+        match self.entry {
+            Entry::Compiled(of) => (of.rust_types)(),
+            Entry::Raw(raw) => (raw.request.name(), raw.response.name()),
+        }
     }
 }
 
@@ -232,9 +341,10 @@ impl fmt::Display for KnownService {
     }
 }
 
+/// Two definitions of one name are two types.
 impl PartialEq for KnownService {
     fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name()
+        self.name() == other.name() && self.hash() == other.hash()
     }
 }
 
@@ -301,7 +411,10 @@ impl Module for RemoteServices {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.services.drain(..).try_for_each(|service| (service.service_type.entry.serve)(setup, service))
+        self.services.drain(..).try_for_each(|service| match service.service_type.entry {
+            Entry::Compiled(of) => (of.serve)(setup, service),
+            Entry::Raw(raw) => serve(raw, setup, service),
+        })
     }
 }
 
@@ -321,9 +434,16 @@ struct Answer<R> {
 /// Requests without an answer so far.
 type Open<Q, R> = Arc<Mutex<HashMap<u64, Responder<Q, R>>>>;
 
-struct Entry {
+enum Entry {
+    Compiled(CompiledEntry),
+    Raw(RawService),
+}
+
+// Each function exists once per service type: what does not depend on the type is elsewhere.
+struct CompiledEntry {
     name: &'static str,
     hash: &'static str,
+    definition: &'static str,
     message_hashes: [&'static str; 3],
     rust_types: fn() -> (&'static str, &'static str),
     caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
@@ -335,48 +455,61 @@ struct Entry {
     encode: fn(&mut Core, &str) -> Result<(), SetupError>,
     stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
     response_type: fn() -> Option<DynamicType>,
-    encode_event: EncodeEvent,
+    encode_event: fn(ServiceEventInfo, EventContent<'_>) -> Result<Vec<u8>, EventError>,
 }
 
 /// Holds the entry of a type as a constant, so that a handle is a reference to it.
 struct Of<S>(PhantomData<S>);
 
 impl<S: Service> Of<S> {
-    const ENTRY: &'static Entry = &Entry {
+    const ENTRY: &'static Entry = &Entry::Compiled(CompiledEntry {
         name: S::TYPE_NAME,
         hash: S::TYPE_HASH,
+        definition: S::DEFINITION,
         message_hashes: [
             <S::Request as Message>::TYPE_HASH,
             <S::Response as Message>::TYPE_HASH,
             <S::Event as Message>::TYPE_HASH,
         ],
         rust_types: || (type_name::<S::Request>(), type_name::<S::Response>()),
-        caller: caller::<S>,
-        answers: |core, topic| Ok(Box::new(core.inlet::<Answer<S::Response>>(topic)?)),
-        serve: serve::<S>,
-        serve_foreign: serve_foreign::<S>,
-        foreign_client: foreign_client::<S>,
-        encode: |core, service| {
-            core.encode_service::<S::Request, S::Response>(service, cdr::to_vec, cdr::to_vec)
+        caller: |core, service| caller(Compiled::<S>::NEW, core, service),
+        answers: |core, topic| answers(Compiled::<S>::NEW, core, topic),
+        serve: |setup, remote| serve(Compiled::<S>::NEW, setup, remote),
+        serve_foreign: |setup, service, server| serve_foreign(Compiled::<S>::NEW, setup, service, server),
+        foreign_client: |setup, service, timeout, client| {
+            foreign_client(Compiled::<S>::NEW, setup, service, timeout, client)
         },
-        stand_in: stand_in::<S>,
+        encode: |core, service| encode(Compiled::<S>::NEW, core, service),
+        stand_in: |core, service| stand_in(Compiled::<S>::NEW, core, service),
         response_type: || {
             let (name, text) = (<S::Response as Message>::TYPE_NAME, <S::Response as Message>::DEFINITION);
             DynamicType::from_definition_text(name, "ros2msg", text).ok()
         },
         encode_event: encode_event::<S>,
-    };
+    });
 }
 
-fn caller<S: Service>(core: &mut Core, service: &str) -> Result<Box<CallEncoded>, SetupError> {
-    let caller: Caller<S::Request, S::Response> = core.caller(service)?;
+fn leak(text: &str) -> &'static str {
+    Box::leak(text.to_owned().into_boxed_str())
+}
+
+fn answers<C: ServiceCodec>(_: C, core: &mut Core, topic: &str) -> Result<Answers, SetupError> {
+    Ok(Box::new(core.inlet::<Answer<C::Response>>(topic)?))
+}
+
+fn encode<C: ServiceCodec>(codec: C, core: &mut Core, service: &str) -> Result<(), SetupError> {
+    core.encode_service_of(codec.in_core(), service, C::write_request, C::write_response)
+}
+
+fn caller<C: ServiceCodec>(codec: C, core: &mut Core, service: &str) -> Result<Box<CallEncoded>, SetupError> {
+    let caller = core.caller_of(codec.in_core(), service)?;
     let service: Arc<str> = service.into();
     Ok(Box::new(move |bytes, timeout, on_answer| {
-        let request = match cdr::from_slice(bytes) {
+        let request = match codec.read_request(bytes) {
             Ok(request) => request,
             Err(error) => {
                 let (service, reason) = (Arc::clone(&service), error.to_string());
-                return on_answer(Err(EncodedCallError::Decode { service, type_name: S::TYPE_NAME, reason }));
+                return on_answer(Err(EncodedCallError::Decode { service, type_name: codec.name(), reason }));
             }
         };
         // Whichever of the two outcomes comes first takes it.
@@ -389,7 +522,8 @@ fn caller<S: Service>(core: &mut Core, service: &str) -> Result<Box<CallEncoded>
         };
         let answered = Arc::clone(&on_answer);
         let called = caller.call(request, timeout, move |result| {
-            let answer = |response: S::Response| EncodedAnswer(Box::new(move || cdr::to_vec(&response)));
+            let answer =
+                |response: C::Response| EncodedAnswer(Box::new(move || C::write_response(&response)));
             finish(&answered, result.map(answer).map_err(EncodedCallError::from));
         });
         if let Err(error) = called {
@@ -398,11 +532,15 @@ fn caller<S: Service>(core: &mut Core, service: &str) -> Result<Box<CallEncoded>
     }))
 }
 
-fn stand_in<S: Service>(core: &mut Core, service: &str) -> Result<Box<AnswerEncoded>, SetupError> {
-    let stand_in: StandIn<S::Response> = core.stand_in::<S::Request, S::Response>(service)?;
+fn stand_in<C: ServiceCodec>(
+    codec: C,
+    core: &mut Core,
+    service: &str,
+) -> Result<Box<AnswerEncoded>, SetupError> {
+    let stand_in = core.stand_in_of(codec.in_core(), service)?;
     Ok(Box::new(move |client, port, number, result| {
         let result = match result {
-            Ok(cdr) => Ok(cdr::from_slice::<S::Response>(cdr)?),
+            Ok(cdr) => Ok(codec.read_response(cdr)?),
             Err(error) => Err(error),
         };
         stand_in.answer(client, port, number, result);
@@ -410,38 +548,44 @@ fn stand_in<S: Service>(core: &mut Core, service: &str) -> Result<Box<AnswerEnco
     }))
 }
 
-fn serve<S: Service>(setup: &mut Setup<'_, RemoteServices>, remote: RemoteService) -> Result<(), SetupError> {
+fn serve<C: ServiceCodec>(
+    codec: C,
+    setup: &mut Setup<'_, RemoteServices>,
+    remote: RemoteService,
+) -> Result<(), SetupError> {
     let RemoteService { service, answers_topic, answers, mut call, .. } = remote;
-    let answers = match answers.downcast::<Inlet<Answer<S::Response>>>() {
+    let answers = match answers.downcast::<Inlet<Answer<C::Response>>>() {
         Ok(answers) => *answers,
         Err(_) => return Err(setup.refuse(format!("service {service:?} was prepared for another type"))),
     };
-    let open = Open::<S::Request, S::Response>::default();
+    let open = Open::<C::Request, C::Response>::default();
     let mut next = 0;
     let asked = Arc::clone(&open);
-    setup.serve_later(
+    setup.serve_later_of(
+        codec.in_core(),
         &service,
-        move |_: &mut RemoteServices, request: S::Request, responder, _: &mut Context<'_>| {
+        move |_: &mut RemoteServices, request, responder, _: &mut Context<'_>| {
             let number = next;
             next += 1;
             asked.lock().insert(number, responder);
             let answers = answers.clone();
             let on_answer = move |result: Result<Bytes, String>| {
                 let result = result.and_then(|cdr| {
-                    cdr::from_slice(&cdr)
-                        .map_err(|error| format!("the answer is no {}: {error}", S::TYPE_NAME))
+                    codec
+                        .read_response(&cdr)
+                        .map_err(|error| format!("the answer is no {}: {error}", codec.name()))
                 });
                 // Fails only if the core has stopped or is flooded; the call then times out.
                 if let Err(error) = answers.publish(Answer { number, result }) {
                     tracing::debug!(%error, "an answer did not enter the core");
                 }
             };
-            call.call(Box::new(move || cdr::to_vec(&request).into()), Box::new(on_answer));
+            call.call(Box::new(move || C::write_request(&request).into()), Box::new(on_answer));
         },
     )?;
     setup.subscribe(
         &answers_topic,
-        move |_: &mut RemoteServices, answer: Received<'_, Answer<S::Response>>, ctx: &mut Context<'_>| {
+        move |_: &mut RemoteServices, answer: Received<'_, Answer<C::Response>>, ctx: &mut Context<'_>| {
             let responder = open.lock().remove(&answer.number);
             if let Some(responder) = responder {
                 ctx.reply(responder, answer.result.clone());
@@ -450,21 +594,23 @@ fn serve<S: Service>(setup: &mut Setup<'_, RemoteServices>, remote: RemoteServic
     )
 }
 
-fn serve_foreign<S: Service>(
+fn serve_foreign<C: ServiceCodec>(
+    codec: C,
     setup: &mut Setup<'_, ForeignModule>,
     service: &str,
     server: u32,
 ) -> Result<(), SetupError> {
     let name: Arc<str> = service.into();
-    setup.serve_later(
+    setup.serve_later_of(
+        codec.in_core(),
         service,
-        move |module: &mut ForeignModule, request: S::Request, responder: Responder<_, S::Response>, ctx| {
+        move |module: &mut ForeignModule, request, responder: Responder<_, C::Response>, ctx| {
             let name = Arc::clone(&name);
             let reply: ReplyEncoded = Box::new(move |ctx, result| {
-                let (answer, outcome) = match result.map(cdr::from_slice::<S::Response>) {
+                let (answer, outcome) = match result.map(|cdr| codec.read_response(cdr)) {
                     Ok(Ok(response)) => (Ok(response), Ok(())),
                     Ok(Err(error)) => {
-                        let type_name = format!("response of {}", S::TYPE_NAME);
+                        let type_name = format!("response of {}", codec.name());
                         let error = ForeignError::Decode { name: name.to_string(), type_name, error };
                         (Err(error.to_string()), Err(error))
                     }
@@ -473,26 +619,32 @@ fn serve_foreign<S: Service>(
                 ctx.reply(responder, answer);
                 outcome
             });
-            module.take_request(server, cdr::to_vec(&request).into(), reply, ctx);
+            module.take_request(server, C::write_request(&request).into(), reply, ctx);
         },
     )
 }
 
-fn foreign_client<S: Service>(
+fn foreign_client<C: ServiceCodec>(
+    codec: C,
     setup: &mut Setup<'_, ForeignModule>,
     service: &str,
     timeout: Duration,
     client: u32,
 ) -> Result<CallEncodedIn, SetupError> {
-    let key = setup.client::<S::Request, S::Response, _>(service, timeout, move |module, reply, ctx| {
-        let result = reply.result.map(|response| cdr::to_vec(&response).into());
-        let result = result.map_err(|error| error.to_string());
-        module.take_reply(client, reply.call.number(), result, ctx);
-    })?;
+    let key = setup.client_of(
+        codec.in_core(),
+        service,
+        timeout,
+        move |module: &mut ForeignModule, reply, ctx| {
+            let result = reply.result.map(|response| C::write_response(&response).into());
+            let result = result.map_err(|error| error.to_string());
+            module.take_reply(client, reply.call.number(), result, ctx);
+        },
+    )?;
     let name = service.to_owned();
     Ok(Box::new(move |ctx, cdr| {
-        let request = cdr::from_slice::<S::Request>(cdr).map_err(|error| {
-            let type_name = format!("request of {}", S::TYPE_NAME);
+        let request = codec.read_request(cdr).map_err(|error| {
+            let type_name = format!("request of {}", codec.name());
             ForeignError::Decode { name: name.clone(), type_name, error }
         })?;
         Ok(ctx.call(key, request).number())

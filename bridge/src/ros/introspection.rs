@@ -4,7 +4,7 @@
 //! has received a request and sent a response, a client when it has sent a request and received a response.
 
 use super::{MessageType, Node, NodeError, Publisher, ServiceName, ServiceType};
-use crate::edge::{EncodeEvent, EventContent, KnownService, encode_event};
+use crate::edge::{EventContent, KnownService};
 use crate::middleware::Gid;
 use downbeat_executor::Clock;
 use downbeat_msgs::builtin_interfaces::msg::Time;
@@ -79,7 +79,7 @@ pub(super) struct ServiceEvents {
 struct Active {
     publisher: Publisher,
     clock: Arc<dyn Clock>,
-    encode: EncodeEvent,
+    service_type: KnownService,
     with_contents: bool,
 }
 
@@ -112,7 +112,7 @@ impl ServiceEvents {
             let (topic, service_type) = (&self.topic, self.service_type.as_str());
             tracing::warn!(
                 topic,
-                "requests and responses are not published: {service_type} is not registered in this program"
+                "requests and responses are not published: the definition of {service_type} is not known"
             );
         }
         let publisher = match before {
@@ -127,7 +127,7 @@ impl ServiceEvents {
             publisher,
             clock,
             // Without contents all events have the same bytes.
-            encode: known.map_or(encode_event::<Empty>, KnownService::encode_event),
+            service_type: known.unwrap_or(KnownService::of::<Empty>()),
             with_contents: with_contents && known.is_some(),
         });
         Ok(())
@@ -166,7 +166,9 @@ impl Publishing<'_> {
             Event::RequestSent | Event::RequestReceived => EventContent::Request(cdr),
             Event::ResponseSent | Event::ResponseReceived => EventContent::Response(cdr),
         };
-        let published = (active.encode)(info, content)
+        let published = active
+            .service_type
+            .encode_event(info, content)
             .map_err(|error| error.to_string())
             .and_then(|event| active.publisher.publish(event.into()).map_err(|error| error.to_string()));
         if let Err(error) = published

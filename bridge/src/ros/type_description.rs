@@ -3,10 +3,9 @@
 //! As `rcl_node_type_description_service_handle_request` (`rcl/src/rcl/node.c`, branch jazzy) answers, but for all types
 //! that are registered, not only those the node uses now.
 
-use crate::edge::Interfaces;
+use crate::edge::{Described, Interfaces};
 use downbeat_msgs::definitions::{Kind, TypeName};
-use downbeat_msgs::description::Description;
-use downbeat_msgs::type_description_interfaces::msg::{TypeDescription, TypeSource};
+use downbeat_msgs::type_description_interfaces::msg::TypeSource;
 use downbeat_msgs::type_description_interfaces::srv::{
     GetTypeDescriptionRequest, GetTypeDescriptionResponse,
 };
@@ -30,12 +29,10 @@ pub(super) fn answer(
     let Some(known) = interfaces.described(&request.type_hash) else {
         return refuse("Type not currently in use by this node");
     };
-    let type_description = known.to_message();
-    let type_sources =
-        if request.include_type_sources { sources(known, &type_description) } else { Vec::new() };
+    let type_sources = if request.include_type_sources { sources(&known) } else { Vec::new() };
     GetTypeDescriptionResponse {
         successful: true,
-        type_description,
+        type_description: known.message,
         type_sources,
         ..GetTypeDescriptionResponse::default()
     }
@@ -48,10 +45,11 @@ fn is_hash(text: &str) -> bool {
 
 /// The files that define the type and all that it refers to, as they are: the type itself first, the others in the order of their
 /// names. A type without its own file, such as the request of a service, has no text: rosidl calls that implicit.
-fn sources(known: &Description, described: &TypeDescription) -> Vec<TypeSource> {
+fn sources(known: &Described) -> Vec<TypeSource> {
     let texts = texts(known);
-    let names = described.referenced_type_descriptions.iter().map(|referenced| referenced.type_name.as_str());
-    std::iter::once(known.type_name)
+    let names =
+        known.message.referenced_type_descriptions.iter().map(|referenced| referenced.type_name.as_str());
+    std::iter::once(known.type_name.as_str())
         .chain(names)
         .map(|name| {
             // The text of a service leaves out what its events refer to.
@@ -73,7 +71,7 @@ fn carried_file(name: &str) -> Option<&'static str> {
 }
 
 /// The parts of a definition text: encoding and text by name of the type.
-fn texts(known: &Description) -> HashMap<String, (&'static str, &'static str)> {
+fn texts(known: &Described) -> HashMap<String, (&'static str, &str)> {
     let rule = "=".repeat(80) + "\n";
     let mut texts = HashMap::new();
     let mut parts = known.definition.split(rule.as_str()).peekable();

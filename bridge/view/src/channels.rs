@@ -60,7 +60,7 @@ impl Channels {
     /// The type of a topic's messages, if it is a ROS 2 type whose definition is known.
     pub(crate) fn message_type(&self, topic: &TopicInfo, options: &ViewOptions) -> Option<KnownType> {
         let raw = || options.raw.iter().find(|(name, _)| name.trim_start_matches('/') == &*topic.name);
-        let found = self.interfaces.message_of(topic.message_type_id).or_else(|| Some(raw()?.1))?;
+        let found = self.interfaces.message_in(topic).or_else(|| Some(raw()?.1))?;
         (!found.definition().is_empty()).then_some(found)
     }
 

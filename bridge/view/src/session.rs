@@ -326,7 +326,7 @@ impl<'a> Session<'a> {
                 Some(carried) => Err(format!("it carries {carried}, not {name}")),
                 None => Err(format!("it carries {}, which is no ROS 2 type", info.message_type)),
             },
-            None => channels.interfaces().message(&name).map_err(|error| error.to_string()),
+            None => channels.interfaces().find_message(&name).map_err(|error| error.to_string()),
         }
     }
 

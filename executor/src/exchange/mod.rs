@@ -15,7 +15,7 @@ pub(crate) use messages::Messages;
 pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
 pub use modules::UnknownModule;
 pub(crate) use services::Services;
-pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, StandIn};
+pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, StandIn};
 pub use settings::{Setting, SettingInfo, SettingRefused, SettingsChange};
 pub use timers::Task;
 

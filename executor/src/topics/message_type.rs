@@ -32,9 +32,10 @@ pub type AnyMessage = Box<dyn Any + Send>;
 /// ```
 #[derive(Clone, Copy)]
 pub struct MessageType {
-    pub(crate) open: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
+    open: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
     pub(crate) outbox: fn(usize) -> Box<dyn AnyOutbox>,
     pub(crate) visit: VisitBatch,
+    name: Option<&'static str>,
 }
 
 /// Calls a function with each message of a batch, a `Batch<T>`.
@@ -48,7 +49,26 @@ impl MessageType {
             open: Topics::open::<T>,
             outbox: |topic| Box::new(Outbox::<T> { topic, messages: Vec::new() }),
             visit: visit::<T>,
+            name: None,
         }
+    }
+
+    /// The same Rust type under a name, for one that carries messages of many types: a topic of named messages takes no messages of
+    /// another name, and [`TopicInfo::message_type`](crate::TopicInfo::message_type) is the name. Who uses the Rust type
+    /// without a name has all of them.
+    #[must_use]
+    pub const fn named(self, name: &'static str) -> Self {
+        Self { name: Some(name), ..self }
+    }
+
+    /// The index of the topic, which is made where there is none of that name.
+    pub(crate) fn open(self, topics: &mut Topics, topic: &str, module: &str) -> Result<usize, SetupError> {
+        let index = (self.open)(topics, topic, module)?;
+        match self.name {
+            Some(name) => topics.name_messages(index, name, module),
+            None => Ok(()),
+        }?;
+        Ok(index)
     }
 }
 

@@ -16,7 +16,7 @@ use crate::{SetupError, Time, TopicStatistics};
 pub struct TopicInfo {
     /// The name, without a leading slash.
     pub name: Arc<str>,
-    /// The Rust path of the message type.
+    /// The Rust path of the message type, or its [name](crate::MessageType::named).
     pub message_type: &'static str,
     /// The identity of the message type.
     pub message_type_id: TypeId,
@@ -166,6 +166,8 @@ struct Entry {
     publishers: u32,
     /// Publications, subscriptions and inlets. A topic that nobody uses is forgotten.
     users: u32,
+    /// True if `info.message_type` is a name, see [`MessageType::named`](crate::MessageType::named).
+    is_named: bool,
 }
 
 /// Stands where a topic was that is forgotten.
@@ -199,6 +201,26 @@ impl Topics {
             Box::new(Topic::<T> { batch: Arc::default(), counter }) as Box<dyn AnyTopic>
         };
         self.open_of((TypeId::of::<T>(), type_name::<T>()), std::mem::needs_drop::<T>(), make, name, module)
+    }
+
+    /// Gives the messages of a topic a name, if they have no other.
+    pub(crate) fn name_messages(
+        &mut self,
+        index: usize,
+        name: &'static str,
+        module: &str,
+    ) -> Result<(), SetupError> {
+        let Entry { info, is_named, .. } = &mut self.entries[index];
+        if *is_named && info.message_type != name {
+            return Err(SetupError::TopicType {
+                module: module.into(),
+                topic: info.name.to_string(),
+                asked: name,
+                known: info.message_type,
+            });
+        }
+        (info.message_type, *is_named) = (name, true);
+        Ok(())
     }
 
     /// The same for a type of that identity and name: compiled once, for however many types of messages there are.
@@ -243,6 +265,7 @@ impl Topics {
             info,
             publishers: 0,
             users: 0,
+            is_named: false,
         };
         let candidates = self.entries.get(self.free_from..).unwrap_or_default();
         let index = match candidates.iter().position(|entry| entry.users == 0) {

@@ -165,6 +165,11 @@ struct downbeat_host_v1 {
 
     /* In `save`: the state for the version of the module that takes over. */
     int32_t (*saved)(const downbeat_host_v1 *host, const uint8_t *state, size_t size);
+
+    /* In `setup`, before a declaration that names the type: the definition text of a message, service or action, with all that it
+     * refers to, in parts that end with NULL. The module can then use the type in robots that do not know it. On an error the
+     * robot knows another definition of that name. Programs that lack this function are older: see `downbeat_define`. */
+    int32_t (*define)(const downbeat_host_v1 *host, const char *type, const char *const *text);
 };
 
 /* When a line of the log was written that is not written each time. For each such place in the source, the state of the module has
@@ -189,6 +194,12 @@ static inline int32_t downbeat_log_is_due(const downbeat_host_v1 *host, downbeat
     limit->written_ns = now;
     limit->was_written = 1;
     return 1;
+}
+
+/* Calls `define`, unless the program lacks it. */
+static inline int32_t downbeat_define(const downbeat_host_v1 *host, const char *type, const char *const *text) {
+    size_t needed = offsetof(downbeat_host_v1, define) + sizeof host->define;
+    return host->struct_size >= needed ? host->define(host, type, text) : 0;
 }
 
 /* The functions of a module. */

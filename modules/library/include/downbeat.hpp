@@ -15,6 +15,7 @@
 #ifndef DOWNBEAT_HPP
 #define DOWNBEAT_HPP
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cstdint>
@@ -281,6 +282,16 @@ inline void check(std::int32_t code) {
     }
 }
 
+// Gives the robot the definition of a type that it may not know.
+template <class T, class = void> struct Carried {
+    static void define(const downbeat_host_v1 *) {}
+};
+template <class T> struct Carried<T, std::void_t<decltype(Interface<T>::whole)>> {
+    static void define(const downbeat_host_v1 *host) {
+        check(downbeat_define(host, Interface<T>::whole, Interface<T>::definition()));
+    }
+};
+
 // The value of a setting in the form of C, and back.
 template <class T> struct Value;
 template <class T, std::uint32_t Kind> struct Number {
@@ -446,6 +457,85 @@ class Place {
     int line_;
 };
 
+// Where a goal of an action stands: the values of action_msgs/msg/GoalStatus.
+enum class GoalStatus : std::int8_t { unknown, accepted, executing, canceling, succeeded, canceled, aborted };
+
+using GoalId = std::array<std::uint8_t, 16>;
+
+namespace detail {
+
+template <class T> void set_time(T &time, std::chrono::nanoseconds since) {
+    const auto seconds = std::chrono::floor<std::chrono::seconds>(since);
+    time.sec = static_cast<std::int32_t>(seconds.count());
+    time.nanosec = static_cast<std::uint32_t>((since - seconds).count());
+}
+template <class T> std::chrono::nanoseconds time_of(const T &time) {
+    return std::chrono::seconds(time.sec) + std::chrono::nanoseconds(time.nanosec);
+}
+
+template <class A> struct ActionState;
+
+template <class A> struct GoalState {
+    GoalId id;
+    std::chrono::nanoseconds stamp, ended;
+    typename A::Goal request;
+    typename A::Result result;
+    GoalStatus status;
+    std::vector<Request<typename A::GetResult>> waiting;
+
+    bool has_ended() const { return status >= GoalStatus::succeeded; }
+};
+
+} // namespace detail
+
+// A goal of an action that the module serves. Keep it to go on in later callbacks; it ends with `succeed`, `abort` or `canceled`.
+template <class A> class Goal {
+  public:
+    const typename A::Goal &request() const { return goal_->request; }
+    GoalStatus status() const { return goal_->status; }
+    // Whether a client asks to cancel it.
+    bool is_canceling() const { return goal_->status == GoalStatus::canceling; }
+    void feedback(const typename A::Feedback &feedback) const { action_->publish_feedback(*goal_, feedback); }
+    void succeed(const typename A::Result &result) const { action_->end(*goal_, GoalStatus::succeeded, result); }
+    void abort(const typename A::Result &result) const { action_->end(*goal_, GoalStatus::aborted, result); }
+    void canceled(const typename A::Result &result) const { action_->end(*goal_, GoalStatus::canceled, result); }
+
+  private:
+    friend struct detail::ActionState<A>;
+    Goal(std::shared_ptr<detail::GoalState<A>> goal, detail::ActionState<A> *action) : goal_(std::move(goal)), action_(action) {}
+    std::shared_ptr<detail::GoalState<A>> goal_;
+    detail::ActionState<A> *action_; // lives as long as the module
+};
+
+// The end of a goal that the module has sent.
+template <class A> struct GoalEnd {
+    GoalId id;
+    GoalStatus status;                         // `unknown` if there is no result
+    std::optional<typename A::Result> result;
+    std::string error;                         // why there is none
+};
+
+namespace detail {
+template <class A> struct ActionClientState;
+} // namespace detail
+
+// Sends goals to an action.
+template <class A> class ActionClient {
+  public:
+    ActionClient() = default;
+    // `then` is called once; `feedback` until then.
+    GoalId send(const typename A::Goal &goal, std::function<void(const GoalEnd<A> &)> then,
+                std::function<void(const typename A::Feedback &)> feedback = {}) const {
+        return state_->send(goal, std::move(then), std::move(feedback));
+    }
+    void cancel(const GoalId &goal) const { state_->cancel(goal); }
+
+  private:
+    friend class Module;
+    explicit ActionClient(std::shared_ptr<detail::ActionClientState<A>> state) : state_(std::move(state)) {}
+    std::shared_ptr<detail::ActionClientState<A>> state_;
+};
+
 // A module. Ports and settings are declared in `setup`; what a callback requests takes effect after the cycle.
 class Module {
   public:
@@ -499,12 +589,14 @@ class Module {
 
     template <class T> Publisher<T> publish(const std::string &topic) {
         std::uint32_t number = 0;
+        detail::Carried<T>::define(host_);
         detail::check(host_->publisher(host_, topic.c_str(), Interface<T>::name, Interface<T>::hash, &number));
         return {this, number};
     }
 
     // `callback` takes a message, or a message and a Received.
     template <class T, class F> void subscribe(const std::string &topic, F callback) {
+        detail::Carried<T>::define(host_);
         detail::check(host_->subscription(host_, topic.c_str(), Interface<T>::name, Interface<T>::hash, nullptr));
         subscriptions_.push_back([callback, message = T()](const downbeat_event_v1 &event) mutable {
             cdr::Reader(event.data, event.size).get(message);
@@ -529,6 +621,7 @@ class Module {
 
     // `callback` takes a request and a Request<S>, to be answered now or later.
     template <class S, class F> void serve_later(const std::string &service, F callback) {
+        detail::Carried<S>::define(host_);
         detail::check(host_->server(host_, service.c_str(), Interface<S>::name, Interface<S>::hash, nullptr));
         servers_.push_back([this, callback](const downbeat_event_v1 &event) mutable {
             callback(cdr::decode<typename S::Request>(event.data, event.size), Request<S>(this, event.id));
@@ -538,6 +631,7 @@ class Module {
     // `callback` takes a Reply<S::Response>, after `timeout` at the latest.
     template <class S, class F> Client<S> client(const std::string &service, std::chrono::nanoseconds timeout, F callback) {
         std::uint32_t number = 0;
+        detail::Carried<S>::define(host_);
         detail::check(host_->client(host_, service.c_str(), Interface<S>::name, Interface<S>::hash, timeout.count(), &number));
         clients_.push_back([callback](const downbeat_event_v1 &event) mutable {
             Reply<typename S::Response> reply{event.id, std::nullopt, {}};
@@ -549,6 +643,43 @@ class Module {
             callback(reply);
         });
         return {this, number};
+    }
+
+    // Serves an action. `callback` takes a Goal<A>; an Error that it throws refuses the goal.
+    template <class A, class F> void act(const std::string &name, F callback) {
+        auto state = std::make_shared<detail::ActionState<A>>();
+        detail::ActionState<A> *action = state.get();
+        action->module = this;
+        actions_.push_back(std::move(state));
+        serve<typename A::SendGoal>(name + "/_action/send_goal", [action, callback](const typename A::SendGoal::Request &request) mutable {
+            return action->take(request, callback);
+        });
+        serve_later<typename A::GetResult>(name + "/_action/get_result",
+                                           [action](const typename A::GetResult::Request &request,
+                                                    const Request<typename A::GetResult> &open) { action->ask(request, open); });
+        serve<typename A::CancelGoal>(name + "/_action/cancel_goal",
+                                      [action](const typename A::CancelGoal::Request &request) { return action->cancel(request); });
+        action->feedback = publish<typename A::FeedbackMessage>(name + "/_action/feedback");
+        action->status = publish<typename A::GoalStatusArray>(name + "/_action/status");
+    }
+
+    // Uses an action. `timeout` is for the acceptance of a goal and for canceling it.
+    template <class A> ActionClient<A> action_client(const std::string &name, std::chrono::nanoseconds timeout) {
+        auto state = std::make_shared<detail::ActionClientState<A>>();
+        detail::ActionClientState<A> *action = state.get();
+        action->module = this;
+        action->send_goal = client<typename A::SendGoal>(
+            name + "/_action/send_goal", timeout,
+            [action](const Reply<typename A::SendGoal::Response> &reply) { action->accepted(reply); });
+        action->get_result = client<typename A::GetResult>(
+            name + "/_action/get_result", std::chrono::hours(24 * 365),
+            [action](const Reply<typename A::GetResult::Response> &reply) { action->ended(reply); });
+        action->cancel_goal = client<typename A::CancelGoal>(name + "/_action/cancel_goal", timeout,
+                                                             [](const Reply<typename A::CancelGoal::Response> &) {});
+        subscribe<typename A::FeedbackMessage>(name + "/_action/feedback",
+                                               [action](const typename A::FeedbackMessage &message) { action->take(message); });
+        actions_.push_back(state);
+        return ActionClient<A>(std::move(state));
     }
 
     void every(std::chrono::nanoseconds period, std::function<void()> callback) {
@@ -612,6 +743,8 @@ class Module {
     template <class> friend class Setting;
     template <class> friend class Request;
     template <class> friend struct detail::Table;
+    template <class> friend struct detail::ActionState;
+    template <class> friend struct detail::ActionClientState;
     friend class Task;
 
     using Take = std::function<void(const downbeat_event_v1 &)>;
@@ -687,6 +820,7 @@ class Module {
     std::vector<SettingCallbacks> settings_;
     std::function<void()> each_run_;
     mutable std::map<Place, downbeat_log_limit> log_limits_;
+    std::vector<std::shared_ptr<void>> actions_;
 };
 
 template <class T> void Publisher<T>::operator()(const T &message) const {
@@ -723,6 +857,232 @@ inline void Task::after(std::chrono::nanoseconds delay) const {
 inline void Task::cancel() const { detail::check(module_->host_->cancel(module_->host_, number_)); }
 
 namespace detail {
+
+// An action that a module serves: three services and two topics (design.ros2.org/articles/actions.html).
+template <class A> struct ActionState {
+    // How long the result of a goal is kept for those who ask for it, as in rclcpp's default.
+    static constexpr std::chrono::minutes kept{15};
+
+    template <class F> typename A::SendGoal::Response take(const typename A::SendGoal::Request &request, F &callback) {
+        forget_old();
+        typename A::SendGoal::Response response;
+        set_time(response.stamp, module->now());
+        if (find(request.goal_id.uuid)) {
+            return response;
+        }
+        auto goal = std::make_shared<GoalState<A>>();
+        goal->id = request.goal_id.uuid;
+        goal->stamp = module->now();
+        goal->request = request.goal;
+        goal->status = GoalStatus::executing;
+        goals.push_back(goal);
+        try {
+            callback(Goal<A>(goal, this));
+        } catch (const Error &error) {
+            module->info(std::string("a goal was refused: ") + error.what());
+            goals.erase(std::remove(goals.begin(), goals.end(), goal), goals.end());
+            return response;
+        }
+        publish_status();
+        response.accepted = true;
+        return response;
+    }
+
+    void ask(const typename A::GetResult::Request &request, const Request<typename A::GetResult> &open) {
+        GoalState<A> *goal = find(request.goal_id.uuid);
+        if (!goal) {
+            open.reply({});
+        } else if (goal->has_ended()) {
+            answer(*goal, open);
+        } else {
+            goal->waiting.push_back(open);
+        }
+    }
+
+    typename A::CancelGoal::Response cancel(const typename A::CancelGoal::Request &request) {
+        typename A::CancelGoal::Response response;
+        const GoalId &wanted = request.goal_info.goal_id.uuid;
+        const auto before = time_of(request.goal_info.stamp);
+        // A zero id and a zero time cancel all goals (action_msgs/srv/CancelGoal).
+        const bool is_any = wanted == GoalId{};
+        for (auto &goal : goals) {
+            const bool is_meant = (!is_any && goal->id == wanted) || (is_any && before.count() == 0) ||
+                                  (before.count() != 0 && goal->stamp <= before);
+            if (!goal->has_ended() && is_meant) {
+                goal->status = GoalStatus::canceling;
+                response.goals_canceling.push_back(info(*goal, response.goals_canceling));
+            }
+        }
+        publish_status();
+        const GoalState<A> *known = find(wanted);
+        if (response.goals_canceling.empty() && !is_any) {
+            response.return_code = known && known->has_ended() ? 3 : 2;
+        }
+        return response;
+    }
+
+    void publish_feedback(const GoalState<A> &goal, const typename A::Feedback &value) {
+        typename A::FeedbackMessage message;
+        message.goal_id.uuid = goal.id;
+        message.feedback = value;
+        feedback(message);
+    }
+
+    void end(GoalState<A> &goal, GoalStatus how, const typename A::Result &result) {
+        if (goal.has_ended()) {
+            throw Error("the goal has ended before");
+        }
+        goal.status = how;
+        goal.result = result;
+        goal.ended = module->now();
+        for (const auto &open : goal.waiting) {
+            answer(goal, open);
+        }
+        goal.waiting.clear();
+        publish_status();
+    }
+
+    Module *module = nullptr;
+    Publisher<typename A::FeedbackMessage> feedback;
+    Publisher<typename A::GoalStatusArray> status;
+    std::vector<std::shared_ptr<GoalState<A>>> goals;
+
+  private:
+    GoalState<A> *find(const GoalId &id) {
+        for (auto &goal : goals) {
+            if (goal->id == id) {
+                return goal.get();
+            }
+        }
+        return nullptr;
+    }
+
+    void answer(const GoalState<A> &goal, const Request<typename A::GetResult> &open) {
+        typename A::GetResult::Response response;
+        response.status = static_cast<std::int8_t>(goal.status);
+        response.result = goal.result;
+        open.reply(response);
+    }
+
+    template <class T> T info(const GoalState<A> &goal, const std::vector<T> &) {
+        T info;
+        info.goal_id.uuid = goal.id;
+        set_time(info.stamp, goal.stamp);
+        return info;
+    }
+
+    void publish_status() {
+        typename A::GoalStatusArray message;
+        for (const auto &goal : goals) {
+            auto &entry = message.status_list.emplace_back();
+            entry.goal_info.goal_id.uuid = goal->id;
+            set_time(entry.goal_info.stamp, goal->stamp);
+            entry.status = static_cast<std::int8_t>(goal->status);
+        }
+        status(message);
+    }
+
+    void forget_old() {
+        const auto now = module->now();
+        const auto is_old = [now](const auto &goal) { return goal->has_ended() && now - goal->ended > kept; };
+        goals.erase(std::remove_if(goals.begin(), goals.end(), is_old), goals.end());
+    }
+};
+
+// An action that a module uses.
+template <class A> struct ActionClientState {
+    struct Sent {
+        std::function<void(const GoalEnd<A> &)> then;
+        std::function<void(const typename A::Feedback &)> feedback;
+    };
+
+    GoalId send(const typename A::Goal &goal, std::function<void(const GoalEnd<A> &)> then,
+                std::function<void(const typename A::Feedback &)> feedback) {
+        typename A::SendGoal::Request request;
+        request.goal_id.uuid = new_id();
+        request.goal = goal;
+        sent[request.goal_id.uuid] = Sent{std::move(then), std::move(feedback)};
+        calls[send_goal(request)] = request.goal_id.uuid;
+        return request.goal_id.uuid;
+    }
+
+    void cancel(const GoalId &goal) {
+        typename A::CancelGoal::Request request;
+        request.goal_info.goal_id.uuid = goal;
+        cancel_goal(request);
+    }
+
+    void accepted(const Reply<typename A::SendGoal::Response> &reply) {
+        const GoalId id = take_call(calls, reply.call);
+        if (!reply || !reply.response->accepted) {
+            return finish({id, GoalStatus::unknown, std::nullopt, reply ? "the goal was refused" : reply.error});
+        }
+        typename A::GetResult::Request request;
+        request.goal_id.uuid = id;
+        results[get_result(request)] = id;
+    }
+
+    void ended(const Reply<typename A::GetResult::Response> &reply) {
+        const GoalId id = take_call(results, reply.call);
+        if (!reply) {
+            return finish({id, GoalStatus::unknown, std::nullopt, reply.error});
+        }
+        finish({id, static_cast<GoalStatus>(reply.response->status), reply.response->result, {}});
+    }
+
+    void take(const typename A::FeedbackMessage &message) {
+        const auto found = sent.find(message.goal_id.uuid);
+        if (found != sent.end() && found->second.feedback) {
+            // A copy: the callback may end the goal.
+            const auto feedback = found->second.feedback;
+            feedback(message.feedback);
+        }
+    }
+
+    Module *module = nullptr;
+    Client<typename A::SendGoal> send_goal;
+    Client<typename A::GetResult> get_result;
+    Client<typename A::CancelGoal> cancel_goal;
+
+  private:
+    static GoalId take_call(std::map<std::uint64_t, GoalId> &from, std::uint64_t call) {
+        const GoalId id = from[call];
+        from.erase(call);
+        return id;
+    }
+
+    void finish(const GoalEnd<A> &end) {
+        const auto found = sent.find(end.id);
+        if (found == sent.end()) {
+            return;
+        }
+        const auto then = std::move(found->second.then);
+        sent.erase(found);
+        if (then) {
+            then(end);
+        }
+    }
+
+    // Different for each goal of each module at each time, and the same in a replay.
+    GoalId new_id() {
+        const std::string seed =
+            module->name() + '/' + std::to_string(module->now().count()) + '/' + std::to_string(number++) + '/';
+        GoalId id;
+        for (std::size_t half = 0; half < 2; half++) {
+            std::uint64_t hash = 14695981039346656037u; // FNV-1a
+            for (const char letter : seed + std::to_string(half)) {
+                hash = (hash ^ static_cast<unsigned char>(letter)) * 1099511628211u;
+            }
+            std::memcpy(id.data() + 8 * half, &hash, sizeof hash);
+        }
+        return id;
+    }
+
+    std::map<GoalId, Sent> sent;
+    std::map<std::uint64_t, GoalId> calls, results;
+    std::uint64_t number = 0;
+};
+
 
 // Calls of the program, with exceptions as reasons.
 template <class F> std::int32_t guarded(const downbeat_host_v1 *host, F call) {

@@ -70,6 +70,7 @@ impl Requests for ForeignContext<'_, '_> {
 
 /// Takes what a library declares.
 pub(crate) trait Declare {
+    fn define(&mut self, name: &str, text: &str) -> Result<(), String>;
     fn publish(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32;
     fn subscribe(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32;
     fn serve(&mut self, service: &str, of: &str, hash: Option<&str>) -> u32;
@@ -81,6 +82,10 @@ pub(crate) trait Declare {
 }
 
 impl Declare for Declarations {
+    fn define(&mut self, name: &str, text: &str) -> Result<(), String> {
+        self.define(name, text)
+    }
+
     fn publish(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32 {
         self.publish(topic, message, hash)
     }
@@ -171,6 +176,7 @@ pub(crate) fn with_host<'a, R>(
         transition: self::transition,
         remove,
         saved,
+        define,
     };
     let result = call(&raw const host);
     (result, state.failure)
@@ -185,6 +191,9 @@ pub(crate) fn log_line(module: &str, severity: i32, text: &str) {
         severity::ERROR.. => tracing::error!(module, "{text}"),
     }
 }
+
+/// No definition of an interface is larger.
+const LARGEST_DEFINITION: usize = 16 << 20;
 
 /// What a function returns that refused something.
 const REFUSED: i32 = -1;
@@ -287,6 +296,26 @@ unsafe extern "C" fn log(host: Host, severity: i32, text: *const c_char) {
 
 unsafe extern "C" fn fail(host: Host, reason: *const c_char) -> i32 {
     unsafe { with(host, |_| Err(text_of(reason, "the reason").unwrap_or_else(|problem| problem))) }
+}
+
+unsafe extern "C" fn define(host: Host, of: *const c_char, text: *const *const c_char) -> i32 {
+    unsafe {
+        with(host, |call| {
+            let (of, mut whole) = (text_of(of, "the type")?, String::new());
+            if text.is_null() {
+                return Err(format!("the definition of {of} is NULL"));
+            }
+            let mut part = text;
+            while !(*part).is_null() {
+                whole.push_str(&text_of(*part, "the definition")?);
+                if whole.len() > LARGEST_DEFINITION {
+                    return Err(format!("the definition of {of} has more than {LARGEST_DEFINITION} bytes"));
+                }
+                part = part.add(1);
+            }
+            call.declare()?.define(&of, &whole)
+        })
+    }
 }
 
 unsafe extern "C" fn publisher(

@@ -9,8 +9,8 @@ mod cpp;
 
 use crate::{HEADER, HEADER_CPP};
 use downbeat_msgs::definitions::{
-    Catalog, Element, Error, Field, FieldType, Kind, MessageDefinition, Primitive, ServiceDefinition, Shape,
-    TypeName, Value,
+    ActionDefinition, Catalog, Element, Error, Field, FieldType, Kind, MessageDefinition, Primitive,
+    ServiceDefinition, Shape, TypeName, Value,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -64,9 +64,12 @@ pub fn generate(catalog: &Catalog, names: &[TypeName], language: Language) -> Re
 /// What one header defines.
 #[derive(Default)]
 struct Unit<'a> {
+    /// The definition text with all dependencies, unless every program knows the interface.
+    definition: Option<String>,
     /// Each after those that it refers to.
     messages: Vec<&'a MessageDefinition>,
     services: Vec<&'a ServiceDefinition>,
+    action: Option<&'a ActionDefinition>,
     /// The interface files of others that it refers to.
     includes: BTreeSet<TypeName>,
 }
@@ -106,13 +109,23 @@ fn unit<'a>(catalog: &'a Catalog, file: &TypeName) -> Result<Unit<'a>, Error> {
             unit.messages.push(left.remove(next));
         }
         unit.services = catalog.services().filter(|service| is_here(&service.name)).collect();
+        unit.action = catalog.action(file).ok();
         if unit.messages.is_empty() {
             // An error with the nearest name.
             catalog.message(file)?;
         }
     }
+    let is_carried = downbeat_msgs::carried().type_hash(file).ok() == Some(catalog.type_hash(file)?);
+    if !is_carried {
+        unit.definition = Some(catalog.definition_text(file)?);
+    }
     let others = unit.messages.iter().flat_map(|message| inner(message)).map(file_of);
     unit.includes = others.filter(|other| other != file).collect();
+    if unit.action.is_some() {
+        // What all actions share.
+        unit.includes.insert(TypeName::new("action_msgs", Kind::Service, "CancelGoal"));
+        unit.includes.insert(TypeName::new("action_msgs", Kind::Message, "GoalStatusArray"));
+    }
     Ok(unit)
 }
 
@@ -328,6 +341,13 @@ fn text_literal(text: &str, is_wide: bool) -> String {
         }
     }
     literal + "\""
+}
+
+/// The definition text as literals in a list that ends with a null pointer: a part for each line, since compilers limit the length
+/// of literals.
+fn definition_parts(text: &str, null: &str) -> String {
+    let lines = text.split_inclusive('\n').map(|line| format!("        {},\n", text_literal(line, false)));
+    lines.collect::<String>() + &format!("        {null}")
 }
 
 /// The lines of a comment, each after `//`.

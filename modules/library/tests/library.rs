@@ -4,13 +4,17 @@
 mod common;
 
 use common::{Log, Robot, SOURCES, build, cpp, generated, has_compiler, library};
-use downbeat_executor::{LifecycleState, ModuleOptions, Restart, SettingValue};
+use downbeat_edge::Interfaces;
+use downbeat_edge::foreign::ForeignModule;
+use downbeat_executor::{Core, LifecycleState, ManualClock, ModuleOptions, Restart, SettingValue, Time};
 use downbeat_library_host::{LibraryOptions, load, set_child_command};
+use downbeat_msgs::dynamic::DynamicMessage;
 use downbeat_msgs::std_msgs::msg::Float64;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::Path;
 use std::process::Command;
+use std::sync::Arc;
 use std::time::Duration;
 
 fn use_own_children() {
@@ -232,6 +236,7 @@ fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> Vec<Vec<f64>> {
         ["in", "out", "ticks", "answers", "ask"].map(|name| (name.to_owned(), format!("other/{name}")));
     let mut remaps = BTreeMap::from(remaps);
     remaps.insert("enable".into(), "theirs".into());
+    remaps.insert("level".into(), "other/level".into());
     add(&mut robot, "server", ModuleOptions { remaps, ..ModuleOptions::default() });
     let taken = ["out", "ticks", "answers"].map(|topic| robot.receive(topic));
     let input = robot.core.inlet::<Float64>("in").unwrap();
@@ -267,6 +272,31 @@ fn a_module_in_rust_does_in_a_library_what_it_does_compiled_in() {
     assert_eq!(compiled_in[2], [1.0, -1.0]);
     assert_eq!(scenario(library(false)), compiled_in);
     assert_eq!(scenario(library(true)), compiled_in);
+}
+
+#[test]
+fn a_library_in_rust_brings_the_definitions_of_its_own_services() {
+    use_own_children();
+    for is_isolated in [false, true] {
+        let library = LibraryOptions { is_isolated, ..rust_library() };
+        let interfaces = Interfaces::carried();
+        let make = Arc::new(move || load(&library));
+        let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+        core.add("module", ForeignModule::new(make, interfaces.clone(), ModuleOptions::default())).unwrap();
+        let level = interfaces.service_of(core.service("level").unwrap()).unwrap();
+        assert_eq!(level.name(), "my_msgs/srv/Level");
+        assert!(level.definition().contains("# Brings the body upright."), "{}", level.definition());
+        let of = |part: &str| interfaces.definitions().find(&format!("my_msgs/srv/Level_{part}")).unwrap();
+        let caller = level.caller(&mut core, "level").unwrap();
+        let (sender, answers) = std::sync::mpsc::channel();
+        let request = DynamicMessage::new(&of("Request")).to_cdr();
+        caller.call(&request, Duration::from_secs(60), move |answer| {
+            sender.send(answer.unwrap().into_cdr()).unwrap();
+        });
+        (0..4).for_each(|_| core.cycle().unwrap());
+        let answer = DynamicMessage::from_cdr(&of("Response"), &answers.try_recv().unwrap()).unwrap();
+        assert_eq!(answer.get("is_level").unwrap().as_bool(), Some(true), "the default speed is 0.5");
+    }
 }
 
 #[test]

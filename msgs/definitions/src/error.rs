@@ -98,6 +98,24 @@ pub enum Error {
         /// Where it was defined again.
         second: String,
     },
+    /// A folder has two packages of one name.
+    #[error(
+        "there are two packages named {package}: {} and {}; rename or remove one of them", first.display(), second.display()
+    )]
+    TwoPackages {
+        /// The name.
+        package: String,
+        /// Where it was found first.
+        first: PathBuf,
+        /// Where it was found again.
+        second: PathBuf,
+    },
+    /// A folder has no interfaces.
+    #[error(
+        "{} has no interfaces: expected a package with a folder msg, srv or action, a folder of packages, or an ament prefix",
+        .0.display()
+    )]
+    NoInterfaces(PathBuf),
     /// The requested type has no definition.
     #[error("{name} is not in the catalog{hint}")]
     NotInCatalog {

@@ -39,8 +39,8 @@ mod wire;
 pub use error::{ConvertError, FieldError, FieldProblem, TypeError};
 pub use layout::{DynamicField, DynamicType};
 pub use lookup::{
-    AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, RecordedDefinition, Schemas,
-    TypeDefinition, TypeLookupError,
+    AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, InterfaceDefinition,
+    InterfaceFolders, RecordedDefinition, Schemas, TypeDefinition, TypeLookupError,
 };
 pub use message::{DynamicMessage, MessageRef};
 pub use text::{

@@ -50,10 +50,11 @@ fn paths(message: MessageRef<'_>, prefix: &str) -> Vec<String> {
 
 /// Every built-in message that the wheels contain, including parts of services and actions, filled by path.
 fn messages() -> Vec<DynamicMessage> {
-    const NO_WHEEL: [&str; 7] = [
+    const NO_WHEEL: [&str; 8] = [
         "control_msgs",
         "downbeat_interfaces",
         "composition_interfaces",
+        "example_interfaces",
         "rosbag2_interfaces",
         "simulation_interfaces",
         "statistics_msgs",

@@ -28,7 +28,7 @@ use pyo3::types::{PyDict, PyType};
 use buffer::SharedBytes;
 pub(crate) use convert::ros_name;
 pub(crate) use message::{Message, type_of};
-pub(crate) use types::{MessageType, described_type, message_type};
+pub(crate) use types::{MessageType, described_type, interface, learn, message_type, search};
 
 /// Creates a message from its serialised form. The bytes are kept, not copied, unless they are in another representation than
 /// plain little-endian CDR, which ROS 2 writes. Fields are decoded when they are read.
@@ -99,7 +99,7 @@ pub(crate) fn class_of(py: Python<'_>, of: &Arc<MessageType>) -> PyResult<Py<PyT
 /// Adds the interfaces in a folder, and returns how many files it has: an ament prefix, a folder of packages, or a package.
 #[pyfunction]
 fn search_interfaces(path: PathBuf) -> PyResult<usize> {
-    types::search(&path)
+    search(&path)
 }
 
 /// The known packages.

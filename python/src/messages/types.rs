@@ -1,7 +1,7 @@
 //! Message types: what a class of messages knows of its fields.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
 use bytes::Bytes;
@@ -139,32 +139,48 @@ pub(crate) fn described_type(
 ///
 /// # Errors
 /// `OSError` if it has no interfaces, `ValueError` if one is invalid or has another definition than a known one.
-pub(super) fn search(path: &Path) -> PyResult<usize> {
+pub(crate) fn search(path: &Path) -> PyResult<usize> {
     let invalid = |error: downbeat_msgs::definitions::Error| match error {
-        downbeat_msgs::definitions::Error::Read { .. } => PyOSError::new_err(error.to_string()),
+        downbeat_msgs::definitions::Error::Read { .. }
+        | downbeat_msgs::definitions::Error::NoInterfaces(_) => PyOSError::new_err(error.to_string()),
         other => PyValueError::new_err(other.to_string()),
     };
-    let has_interfaces =
-        |folder: &Path| Kind::ALL.into_iter().any(|kind| folder.join(kind.as_str()).is_dir());
-    let path: PathBuf =
-        path.canonicalize().map_err(|error| PyOSError::new_err(format!("{}: {error}", path.display())))?;
     // A copy, so that an invalid file leaves nothing behind.
     let mut catalog = Catalog::clone(&KNOWN.lock().catalog);
-    let count = if has_interfaces(&path) {
-        catalog.add_package(&path).map_err(invalid)?
-    } else if path.join("share").is_dir() {
-        catalog.add_packages(&path.join("share")).map_err(invalid)?
-    } else {
-        catalog.add_packages(&path).map_err(invalid)?
-    };
-    if count == 0 {
-        return Err(PyOSError::new_err(format!(
-            "{} has no interfaces: expected an ament prefix, a folder of packages, or a package with a folder msg, srv or action",
-            path.display()
-        )));
-    }
+    let count = catalog.add_folder(path).map_err(invalid)?;
     KNOWN.lock().catalog = Arc::new(catalog);
     Ok(count)
+}
+
+/// The name and the definition text of the message, service or action that a name is of or a part of, and the hash of the name;
+/// `None` if it is not known.
+pub(crate) fn interface(name: &str) -> Option<(String, String, String)> {
+    let name: TypeName = name.parse().ok()?;
+    let stem = match name.kind {
+        Kind::Message => name.name.as_str(),
+        Kind::Service | Kind::Action => name.name.split('_').next()?,
+    };
+    let whole = TypeName::new(&name.package, name.kind, stem);
+    let known = KNOWN.lock();
+    Some((
+        whole.to_string(),
+        known.catalog.definition_text(&whole).ok()?,
+        known.catalog.type_hash(&name).ok()?,
+    ))
+}
+
+/// Adds the definition text of a message, service or action that a robot knows.
+///
+/// # Errors
+/// `ValueError` if it has another definition than a known one.
+pub(crate) fn learn(name: &str, text: &str) -> PyResult<()> {
+    let invalid = |error: downbeat_msgs::definitions::Error| PyValueError::new_err(error.to_string());
+    let mut known = KNOWN.lock();
+    let mut catalog = Catalog::clone(&known.catalog);
+    let name: TypeName = name.parse().map_err(invalid)?;
+    catalog.add_definition_text(&name, DefinitionEncoding::Ros2Msg, text, "the robot").map_err(invalid)?;
+    known.catalog = Arc::new(catalog);
+    Ok(())
 }
 
 /// The interfaces of a package that are known by now: messages, services and actions, without the parts of the latter.

@@ -140,6 +140,23 @@ impl Link {
         Ok(result)
     }
 
+    /// The message type of that name, or of that part of a service or action, which the robot knows from now on. What this package
+    /// does not know, the robot may.
+    fn message_type(&self, py: Python<'_>, name: &str) -> PyResult<Arc<MessageType>> {
+        if messages::interface(name).is_none()
+            && let Ok(Ok((whole, text))) =
+                self.declare("a port", |declarations, _| declarations.definition_text(name))
+        {
+            messages::learn(&whole, &text)?;
+        }
+        let found = messages::message_type(py, name)?;
+        if let Some((whole, text, _)) = messages::interface(name) {
+            let defined = self.declare("a port", |declarations, _| declarations.define(&whole, &text))?;
+            defined.map_err(PyValueError::new_err)?;
+        }
+        Ok(found)
+    }
+
     fn ask(&self, what: &str, asked: impl FnOnce(&mut State) -> Asked) -> PyResult<()> {
         let mut state = self.0.lock();
         if !state.is_running {
@@ -153,6 +170,11 @@ impl Link {
         state.asked.push(asked);
         Ok(())
     }
+}
+
+/// The hash of a service, which was found.
+fn hash_of(service: &str) -> Option<String> {
+    messages::interface(service).map(|(_, _, hash)| hash)
 }
 
 fn apply(context: &mut ForeignContext<'_, '_>, asked: Asked) -> Result<(), String> {
@@ -199,8 +221,8 @@ impl Link {
     }
 
     fn publish(slf: Py<Self>, py: Python<'_>, topic: &str, type_name: &str) -> PyResult<Publisher> {
-        let message = messages::message_type(py, type_name)?;
         let link = slf.get();
+        let message = link.message_type(py, type_name)?;
         let number = link.declare("publish()", |declarations, _| {
             declarations.publish(topic, &message.name, Some(&message.hash))
         })?;
@@ -208,7 +230,7 @@ impl Link {
     }
 
     fn subscribe(&self, py: Python<'_>, topic: &str, type_name: &str, callback: Py<PyAny>) -> PyResult<()> {
-        let message = messages::message_type(py, type_name)?;
+        let message = self.message_type(py, type_name)?;
         self.declare("subscribe()", |declarations, state| {
             declarations.subscribe(topic, &message.name, Some(&message.hash));
             state.callbacks.subscriptions.push((message, callback));
@@ -216,10 +238,10 @@ impl Link {
     }
 
     fn serve(&self, py: Python<'_>, service: &str, type_name: &str, callback: Py<PyAny>) -> PyResult<()> {
-        let request = messages::message_type(py, &format!("{type_name}_Request"))?;
-        let response = messages::message_type(py, &format!("{type_name}_Response"))?;
+        let request = self.message_type(py, &format!("{type_name}_Request"))?;
+        let response = self.message_type(py, &format!("{type_name}_Response"))?;
         self.declare("serve()", |declarations, state| {
-            declarations.serve(service, type_name, None);
+            declarations.serve(service, type_name, hash_of(type_name).as_deref());
             state.callbacks.servers.push(Server { request, response, callback });
         })
     }
@@ -231,14 +253,14 @@ impl Link {
         type_name: &str,
         timeout: f64,
     ) -> PyResult<Client> {
-        let request = messages::message_type(py, &format!("{type_name}_Request"))?;
-        let response = messages::message_type(py, &format!("{type_name}_Response"))?;
-        let timeout = seconds(timeout)?;
         let link = slf.get();
+        let request = link.message_type(py, &format!("{type_name}_Request"))?;
+        let response = link.message_type(py, &format!("{type_name}_Response"))?;
+        let timeout = seconds(timeout)?;
         let number = link.declare("client()", |declarations, state| {
             state.callbacks.clients.push(response);
             state.calls.push(0);
-            declarations.client(service, type_name, None, timeout)
+            declarations.client(service, type_name, hash_of(type_name).as_deref(), timeout)
         })?;
         Ok(Client { link: slf, number, service: service.to_owned(), request })
     }

@@ -91,6 +91,10 @@ fn load(source: &ModuleSource, place: Place, is_reloading: bool) -> Result<Box<d
 
 impl ModuleOrigin {
     fn instantiate(self: Arc<Self>) -> Result<Box<dyn Foreign>, String> {
+        for folder in &self.source.interfaces {
+            crate::messages::search(folder)
+                .map_err(|error| Python::attach(|py| error.value(py).to_string()))?;
+        }
         Python::attach(|py| {
             let loaded = self.place.class(py).and_then(|class| PythonModule::new(&class, Arc::clone(&self)));
             match loaded {

@@ -130,6 +130,13 @@ impl RobotFile {
         })?;
         let mut root = Table::new(&source, "a robot file", 1, document.get_ref());
         let mut robot = root.require("robot")?.table("[robot]")?;
+        // Included files belong to the same robot.
+        let mut catalog = catalog.clone();
+        if outside.is_empty() {
+            catalog.interfaces = catalog.interfaces.separate();
+        }
+        let catalog = &catalog;
+        let interface_folders = interface_folders(robot.take("interfaces"), &catalog.interfaces)?;
         let name = identifier(robot.require("name")?)?;
         let namespace = robot.take("namespace").map(|value| value.text().map(str::to_owned)).transpose()?;
         let node = robot.take("node").map_or(Ok(name.clone()), identifier)?;
@@ -147,6 +154,7 @@ impl RobotFile {
         };
         let mut modules =
             modules.into_iter().map(|value| module::module(value, catalog)).collect::<Result<Vec<_>>>()?;
+        modules.iter_mut().for_each(|module| module.source.interfaces.clone_from(&interface_folders));
         for value in root.take("include").map_or(Ok(Vec::new()), |value| value.list())? {
             modules.extend(include::include(value, catalog, &inside)?);
         }
@@ -213,6 +221,17 @@ fn remaps(value: Value<'_>) -> Result<RemapRules> {
         rule.parse::<RemapRule>().map_err(|error| to.error(error.to_string()))
     };
     value.table("remap")?.take_rest().into_iter().map(rule).collect()
+}
+
+/// Reads `interfaces` in `[robot]`: folders with packages of messages, services and actions, relative to the file.
+fn interface_folders(value: Option<Value<'_>>, interfaces: &Interfaces) -> Result<Vec<PathBuf>> {
+    let values = value.map_or(Ok(Vec::new()), |value| value.list())?;
+    let folder = |value: Value<'_>| {
+        let folder = value.path().parent().unwrap_or(Path::new("")).join(value.text()?);
+        interfaces.learn_folder(&folder).map_err(|error| value.error(error.to_string()))?;
+        Ok(folder)
+    };
+    values.into_iter().map(folder).collect()
 }
 
 /// Reads a name that is valid for a ROS 2 node.

@@ -143,7 +143,13 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     };
     table.finish()?;
     let folder = value.path().parent().map(Path::to_owned).unwrap_or_default();
-    let source = ModuleSource { module: name.clone(), folder, keys, deadline: running.deadline };
+    let source = ModuleSource {
+        module: name.clone(),
+        folder,
+        keys,
+        deadline: running.deadline,
+        interfaces: Vec::new(),
+    };
     Ok(ModuleEntry { line, included: None, name, kind, settings, remaps, source, thread_line, running })
 }
 

@@ -91,6 +91,23 @@ impl Declarations {
         self.interfaces.definitions().find(name).map_err(|error| error.to_string())
     }
 
+    /// Adds the definition of a message, service or action that the module carries, with the text of all that it refers to: what it
+    /// declares next may be of this type, also if the robot does not know it.
+    ///
+    /// # Errors
+    /// If the text is no definition, or the robot knows another definition of this name.
+    pub fn define(&mut self, name: &str, text: &str) -> Result<(), String> {
+        self.interfaces.learn(name, text).map_err(|error| error.to_string())
+    }
+
+    /// The definition text of the message, service or action that a name is of or a part of, with its name.
+    ///
+    /// # Errors
+    /// If the robot does not know it.
+    pub fn definition_text(&self, name: &str) -> Result<(String, String), String> {
+        self.interfaces.definition_text(name).map_err(|error| error.to_string())
+    }
+
     /// The name under which the module is added.
     #[must_use]
     pub fn module_name(&self) -> &str {

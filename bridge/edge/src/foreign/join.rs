@@ -2,7 +2,7 @@
 
 use super::declarations::{Declaration, Declarations, Named};
 use super::module::{Event, ForeignModule, Publisher};
-use crate::{Interfaces, KnownAction, KnownService, KnownType};
+use crate::{KnownService, KnownType};
 use downbeat_executor::{Context, Module, Setup, SetupError, Transition, TransitionError};
 use std::sync::Arc;
 use std::time::Duration;
@@ -144,26 +144,10 @@ impl ForeignModule {
         setup: &Setup<'_, Self>,
         Named { name, hash }: &Named,
     ) -> Result<KnownService, SetupError> {
-        let found = service(&self.interfaces, name).map_err(|reason| setup.refuse(reason))?;
+        let found = self.interfaces.service(name).map_err(|unknown| setup.refuse(unknown.to_string()))?;
         check_hash(setup, name, hash.as_deref(), found.hash())?;
         Ok(found)
     }
-}
-
-/// The service of that name, or the one of an action.
-fn service(interfaces: &Interfaces, name: &str) -> Result<KnownService, String> {
-    let unknown = match interfaces.service(name) {
-        Ok(known) => return Ok(known),
-        Err(unknown) => unknown,
-    };
-    let of_action = part_of_action(interfaces, name, "_SendGoal").map(KnownAction::send_goal);
-    let of_action =
-        of_action.or_else(|| part_of_action(interfaces, name, "_GetResult").map(KnownAction::get_result));
-    of_action.ok_or_else(|| unknown.to_string())
-}
-
-fn part_of_action(interfaces: &Interfaces, name: &str, suffix: &str) -> Option<KnownAction> {
-    interfaces.action(name.strip_suffix(suffix)?).ok()
 }
 
 fn check_hash(
@@ -187,11 +171,26 @@ fn subscribe(
     message: KnownType,
     subscription: u32,
 ) -> Result<(), SetupError> {
+    let (topic_name, mut has_failed) = (topic.to_owned(), false);
     setup.subscribe_of(message.in_core(), topic, move |module, received, ctx| {
         if !message.is_type_of(received.message) {
             return;
         }
         let Some(cdr) = message.encode(received.message) else { return };
+        let cdr = match message.checked(cdr) {
+            Ok(cdr) => cdr,
+            Err(error) => {
+                if !std::mem::replace(&mut has_failed, true) {
+                    let (module, topic) = (ctx.module_name(), topic_name.as_str());
+                    tracing::warn!(
+                        module,
+                        topic,
+                        "a message is no {message}: {error}; further ones are not logged"
+                    );
+                }
+                return;
+            }
+        };
         let (time, missed, is_last) = (received.time, received.missed, received.is_last);
         module.take(Event::Message { subscription, cdr, time, missed, is_last }, ctx);
     })

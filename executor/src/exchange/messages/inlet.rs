@@ -188,7 +188,7 @@ fn open_inlet_of(
     topic: &str,
     queue: impl Queue<AnyMessage> + 'static,
 ) -> Result<Inlet<AnyMessage>, SetupError> {
-    let topic = (message_type.open)(phase.topics(), topic, "inlet")?;
+    let topic = message_type.open(phase.topics(), topic, "inlet")?;
     Ok(add_inlet(phase, queue, (message_type.outbox)(topic)))
 }
 

@@ -319,7 +319,7 @@ impl<M: Module> Setup<'_, M> {
     /// # Errors
     /// A name that is not valid, or a topic that carries another type.
     pub fn publish<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Publication<T>, SetupError> {
-        let index = self.open_topic(topic, Topics::open::<T>)?;
+        let index = self.open_topic(topic, MessageType::of::<T>())?;
         self.use_to_publish(index);
         Ok(self.io.outboxes.open(index))
     }
@@ -356,7 +356,7 @@ impl<M: Module> Setup<'_, M> {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn publish_of(&mut self, message: MessageType, topic: &str) -> Result<AnyPublication, SetupError> {
-        let index = self.open_topic(topic, message.open)?;
+        let index = self.open_topic(topic, message)?;
         self.use_to_publish(index);
         Ok(self.io.outboxes.open_any(index, message.outbox))
     }
@@ -381,7 +381,7 @@ impl<M: Module> Setup<'_, M> {
         T: Send + Sync + 'static,
         F: FnMut(&mut M, Received<'_, T>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        let index = self.open_topic(topic, Topics::open::<T>)?;
+        let index = self.open_topic(topic, MessageType::of::<T>())?;
         self.use_to_receive(index);
         self.steps.add(Causes::MESSAGES, move |module, ctx| match ctx.input() {
             Input::Views(views) => {
@@ -414,7 +414,7 @@ impl<M: Module> Setup<'_, M> {
     where
         F: FnMut(&mut M, AnyReceived<'_>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        let index = self.open_topic(topic, message.open)?;
+        let index = self.open_topic(topic, message)?;
         self.use_to_receive(index);
         let mut each = move |module: &mut M, ctx: &mut Context<'_, M::Ports>, batch: &dyn Any, missed| {
             let mut missed = missed;
@@ -454,13 +454,9 @@ impl<M: Module> Setup<'_, M> {
         });
     }
 
-    fn open_topic(
-        &mut self,
-        name: &str,
-        open: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
-    ) -> Result<usize, SetupError> {
+    fn open_topic(&mut self, name: &str, message: MessageType) -> Result<usize, SetupError> {
         let name = self.remapped(name);
-        open(topics_of(self.host), &name, &self.io.name)
+        message.open(topics_of(self.host), &name, &self.io.name)
     }
 }
 

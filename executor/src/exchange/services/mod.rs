@@ -20,8 +20,8 @@ pub use call::{CallError, CallId, Client, Reply, Responder};
 pub use caller::Caller;
 use caller::{AnyCall, ExternalCalls};
 use client::{AnyClient, ClientPort};
-pub use registry::ServiceInfo;
 use registry::{Encoder, ServiceRegistry};
+pub use registry::{ServiceInfo, ServiceType};
 use server::{AnyReply, AnyServer, Incoming, ServerPort};
 pub use stand_in::StandIn;
 
@@ -398,7 +398,7 @@ impl<M: Module> Setup<'_, M> {
         R: Send + 'static,
         F: FnMut(&mut M, &Q, &mut Context<'_, M::Ports>) -> Result<R, String> + Send + 'static,
     {
-        self.serve_with::<Q, R>(service, move |module, request, responder, ctx| {
+        self.serve_with::<Q, R>(ServiceType::of(), service, move |module, request, responder, ctx| {
             let result = answer(module, &request, ctx);
             ctx.reply(responder, result);
         })
@@ -446,7 +446,25 @@ impl<M: Module> Setup<'_, M> {
         R: Send + 'static,
         F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        self.serve_with(service, take)
+        self.serve_with(ServiceType::of(), service, take)
+    }
+
+    /// As [`serve_later`](Self::serve_later), for types with names.
+    ///
+    /// # Errors
+    /// Those of [`serve_later`](Self::serve_later).
+    pub fn serve_later_of<Q, R, F>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+        take: F,
+    ) -> Result<(), SetupError>
+    where
+        Q: Send + 'static,
+        R: Send + 'static,
+        F: FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_, M::Ports>) + Send + 'static,
+    {
+        self.serve_with(of, service, take)
     }
 
     /// Declares that the module calls a service; the key is for [`Context::call`]. Each call ends with one call of
@@ -458,6 +476,25 @@ impl<M: Module> Setup<'_, M> {
         &mut self,
         service: &str,
         timeout: Duration,
+        on_reply: F,
+    ) -> Result<Client<Q, R>, SetupError>
+    where
+        Q: Send + 'static,
+        R: Send + 'static,
+        F: FnMut(&mut M, Reply<R>, &mut Context<'_, M::Ports>) + Send + 'static,
+    {
+        self.client_of(ServiceType::of(), service, timeout, on_reply)
+    }
+
+    /// As [`client`](Self::client), for types with names.
+    ///
+    /// # Errors
+    /// Those of [`client`](Self::client).
+    pub fn client_of<Q, R, F>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+        timeout: Duration,
         mut on_reply: F,
     ) -> Result<Client<Q, R>, SetupError>
     where
@@ -465,7 +502,7 @@ impl<M: Module> Setup<'_, M> {
         R: Send + 'static,
         F: FnMut(&mut M, Reply<R>, &mut Context<'_, M::Ports>) + Send + 'static,
     {
-        let index = self.open_service::<Q, R>(service, Direction::Out)?;
+        let index = self.open_service(of, service, Direction::Out)?;
         let name = Arc::clone(services_of(self.host).registry.name(index));
         let clients = &mut self.io.open_own::<ServicesPort>(SERVICES).clients;
         let port = u32::try_from(clients.len()).unwrap_or(u32::MAX);
@@ -490,10 +527,11 @@ impl<M: Module> Setup<'_, M> {
 
     fn serve_with<Q: Send + 'static, R: Send + 'static>(
         &mut self,
+        of: ServiceType<Q, R>,
         service: &str,
         mut take: impl FnMut(&mut M, Q, Responder<Q, R>, &mut Context<'_, M::Ports>) + Send + 'static,
     ) -> Result<(), SetupError> {
-        let index = self.open_service::<Q, R>(service, Direction::In)?;
+        let index = self.open_service(of, service, Direction::In)?;
         let (module, id) = (Arc::clone(&self.io.name), self.io.id);
         let port =
             u32::try_from(self.io.open_own::<ServicesPort>(SERVICES).servers.len()).unwrap_or(u32::MAX);
@@ -518,11 +556,12 @@ impl<M: Module> Setup<'_, M> {
 
     fn open_service<Q: Send + 'static, R: Send + 'static>(
         &mut self,
+        of: ServiceType<Q, R>,
         name: &str,
         direction: Direction,
     ) -> Result<usize, SetupError> {
         let name = self.remapped(name);
-        let index = services_of(self.host).registry.open::<Q, R>(&name, &self.io.name)?;
+        let index = services_of(self.host).registry.open(of, &name, &self.io.name)?;
         self.uses.push(Use {
             of: SERVICES,
             direction,
@@ -575,9 +614,21 @@ impl Core {
         &mut self,
         service: &str,
     ) -> Result<Caller<Q, R>, SetupError> {
+        self.caller_of(ServiceType::of(), service)
+    }
+
+    /// As [`caller`](Self::caller), for types with names.
+    ///
+    /// # Errors
+    /// Those of [`caller`](Self::caller).
+    pub fn caller_of<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+    ) -> Result<Caller<Q, R>, SetupError> {
         let link = Arc::clone(&self.state.link);
         let registry = &mut self.service_mechanism().registry;
-        let index = registry.open::<Q, R>(service, "caller")?;
+        let index = registry.open(of, service, "caller")?;
         Ok(Caller::new(index, Arc::clone(registry.name(index)), link))
     }
 
@@ -590,8 +641,20 @@ impl Core {
         &mut self,
         service: &str,
     ) -> Result<StandIn<R>, SetupError> {
+        self.stand_in_of::<Q, R>(ServiceType::of(), service)
+    }
+
+    /// As [`stand_in`](Self::stand_in), for types with names.
+    ///
+    /// # Errors
+    /// Those of [`stand_in`](Self::stand_in).
+    pub fn stand_in_of<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+    ) -> Result<StandIn<R>, SetupError> {
         let registry = &mut self.service_mechanism().registry;
-        let index = registry.open::<Q, R>(service, "stand-in")?;
+        let index = registry.open(of, service, "stand-in")?;
         registry.get_mut(index).has_stand_in = true;
         Ok(StandIn::new(self.handle()))
     }
@@ -607,8 +670,22 @@ impl Core {
         request: fn(&Q) -> Vec<u8>,
         answer: fn(&R) -> Vec<u8>,
     ) -> Result<(), SetupError> {
+        self.encode_service_of(ServiceType::of(), service, request, answer)
+    }
+
+    /// As [`encode_service`](Self::encode_service), for types with names.
+    ///
+    /// # Errors
+    /// Those of [`encode_service`](Self::encode_service).
+    pub fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+        request: fn(&Q) -> Vec<u8>,
+        answer: fn(&R) -> Vec<u8>,
+    ) -> Result<(), SetupError> {
         let registry = &mut self.service_mechanism().registry;
-        let index = registry.open::<Q, R>(service, "encoder")?;
+        let index = registry.open(of, service, "encoder")?;
         registry.get_mut(index).encoder = Some(Encoder::new(request, answer));
         Ok(())
     }

@@ -2,6 +2,8 @@
 
 use std::any::{Any, TypeId, type_name};
 use std::collections::HashMap;
+use std::fmt;
+use std::marker::PhantomData;
 use std::sync::Arc;
 
 use super::call::ReplyTo;
@@ -14,12 +16,46 @@ use crate::{ModuleId, SetupError};
 pub struct ServiceInfo {
     /// The name, without a leading slash.
     pub name: Arc<str>,
-    /// The Rust path of the request type.
+    /// The Rust path of the request type, or its name if the [`ServiceType`] has one.
     pub request_type: &'static str,
-    /// The Rust path of the answer's type.
+    /// The same of the answer's type.
     pub response_type: &'static str,
     /// The module that serves it, if there is one.
     pub server: Option<Arc<str>>,
+}
+
+/// The types of the requests and answers of a service. Two of them are the same if their Rust types and their names are.
+pub struct ServiceType<Q, R> {
+    names: (&'static str, &'static str),
+    types: PhantomData<fn(Q) -> R>,
+}
+
+impl<Q: Send + 'static, R: Send + 'static> ServiceType<Q, R> {
+    /// The types with the names that Rust gives them.
+    #[must_use]
+    pub fn of() -> Self {
+        Self { names: (type_name::<Q>(), type_name::<R>()), types: PhantomData }
+    }
+
+    /// The types under names of their own, for Rust types that carry the requests and answers of many services.
+    #[must_use]
+    pub const fn named(request: &'static str, response: &'static str) -> Self {
+        Self { names: (request, response), types: PhantomData }
+    }
+}
+
+impl<Q, R> Clone for ServiceType<Q, R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<Q, R> Copy for ServiceType<Q, R> {}
+
+impl<Q, R> fmt::Debug for ServiceType<Q, R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("ServiceType").field(&self.names).finish()
+    }
 }
 
 /// Visits a type-erased `Vec<Incoming<Q>>`.
@@ -52,9 +88,8 @@ pub(crate) struct Service {
 #[derive(Clone, Copy)]
 struct ServiceTypes {
     ids: (TypeId, TypeId),
-    /// The Rust path of `Q`.
+    /// As in [`ServiceInfo`].
     request: &'static str,
-    /// The Rust path of `R`.
     response: &'static str,
     /// Makes an empty `Vec<Incoming<Q>>`.
     staged: fn() -> Box<dyn Any + Send>,
@@ -92,13 +127,14 @@ impl ServiceRegistry {
     /// The index of the service, which is made where there is none of that name. The caller is a user of it.
     pub(crate) fn open<Q: Send + 'static, R: Send + 'static>(
         &mut self,
+        of: ServiceType<Q, R>,
         name: &str,
         module: &str,
     ) -> Result<usize, SetupError> {
         let types = ServiceTypes {
             ids: (TypeId::of::<Q>(), TypeId::of::<R>()),
-            request: type_name::<Q>(),
-            response: type_name::<R>(),
+            request: of.names.0,
+            response: of.names.1,
             staged: || Box::new(Vec::<Incoming<Q>>::new()),
             each: each::<Q>,
             split: split::<Q>,
@@ -112,7 +148,8 @@ impl ServiceRegistry {
             .ok_or_else(|| SetupError::InvalidServiceName { module: module.into(), service: name.into() })?;
         if let Some(&index) = self.by_name.get(name) {
             let service = &mut self.services[index];
-            if service.types.ids != types.ids {
+            let known = &service.types;
+            if known.ids != types.ids || (known.request, known.response) != (types.request, types.response) {
                 return Err(SetupError::ServiceType {
                     module: module.into(),
                     service: name.into(),

@@ -100,6 +100,8 @@ pub struct HostV1 {
     pub transition: unsafe extern "C" fn(Host, Text, u32) -> i32,
     pub remove: unsafe extern "C" fn(Host, Text) -> i32,
     pub saved: unsafe extern "C" fn(Host, *const u8, usize) -> i32,
+    /// Programs whose `struct_size` ends before it lack it.
+    pub define: unsafe extern "C" fn(Host, Text, *const Text) -> i32,
 }
 
 /// `downbeat_module_v1`: the functions of a module.

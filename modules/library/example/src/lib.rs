@@ -1,11 +1,13 @@
 //! A module in Rust as a shared library.
 
 use downbeat_library::executor::{Client, Module, Publication, Setting, Setup, SetupError, Task};
+use downbeat_library::msgs::Service;
 use downbeat_library::msgs::std_msgs::msg::Float64;
 use downbeat_library::msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse};
 use std::time::Duration;
+use user_msgs::my_msgs::srv::{LevelRequest, LevelResponse};
 
-/// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable` and calls `other`.
+/// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable` and, of a type of its own, `level`; calls `other`.
 #[derive(Default)]
 pub struct Amplifier {
     ticks: f64,
@@ -40,6 +42,10 @@ impl Module for Amplifier {
             true => Ok(SetBoolResponse { success: true, message: "on".to_owned() }),
             false => Err("it stays on".to_owned()),
         })?;
+        setup.serve::<LevelRequest, LevelResponse, _>("level", |_, request, _| {
+            let is_level = request.speed < 1.0;
+            Ok(LevelResponse { is_level, ..LevelResponse::default() })
+        })?;
         setup.subscribe::<Float64, _>("ask", |_, _, ctx| {
             let later = ctx.ports.later;
             ctx.schedule_after(later, Duration::from_millis(10));
@@ -69,4 +75,4 @@ impl Module for Amplifier {
     }
 }
 
-downbeat_library::export_module!(Amplifier);
+downbeat_library::export_module!(Amplifier, user_msgs::my_msgs::srv::Level::INTERFACES);

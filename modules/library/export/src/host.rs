@@ -7,6 +7,7 @@ use downbeat_library_abi::{
 use std::cell::Cell;
 use std::ffi::CStr;
 use std::fmt::Write;
+use std::mem::offset_of;
 use std::time::Duration;
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
@@ -56,6 +57,17 @@ impl Robot {
             REFUSED => -1,
             reason => unsafe { (self.functions().fail)(self.host, c_string(reason).as_ptr()) },
         }
+    }
+
+    /// Gives the robot the definition of a type that it may not know.
+    pub(crate) fn define(&self, name: &str, text: &str) -> Result<(), String> {
+        let needed = offset_of!(HostV1, define) + size_of::<usize>();
+        if (self.functions().struct_size as usize) < needed {
+            return Ok(());
+        }
+        let [name, text] = [name, text].map(c_string);
+        let parts = [text.as_ptr(), std::ptr::null()];
+        check(unsafe { (self.functions().define)(self.host, name.as_ptr(), parts.as_ptr()) })
     }
 
     pub(crate) fn publisher(&self, topic: &str, of: &str, hash: &str) -> Result<(), String> {

@@ -98,6 +98,11 @@ impl Inner {
     /// Connects the ports of the module with the robot.
     fn join(&mut self, robot: &Robot, interfaces: &Interfaces) -> Result<(), String> {
         let core = &mut self.core;
+        // Every robot knows what this crate carries.
+        let is_part = |name: &str| name.rsplit('/').next().is_some_and(|last| last.contains('_'));
+        for described in interfaces.registered().filter(|described| !is_part(described.type_name)) {
+            robot.define(described.type_name, described.definition)?;
+        }
         let graph = core.graph();
         let both_ways = |what: &str, name: &str| {
             Err(format!("it has both ends of the {what} \"{name}\", which a module of a library cannot"))
@@ -121,7 +126,7 @@ impl Inner {
             if !publishes && !subscribes {
                 continue;
             }
-            let of = interfaces.message_of(topic.message_type_id).ok_or_else(|| {
+            let of = interfaces.message_in(topic).ok_or_else(|| {
                 format!(
                     "topic \"{}\" carries {}, which is no ROS 2 message that `export_module!` was given",
                     topic.name, topic.message_type

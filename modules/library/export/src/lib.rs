@@ -24,7 +24,7 @@
 //! ```
 //!
 //! The package has `crate-type = ["cdylib"]`; a robot file names the result with `kind = "library"`. Interfaces of the user's own
-//! come second: `export_module!(Doubler, my_msgs::INTERFACES)`.
+//! come second: `export_module!(Doubler, my_msgs::INTERFACES)`. The library carries their definitions, so the robot need not know them.
 //!
 //! # What is different in a library
 //! The library contains a core of its own with this one module. A run of the module in the robot is one or more cycles of this

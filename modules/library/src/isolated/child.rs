@@ -243,6 +243,14 @@ impl Requests for Robot<'_> {
 }
 
 impl Declare for Robot<'_> {
+    fn define(&mut self, name: &str, text: &str) -> Result<(), String> {
+        let write = |frame: &mut Frame| {
+            frame.text(name);
+            frame.text(text);
+        };
+        self.ask(ask::DEFINE, write, |fields| fields.number()).map(drop)
+    }
+
     fn publish(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32 {
         self.declare(ask::PUBLISHER, |frame| frame.named(topic, message, hash))
     }

@@ -264,6 +264,10 @@ fn declare(
             fields.optional_text()?,
             Duration::from_nanos(fields.number()?),
         ),
+        ask::DEFINE => {
+            declarations.define(fields.text()?, fields.text()?)?;
+            0
+        }
         ask::TIMER => declarations.every(Duration::from_nanos(fields.number()?)),
         ask::TASK => declarations.task(),
         ask::EACH_RUN => {

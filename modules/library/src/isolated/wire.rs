@@ -27,6 +27,7 @@ pub(super) mod ask {
     pub const TASK: u8 = 71;
     pub const EACH_RUN: u8 = 72;
     pub const SETTING: u8 = 73;
+    pub const DEFINE: u8 = 74;
 }
 
 /// What a library requests without an answer.

@@ -1,8 +1,8 @@
 //! C11.
 
 use super::{
-    Language, PREFACE, Unit, bounds, comment, field_name, guard, literal, path_of, primitive_name,
-    primitive_type,
+    Language, PREFACE, Unit, bounds, comment, definition_parts, field_name, guard, literal, path_of,
+    primitive_name, primitive_type,
 };
 use downbeat_msgs::definitions::{
     Catalog, Element, Error, Field, FieldType, MessageDefinition, Shape, TypeName, Value,
@@ -26,7 +26,19 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
         let _ =
             write!(text, "\n#define {name}__TYPE \"{}\"\n#define {name}__HASH \"{hash}\"\n", service.name);
     }
-    text.push_str("\n#endif\n");
+    let name = c_name(file);
+    let body = match &unit.definition {
+        Some(definition) => format!(
+            "    static const char *const text[] = {{\n{}}};\n    return downbeat_define(host, \"{file}\", text);\n",
+            definition_parts(definition, "NULL")
+        ),
+        None => "    (void)host;\n    return 0;\n".to_owned(),
+    };
+    let _ = write!(
+        text,
+        "\n/* In `setup`, before declarations with types of this header: gives the robot their definition, which it may not know. */\n\
+         static inline int32_t {name}__define(const downbeat_host_v1 *host) {{\n{body}}}\n\n#endif\n"
+    );
     Ok(text)
 }
 

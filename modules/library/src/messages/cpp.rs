@@ -1,6 +1,9 @@
 //! C++17.
 
-use super::{Language, PREFACE, Unit, bounds, comment, field_name, guard, literal, path_of, primitive_type};
+use super::{
+    Language, PREFACE, Unit, bounds, comment, definition_parts, field_name, guard, literal, path_of,
+    primitive_type,
+};
 use downbeat_msgs::definitions::{
     Catalog, Element, Error, Field, FieldType, MessageDefinition, Shape, TypeName, Value,
 };
@@ -28,17 +31,39 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
             service.name, request.name, response.name
         );
     }
+    if let Some(action) = unit.action {
+        let name = &action.name.name;
+        let _ = write!(text, "\n// {}\nstruct {name} {{\n", action.name);
+        for part in ["Goal", "Result", "Feedback", "FeedbackMessage", "SendGoal", "GetResult"] {
+            let _ = writeln!(text, "    using {part} = {name}_{part};");
+        }
+        text.push_str(
+            "    using CancelGoal = ::action_msgs::srv::CancelGoal;\n    using GoalStatusArray = ::action_msgs::msg::GoalStatusArray;\n};\n",
+        );
+    }
     let _ =
         writeln!(text, "\n}} // namespace {}::{}\n\nnamespace downbeat {{", file.package, file.kind.as_str());
+    let carried = match &unit.definition {
+        Some(definition) => {
+            let _ = write!(
+                text,
+                "\n// The definition, which a robot may not know.\nstruct {0} {{\n    static constexpr const char *whole = \"{file}\";\n    static const char *const *definition() {{\n        static const char *const text[] = {{\n{1}}};\n        return text;\n    }}\n}};\n",
+                definition_of(file),
+                definition_parts(definition, "nullptr")
+            );
+            format!(" : {}", definition_of(file))
+        }
+        None => String::new(),
+    };
     for message in &unit.messages {
         text.push('\n');
-        interface(&mut text, message, &catalog.type_hash(&message.name)?);
+        interface(&mut text, message, &catalog.type_hash(&message.name)?, &carried);
     }
     for service in &unit.services {
         let hash = catalog.type_hash(&service.name)?;
         let _ = write!(
             text,
-            "\ntemplate <> struct Interface<{}> {{\n    static constexpr const char *name = \"{}\";\n    static constexpr const char *hash = \"{hash}\";\n}};\n",
+            "\ntemplate <> struct Interface<{}>{carried} {{\n    static constexpr const char *name = \"{}\";\n    static constexpr const char *hash = \"{hash}\";\n}};\n",
             qualified(&service.name),
             service.name,
         );
@@ -49,6 +74,11 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
 
 fn qualified(name: &TypeName) -> String {
     format!("::{}::{}::{}", name.package, name.kind.as_str(), name.name)
+}
+
+/// The name of the struct in `downbeat` that has the definition.
+fn definition_of(file: &TypeName) -> String {
+    format!("DefinitionOf_{}", path_of(file).replace('/', "_"))
 }
 
 fn structure(text: &mut String, message: &MessageDefinition) {
@@ -107,11 +137,11 @@ fn initial(field: &Field) -> String {
     }
 }
 
-fn interface(text: &mut String, message: &MessageDefinition, hash: &str) {
+fn interface(text: &mut String, message: &MessageDefinition, hash: &str, carried: &str) {
     let (name, of) = (&message.name, qualified(&message.name));
     let _ = write!(
         text,
-        "template <> struct Interface<{of}> {{\n    static constexpr const char *name = \"{name}\";\n    static constexpr const char *hash = \"{hash}\";\n"
+        "template <> struct Interface<{of}>{carried} {{\n    static constexpr const char *name = \"{name}\";\n    static constexpr const char *hash = \"{hash}\";\n"
     );
     let checks = message.fields.iter().map(checks).collect::<String>();
     let unused = if message.fields.is_empty() { "" } else { "message" };

@@ -1,5 +1,6 @@
 //! Definitions from folders.
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -50,6 +51,24 @@ impl Catalog {
             count += self.add_package(&package)?;
         }
         Ok(count)
+    }
+
+    /// Adds the interfaces in a folder: of a package, of an ament prefix, or of all packages below it, as in the folder `src` of a
+    /// workspace. Hidden folders and those with a file `COLCON_IGNORE` are left out. Returns how many files were read.
+    ///
+    /// # Errors
+    /// See [`Catalog::add_package`]; also if the folder has no interfaces, or two packages of one name.
+    pub fn add_folder(&mut self, folder: &Path) -> Result<usize, Error> {
+        // What follows `.` is no name of a package.
+        let folder = &folder.canonicalize().map_err(|source| Error::Read { path: folder.into(), source })?;
+        let installed = folder.join("share");
+        let mut packages = BTreeMap::new();
+        find_packages(if installed.is_dir() { &installed } else { folder }, DEPTH, &mut packages)?;
+        let mut count = 0;
+        for package in packages.values() {
+            count += self.add_package(package)?;
+        }
+        if count == 0 { Err(Error::NoInterfaces(folder.clone())) } else { Ok(count) }
     }
 
     /// Adds the interfaces of every package installed below an ament prefix, such as `/opt/ros/jazzy` or a
@@ -123,6 +142,29 @@ fn read(file: &Path) -> Result<String, Error> {
 
 fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// How deep packages may lie in a workspace.
+const DEPTH: u32 = 8;
+
+/// Finds the packages in a folder, by name.
+fn find_packages(folder: &Path, depth: u32, found: &mut BTreeMap<String, PathBuf>) -> Result<(), Error> {
+    let is_package = Kind::ALL.iter().any(|kind| folder.join(kind.as_str()).is_dir());
+    if is_package {
+        let package = name_of(folder);
+        return match found.insert(package.clone(), folder.to_owned()) {
+            Some(first) => Err(Error::TwoPackages { package, first, second: folder.to_owned() }),
+            None => Ok(()),
+        };
+    }
+    for inner in packages_in(folder)? {
+        let is_left_out = name_of(&inner).starts_with('.') || inner.join("COLCON_IGNORE").exists();
+        // A link could lead back here.
+        if depth > 0 && !is_left_out && !inner.is_symlink() {
+            find_packages(&inner, depth - 1, found)?;
+        }
+    }
+    Ok(())
 }
 
 fn packages_in(folder: &Path) -> Result<Vec<PathBuf>, Error> {

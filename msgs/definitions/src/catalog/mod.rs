@@ -93,6 +93,20 @@ impl Catalog {
         Ok(())
     }
 
+    /// Adds a message, service or action of another catalog, without the types that it refers to.
+    ///
+    /// # Errors
+    /// [`Error::NotInCatalog`]; also if a name already has a different definition.
+    pub fn add_alone_from(&mut self, other: &Self, name: &TypeName) -> Result<(), Error> {
+        if let Some(action) = other.find_action(name) {
+            return self.insert_action(action.clone());
+        }
+        match other.find_service(name) {
+            Some(service) => self.insert_service(service.clone()),
+            None => self.insert(other.message(name)?.clone()),
+        }
+    }
+
     /// Like [`Catalog::add_message_from`], but definitions that are here already stay, also where they differ.
     pub fn add_missing_from(&mut self, other: &Self, name: &TypeName) {
         let mut wanted = vec![name];

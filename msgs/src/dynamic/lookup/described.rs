@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use downbeat_msgs_definitions::{
-    Catalog, Error, FieldTypeDescription, IndividualTypeDescription, TypeDescription, TypeName,
+    Catalog, Error, FieldTypeDescription, IndividualTypeDescription, Kind, TypeDescription, TypeName,
 };
 
 use super::{DefinitionSource, Found, find_complete};
+use crate::carried;
 use crate::dynamic::TypeError;
 use crate::dynamic::layout::catalog_of;
 use crate::type_description_interfaces::msg;
@@ -150,7 +151,16 @@ impl Schemas {
     /// Returns an error if the name, the encoding or the text is invalid.
     pub fn add(&mut self, name: &str, encoding: &str, text: &str) -> Result<(), Error> {
         let name: TypeName = name.parse()?;
-        let catalog = catalog_of(&name, encoding, text, &format!("{}, {name}", self.description))?;
+        let mut catalog = catalog_of(&name, encoding, text, &format!("{}, {name}", self.description))?;
+        if name.kind != Kind::Message {
+            // The text of a service or an action lacks what only its derived messages refer to.
+            let messages: Vec<TypeName> = catalog.messages().map(|message| message.name.clone()).collect();
+            for missing in
+                messages.iter().flat_map(|message| catalog.missing_for(message)).collect::<Vec<_>>()
+            {
+                catalog.add_missing_from(carried(), &missing);
+            }
+        }
         self.catalogs.insert(name, catalog);
         Ok(())
     }

@@ -2,18 +2,21 @@
 
 mod ament;
 mod described;
+mod folders;
 mod recorded;
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::sync::Arc;
 
-use downbeat_msgs_definitions::{Catalog, Element, Error as DefinitionError, TypeName, nearest};
+use downbeat_msgs_definitions::{Catalog, Element, Error as DefinitionError, Kind, TypeName, nearest};
 
 use super::{DynamicType, TypeError};
 use crate::carried;
 pub use ament::AmentPrefixPath;
 pub use described::{DescribedTypes, Schemas};
+pub use folders::InterfaceFolders;
 pub use recorded::RecordedDefinition;
 
 /// Sources of definitions, searched in the order in which they were added.
@@ -53,6 +56,48 @@ pub struct TypeDefinition {
     pub hash: String,
 }
 
+/// A message, service or action, from [`Definitions::find_interface`].
+#[derive(Clone, Debug)]
+pub struct InterfaceDefinition {
+    /// Its name.
+    pub name: TypeName,
+    /// The definition text with all dependencies, as rosbag2 stores it.
+    pub text: String,
+    /// `RIHS01_` and 64 hexadecimal digits.
+    pub hash: String,
+    /// The definition, and all that it refers to, perhaps with others.
+    pub catalog: Catalog,
+    /// The source that has it.
+    pub place: String,
+}
+
+impl InterfaceDefinition {
+    /// The hash and the definition text of the interface, one of its parts or a type that it refers to.
+    ///
+    /// # Errors
+    /// Returns an error if there is no such part.
+    pub fn described(&self, name: &str) -> Result<(String, String), TypeLookupError> {
+        let name: TypeName = name.parse().map_err(|error| TypeLookupError::Name(Box::new(error)))?;
+        let unusable = |problem: DefinitionError| unusable(&name, &self.place, problem.into());
+        let hash = self.catalog.type_hash(&name).map_err(unusable)?;
+        Ok((hash, self.catalog.definition_text(&name).map_err(unusable)?))
+    }
+
+    /// One of its messages, or a message that it refers to.
+    ///
+    /// # Errors
+    /// Returns an error if there is no such part, or it cannot be used.
+    pub fn message(&self, name: &str) -> Result<TypeDefinition, TypeLookupError> {
+        let name: TypeName = name.parse().map_err(|error| TypeLookupError::Name(Box::new(error)))?;
+        let unusable = |problem: TypeError| unusable(&name, &self.place, problem);
+        Ok(TypeDefinition {
+            message_type: DynamicType::new(&self.catalog, &name).map_err(unusable)?,
+            text: self.catalog.definition_text(&name).map_err(|error| unusable(error.into()))?,
+            hash: self.catalog.type_hash(&name).map_err(|error| unusable(error.into()))?,
+        })
+    }
+}
+
 /// A source of definitions.
 pub trait DefinitionSource: Send + Sync {
     /// Its name in errors: `walk.mcap`.
@@ -63,6 +108,16 @@ pub trait DefinitionSource: Send + Sync {
     /// # Errors
     /// Returns an error if there is a definition but it cannot be read. Then no other source is searched.
     fn find(&self, name: &TypeName) -> Result<Found<'_>, DefinitionError>;
+}
+
+impl<S: DefinitionSource + ?Sized> DefinitionSource for Arc<S> {
+    fn description(&self) -> String {
+        (**self).description()
+    }
+
+    fn find(&self, name: &TypeName) -> Result<Found<'_>, DefinitionError> {
+        (**self).find(name)
+    }
 }
 
 /// The result of searching a [`DefinitionSource`].
@@ -172,6 +227,55 @@ impl Definitions {
         let message_type = self.find(name)?;
         let (text, hash) = self.find_text(name)?;
         Ok(TypeDefinition { message_type, text, hash })
+    }
+
+    /// The message, service or action of that name, with everything that it refers to.
+    ///
+    /// ```
+    /// use downbeat_msgs::Service;
+    /// use downbeat_msgs::dynamic::Definitions;
+    /// use downbeat_msgs::std_srvs::srv::SetBool;
+    ///
+    /// let found = Definitions::new().with_carried().find_interface("std_srvs/srv/SetBool")?;
+    /// assert_eq!((found.text.as_str(), found.hash.as_str()), (SetBool::DEFINITION, SetBool::TYPE_HASH));
+    /// # Ok::<(), downbeat_msgs::dynamic::TypeLookupError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// See [`Definitions::find`].
+    pub fn find_interface(&self, name: &str) -> Result<InterfaceDefinition, TypeLookupError> {
+        let parsed: TypeName = name.parse().map_err(|error| TypeLookupError::Name(Box::new(error)))?;
+        // Services and actions are found by a message that belongs to them.
+        let parts: &[&str] = match parsed.kind {
+            Kind::Message => &[""],
+            Kind::Service => &["_Request", ""],
+            Kind::Action => &["_Goal", "_Request", ""],
+        };
+        let mut problem = None;
+        for part in parts {
+            let (_, place, catalog) = match self.gather(&format!("{name}{part}")) {
+                Ok(found) => found,
+                Err(error) => {
+                    problem.get_or_insert(error);
+                    continue;
+                }
+            };
+            let unusable = |problem: DefinitionError| unusable(&parsed, &place, problem.into());
+            let text = catalog.definition_text(&parsed).map_err(unusable)?;
+            let hash = catalog.type_hash(&parsed).map_err(unusable)?;
+            return Ok(InterfaceDefinition {
+                name: parsed,
+                text,
+                hash,
+                catalog: catalog.into_owned(),
+                place,
+            });
+        }
+        Err(problem.unwrap_or_else(|| TypeLookupError::NotFound {
+            name: Box::new(parsed),
+            owner: None,
+            looked: Vec::new(),
+        }))
     }
 
     /// Returns a catalog with the type and all types it refers to, and the source of the type.

@@ -277,7 +277,7 @@ impl<F: FnMut(AnyReceived<'_>) + Send> AnySink for AnyTypeSink<F> {
 /// for however many types there are.
 struct NewOutlet {
     topic: String,
-    open_topic: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
+    message_type: MessageType,
     inbox: OutletInbox,
     sink: Box<dyn AnySink>,
 }
@@ -289,7 +289,7 @@ impl NewOutlet {
         sink: impl FnMut(Received<'_, T>) + Send + 'static,
     ) -> Self {
         let sink = Box::new(TypedSink { take: sink, message: PhantomData::<fn(T)> });
-        Self { topic: topic.to_owned(), open_topic: Topics::open::<T>, inbox, sink }
+        Self { topic: topic.to_owned(), message_type: MessageType::of::<T>(), inbox, sink }
     }
 
     fn of(
@@ -299,11 +299,11 @@ impl NewOutlet {
         sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
     ) -> Self {
         let sink = Box::new(AnyTypeSink { take: sink, visit: message_type.visit });
-        Self { topic: topic.to_owned(), open_topic: message_type.open, inbox, sink }
+        Self { topic: topic.to_owned(), message_type, inbox, sink }
     }
 
     fn open(self, phase: &mut SyncPhase<'_>) -> Result<Outlet, SetupError> {
-        let topic = (self.open_topic)(phase.topics(), &self.topic, "outlet")?;
+        let topic = self.message_type.open(phase.topics(), &self.topic, "outlet")?;
         let has_thread = phase.state.clock.runs_by_itself();
         let has_stopped = phase.state.life == CoreLife::Stopped;
         let core = CoreHandle { link: Arc::clone(&phase.state.link) };
