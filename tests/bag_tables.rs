@@ -240,3 +240,40 @@ fn a_topic_with_a_long_name_has_a_file_with_a_shorter_one() {
     assert_eq!(rows.len(), 2);
     assert!(logged.contains("is shortened to"), "{logged}");
 }
+
+#[test]
+fn every_topic_of_hundreds_has_its_own_messages() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    // More than may be open at the same time.
+    let topics: Vec<_> = (0..600)
+        .map(|number| {
+            let info = TopicDescription {
+                name: format!("/topic_{number}"),
+                type_name: "std_msgs/msg/UInt32MultiArray".into(),
+                ..TopicDescription::default()
+            };
+            writer.add_topic(info).unwrap()
+        })
+        .collect();
+    for time in 0..2 {
+        for (number, topic) in (0_u32..).zip(&topics) {
+            let message = downbeat::msgs::std_msgs::msg::UInt32MultiArray {
+                data: vec![number; 1 + time as usize],
+                ..Default::default()
+            };
+            writer.write(*topic, time, time, &downbeat::msgs::cdr::to_vec(&message)).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    for format in ["csv", "jsonl"] {
+        let output = folder.path().join(format);
+        text_of(&["bag", "export", text(&bag), "-f", format, "-o", text(&output)]);
+        for number in [0, 255, 256, 599] {
+            let rows = std::fs::read_to_string(output.join(format!("topic_{number}.{format}"))).unwrap();
+            assert_eq!(rows.lines().count(), if format == "csv" { 3 } else { 2 }, "{rows}");
+            assert!(rows.lines().last().unwrap().contains(&format!("{number},{number}")), "{rows}");
+        }
+    }
+}

@@ -6,7 +6,7 @@ use clap::Args;
 use regex_lite::Regex;
 
 use super::output::Progress;
-use crate::bags::{Reader, RecordedTopic, Selection, TopicDescription, TopicId};
+use crate::bags::{BagMessage, Reader, RecordedTopic, Selection, TopicDescription, TopicId};
 use crate::msgs::printable;
 use crate::table::{Columns, DecodeError, Decoder, Survey};
 
@@ -116,13 +116,6 @@ pub(super) struct Source<'a> {
     pub(super) topic: &'a RecordedTopic,
 }
 
-/// The result of processing messages.
-pub(super) struct Done {
-    pub(super) messages: u64,
-    /// Unreadable messages and parts of the bag.
-    pub(super) unreadable: usize,
-}
-
 impl<'a> Source<'a> {
     pub(super) fn new(bag: &'a Reader, id: TopicId) -> Self {
         Self { bag, id, topic: &bag.topics()[id.index()] }
@@ -139,44 +132,87 @@ impl<'a> Source<'a> {
         Ok(survey.columns())
     }
 
-    /// Calls a function with the times and the content of each message. Unreadable messages are logged,
-    /// skipped, and counted.
+    /// Calls a function with the times and the content of each message. Unreadable messages and parts of the bag are
+    /// logged and skipped.
     pub(super) fn each<T>(
         &self,
         doing: &'static str,
         decode: impl Fn(Bytes) -> Result<T, DecodeError>,
         mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
-    ) -> anyhow::Result<Done> {
-        let mut progress = Progress::new(doing, self.topic.message_count);
-        let (mut seen, mut done, mut broken, mut damaged) = (0, 0, 0_usize, 0);
-        for message in self.bag.messages(Selection::all().topics([self.id]))? {
-            let message = match message {
-                Ok(message) => message,
-                Err(error) => {
-                    tracing::warn!("{error}");
-                    damaged += 1;
-                    continue;
-                }
-            };
-            seen += 1;
-            progress.at(seen);
-            match decode(message.data) {
-                Ok(content) => {
-                    act([message.log_time, message.publish_time], content)?;
-                    done += 1;
-                }
-                Err(error) if broken == 0 => {
-                    broken = 1;
-                    tracing::warn!("{}: message {seen}: {error}", self.topic.info.name);
-                }
-                Err(_) => broken += 1,
+    ) -> anyhow::Result<()> {
+        let mut tally = Tally::default();
+        each_message(self.bag, [self.id], doing, |message| {
+            let BagMessage { log_time, publish_time, data, .. } = message;
+            let content = tally.readable(self.topic, decode(data));
+            content.map_or(Ok(()), |content| act([log_time, publish_time], content))
+        })?;
+        tally.warn(self.topic);
+        Ok(())
+    }
+}
+
+/// How many messages of a topic were seen.
+#[derive(Default)]
+pub(super) struct Tally {
+    pub(super) readable: u64,
+    pub(super) broken: usize,
+}
+
+impl Tally {
+    /// Counts a message, and logs the first that is unreadable.
+    pub(super) fn readable<T>(
+        &mut self,
+        topic: &RecordedTopic,
+        decoded: Result<T, DecodeError>,
+    ) -> Option<T> {
+        let number = self.readable + self.broken as u64 + 1;
+        match decoded {
+            Ok(content) => {
+                self.readable += 1;
+                return Some(content);
+            }
+            Err(error) if self.broken == 0 => {
+                tracing::warn!("{}: message {number}: {error}", printable(&topic.info.name));
+            }
+            Err(_) => {}
+        }
+        self.broken += 1;
+        None
+    }
+
+    /// Logs how many were unreadable, if the first was not the only one.
+    pub(super) fn warn(&self, topic: &RecordedTopic) {
+        if self.broken > 1 {
+            tracing::warn!("{}: {} messages cannot be read", printable(&topic.info.name), self.broken);
+        }
+    }
+}
+
+/// Calls a function with each message of the topics, reading the bag once. Parts of the bag that cannot be read are
+/// logged; returns their number.
+pub(super) fn each_message(
+    bag: &Reader,
+    topics: impl IntoIterator<Item = TopicId> + Clone,
+    doing: &'static str,
+    mut act: impl FnMut(BagMessage) -> anyhow::Result<()>,
+) -> anyhow::Result<usize> {
+    let total = topics.clone().into_iter().map(|id| bag.topics()[id.index()].message_count).sum();
+    let mut progress = Progress::new(doing, total);
+    let (mut seen, mut damaged) = (0, 0);
+    for message in bag.messages(Selection::all().topics(topics))? {
+        match message {
+            Ok(message) => {
+                seen += 1;
+                progress.at(seen);
+                act(message)?;
+            }
+            Err(error) => {
+                tracing::warn!("{error}");
+                damaged += 1;
             }
         }
-        if broken > 1 {
-            tracing::warn!("{}: {broken} messages cannot be read", self.topic.info.name);
-        }
-        Ok(Done { messages: done, unreadable: broken + damaged })
     }
+    Ok(damaged)
 }
 
 /// Fails if the metadata of a bag declares more messages than its files have. (It declares fewer in an interrupted
