@@ -275,13 +275,17 @@ fn a_call_to_ros_has_the_type_of_the_module_or_of_the_file() {
     write(folder, "caller.toml", &caller);
     let mut server = Running::start_by(&mut command(folder, "131", &["run", "robot.toml"]));
     server.wait_for_output("exposed to ROS 2: /asked");
-    let mut robot = Running::start_by(&mut command(folder, "131", &["run", "caller.toml"]));
+    let mut robot =
+        Running::start_by(&mut command(folder, "131", &["run", "caller.toml", "--record", "called"]));
     robot.wait_for_output("exposed to ROS 2: /leaning");
     let echoed = ["topic", "echo", "--once", "/leaning"];
     let echoed = text(&command(folder, "131", &echoed).output().unwrap());
     assert!(echoed.contains("data: "), "{echoed}\n{}", robot.output());
     robot.interrupt();
     server.interrupt();
+    // The bag contains the answers of the server, so it replays without it.
+    let replayed = command(folder, "131", &["bag", "replay", "caller.toml", "called"]).output().unwrap();
+    assert!(replayed.status.success(), "{}", text(&replayed));
 
     write(
         folder,

@@ -56,7 +56,7 @@ fn replay(
     let mut captured = Vec::new();
     for topic in OUTPUTS {
         let info = core.topics().find(|info| *info.name == *topic).unwrap();
-        let message_type = Interfaces::carried().message_in(&info).unwrap();
+        let message_type = Interfaces::carried().message_in(info).unwrap();
         let messages = Arc::<Mutex<Messages>>::default();
         captured.push((topic, Arc::clone(&messages)));
         let sink = move |_: Time, message: Bytes| messages.lock().unwrap().push(message);

@@ -8,6 +8,7 @@ use super::Robot;
 use super::catalog::unregistered;
 use super::expose::canonical;
 use super::file::{ActionEntry, RobotFileError, suggestion};
+use super::services::server_of_the_robot;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -51,7 +52,7 @@ impl Robot {
     pub fn action_call_exposures(&self) -> Result<Vec<ActionExposure>> {
         let exposure = |entry: &ActionEntry| {
             let found = self.action(entry);
-            if let Some(server) = found.and_then(|(_, info)| info.server.as_ref()) {
+            if let Some(server) = found.and_then(|(_, info)| server_of_the_robot(info)) {
                 let problem = format!("\"{}\" is served by module \"{server}\" already", entry.action);
                 return Err(self.file.source.error(entry.line, problem));
             }

@@ -1,7 +1,7 @@
 //! Converts the exposed services and parameters of a robot file to exposures of the bridge.
 
 use downbeat_bridge::expose::{
-    ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
+    CALLS_MODULE_NAME, ParameterExposure, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
 };
 use downbeat_edge::KnownService;
 use downbeat_executor::ServiceInfo;
@@ -14,6 +14,11 @@ type Result<T> = std::result::Result<T, RobotFileError>;
 
 /// Matches all settings, even if there are none.
 const ALL: &str = "*";
+
+/// The module of the robot that serves a service; the bridge may serve it too, for modules that call others.
+pub(super) fn server_of_the_robot(info: &ServiceInfo) -> Option<&str> {
+    info.server.as_deref().filter(|server| *server != CALLS_MODULE_NAME)
+}
 
 impl Robot {
     /// Returns the services of modules that are exposed to ROS 2.
@@ -46,7 +51,7 @@ impl Robot {
     pub fn call_exposures(&self) -> Result<Vec<ServiceExposure>> {
         let exposure = |entry: &ServiceEntry| {
             let info = self.core.services().find(|info| is_named(info, &entry.service));
-            if let Some(server) = info.and_then(|info| info.server.as_ref()) {
+            if let Some(server) = info.and_then(server_of_the_robot) {
                 let problem = format!("\"{}\" is served by module \"{server}\" already", entry.service);
                 return Err(self.refuse(entry, problem));
             }

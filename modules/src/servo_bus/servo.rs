@@ -362,7 +362,6 @@ pub(crate) fn reading(measurement: &Measurement) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::joint::{Guard, Thresholds};
-    use super::super::models::find;
     use super::*;
 
     fn at(position: i64) -> Prepared {
