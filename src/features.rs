@@ -1,5 +1,6 @@
 //! The features of this package: what each of them adds, and what a program without one says about it.
 
+#[cfg(any(feature = "cli", feature = "view"))]
 use crate::robot::Catalog;
 
 /// A feature of the package `downbeat`.
@@ -91,6 +92,7 @@ fn missing_kind_if(kind: &str, is_built_in: impl Fn(&Feature) -> bool) -> Option
 }
 
 /// The kinds that this program lacks, with the features that have them, by name.
+#[cfg(any(feature = "cli", feature = "view"))]
 pub(crate) fn missing_kinds(catalog: &Catalog) -> Vec<(&'static str, &'static str)> {
     let kinds = FEATURES.iter().filter(|feature| !feature.is_built_in).flat_map(|feature| {
         let missing = feature.kinds.iter().filter(|kind| catalog.kind(kind).is_none());

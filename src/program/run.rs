@@ -15,7 +15,9 @@ use crate::bags::{Recording, RecordingSummary};
 use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use crate::bridge::ros::{Node, NodeName, Participant};
 use crate::robot::{Catalog, RobotFile, RosArgs};
-use crate::running::{PreparedRobot, RecordPlan, RobotNode, RunningRobot, StopError};
+#[cfg(feature = "view")]
+use crate::running::RunningRobot;
+use crate::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
 
 pub(crate) fn run(
     arguments: &RunArguments,
@@ -77,6 +79,7 @@ pub(crate) struct WatchedRobot {
 }
 
 /// How long a robot may take to stop when the process that started it has ended.
+#[cfg(feature = "view")]
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 const REFRESH: Duration = Duration::from_millis(250);

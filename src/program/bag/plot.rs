@@ -4,19 +4,20 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
+use bytes::Bytes;
 use clap::Args;
 
 use super::chart::{Chart, Curve};
 use super::open;
-use super::select::{Source, absolute};
-use crate::bags::Reader;
+use super::select::{Tally, absolute, each_message};
+use crate::bags::{BagMessage, Reader, RecordedTopic, TopicId};
 use crate::bridge::edge::Interfaces;
 use crate::msgs::definitions::nearest;
 use crate::msgs::printable;
 use crate::program::new_output::{Force, Output};
 use crate::program::topic_field::TopicField;
 use crate::robot::Catalog;
-use crate::table::{Cell, Column, ColumnKind, Decoder, ELEMENT_NAMES};
+use crate::table::{Cell, Column, ColumnKind, Columns, DecodeError, Decoder, ELEMENT_NAMES, Survey};
 
 /// More curves are not distinguishable.
 const MOST_CURVES: usize = 40;
@@ -83,6 +84,48 @@ pub(crate) fn plot(arguments: &PlotArguments, catalog: &Catalog) -> anyhow::Resu
     let (curves, path) = (chart.curves.len(), arguments.output.display());
     println!("{curves} {} in {path}", if curves == 1 { "curve" } else { "curves" });
     Ok(())
+}
+
+/// A topic of a bag.
+struct Source<'a> {
+    bag: &'a Reader,
+    id: TopicId,
+    topic: &'a RecordedTopic,
+}
+
+impl<'a> Source<'a> {
+    fn new(bag: &'a Reader, id: TopicId) -> Self {
+        Self { bag, id, topic: &bag.topics()[id.index()] }
+    }
+
+    /// The columns for all of its messages.
+    fn columns(&self, decoder: &Decoder) -> anyhow::Result<Columns> {
+        let mut survey = Survey::default();
+        let decode = |data| decoder.decode(data);
+        self.each("looking", decode, |_, message| {
+            survey.see(&message);
+            Ok(())
+        })?;
+        Ok(survey.columns())
+    }
+
+    /// Calls a function with the times and the content of each message. Unreadable messages and parts of the bag are
+    /// logged and skipped.
+    fn each<T>(
+        &self,
+        doing: &'static str,
+        decode: impl Fn(Bytes) -> Result<T, DecodeError>,
+        mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let mut tally = Tally::default();
+        each_message(self.bag, [self.id], doing, |message| {
+            let BagMessage { log_time, publish_time, data, .. } = message;
+            let content = tally.readable(self.topic, decode(data));
+            content.map_or(Ok(()), |content| act([log_time, publish_time], content))
+        })?;
+        tally.warn(self.topic);
+        Ok(())
+    }
 }
 
 fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::Result<Vec<Curve>> {

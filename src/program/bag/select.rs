@@ -1,14 +1,13 @@
 //! Selection of a bag's topics: the options of `ros2 bag play`.
 
 use anyhow::{Context, bail};
-use bytes::Bytes;
 use clap::Args;
 use regex_lite::Regex;
 
 use super::output::Progress;
 use crate::bags::{BagMessage, Reader, RecordedTopic, Selection, TopicDescription, TopicId};
 use crate::msgs::printable;
-use crate::table::{Columns, DecodeError, Decoder, Survey};
+use crate::table::DecodeError;
 
 #[derive(Args, Clone, Default)]
 pub(crate) struct TopicArguments {
@@ -107,48 +106,6 @@ pub(super) fn absolute(name: &str) -> String {
 
 fn whole(regex: &str) -> anyhow::Result<Regex> {
     Regex::new(&format!("^(?:{regex})$")).with_context(|| format!("\"{regex}\" is not a regular expression"))
-}
-
-/// A topic of a bag.
-pub(super) struct Source<'a> {
-    bag: &'a Reader,
-    id: TopicId,
-    pub(super) topic: &'a RecordedTopic,
-}
-
-impl<'a> Source<'a> {
-    pub(super) fn new(bag: &'a Reader, id: TopicId) -> Self {
-        Self { bag, id, topic: &bag.topics()[id.index()] }
-    }
-
-    /// The columns for all of its messages.
-    pub(super) fn columns(&self, decoder: &Decoder) -> anyhow::Result<Columns> {
-        let mut survey = Survey::default();
-        let decode = |data| decoder.decode(data);
-        self.each("looking", decode, |_, message| {
-            survey.see(&message);
-            Ok(())
-        })?;
-        Ok(survey.columns())
-    }
-
-    /// Calls a function with the times and the content of each message. Unreadable messages and parts of the bag are
-    /// logged and skipped.
-    pub(super) fn each<T>(
-        &self,
-        doing: &'static str,
-        decode: impl Fn(Bytes) -> Result<T, DecodeError>,
-        mut act: impl FnMut([i64; 2], T) -> anyhow::Result<()>,
-    ) -> anyhow::Result<()> {
-        let mut tally = Tally::default();
-        each_message(self.bag, [self.id], doing, |message| {
-            let BagMessage { log_time, publish_time, data, .. } = message;
-            let content = tally.readable(self.topic, decode(data));
-            content.map_or(Ok(()), |content| act([log_time, publish_time], content))
-        })?;
-        tally.warn(self.topic);
-        Ok(())
-    }
 }
 
 /// How many messages of a topic were seen.

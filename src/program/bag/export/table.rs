@@ -30,11 +30,11 @@ pub(super) struct Table<'a> {
 enum Rows {
     /// The columns are not known yet, so there is no file.
     Survey(Format, Decoder, Survey),
-    Csv(Decoder, Columns, csv::Writer<File>),
+    Csv(Decoder, Columns, Box<csv::Writer<File>>),
     /// Without a decoder: JSON of a type that ROS 2 does not have, as other programs write it.
     Lines(Option<Decoder>, BufWriter<File>),
     #[cfg(feature = "tables")]
-    Parquet(Decoder, Columns, ParquetTable),
+    Parquet(Decoder, Columns, Box<ParquetTable>),
 }
 
 /// Receive and publish time of a message, in nanoseconds since the epoch: the first columns.
@@ -135,14 +135,14 @@ impl Rows {
             #[cfg(feature = "tables")]
             Format::Parquet => {
                 let table = ParquetTable::create(path, TIMES, &columns)?;
-                Self::Parquet(decoder, columns, table)
+                Self::Parquet(decoder, columns, Box::new(table))
             }
             // The command refuses what is not built in.
             _ => {
                 let mut writer = csv::Writer::from_path(path)?;
                 let names = columns.iter().map(|column| column.name.as_str());
                 writer.write_record(TIMES.into_iter().chain(names))?;
-                Self::Csv(decoder, columns, writer)
+                Self::Csv(decoder, columns, Box::new(writer))
             }
         })
     }
