@@ -495,28 +495,25 @@ pub(super) fn built_in() -> Vec<Kind> {
             TransformServer::default,
         ),
     ];
-    #[cfg(feature = "football")]
-    kinds.extend(football(ports.clone()));
-    kinds.extend(simulator(ports));
-    #[cfg(feature = "network")]
-    kinds.extend(network());
-    #[cfg(feature = "mqtt")]
-    kinds.push(mqtt());
+    kinds.extend(of_features(&ports));
     kinds
 }
 
 /// The names of the kinds that features of this program add.
 #[cfg(test)]
 pub(crate) fn kinds_of_features() -> Vec<String> {
-    let ports = MemoryPorts::default();
-    let mut kinds: Vec<Kind> = simulator(ports.clone()).into_iter().collect();
+    of_features(&MemoryPorts::default()).map(|kind| kind.name().to_owned()).collect()
+}
+
+fn of_features(ports: &MemoryPorts) -> impl Iterator<Item = Kind> {
+    let kinds = simulator(ports.clone()).into_iter();
     #[cfg(feature = "football")]
-    kinds.extend(football(ports));
+    let kinds = kinds.chain(football(ports.clone()));
     #[cfg(feature = "network")]
-    kinds.extend(network());
+    let kinds = kinds.chain(network());
     #[cfg(feature = "mqtt")]
-    kinds.push(mqtt());
-    kinds.iter().map(|kind| kind.name().to_owned()).collect()
+    let kinds = kinds.chain([mqtt()]);
+    kinds
 }
 
 #[cfg(feature = "mqtt")]
