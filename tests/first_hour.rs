@@ -19,20 +19,23 @@ struct User {
     home: PathBuf,
     /// The working directory.
     folder: PathBuf,
-    /// Where cargo puts what it compiles.
+    /// Where cargo puts what others need while it compiles.
+    build: PathBuf,
+    /// Where it puts programs. Those of the tests have other features, and are not to be replaced.
     target: PathBuf,
     seconds: Vec<(String, f64, Vec<String>)>,
 }
 
 impl User {
     fn new(name: &str) -> Self {
-        let home = Path::new(CHECKOUT).join("target/first_hour").join(name);
+        let folder = Path::new(CHECKOUT).join("target/first_hour");
+        let home = folder.join(name);
         if home.exists() {
             std::fs::remove_dir_all(&home).unwrap();
         }
         std::fs::create_dir_all(&home).unwrap();
-        let target = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap().parent().unwrap().to_owned();
-        Self { home, folder: CHECKOUT.into(), target, seconds: Vec::new() }
+        let build = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap().parent().unwrap().to_owned();
+        Self { home, folder: CHECKOUT.into(), build, target: folder.join("programs"), seconds: Vec::new() }
     }
 
     /// Runs a line of a page in a shell, which must succeed. Returns what it prints, and the packages that were compiled.
@@ -53,7 +56,9 @@ impl User {
             .env("CARGO_HOME", folders("CARGO_HOME", ".cargo"))
             .env("RUSTUP_HOME", folders("RUSTUP_HOME", ".rustup"));
         shell.env("HOME", &self.home).env("CARGO_NET_OFFLINE", "true").env("CARGO_TERM_COLOR", "never");
-        let path = format!("{}:{}", self.target.join("debug").display(), std::env::var("PATH").unwrap());
+        let [own, of_tests] = [&self.target, &self.build].map(|folder| folder.join("debug"));
+        let path = format!("{}:{}:{}", own.display(), of_tests.display(), std::env::var("PATH").unwrap());
+        shell.env("CARGO_TARGET_DIR", &self.target).env("CARGO_BUILD_BUILD_DIR", &self.build);
         shell.env("PATH", path).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", "195");
         shell.env_remove("DOWNBEAT_LOG");
         // Of the cargo that runs this test: a shell of a user has none of it.
