@@ -80,7 +80,7 @@ pub fn record_while(
     for topic in topics {
         let (name, qos) = (format!("/{}", topic.name), qos_of(&topic.name));
         // The definition of what comes from ROS 2 may become known later.
-        let known = interfaces.message_in(topic).filter(|known| !known.definition().is_empty());
+        let known = interfaces.message_in(topic).filter(|known| !known.hash().is_empty());
         let outlet = if let Some(message_type) = known {
             let (info, codec) = topic_info(name, message_type, vec![qos.into()], encoding)?;
             let to_bag = ToBag { bag: bag.clone(), codec, topic: bag.sender.add_topic(info)? };
