@@ -245,7 +245,7 @@ impl RawToBag {
             Some(_) => {}
             None => {
                 self.waiting.push((time, message.clone()));
-                if !message_type.definition().is_empty() || self.waiting.len() >= MOST_WAITING {
+                if !message_type.hash().is_empty() || self.waiting.len() >= MOST_WAITING {
                     self.write_waiting();
                 }
             }
@@ -257,7 +257,7 @@ impl RawToBag {
         let waiting = std::mem::take(&mut self.waiting);
         let Some((_, first)) = waiting.first() else { return };
         let message_type = first.message_type();
-        if message_type.definition().is_empty() {
+        if message_type.hash().is_empty() {
             tracing::warn!(
                 topic = self.name,
                 "the definition of {message_type} is not known, so the bag will not say how to decode it"

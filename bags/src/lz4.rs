@@ -146,7 +146,7 @@ mod tests {
     #[test]
     fn blocks_behind_a_damaged_one_are_kept_if_they_do_not_refer_to_it() {
         use lz4_flex::frame::BlockMode::{Independent, Linked};
-        let content: Vec<u8> = (0..400_000_u32).map(|n| (n / 7 * n % 251) as u8).collect();
+        let content: Vec<u8> = (0..400_000_u64).map(|n| (n / 7 * n % 251) as u8).collect();
         for (mode, has_checksums) in [(Independent, false), (Independent, true), (Linked, false)] {
             let frame = FrameInfo::new()
                 .block_size(BlockSize::Max64KB)

@@ -62,8 +62,9 @@ fn every_recorded_bag_is_opened_by_other_readers() {
     let bags = recorded_bags();
     assert!(bags.len() >= 4, "{bags:?}");
     let folder = tempfile::tempdir().unwrap();
-    for bag in &bags {
-        let copy = folder.path().join(bag.file_name().unwrap());
+    for (number, bag) in bags.iter().enumerate() {
+        // Several have the same name.
+        let copy = folder.path().join(format!("{number}_{}", bag.file_name().unwrap().display()));
         fs::create_dir(&copy).unwrap();
         for entry in fs::read_dir(bag).unwrap() {
             let entry = entry.unwrap();

@@ -61,7 +61,7 @@ impl Channels {
     pub(crate) fn message_type(&self, topic: &TopicInfo, options: &ViewOptions) -> Option<KnownType> {
         let raw = || options.raw.iter().find(|(name, _)| name.trim_start_matches('/') == &*topic.name);
         let found = self.interfaces.message_in(topic).or_else(|| Some(raw()?.1))?;
-        (!found.definition().is_empty()).then_some(found)
+        (!found.hash().is_empty()).then_some(found)
     }
 
     /// Compares with the topics of the core.
