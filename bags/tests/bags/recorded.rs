@@ -45,7 +45,7 @@ fn write_parts(bag: &Path) {
     for (time, name) in (1_i64..).zip(parts) {
         let of = definitions.describe(&name.to_string()).unwrap();
         let topic = TopicDescription {
-            name: format!("/{}", name.name),
+            name: format!("/{}/{}", name.package, name.name),
             type_name: name.to_string(),
             definition: of.text,
             type_hash: of.hash,
