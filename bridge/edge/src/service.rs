@@ -378,7 +378,7 @@ impl EncodedAnswer {
 }
 
 impl EncodedStandIn {
-    /// See [`StandIn::answer`].
+    /// See [`StandIn::answer`](downbeat_executor::StandIn::answer).
     ///
     /// # Errors
     /// If the bytes are no response of the service.
