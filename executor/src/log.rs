@@ -12,7 +12,8 @@
 //!
 //!     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
 //!         info!("measures the battery");
-//!         setup.subscribe::<f64, _>("voltage", |_, &voltage, ctx| {
+//!         setup.subscribe::<f64, _>("voltage", |_, received, ctx| {
+//!             let voltage = *received;
 //!             if voltage < 11.0 {
 //!                 warn_every!(ctx, Duration::from_secs(10), "the battery has {voltage} V");
 //!             }
