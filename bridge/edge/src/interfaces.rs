@@ -415,7 +415,7 @@ impl Interfaces {
         self.learned.sources(built_in).with(AmentPrefixPath::from_environment())
     }
 
-    /// The message, service or action with this hash: a registered one, or one that is used.
+    /// The message, service or action with this hash, if it is registered or was looked up before.
     #[must_use]
     pub fn described(&self, hash: &str) -> Option<Described> {
         if let Some(found) = self.tables.descriptions.get(hash) {

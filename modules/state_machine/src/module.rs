@@ -67,7 +67,7 @@ struct Faults {
 impl Faults {
     /// The least time between two lines of the log about the same fault.
     const PERIOD: Duration = Duration::from_secs(10);
-    /// The most faults that are told apart.
+    /// How many different faults are remembered.
     const MOST: usize = 64;
 
     /// Whether a fault is logged now; then how often it was not since the last time.

@@ -119,7 +119,7 @@ fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
     viewer.send_binary(publish(5, good(0.5).as_bytes()));
     assert_eq!(robot.heard.recv_timeout(WATCHDOG), Ok(0.5));
 
-    // An id is free once it is unadvertised; one that is not advertised is told.
+    // A viewer may use an id again after it has unadvertised it; for an unknown id it receives a warning.
     viewer.send(json!({"op": "unadvertise", "channelIds": [5, 6]}));
     let status = viewer.json("status");
     assert_eq!(

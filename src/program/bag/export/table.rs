@@ -106,8 +106,8 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Completes the file, and says what is in it or why it is left out. Returns the number of unreadable messages,
-    /// or nothing if it is left out. `folder` is where its file will be.
+    /// Completes the file, and prints what is in it, or logs why the topic is left out. The file is moved to `folder` later.
+    /// Returns the number of unreadable messages, or `None` for a topic that is left out.
     pub(super) fn finish(self, folder: &Path) -> Option<usize> {
         self.tally.warn(self.topic);
         let name = printable(&self.topic.info.name);
