@@ -65,7 +65,7 @@ fn main() -> ExitCode {
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true } => wheel::test(),
-        Command::Wheel { test: false } => wheel::build("release").map(|path| println!("{}", path.display())),
+        Command::Wheel { test: false } => wheel::build().map(|path| println!("{}", path.display())),
         Command::Physics { arguments } => physics::physics(&arguments),
         Command::Football(arguments) => football::football(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),

@@ -25,7 +25,8 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let mut steps = Steps::default();
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     steps.step("clippy", || {
-        run(cargo(&["clippy", "--workspace", "--all-targets"]).args(ALL).args(["--", "--deny", "warnings"]))
+        let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
+        run(command.args(ALL).args(["--features", "downbeat/sqlite", "--", "--deny", "warnings"]))
     });
     steps.step("messages and robots without optional features", || {
         for package in ["downbeat-msgs", "downbeat"] {
@@ -37,9 +38,6 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let notes = Notes::new()?;
     steps.step("bags in SQLite", || {
         let package = ["--package", "downbeat-bags", "--features", "sqlite"];
-        let clippy = ["clippy", "--package", "downbeat", "--package", "downbeat-bags"];
-        let features = ["--features", "sqlite", "--all-targets", "--", "--deny", "warnings"];
-        run(cargo(&clippy).args(features))?;
         let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
         let mut command = cargo(&["test"]);
         command.args(package).args(tests).env("DOWNBEAT_PYTHON", &python);
@@ -73,10 +71,10 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     steps.step("the Python package", wheel::test);
     steps.step("what works with ROS 2", || notes.compare());
-    steps.step("documentation tests", || run(&mut cargo(&["test", "--workspace", "--doc", "--quiet"])));
+    steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));
     steps.step("documentation", || {
         let arguments = ["doc", "--workspace", "--no-deps", "--quiet"];
-        run(cargo(&arguments).env("RUSTDOCFLAGS", "--deny warnings"))
+        run(cargo(&arguments).args(ALL).env("RUSTDOCFLAGS", "--deny warnings"))
     });
     steps.finish()
 }

@@ -15,12 +15,17 @@ const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
 
-/// Builds the wheel with a profile of cargo and returns its path. Cargo compiles it with what `cargo run` in the checkout has compiled
+/// Builds the wheel for release and returns its path. Cargo compiles it with what `cargo run` in the checkout has compiled
 /// already, and shows its progress.
-pub(crate) fn build(profile: &str) -> anyhow::Result<PathBuf> {
+pub(crate) fn build() -> anyhow::Result<PathBuf> {
     downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
+    pack("release", &[])
+}
+
+/// Builds the wheel with a profile of cargo.
+fn pack(profile: &str, options: &[&str]) -> anyhow::Result<PathBuf> {
     let python = python::tools(&[MATURIN, NUMPY])?;
-    let first = maturin(&python, profile, &[])?;
+    let first = maturin(&python, profile, options)?;
     // The stubs of messages are written by what was just built, and are part of the wheel: it is packed again, not compiled again.
     let unpacked = workspace().join("target/wheels/unpacked");
     remove(&unpacked)?;
@@ -28,7 +33,7 @@ pub(crate) fn build(profile: &str) -> anyhow::Result<PathBuf> {
     let sources = workspace().join("python/python/downbeat/msgs");
     let arguments = ["-m", "downbeat.stubs", "--into"];
     run(Command::new(&python).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))?;
-    maturin(&python, profile, &["--quiet"])
+    maturin(&python, profile, &[options, &["--quiet"]].concat())
 }
 
 fn maturin(python: &Path, profile: &str, options: &[&str]) -> anyhow::Result<PathBuf> {
@@ -54,7 +59,8 @@ fn remove(folder: &Path) -> anyhow::Result<()> {
 /// Builds the wheel, and tests it in a fresh environment.
 pub(crate) fn test() -> anyhow::Result<()> {
     let peers = python::interpreter()?;
-    let wheel = build("dev")?;
+    // With what the tests of the workspace have compiled.
+    let wheel = pack("dev", &["--manifest-path", "Cargo.toml", "--features", "as_tested"])?;
     let environment = workspace().join("target/wheel-venv");
     run(Command::new(&peers).args(["-m", "venv", "--clear"]).arg(&environment))?;
     let python = environment.join("bin/python");

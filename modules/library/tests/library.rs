@@ -170,9 +170,12 @@ fn an_isolated_library_that_does_not_return_is_killed_and_starts_again() {
     let Some(path) = library("counter.cpp", &[]) else { return };
     let [_, options] = both(&path);
     let options = LibraryOptions { time_limit: Duration::from_millis(500), ..options };
+    let begun = Instant::now();
     let failure = failure_of(&options, "fail", 5.0);
     let words = "did not return from `handle` for a message of \"fail\" within 500ms and was killed";
     assert!(failure.contains("module") && failure.contains(words), "{failure}");
+    // Far above half a second on a busy machine, below the 20 s that `setup` may take.
+    assert!(begun.elapsed() < Duration::from_secs(15), "killed after {:.1?}", begun.elapsed());
 }
 
 #[test]

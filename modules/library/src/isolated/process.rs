@@ -55,8 +55,8 @@ struct Call {
     deadline: Option<Instant>,
     /// Whether the child was killed because a call took too long.
     is_overdue: bool,
-    /// Whether the watching thread sleeps until it is woken; otherwise it looks at the deadline by itself.
-    is_unwatched: bool,
+    /// When the watching thread looks at the deadline by itself; `None` if it sleeps until it is woken.
+    next_look: Option<Instant>,
     is_over: bool,
 }
 
@@ -109,8 +109,10 @@ impl Process {
     /// A call begins, which may take this long.
     pub fn begin(&self, limit: Duration) {
         let mut call = self.watched.call.lock();
-        call.deadline = Some(Instant::now() + limit);
-        if call.is_unwatched {
+        let deadline = Instant::now() + limit;
+        call.deadline = Some(deadline);
+        // It may still sleep until the deadline of an earlier call that was given longer, such as `setup`.
+        if call.next_look.is_none_or(|next| deadline < next) {
             self.watched.changed.notify_one();
         }
     }
@@ -144,11 +146,11 @@ impl Watched {
         while !call.is_over {
             match call.deadline {
                 None => {
-                    call.is_unwatched = true;
+                    call.next_look = None;
                     self.changed.wait(&mut call);
-                    call.is_unwatched = false;
                 }
                 Some(deadline) if Instant::now() < deadline => {
+                    call.next_look = Some(deadline);
                     self.changed.wait_until(&mut call, deadline);
                 }
                 Some(_) => {
