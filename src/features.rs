@@ -20,7 +20,7 @@ pub(crate) struct Feature {
 const NOTHING: Feature =
     Feature { name: "", is_built_in: false, kinds: &[], options: &[], is_in_wheel: true };
 
-const FEATURES: [Feature; 10] = [
+const FEATURES: [Feature; 11] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
@@ -42,6 +42,7 @@ const FEATURES: [Feature; 10] = [
         ..NOTHING
     },
     Feature { name: "plots", is_built_in: cfg!(feature = "plots"), ..NOTHING },
+    Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: &[], ..NOTHING },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },
     Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
     Feature { name: "top", is_built_in: cfg!(feature = "top"), options: &[("--plot", &["top"])], ..NOTHING },

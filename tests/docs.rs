@@ -15,7 +15,7 @@ use common::{Running, WATCHDOG, downbeat, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 22] = [
+const PAGES: [&str; 23] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
@@ -31,6 +31,7 @@ const PAGES: [&str; 22] = [
     "docs/physics.md",
     "docs/robot_files.md",
     "docs/ros2_users.md",
+    "docs/sensors.md",
     "docs/servos.md",
     "docs/state_machine.md",
     "docs/view.md",
@@ -176,6 +177,7 @@ fn every_robot_file_on_a_page_is_read() {
         }
         let is_left_out = match page {
             "docs/network.md" => !cfg!(feature = "mqtt"),
+            "docs/sensors.md" => !cfg!(feature = "sensors"),
             "docs/vision.md" => !cfg!(feature = "football"),
             _ => false,
         };

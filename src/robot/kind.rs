@@ -513,6 +513,8 @@ fn of_features(ports: &MemoryPorts) -> impl Iterator<Item = Kind> {
     let kinds = kinds.chain(network());
     #[cfg(feature = "mqtt")]
     let kinds = kinds.chain([mqtt()]);
+    #[cfg(feature = "sensors")]
+    let kinds = kinds.chain(super::sensors::kinds());
     kinds
 }
 

@@ -16,6 +16,8 @@ mod parameters;
 mod profile;
 mod recorded;
 mod ros_args;
+#[cfg(feature = "sensors")]
+mod sensors;
 mod services;
 mod sources;
 

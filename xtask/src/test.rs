@@ -8,8 +8,10 @@ use crate::{node, python, wheel};
 
 /// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in the Python
 /// environment.
-const ALL: &[&str] =
-    &["--features", "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/tables"];
+const ALL: &[&str] = &[
+    "--features",
+    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/sensors,downbeat/tables",
+];
 
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.

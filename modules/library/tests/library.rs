@@ -15,7 +15,7 @@ use std::ffi::OsString;
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn use_own_children() {
     set_child_command([OsString::from(env!("CARGO_BIN_EXE_library-child"))]);

@@ -1,0 +1,1 @@
+//! Receivers that speak NMEA 0183.

@@ -1,0 +1,1 @@
+//! Inertial sensors on I²C.
