@@ -1,24 +1,27 @@
 //! Which sequence numbers a reader believes.
 //!
 //! Anybody can send a datagram in the name of a writer, and one HEARTBEAT, GAP or sample with an absurd number
-//! would make the reader wait for numbers that the writer never reaches. Three rules limit that:
+//! would make the reader wait for numbers that the writer never reaches. Four rules limit that:
 //!
 //! - A number beyond what a writer can have reached since it was last heard is a claim. It has no effect until
 //!   a second message continues it, and the writer is asked for a heartbeat meanwhile.
 //! - A sample that was given up but arrives is a reason to ask the writer for a heartbeat.
+//! - Samples of a best-effort writer below one that was delivered are late, unless they form a series that was also written over some
+//!   time ([`Belief::doubt_order`]): a reader that was suspended receives together what had been sent before.
 //! - Heartbeats that end before the next expected sample are doubted first. If the writer, asked again, insists
 //!   ([`Belief::doubt`]), the reader goes back.
 
+use crate::wire::Timestamp;
 use std::time::{Duration, Instant};
 
 /// How many numbers a writer may skip without any time passing.
 const SLACK: i64 = 4096;
 /// More samples per millisecond than any writer produces.
 const RATE_PER_MS: u128 = 1000;
-/// A contradiction must last this long: a heartbeat may be overtaken by samples.
-const DOUBT: Duration = Duration::from_millis(30);
-/// The same for samples of a best-effort writer, which the network may reorder.
-const STALE: Duration = Duration::from_millis(250);
+/// A contradiction must last this long: samples and heartbeats overtake each other in the network, and a reader that was suspended
+/// receives together what had been sent before.
+const DOUBT: Duration = Duration::from_millis(250);
+/// The number of samples of a best-effort writer that contradict another one.
 const STALE_SAMPLES: u32 = 3;
 
 /// The numbers that a writer is believed to have reached.
@@ -32,6 +35,8 @@ pub(super) struct Belief {
     doubted: Option<(Instant, u32)>,
     /// The last of these samples.
     stale: i64,
+    /// When the first of these samples was written, by the clock of its host, if it says so.
+    stale_since: Option<Timestamp>,
 }
 
 impl Belief {
@@ -74,15 +79,21 @@ impl Belief {
 
     /// Records a sample of a best-effort writer that is older than one that was delivered. Returns whether it
     /// is one of a series, so that the number of the other one was wrong.
-    pub fn doubt_order(&mut self, number: i64, now: Instant) -> bool {
+    pub fn doubt_order(&mut self, number: i64, written: Option<Timestamp>, now: Instant) -> bool {
         if number == self.stale && self.doubted.is_some() {
             // Another fragment of the same sample.
             return false;
         }
         let previous = self.doubted.filter(|_| self.stale < number);
+        if previous.is_none() {
+            self.stale_since = written;
+        }
         let (since, count) = previous.unwrap_or((now, 0));
         (self.doubted, self.stale) = (Some((since, count.saturating_add(1))), number);
-        count + 1 >= STALE_SAMPLES && now.saturating_duration_since(since) >= STALE
+        let was_written_over_time = self.stale_since.zip(written).is_none_or(|(first, last)| {
+            last.to_nanos().saturating_sub(first.to_nanos()) >= DOUBT.as_nanos() as i64
+        });
+        count + 1 >= STALE_SAMPLES && now.saturating_duration_since(since) >= DOUBT && was_written_over_time
     }
 
     /// Forgets all numbers above `number`, which turned out to be wrong.
@@ -116,18 +127,28 @@ mod tests {
         assert!(!belief.doubt(start) && !belief.doubt(start + MS));
         belief.trust();
         assert!(!belief.doubt(start + 100 * MS) && !belief.doubt(start + 101 * MS));
-        assert!(belief.doubt(start + 131 * MS));
+        assert!(belief.doubt(start + 351 * MS));
     }
 
     #[test]
     fn reordered_samples_do_not_cast_doubt() {
         let (mut belief, start) = (Belief::default(), Instant::now());
         for number in [9, 8, 7, 6] {
-            assert!(!belief.doubt_order(number, start + 100 * MS));
+            assert!(!belief.doubt_order(number, None, start + 100 * MS));
         }
         for (number, ms) in [(7, 105), (8, 110), (9, 115), (10, 300)] {
-            assert!(!belief.doubt_order(number, start + ms * MS));
+            assert!(!belief.doubt_order(number, None, start + ms * MS));
         }
-        assert!(belief.doubt_order(11, start + 350 * MS));
+        assert!(belief.doubt_order(11, None, start + 350 * MS));
+    }
+
+    #[test]
+    fn samples_that_were_written_together_and_come_late_do_not_cast_doubt() {
+        let (mut belief, start) = (Belief::default(), Instant::now());
+        let written = |ms: i64| Some(Timestamp::from_nanos(1_700_000_000_000_000_000 + ms * 1_000_000));
+        for (number, ms) in [(12, 10), (13, 5_000), (14, 35_000)] {
+            assert!(!belief.doubt_order(number, written(number), start + ms * MS));
+        }
+        assert!(belief.doubt_order(15, written(35_005), start + 35_005 * MS));
     }
 }

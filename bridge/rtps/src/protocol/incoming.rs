@@ -139,7 +139,7 @@ impl Incoming {
     /// Returns whether the sample `number` is neither delivered nor received nor given up. Asks a reliable
     /// writer for a heartbeat if it was given up. Updates what is believed about the numbers of a best-effort
     /// writer, which sends no heartbeats.
-    pub fn wants(&mut self, number: SequenceNumber, now: Instant) -> bool {
+    pub fn wants(&mut self, number: SequenceNumber, written: Option<Timestamp>, now: Instant) -> bool {
         if self.matched.is_reliable {
             if (self.floor..self.next).contains(&number) && self.question.is_none() {
                 self.question = Some((now + FIRST_QUESTION, FIRST_QUESTION));
@@ -150,7 +150,7 @@ impl Incoming {
             self.belief.trust();
             return self.belief.believes(number.0, now) && !self.settled.contains(number.0);
         }
-        let is_wrong = self.belief.doubt_order(number.0, now);
+        let is_wrong = self.belief.doubt_order(number.0, written, now);
         if is_wrong {
             self.go_back(number, number, now);
         }

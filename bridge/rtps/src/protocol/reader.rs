@@ -100,7 +100,7 @@ impl Reader {
             Payload::Key(payload) => (payload, true),
         };
         let max = self.config.max_sample_size as usize;
-        self.take(now, writer, data.number, out, |incoming, room, out| {
+        self.take(now, writer, (data.number, timestamp), out, |incoming, room, out| {
             if payload.len() > max {
                 return incoming.refuse(now, data.number, out);
             }
@@ -126,7 +126,7 @@ impl Reader {
         out: &mut Vec<Received>,
     ) {
         let max = self.config.max_sample_size;
-        self.take(now, writer, fragment.number, out, |incoming, room, out| {
+        self.take(now, writer, (fragment.number, timestamp), out, |incoming, room, out| {
             if fragment.sample_size > max {
                 return incoming.refuse(now, fragment.number, out);
             }
@@ -251,12 +251,12 @@ impl Reader {
         self.open_bytes
     }
 
-    /// Calls `take` for a wanted sample with the number of bytes that are free for it.
+    /// Calls `take` for a wanted sample, of this number and source timestamp, with the number of bytes that are free for it.
     fn take(
         &mut self,
         now: Now,
         writer: Guid,
-        number: SequenceNumber,
+        (number, written): (SequenceNumber, Option<Timestamp>),
         out: &mut Vec<Received>,
         take: impl FnOnce(&mut Incoming, usize, &mut Vec<Received>),
     ) {
@@ -266,7 +266,7 @@ impl Reader {
             let lease_ends = incoming.lease_ends();
             self.timeout = [self.timeout, lease_ends].into_iter().flatten().min();
         }
-        if !incoming.wants(number, now.steady) {
+        if !incoming.wants(number, written, now.steady) {
             let timeout = incoming.next_timeout();
             return self.set_timeout(timeout);
         }
