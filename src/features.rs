@@ -42,7 +42,12 @@ const FEATURES: [Feature; 11] = [
         ..NOTHING
     },
     Feature { name: "plots", is_built_in: cfg!(feature = "plots"), ..NOTHING },
-    Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: &[], ..NOTHING },
+    Feature {
+        name: "sensors",
+        is_built_in: cfg!(feature = "sensors"),
+        kinds: &["gps", "gps_emulator", "imu", "imu_emulator", "lidar", "lidar_emulator"],
+        ..NOTHING
+    },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },
     Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
     Feature { name: "top", is_built_in: cfg!(feature = "top"), options: &[("--plot", &["top"])], ..NOTHING },

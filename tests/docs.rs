@@ -42,11 +42,12 @@ const PAGES: [&str; 23] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 18] = [
+const ELSEWHERE: [&str; 19] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
     "cargo run --release --features football", // tests/football.rs
+    "cargo run --release --features sensors", // tests/sensors.rs
     "downbeat vision calibrate",              // tests/football.rs
     "downbeat bag replay robots/seeing_match.toml", // tests/football.rs
     "downbeat top --plot",                    // tests/top.rs

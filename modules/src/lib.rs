@@ -6,6 +6,7 @@
 //! - [`darwin_op`]: the hardware of the humanoid Darwin OP;
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`device`]: for use in modules: devices whose answers are recorded and replayed;
+//! - [`counted`]: for use in modules: faults that are logged less and less often;
 //! - [`imu_filter`]: orientation from gyroscope and accelerometer;
 //! - [`gait`]: walks with the velocity on `cmd_vel`;
 //! - [`motions`]: plays key-frame motions;
@@ -22,6 +23,7 @@
 //! The page of each module lists its topics and settings; `README.md` has an overview.
 
 pub mod controllers;
+pub mod counted;
 pub mod darwin_op;
 pub mod darwin_op_emulator;
 pub mod device;

@@ -37,6 +37,8 @@ struct Comparison {
     open_from: i64,
     recorded: VecDeque<(i64, Bytes)>,
     replayed: VecDeque<(i64, Bytes)>,
+    /// Where the messages of another module begin in `replayed`.
+    starts: Vec<usize>,
 }
 
 /// How many messages ahead a message is searched for on a topic that other modules publish as well.
@@ -80,6 +82,7 @@ impl Comparisons {
                     open_from: i64::MAX,
                     recorded: VecDeque::new(),
                     replayed: VecDeque::new(),
+                    starts: Vec::new(),
                 },
             );
             by_name.insert(name.clone(), id);
@@ -87,6 +90,11 @@ impl Comparisons {
         let ids: BTreeSet<TopicId> = topics.keys().copied().collect();
         let recorded = reader.messages(Selection::all().topics(ids))?.peekable();
         Ok(Self { recorded, topics, by_name, failure: None })
+    }
+
+    /// The messages from now on come from other modules than those before.
+    pub(super) fn next_modules(&mut self) {
+        self.topics.values_mut().for_each(|topic| topic.starts.push(topic.replayed.len()));
     }
 
     /// Adds a replayed message.
@@ -192,19 +200,32 @@ impl Comparison {
         }
     }
 
-    /// Each replayed message must be among the recorded ones, in the same order; other messages may be
+    /// Each replayed message must be among the recorded ones, those of a module in the same order; other messages may be
     /// between them.
     fn compare_in_any_order(&mut self) {
+        let starts = std::mem::take(&mut self.starts);
+        // Recorded messages that were found.
+        let mut is_found = vec![false; self.recorded.len()];
         let mut from = 0;
-        for (time, replayed) in std::mem::take(&mut self.replayed) {
-            let ahead = || self.recorded.range(from.min(self.recorded.len())..).take(WINDOW);
-            let same = ahead().position(|(_, recorded)| self.comparer.compare(recorded, &replayed).is_none());
-            if let Some(position) = same {
-                from += position + 1;
+        for (number, (time, replayed)) in std::mem::take(&mut self.replayed).into_iter().enumerate() {
+            if starts.contains(&number) {
+                // Detached modules are replayed one after the other.
+                from = 0;
+            }
+            let is_left = |(index, _): &(usize, _)| !is_found.get(*index).copied().unwrap_or(false);
+            let ahead = || self.recorded.iter().enumerate().skip(from).filter(is_left).take(WINDOW);
+            let same =
+                ahead().find(|(_, (_, recorded))| self.comparer.compare(recorded, &replayed).is_none());
+            if let Some((index, _)) = same {
+                from = index + 1;
+                if let Some(is_found) = is_found.get_mut(index) {
+                    *is_found = true;
+                }
                 self.note(time, None);
                 continue;
             }
-            let nearest = ahead().min_by_key(|(recorded, _)| recorded.abs_diff(time));
+            let nearest =
+                ahead().map(|(_, message)| message).min_by_key(|(recorded, _)| recorded.abs_diff(time));
             let difference =
                 nearest.and_then(|(at, recorded)| Some((*at, self.comparer.compare(recorded, &replayed)?)));
             match difference {

@@ -160,11 +160,13 @@ pub fn replay(
     }
     let mut runs = Vec::new();
     for name in &plan.detached {
+        comparisons.next_modules();
         runs.push((
             name.clone(),
             runs::detached(&file, reader, &plan, &mut extract, name, &mut comparisons, &mut calls)?,
         ));
     }
+    comparisons.next_modules();
     let cycles = if plan.attached.is_empty() {
         0
     } else {

@@ -1,5 +1,12 @@
 //! The kinds of the package `downbeat-sensors`.
 
+use downbeat_executor::{Module, Synchrony};
+use downbeat_sensors::gps::{Gps, GpsEmulator};
+use downbeat_sensors::imu::bus::{EmulatedBuses, I2cDevice};
+use downbeat_sensors::imu::{Imu, ImuEmulator};
+use downbeat_sensors::lidar::{Lidar, LidarEmulator};
+use downbeat_sensors::serial::{EmulatedPorts, SerialDevice};
+
 use super::Kind;
 
 pub(super) fn kinds() -> impl Iterator<Item = Kind> {
@@ -8,7 +15,46 @@ pub(super) fn kinds() -> impl Iterator<Item = Kind> {
 
 /// Sensors whose protocols are spoken here, on a serial port or a bus.
 fn of_protocols() -> Vec<Kind> {
-    Vec::new()
+    // Emulators and sensors of one catalog meet here.
+    let ports = EmulatedPorts::default();
+    let [of_lidar, of_lidar_emulator, of_gps, of_gps_emulator] = std::array::from_fn(|_| ports.clone());
+    let buses = EmulatedBuses::default();
+    let of_imu_emulator = buses.clone();
+    vec![
+        Kind::device(
+            "imu",
+            "an inertial sensor on I²C: MPU-6050, MPU-6500, MPU-9250 or BNO055 (docs/sensors.md)",
+            move || I2cDevice::new(buses.clone()),
+            Imu::new,
+        ),
+        emulator("imu_emulator", "an emulated inertial sensor, with faults on request", move || {
+            ImuEmulator::new(of_imu_emulator.clone())
+        }),
+        Kind::device(
+            "lidar",
+            "a laser scanner on a serial port: LDROBOT LD06, LD19 or Slamtec RPLIDAR A1 (docs/sensors.md)",
+            move || SerialDevice::new(of_lidar.clone()),
+            Lidar::new,
+        ),
+        emulator(
+            "lidar_emulator",
+            "an emulated laser scanner in a room, with faults on request",
+            move || LidarEmulator::new(of_lidar_emulator.clone()),
+        ),
+        Kind::device(
+            "gps",
+            "a GPS receiver that speaks NMEA 0183 on a serial port (docs/sensors.md)",
+            move || SerialDevice::new(of_gps.clone()),
+            Gps::new,
+        ),
+        emulator("gps_emulator", "an emulated GPS receiver, with faults on request", move || {
+            GpsEmulator::new(of_gps_emulator.clone())
+        }),
+    ]
+}
+
+fn emulator<M: Module>(name: &str, about: &str, make: impl Fn() -> M + Send + Sync + 'static) -> Kind {
+    Kind::new(name, about, make).drives_device().emulated().with_synchrony(Synchrony::WhenDue)
 }
 
 /// Sensors and buses that Linux serves as devices of a class.

@@ -1,6 +1,5 @@
 //! The robot's faults in the form of `diagnostics` (REP-107).
 
-use super::counted::Counted;
 use super::description::{BusPlan, DevicePlan};
 use super::driver::{DeviceUnit, Driver, Phase};
 use super::joint::{Joint, Protection};
@@ -8,6 +7,7 @@ use super::line::ECHO;
 use super::module::header;
 use super::protocol::StatusError;
 use super::servo::{Link, Service, Servo, reading};
+use crate::counted::Counted;
 use downbeat_executor::Time;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use std::time::Duration;

@@ -4,7 +4,6 @@
 //! wanted joint positions and torques, and the answers from the bus.
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
-use super::counted::Counted;
 use super::description::BusPlan;
 use super::joint::{Drive, Joint};
 use super::line::{ECHO, Line, Trouble};
@@ -13,6 +12,7 @@ use super::preparation::{PrepareError, Prepared, prepare, prepare_device};
 use super::protocol::{Id, Instruction, Protocol, WriteEntry, echo_end};
 use super::reading::{Answer, Answered, Reading, Unit, requests, understand};
 use super::servo::{Link, Service, Servo};
+use crate::counted::Counted;
 use downbeat_executor::Time;
 use std::collections::VecDeque;
 use std::time::Duration;

@@ -11,7 +11,6 @@ pub mod bus;
 pub mod models;
 pub mod protocol;
 
-mod counted;
 mod description;
 mod diagnostics;
 mod driver;

@@ -1,7 +1,6 @@
 //! The hardware of a robot of serial servos as a module.
 
 use super::bus::{Bus, Exchange, SerialBus};
-use super::counted::Counted;
 use super::description::{BusPlan, Description, DevicePlan};
 use super::diagnostics::{Labels, Levels, Refused, levels, report};
 use super::driver::Driver;
@@ -9,6 +8,7 @@ use super::joint::Quantity;
 use super::models::Register;
 use super::protocol::{Id, Protocol, WriteEntry};
 use super::reading::Reading;
+use crate::counted::Counted;
 use crate::stamps::{Stale, given_at};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
 use downbeat_msgs::builtin_interfaces;

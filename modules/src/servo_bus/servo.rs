@@ -1,10 +1,10 @@
 //! The state of one servo.
 
-use super::counted::Counted;
 use super::joint::{Drive, Joint, Measurement, Protection};
 use super::limp::{Limp, Reach};
 use super::preparation::{Prepared, Softness};
 use super::protocol::StatusError;
+use crate::counted::Counted;
 use downbeat_executor::Time;
 use std::time::Duration;
 

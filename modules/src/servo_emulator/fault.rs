@@ -197,32 +197,38 @@ fn parse_time(text: &str) -> Result<Duration, FaultParseError> {
 }
 
 /// The faults of a run. Times are those of the emulator.
-pub(super) struct FaultSchedule {
+pub struct FaultSchedule {
     faults: Vec<Fault>,
     random: Random,
 }
 
 impl FaultSchedule {
-    pub(super) fn new(faults: Vec<Fault>, seed: u64) -> Self {
+    /// The faults of a run; the same seed repeats them.
+    #[must_use]
+    pub fn new(faults: Vec<Fault>, seed: u64) -> Self {
         Self { faults, random: Random::new(seed, 4) }
     }
 
     /// Adds a fault with times relative to `now`, and removes those that are over.
-    pub(super) fn inject(&mut self, fault: Fault, now: Duration) {
+    pub fn inject(&mut self, fault: Fault, now: Duration) {
         self.faults.retain(|fault| fault.to.is_none_or(|to| now < to) && !is_used_up(fault));
         self.faults.push(Fault { from: now + fault.from, to: fault.to.map(|to| now + to), ..fault });
     }
 
-    pub(super) fn is_dead(&self, id: Id, now: Duration) -> bool {
+    /// Returns whether this servo has no power.
+    #[must_use]
+    pub fn is_dead(&self, id: Id, now: Duration) -> bool {
         self.on(now).any(|fault| fault.kind == FaultKind::DeadServo(id))
     }
 
-    pub(super) fn is_port_closed(&self, now: Duration) -> bool {
+    /// Returns whether the port is closed.
+    #[must_use]
+    pub fn is_port_closed(&self, now: Duration) -> bool {
         self.on(now).any(|fault| fault.kind == FaultKind::ClosePort)
     }
 
     /// Returns whether the answer that is about to be sent is lost.
-    pub(super) fn loses_answer(&mut self, now: Duration) -> bool {
+    pub fn loses_answer(&mut self, now: Duration) -> bool {
         let random = &mut self.random;
         let mut is_lost = false;
         for fault in self.faults.iter_mut().filter(|fault| is_on(fault, now)) {
@@ -234,7 +240,7 @@ impl FaultSchedule {
     }
 
     /// Flips bits of an answer. Returns their number.
-    pub(super) fn flip(&mut self, packet: &mut [u8], now: Duration) -> u64 {
+    pub fn flip(&mut self, packet: &mut [u8], now: Duration) -> u64 {
         let random = &mut self.random;
         let mut flipped = 0;
         for fault in self.faults.iter_mut().filter(|fault| is_on(fault, now)) {

@@ -15,7 +15,7 @@ use std::time::Duration;
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// A pseudo terminal, and the link to it. Both are removed when it is dropped.
-pub(super) struct PseudoTerminal {
+pub struct PseudoTerminal {
     ours: TTYPort,
     // Kept open: without a peer, reading would fail instead of wait.
     _theirs: TTYPort,
@@ -24,7 +24,11 @@ pub(super) struct PseudoTerminal {
 }
 
 impl PseudoTerminal {
-    pub(super) fn open(link: Option<&Path>) -> Result<Self, EmulatorError> {
+    /// Opens a terminal, and creates the link to it.
+    ///
+    /// # Errors
+    /// If no terminal is available, or the path of the link is in use.
+    pub fn open(link: Option<&Path>) -> Result<Self, EmulatorError> {
         let pair = |error: serialport::Error| EmulatorError::PseudoTerminal { source: error.into() };
         let (ours, theirs) = TTYPort::pair().map_err(pair)?;
         let path = theirs.name().map(PathBuf::from).unwrap_or_default();
@@ -38,12 +42,16 @@ impl PseudoTerminal {
     }
 
     /// The device file for the peer.
-    pub(super) fn path(&self) -> &Path {
+    #[must_use]
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The next bytes, or none after `timeout`; and the speed that the peer has set, if it is known.
-    pub(super) fn receive<'a>(
+    ///
+    /// # Errors
+    /// If the terminal is broken.
+    pub fn receive<'a>(
         &mut self,
         buffer: &'a mut [u8],
         timeout: Duration,
@@ -59,7 +67,11 @@ impl PseudoTerminal {
         }
     }
 
-    pub(super) fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
+    /// Sends bytes to the peer. They are lost if it does not read them.
+    ///
+    /// # Errors
+    /// If the terminal is broken.
+    pub fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.ours.set_timeout(WRITE_TIMEOUT)?;
         match self.ours.write_all(bytes) {
             Err(error) if error.kind() == io::ErrorKind::TimedOut => Ok(()),

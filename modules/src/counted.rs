@@ -2,17 +2,18 @@
 
 /// Counts a fault, and decides when to log it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Counted(u64);
+pub struct Counted(u64);
 
 impl Counted {
     /// Counts one occurrence. Returns true the 1st, 10th, 100th, … time.
-    pub(crate) fn is_worth_a_line(&mut self) -> bool {
+    pub fn is_worth_a_line(&mut self) -> bool {
         self.0 += 1;
         10_u64.pow(self.0.ilog10()) == self.0
     }
 
     /// The number of occurrences.
-    pub(crate) fn count(self) -> u64 {
+    #[must_use]
+    pub fn count(self) -> u64 {
         self.0
     }
 }
