@@ -56,7 +56,7 @@ const ELSEWHERE: [&str; 19] = [
     "c++ ", // tests/library.rs, as the next two
     "ros2 topic echo --once /out",
     "ros2 topic pub --once /in",
-    "cargo install",
+    "cargo run --release --features mqtt", // docs/network.md is read with the feature
     "pip install",
     "cargo run --release --features mujoco", // needs MuJoCo: the tests of downbeat-physics
     "cd ",

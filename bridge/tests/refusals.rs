@@ -13,7 +13,9 @@ use downbeat_bridge::expose::{
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant, ServiceType};
-use downbeat_executor::{Core, CoreHandle, Module, ModuleOptions, Restart, Setup, SetupError, Transition};
+use downbeat_executor::{
+    Clock, Core, CoreHandle, Module, ModuleOptions, Restart, Setup, SetupError, Time, Transition,
+};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{
     Empty, EmptyRequest, EmptyResponse, SetBool, SetBoolRequest, SetBoolResponse, TriggerRequest,
@@ -80,7 +82,10 @@ struct Running {
 }
 
 fn run(node: &Node) -> Running {
-    let mut core = Core::new();
+    run_on(node, Core::new())
+}
+
+fn run_on(node: &Node, mut core: Core) -> Running {
     let restart = Restart::Always { backoff: Duration::from_millis(1) };
     let options = ModuleOptions { restart, ..ModuleOptions::default() };
     let (sender, open) = channel();
@@ -180,6 +185,35 @@ fn a_request_is_answered_when_its_module_is_removed_restarted_or_deactivated_mea
         let answer = answer.recv_timeout(WATCHDOG).unwrap().unwrap();
         assert_eq!((answer.success, answer.message), (false, gone("never")));
     }
+}
+
+/// The time of a simulation that is paused.
+struct Halted;
+
+impl Clock for Halted {
+    fn now(&self) -> Time {
+        Time::from_nanos(1_000_000_000)
+    }
+
+    fn runs_by_itself(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn a_request_to_a_core_whose_time_stands_still_has_a_response_in_time() {
+    let hub = Arc::new(Hub::new());
+    let robot = node(&hub, "robot");
+    let running = run_on(&robot, Core::new().with_clock(Halted));
+    let script = node(&hub, "script");
+    let late: Client<downbeat_msgs::std_srvs::srv::Trigger> =
+        script.client("/late", QosProfile::SERVICES).unwrap();
+    assert!(late.wait_for_service(WATCHDOG));
+    for _ in 0..3 {
+        let answer = late.call_and_wait(&TriggerRequest {}, WATCHDOG).unwrap();
+        assert_eq!((answer.success, &*answer.message), (false, "service \"late\": no answer in 50ms"));
+    }
+    assert_eq!(running.status.offered()[2].refused, 3);
 }
 
 #[test]

@@ -179,8 +179,8 @@ pub use error::{SetupError, Version};
 pub use exchange::{
     CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError, Job,
     JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
-    ServiceInfo, ServiceType, Setting, SettingInfo, SettingRefused, SettingsChange, StandIn, StepInput, Task,
-    UnknownModule,
+    RestartRefused, ServiceInfo, ServiceType, Setting, SettingInfo, SettingRefused, SettingsChange, StandIn,
+    StepInput, Task, UnknownModule,
 };
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
 pub use module::{

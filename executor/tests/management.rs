@@ -3,6 +3,7 @@
 
 mod common;
 
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -398,4 +399,85 @@ fn a_core_that_is_dropped_stops_its_modules() {
     cycles(&mut core, &clock, 1);
     drop(core);
     assert_eq!(log.take(), ["module ends"]);
+}
+
+#[test]
+fn a_module_that_has_stopped_is_started_again_on_request_whatever_its_policy_is() {
+    for restart in [Restart::Never, Restart::Always { backoff: Duration::from_secs(3600) }] {
+        for options in [ModuleOptions::default(), detached()] {
+            let ((mut core, clock), log) = (manual_core(), Log::default());
+            let made = log.clone();
+            let options = ModuleOptions { restart, ..options };
+            core.add_restartable("module", move || panicking(&made), options).unwrap();
+            let refused = core.handle().restart("module");
+            let unknown = core.handle().restart("nobody");
+            cycles(&mut core, &clock, 1);
+            assert!(matches!(refused.try_take().unwrap(), Err(RestartRefused::Runs { .. })));
+            assert!(matches!(unknown.try_take().unwrap(), Err(RestartRefused::UnknownModule(_))));
+            cycles(&mut core, &clock, 4);
+            assert_eq!(log.take(), ["module ticks"]);
+            let restarted = core.handle().restart("module");
+            cycles(&mut core, &clock, 4);
+            assert!(restarted.try_take().unwrap().is_ok());
+            assert_eq!(log.take(), ["module ticks"]);
+            assert_eq!(core.modules()[0].restarts, 1);
+        }
+    }
+}
+
+#[test]
+fn a_module_that_cannot_be_made_again_keeps_its_place_until_it_can() {
+    let ((mut core, clock), log) = (manual_core(), Log::default());
+    let (made, noted) = (AtomicU32::new(0), log.clone());
+    let make = move || {
+        let life = made.fetch_add(1, Ordering::Relaxed);
+        let noted = noted.clone();
+        module(move |setup| {
+            if life == 1 {
+                return Err(setup.refuse("it cannot be read"));
+            }
+            setup.every(STEP, move |_, ctx| {
+                noted.note(format!("{} ticks", ctx.module_name()));
+                panic!("a module that panics, as this test wants it");
+            })
+        })
+    };
+    let restart = Restart::Times { limit: 1, backoff: Duration::ZERO };
+    core.add_restartable("first", make, ModuleOptions { restart, ..ModuleOptions::default() }).unwrap();
+    core.add("second", module(|_| Ok(()))).unwrap();
+    cycles(&mut core, &clock, 6);
+    assert_eq!(log.take(), ["first ticks"]);
+    assert_eq!(names(&core), ["first", "second"]);
+    let reason = core.modules()[0].panic.clone().unwrap();
+    assert!(reason.contains("it cannot be read"), "{reason}");
+    assert_eq!(core.modules()[0].state, LifecycleState::Finalized);
+    drop(core.handle().restart("first"));
+    cycles(&mut core, &clock, 4);
+    assert_eq!(log.take(), ["first ticks"]);
+    assert_eq!(names(&core), ["first", "second"]);
+}
+
+#[test]
+fn a_module_that_cannot_be_made_yet_joins_when_it_is_started() {
+    let ((mut core, clock), log) = (manual_core(), Log::default());
+    let made = log.clone();
+    let options = ModuleOptions {
+        // Declared by the module only.
+        settings: [("gain".to_owned(), SettingValue::Double(2.0))].into(),
+        ..ModuleOptions::default()
+    };
+    let make = move || {
+        let noted = made.clone();
+        module(move |setup| {
+            let gain = setup.setting("gain", 1.0, "a gain")?;
+            setup.each_run(move |_, ctx| noted.note(format!("{}", ctx.get(gain))));
+            Ok(())
+        })
+    };
+    core.add_stopped("late", make, options, "it cannot be read").unwrap();
+    cycles(&mut core, &clock, 2);
+    assert_eq!(core.modules()[0].panic.as_deref(), Some("it cannot be read"));
+    drop(core.handle().restart("late"));
+    cycles(&mut core, &clock, 2);
+    assert_eq!(log.take(), ["2"]);
 }

@@ -57,7 +57,7 @@ impl Probe {
         let kind = self.kind(py, &name, kind)?;
         let mut options = ModuleOptions { remaps: remap, ..ModuleOptions::default() };
         let folder = PathBuf::from(".");
-        let mut source = ModuleSource { module: name.clone(), folder, ..ModuleSource::default() };
+        let mut source = ModuleSource::new(name.clone(), folder);
         for (key, value) in settings {
             let (key, value) = (key.extract::<String>()?, setting_value(&value)?);
             let is_key = kind.keys().iter().any(|keys| keys.contains(&key.as_str()));

@@ -483,3 +483,98 @@ def test_attached_modules_run_inside_the_cycle(write, program):
     run = program("run", "robot.toml", "--record", "bag", "--duration", "1s")
     assert run.wait() == 0, run.text()
     downbeat.replay(run.log.parent / "robot.toml", run.log.parent / "bag").assert_same()
+
+
+COUNTER = """
+    import downbeat as db
+
+    class M(db.Module):
+        def setup(self):
+            self.count = 0
+            self.out = self.publish("counts", "std_msgs/msg/Float64")
+
+        @db.every("10ms")
+        def tick(self):
+            self.count += 1
+            self.out(data=self.count * STEP)
+            if self.count == RAISES_AT:
+                raise ValueError("as this test wants it")
+
+        def save(self):
+            return self.count
+
+        def restore(self, state):
+            self.count = state
+"""
+
+
+def counter(step, raises_at=-1):
+    return COUNTER.replace("STEP", str(step)).replace("RAISES_AT", str(raises_at))
+
+
+@pytest.mark.parametrize("keys", ["", 'synchrony = "when_due"'])
+def test_a_module_that_raised_starts_again_when_it_is_saved_and_all_versions_replay(write, program, tmp_path, keys):
+    write("module.py", counter(0.1, 20))
+    write("robot.toml", one_module(extra=f"reload = true\n    {keys}\n    [record]\n    topics = \"all\""))
+    run = program("run", "robot.toml", "--record", "bag")
+    run.wait_for("panicked and is stopped, the others go on.*as this test wants it")
+    write("module.py", counter(0.2).replace("def setup(self)", "def setup(self"))
+    run.wait_for(r"module.py was saved and still does not start: \S*module.py:5: ")
+    write("module.py", counter(0.2).replace("self.count = 0", "self.count = unknown"))
+    run.wait_for("module.py was saved and still does not start: Traceback.*NameError")
+    write("module.py", counter(0.2))
+    run.wait_for("module.py was saved: it starts again with it")
+    time.sleep(0.5)
+    write("module.py", counter(0.3))
+    run.wait_for("module.py was saved and is reloaded")
+    time.sleep(0.5)
+    assert run.stop() == 0
+    report = downbeat.replay(tmp_path / "robot.toml", tmp_path / "bag")
+    report.assert_same()
+    assert report.compared > 60 and report.changed_sources == [], str(report)
+    assert "module.py of module was saved and taken 2 times during the recording" in str(report)
+    write("module.py", counter(0.4))
+    report = downbeat.replay(tmp_path / "robot.toml", tmp_path / "bag")
+    assert report.changed_sources == ["module"] and report.different > 10, str(report)
+
+
+def test_a_robot_starts_without_a_module_that_raises_in_its_constructor_until_it_is_saved(write, program):
+    write("module.py", counter(0.1).replace("def setup(self):", "def __init__(self):\n            raise ValueError('no')"))
+    write("robot.toml", one_module(extra="reload = true"))
+    run = program("run", "robot.toml")
+    run.wait_for("ValueError: no; it starts when its file is saved")
+    write("module.py", counter(0.1).replace("self.count += 1", "self.count += 1; self.log.info('ticks', once=True)"))
+    run.wait_for("module.py was saved: it starts again with it.*ticks")
+    assert run.stop() == 0
+
+
+def test_a_replay_uses_the_recorded_settings(level, program, write, tmp_path):
+    run = program("run", "robot.toml", "--record", "bag", "--duration", "2s", "-p", "level_head.gain:=0.01")
+    assert run.wait() == 0, run.text()
+    report = downbeat.replay(level, tmp_path / "bag")
+    report.assert_same()
+    assert "level_head.gain: replayed with 0.01 as recorded; the robot file no longer gives it" in str(report)
+    other = program("bag", "replay", "robot.toml", "bag", "-p", "level_head.gain:=0.02")
+    assert other.wait() != 0
+    assert "level_head.gain: recorded with 0.01, replayed with 0.02 as given for the replay" in other.text()
+
+
+def test_a_line_of_the_log_has_its_place_in_the_python_file(write, program, monkeypatch):
+    monkeypatch.setenv("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{file_name}:{line_number} {function_name}: {message}")
+    module = """
+        import downbeat as db
+
+        class M(db.Module):
+            @db.every("10ms")
+            def tick(self):
+                self.log.info("here", once=True)
+                self.log.warning("there", every="1h")
+    """
+    path = write("module.py", module)
+    write("robot.toml", one_module())
+    run = program("run", "robot.toml", "--duration", "1s")
+    assert run.wait() == 0, run.text()
+    lines = path.read_text().splitlines()
+    for text in ("here", "there"):
+        number = next(number for number, line in enumerate(lines, 1) if text in line)
+        assert f"{path}:{number} tick: {text}" in run.text(), run.text()

@@ -10,6 +10,9 @@ use downbeat_executor::{
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
+/// The command to a module that has stopped to start again.
+pub(crate) const RESTART: &str = "restart";
+
 /// Makes the executor report the content of requests and answers of all services whose types are registered.
 pub(crate) fn encode_services(core: &mut Core, interfaces: &Interfaces) -> Result<(), SetupError> {
     let names: Vec<_> = core.services().map(|service| service.name.clone()).collect();
@@ -88,6 +91,7 @@ pub(crate) fn message(event: &Event) -> ModuleEvent {
                 ModuleCommand::Resume => "resume".to_owned(),
                 ModuleCommand::Step => "step".to_owned(),
                 ModuleCommand::Remove => "remove".to_owned(),
+                ModuleCommand::Restart => RESTART.to_owned(),
             },
             ..ModuleEvent::default()
         },
@@ -96,6 +100,12 @@ pub(crate) fn message(event: &Event) -> ModuleEvent {
             module: module.to_string(),
             port: *job,
             number: *number,
+            ..ModuleEvent::default()
+        },
+        Kind::Made { module, description } => ModuleEvent {
+            kind: ModuleEvent::MADE,
+            module: module.to_string(),
+            data: description.clone(),
             ..ModuleEvent::default()
         },
         Kind::Taken { module, step, count } => ModuleEvent {

@@ -9,6 +9,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
 use super::PlaybackError;
 use crate::journal;
+use crate::journal::events::RESTART;
 
 /// The events of the modules of a core that these modules do not cause themselves.
 #[derive(Default)]
@@ -56,7 +57,9 @@ impl Events {
         prepared.alone = true;
         prepared.modules = vec![module.to_owned()];
         core.drop_commands_to_self();
-        let is_its = |event: &&ModuleEvent| prepared.concerns(event) && event.command != "remove";
+        // Its lives begin where its runs say so.
+        let is_of_life = |event: &ModuleEvent| ["remove", RESTART].contains(&event.command.as_str());
+        let is_its = |event: &&ModuleEvent| prepared.concerns(event) && !is_of_life(event);
         prepared.waiting = events.iter().filter(is_its).cloned().collect();
         Ok(prepared)
     }
@@ -175,6 +178,7 @@ impl Events {
                 "resume" => drop(handle.resume_module(module)),
                 "step" => drop(handle.step_module(module)),
                 "remove" => drop(handle.remove(module)),
+                RESTART => drop(handle.restart(module)),
                 other => {
                     let transitions = [
                         Transition::Configure,

@@ -12,6 +12,7 @@ use super::account::{Cycles, Extract, LaterMessages, MessageCycles, Moment, Sett
 use super::events::Events;
 use super::{MOST_CYCLES, PlaybackError};
 use crate::encoding::RecordedType;
+use crate::robot::ReplayedTime;
 
 /// A core with its input from a bag.
 pub(crate) struct Follower<'a> {
@@ -20,6 +21,8 @@ pub(crate) struct Follower<'a> {
     pub(crate) inputs: Inputs,
     pub(crate) settings: SettingsChanges,
     pub(crate) events: Events,
+    /// Which versions of modules are in force.
+    pub(crate) reached: ReplayedTime,
 }
 
 impl Follower<'_> {
@@ -82,6 +85,7 @@ impl Follower<'_> {
     /// Runs a cycle. Its inputs were applied before, so that they join in its sync phase as they did when they were recorded.
     fn cycle(&mut self, time: i64) -> Result<(), PlaybackError> {
         self.clock.set(Time::from_nanos(time));
+        self.reached.set(time);
         Ok(self.core.cycle()?)
     }
 

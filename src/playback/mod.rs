@@ -12,6 +12,7 @@ use downbeat_msgs::encoding;
 
 use crate::encoding::RecordedTypeError;
 use crate::journal;
+use crate::robot::ReplayedTime;
 use account::{Cycles, Extract, SettingsChanges};
 use events::Events;
 use follow::{Follower, Inputs};
@@ -134,7 +135,8 @@ pub fn play_into(
         events = Events::of_core(core, recorded.as_deref(), interfaces)?;
     }
     let has_events = !events.is_empty();
-    let mut follower = Follower { core, clock, inputs, settings, events };
+    let reached = ReplayedTime::default();
+    let mut follower = Follower { core, clock, inputs, settings, events, reached };
     follower.run(reader, &cycles, || {})?;
     match follower.inputs.given() {
         0 if !has_events => Err(PlaybackError::NothingToPlay),

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use downbeat_bags::Reader;
-use downbeat_edge::{EncodedInlet, Interfaces};
+use downbeat_edge::{EncodedInlet, EncodedInletError, Interfaces};
 use downbeat_executor::{Core, ManualClock, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
@@ -13,6 +13,7 @@ use super::account::{Cycles, Extract, SettingsChanges};
 use super::events::Events;
 use crate::encoding::RecordedType;
 use crate::journal;
+use crate::robot::{ReplayedTime, reloads_of};
 
 /// The replayed runs of a detached module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +41,7 @@ pub fn replay_module(
     module: &str,
     interfaces: &Interfaces,
 ) -> Result<ReplayedSteps, PlaybackError> {
-    replay_steps(core, clock, reader, &mut Extract::new(interfaces), module)
+    replay_steps(core, clock, reader, &mut Extract::new(interfaces), module, &ReplayedTime::default())
 }
 
 /// Like [`replay_module`], with what has already been read from the bag.
@@ -50,6 +51,7 @@ pub(crate) fn replay_steps(
     reader: &Reader,
     extract: &mut Extract,
     module: &str,
+    reached: &ReplayedTime,
 ) -> Result<ReplayedSteps, PlaybackError> {
     let steps = steps_of(module, reader, extract)?;
     let mut inputs = Inputs::open(core, reader, extract, &steps)?;
@@ -58,9 +60,17 @@ pub(crate) fn replay_steps(
     let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module)?;
     // A message or setting that is applied before a cycle joins in its sync phase and is received in the next
     // one.
-    for (position, step) in steps.iter().enumerate() {
+    for (position, Lived { step, .. }) in steps.iter().enumerate() {
+        reached.set(step.stamp.as_nanos());
         if let Some(next) = steps.get(position + 1) {
+            next.passed_by.iter().try_for_each(|step| inputs.pass_by(step))?;
+            let next = &next.step;
             inputs.give(next)?;
+            if next.step == 0 {
+                // If the module has replaced itself, it is refused.
+                drop(core.handle().restart(module));
+                reached.set(next.stamp.as_nanos());
+            }
             // The run counter restarts when the module is restarted.
             let run = (next.stamp.as_nanos(), next.step);
             settings.give(core, |change| (change.message.stamp.as_nanos(), change.message.step) <= run)?;
@@ -75,20 +85,49 @@ pub(crate) fn replay_steps(
     }
     // Delivers what the last run published to the subscribers.
     core.stop();
-    let (is_whole, last) = steps
-        .last()
-        .map_or((false, Time::ZERO), |step| (step.is_stop, Time::from_nanos(step.stamp.as_nanos())));
+    let (is_whole, last) = steps.last().map_or((false, Time::ZERO), |last| {
+        (last.step.is_stop, Time::from_nanos(last.step.stamp.as_nanos()))
+    });
     Ok(ReplayedSteps { count: steps.len(), is_whole, last })
 }
 
-fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<ModuleStep>, PlaybackError> {
+/// A run of the module, and those of the life before that ended after it began: a module that was replaced takes what had come to it,
+/// and does nothing with it.
+struct Lived {
+    step: ModuleStep,
+    passed_by: Vec<ModuleStep>,
+}
+
+fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<Lived>, PlaybackError> {
     let steps = extract.messages::<ModuleStep>(reader, journal::STEPS)?.unwrap_or_default();
     let steps: Vec<_> = steps.into_iter().filter(|step| step.module == module).collect();
     match steps.first() {
         None => Err(PlaybackError::NoSteps(module.into())),
         Some(first) if first.step != 0 || !first.topics.is_empty() => Err(PlaybackError::NotFromStart),
-        Some(_) => Ok(steps),
+        Some(_) => {
+            let events = extract.messages(reader, journal::EVENTS)?.unwrap_or_default();
+            Ok(lives_of(steps, &reloads_of(module, &events)))
+        }
     }
+}
+
+/// Leaves out the ends of all lives but the last. `reloads` are the times of the runs in which the module replaced itself.
+fn lives_of(steps: Vec<ModuleStep>, reloads: &[i64]) -> Vec<Lived> {
+    let (mut lived, mut passed_by) = (Vec::<Lived>::new(), Vec::new());
+    let last = steps.len().saturating_sub(1);
+    // `None` after the module has replaced itself.
+    let mut expected = Some(0);
+    for (position, step) in steps.into_iter().enumerate() {
+        let is_of_life = step.step == 0 || Some(step.step) == expected;
+        if !is_of_life || (step.is_stop && position != last) {
+            passed_by.push(step);
+            continue;
+        }
+        let is_replaced = reloads.contains(&step.stamp.as_nanos());
+        expected = (!is_replaced).then_some(step.step + 1);
+        lived.push(Lived { step, passed_by: std::mem::take(&mut passed_by) });
+    }
+    lived
 }
 
 /// The messages that the module received, by topic, in the order of the bag.
@@ -101,10 +140,11 @@ impl Inputs {
         core: &mut Core,
         reader: &Reader,
         extract: &mut Extract,
-        steps: &[ModuleStep],
+        steps: &[Lived],
     ) -> Result<Self, PlaybackError> {
         let mut topics = BTreeMap::new();
-        for (step, name) in steps.iter().flat_map(|step| step.topics.iter().map(move |name| (step, name))) {
+        let all = steps.iter().flat_map(|lived| lived.passed_by.iter().chain([&lived.step]));
+        for (step, name) in all.flat_map(|step| step.topics.iter().map(move |name| (step, name))) {
             if topics.contains_key(name) {
                 continue;
             }
@@ -119,6 +159,19 @@ impl Inputs {
     }
 
     fn give(&mut self, step: &ModuleStep) -> Result<(), PlaybackError> {
+        self.take(step, |inlet, message| inlet.publish(message))
+    }
+
+    /// Drops what a run received.
+    fn pass_by(&mut self, step: &ModuleStep) -> Result<(), PlaybackError> {
+        self.take(step, |_, _| Ok(()))
+    }
+
+    fn take(
+        &mut self,
+        step: &ModuleStep,
+        give: impl Fn(&EncodedInlet, &Bytes) -> Result<(), EncodedInletError>,
+    ) -> Result<(), PlaybackError> {
         let counts = step.skipped.iter().zip(&step.counts);
         for (name, (&skipped, &count)) in step.topics.iter().zip(counts) {
             let missing = || PlaybackError::MissingInput { step: step.step, topic: name.clone() };
@@ -126,7 +179,7 @@ impl Inputs {
             for position in 0..skipped + count {
                 let message = messages.pop_front().ok_or_else(missing)?;
                 if position >= skipped {
-                    inlet.publish(&message)?;
+                    give(inlet, &message)?;
                 }
             }
         }

@@ -13,6 +13,9 @@
 //!
 //! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
 //!
+//! Modules start with the settings with which they were recorded, except for those that are given on the command line. Modules in other
+//! languages run in the versions in which they were recorded, and change at the same places; the last version is the file as it is now.
+//!
 //! Settings that were changed while the robot ran (`module_settings`) change again in the same cycles.
 //! Requests and responses from outside, commands to modules and results of jobs (`module_events`) are
 //! repeated as well; the responses and requests of the modules are compared.
@@ -32,7 +35,10 @@ use downbeat_executor::SetupError;
 
 use crate::journal;
 use crate::playback::PlaybackError;
-use crate::robot::{ReplaySection, RobotFile, RobotFileError, Sources};
+use crate::playback::account::Extract;
+use crate::robot::{
+    LastVersion, ReplaySection, RobotFile, RobotFileError, Sources, VersionsInBag, use_recorded_settings,
+};
 use calls::Calls;
 use comparison::Comparisons;
 use plan::Plan;
@@ -52,6 +58,8 @@ pub struct ReplayOptions {
     pub except: Vec<TopicPattern>,
     /// What happens to the simulated devices of the robot.
     pub simulators: Simulators,
+    /// In which version modules in other languages run that were not replaced until the end of the recording.
+    pub last_version: LastVersion,
 }
 
 /// What a replay does with simulated devices: emulators and simulators, and modules whose device is behind a port in memory.
@@ -70,7 +78,7 @@ impl ReplayOptions {
     #[must_use]
     pub fn of(file: &RobotFile) -> Self {
         let ReplaySection { modules, rules, except } = file.replay.clone();
-        Self { modules, rules, except, simulators: Simulators::default() }
+        Self { modules, rules, except, ..Self::default() }
     }
 
     fn excludes(&self, topic: &str) -> bool {
@@ -151,7 +159,13 @@ pub fn replay(
     options: &ReplayOptions,
 ) -> Result<ReplayReport, ReplayError> {
     let started = Instant::now();
-    let file = file.on_any_machine();
+    let mut file = file.on_any_machine();
+    let settings = reader.metadata().map_or_else(Vec::new, |bag| use_recorded_settings(&mut file, bag));
+    let made = match file.modules.iter().any(|module| module.kind.is_foreign()) {
+        true => Extract::new(&file.catalog.interfaces).messages(reader, journal::EVENTS)?.unwrap_or_default(),
+        false => Vec::new(),
+    };
+    let versions = VersionsInBag::use_in(&mut file, reader, &made, options.last_version);
     let (plan, mut extract) = Plan::make(&file, reader, options)?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
     let mut calls = Calls::default();
@@ -163,14 +177,24 @@ pub fn replay(
         comparisons.next_modules();
         runs.push((
             name.clone(),
-            runs::detached(&file, reader, &plan, &mut extract, name, &mut comparisons, &mut calls)?,
+            runs::detached(
+                &file,
+                reader,
+                &plan,
+                &mut extract,
+                name,
+                &mut comparisons,
+                &mut calls,
+                &versions.reached,
+            )?,
         ));
     }
     comparisons.next_modules();
     let cycles = if plan.attached.is_empty() {
         0
     } else {
-        runs::attached(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls)?
+        let reached = &versions.reached;
+        runs::attached(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls, reached)?
     };
     let mut topics = comparisons.finish()?;
     topics.extend(calls.finish(&plan, &options.rules));
@@ -178,7 +202,12 @@ pub fn replay(
     coverage::move_empty(&mut topics, &mut not_compared);
     let sources = Sources::of(&file);
     Ok(ReplayReport {
-        changed_sources: reader.metadata().map_or_else(Vec::new, |metadata| sources.changed_since(metadata)),
+        changed_sources: reader
+            .metadata()
+            .filter(|_| options.last_version == LastVersion::AsItIs)
+            .map_or_else(Vec::new, |metadata| sources.changed_since(metadata, &versions.last)),
+        versions: versions.notes.clone(),
+        changed_settings: settings,
         robot: file.name.clone(),
         modules: plan.attached,
         cycles,

@@ -7,6 +7,7 @@ use downbeat_bags::FieldDifference;
 use downbeat_executor::Time;
 
 use super::NotCompared;
+use crate::robot::ChangedSetting;
 use crate::{TestResult, journal};
 
 /// What was replayed and how it differs from the bag.
@@ -26,6 +27,10 @@ pub struct ReplayReport {
     pub left_out: Vec<LeftOut>,
     /// The modules in other languages whose sources are not as they were when the bag was recorded.
     pub changed_sources: Vec<String>,
+    /// Sentences about modules that were replaced by newer versions during the recording, and about versions that are missing.
+    pub versions: Vec<String>,
+    /// The settings that the robot file or the command line give other values than the recording began with.
+    pub changed_settings: Vec<ChangedSetting>,
     /// The topics that the modules inside the cycle received from the bag.
     pub inputs: Vec<String>,
     /// The topics that they received during the recording and that are not in the bag. Includes
@@ -240,6 +245,12 @@ impl fmt::Display for ReplayReport {
         }
         for module in &self.changed_sources {
             writeln!(f, "  the source of {module} has changed since the recording")?;
+        }
+        for note in &self.versions {
+            writeln!(f, "  {note}")?;
+        }
+        for changed in &self.changed_settings {
+            writeln!(f, "  {changed}")?;
         }
         for topic in &self.missing_inputs {
             let lost = match topic.as_str() {

@@ -42,13 +42,10 @@ impl RobotFile {
         journal::add(&mut core, &self.catalog.interfaces, self.launcher.idle)
             .map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
-        robot.exposed()?;
-        let topics: Vec<_> = robot.core.topics().cloned().collect();
-        robot.file.passed_over(&topics).iter().for_each(|sentence| tracing::warn!("{sentence}"));
-        rival_commanders(&robot.file, &robot.core).iter().for_each(|sentence| tracing::warn!("{sentence}"));
-        robot.parameter_exposure()?;
-        robot.lifecycle_exposures()?;
-        robot.recorded_topics()?;
+        if let Err(error) = robot.check() {
+            // What it lacks may be what a module would have that could not be made.
+            return Err(robot.failure_of_a_late_module().unwrap_or(error));
+        }
         Ok(robot)
     }
 
@@ -193,6 +190,27 @@ impl RobotFile {
 }
 
 impl Robot {
+    /// Checks what the file says about the robot as a whole.
+    fn check(&self) -> Result<()> {
+        self.exposed()?;
+        let topics: Vec<_> = self.core.topics().cloned().collect();
+        self.file.passed_over(&topics).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        rival_commanders(&self.file, &self.core).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        self.parameter_exposure()?;
+        self.lifecycle_exposures()?;
+        self.recorded_topics()?;
+        Ok(())
+    }
+
+    /// Why the first module could not be made that is to start when its file is saved.
+    fn failure_of_a_late_module(&self) -> Option<RobotFileError> {
+        let late = self.core.modules().into_iter().find(|module| module.panic.is_some())?;
+        let entry = self.file.modules.iter().find(|entry| *entry.name == *late.name)?;
+        let reason = late.panic.as_deref().unwrap_or_default();
+        let error = SetupError::Refused { module: entry.name.clone(), reason: reason.to_owned() };
+        Some(self.file.located(entry, &error))
+    }
+
     /// Returns the topics that the bridge exposes.
     ///
     /// # Errors

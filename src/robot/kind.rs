@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
 use downbeat_edge::Interfaces;
-use downbeat_edge::foreign::{Foreign, ForeignModule};
+use downbeat_edge::foreign::{self, Foreign, ForeignModule};
 use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SettingValue, SetupError, Synchrony};
 use downbeat_library_host::LibraryOptions;
 use downbeat_modules::controllers::diff_drive::DiffDriveController;
@@ -33,6 +33,8 @@ use downbeat_modules::transform_server::TransformServer;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::{Message, cdr};
 use downbeat_state_machine::StateMachineOptions;
+
+use super::versions::{Live, LiveState, Recorded, Versions};
 
 /// A kind of module that robot files can name: how its modules are created, how they run by default, and
 /// whether they drive a device.
@@ -64,6 +66,8 @@ pub struct Kind {
     synchrony: Synchrony,
     files: Arc<[String]>,
     source: Option<ForeignKind>,
+    /// Whether modules in other languages are reloaded unless the robot file says otherwise.
+    reloads_by_default: bool,
     replayed: Option<ReplayedDevice>,
     panel: Option<KindPanel>,
     add: Arc<Add>,
@@ -92,6 +96,34 @@ pub struct ModuleSource {
     pub deadline: Option<Duration>,
     /// The folders of interfaces that the robot file names.
     pub interfaces: Vec<PathBuf>,
+    /// What is known of the files while the robot runs.
+    pub(crate) live: Arc<LiveState>,
+    /// In a replay, the versions that were recorded.
+    pub(crate) recorded: Option<Arc<Versions>>,
+    /// Of an earlier version in a replay: the file that holds what a file held.
+    pub(crate) replaced: BTreeMap<PathBuf, PathBuf>,
+    /// Whether the robot starts without the module if it cannot be made and is reloaded.
+    pub(crate) may_be_late: bool,
+}
+
+impl ModuleSource {
+    /// A module of this name, whose relative paths begin at this folder.
+    #[must_use]
+    pub fn new(module: impl Into<String>, folder: impl Into<PathBuf>) -> Self {
+        Self { module: module.into(), folder: folder.into(), ..Self::default() }
+    }
+
+    /// The file to read for this file of the module: itself or, in a replay of an earlier version, another one with the content that it
+    /// had.
+    #[must_use]
+    pub fn file_to_read(&self, file: &Path) -> PathBuf {
+        self.replaced.get(file).map_or_else(|| file.to_owned(), Clone::clone)
+    }
+
+    /// True if the robot file says that the module is reloaded.
+    pub(crate) fn is_reloaded(&self) -> bool {
+        self.keys.get("reload") == Some(&SettingValue::Bool(true))
+    }
 }
 
 /// How a kind of modules in other languages reads a robot file.
@@ -100,7 +132,11 @@ struct ForeignKind {
     /// Those that a robot file must give, and those that it may give.
     keys: [&'static [&'static str]; 2],
     files: Arc<SourceFiles>,
+    load: Arc<LoadForeign>,
 }
+
+/// Loads the module that a robot file names.
+pub(crate) type LoadForeign = dyn Fn(&ModuleSource) -> Result<Box<dyn Foreign>, String> + Send + Sync;
 
 type SourceFiles = dyn Fn(&ModuleSource) -> Vec<PathBuf> + Send + Sync;
 
@@ -154,16 +190,19 @@ impl Kind {
         load: impl Fn(&ModuleSource) -> Result<Box<dyn Foreign>, String> + Send + Sync + 'static,
         files: impl Fn(&ModuleSource) -> Vec<PathBuf> + Send + Sync + 'static,
     ) -> Self {
-        let load = Arc::new(load);
+        let load: Arc<LoadForeign> = Arc::new(load);
+        let kind = ForeignKind { keys, files: Arc::new(files), load };
+        let of_kind = kind.clone();
         let add: Arc<Add> = Arc::new(move |core, name, options, source, interfaces| {
-            let (load, source, interfaces) = (Arc::clone(&load), source.clone(), interfaces.clone());
-            let make = Arc::new(move || load(&source));
-            let of_module = options.clone();
-            let make = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
-            core.add_restartable(name, make, options)
+            of_kind.add_to(core, name, options, source, interfaces)
         });
-        let source = Some(ForeignKind { keys, files: Arc::new(files) });
+        let source = Some(kind);
         Self { source, ..Self::with_add(name, about, add) }.detached()
+    }
+
+    /// Declares that modules of the kind are reloaded unless the robot file says otherwise.
+    fn reloaded(self) -> Self {
+        Self { reloads_by_default: true, ..self }
     }
 
     fn with_add(name: impl Into<Arc<str>>, about: impl Into<Arc<str>>, add: Arc<Add>) -> Self {
@@ -175,6 +214,7 @@ impl Kind {
             synchrony: Synchrony::WhenDue,
             files: Arc::default(),
             source: None,
+            reloads_by_default: false,
             replayed: None,
             panel: None,
             add,
@@ -360,6 +400,26 @@ impl Kind {
         self.source.as_ref().map_or_else(Vec::new, |kind| (kind.files)(source))
     }
 
+    /// The files of a module of a running robot, and what is known of them; `None` for a module in Rust.
+    pub(crate) fn live(&self, source: &ModuleSource) -> Option<Live> {
+        self.source.as_ref().map(|kind| kind.live(source))
+    }
+
+    /// True for a module that is loaded again when its files change.
+    pub(crate) fn reloads(&self, source: &ModuleSource) -> bool {
+        let [_, optional] = self.keys();
+        optional.contains(&"reload")
+            && source
+                .keys
+                .get("reload")
+                .map_or(self.reloads_by_default, |value| *value == SettingValue::Bool(true))
+    }
+
+    /// True for modules in another language.
+    pub(crate) fn is_foreign(&self) -> bool {
+        self.source.is_some()
+    }
+
     /// The settings that name files.
     pub(crate) fn files(&self) -> &[String] {
         &self.files
@@ -367,6 +427,46 @@ impl Kind {
 
     pub(crate) fn replayed(&self) -> Option<&ReplayedDevice> {
         self.replayed.as_ref()
+    }
+}
+
+impl ForeignKind {
+    fn live(&self, source: &ModuleSource) -> Live {
+        Live::new(Arc::clone(&self.load), source, (self.files)(source))
+    }
+
+    fn add_to(
+        &self,
+        core: &mut Core,
+        name: &str,
+        options: ModuleOptions,
+        source: &ModuleSource,
+        interfaces: &Interfaces,
+    ) -> Result<(), SetupError> {
+        let (versions, recorded_failure): (Arc<dyn foreign::Versions>, _) = match &source.recorded {
+            Some(versions) => {
+                let (load, files) = (Arc::clone(&self.load), (self.files)(source));
+                let recorded = Recorded::new(load, source, files, Arc::clone(versions));
+                let failure = recorded.failure_at_the_start().map(str::to_owned);
+                (Arc::new(recorded), failure)
+            }
+            None => (Arc::new(self.live(source)), None),
+        };
+        let (interfaces, of_module) = (interfaces.clone(), options.clone());
+        let make =
+            move || ForeignModule::of_versions(Arc::clone(&versions), interfaces.clone(), of_module.clone());
+        if let Some(failure) = recorded_failure {
+            return core.add_stopped(name, make, options, &failure);
+        }
+        let added = core.add_restartable(name, make.clone(), options.clone());
+        let failure = source.live.failure().filter(|_| source.may_be_late && source.is_reloaded());
+        match (added, failure) {
+            (Err(error), Some(failure)) => {
+                tracing::error!("{error}; it starts when its file is saved");
+                core.add_stopped(name, make, options, &failure)
+            }
+            (added, _) => added,
+        }
     }
 }
 
@@ -463,6 +563,7 @@ pub(super) fn built_in() -> Vec<Kind> {
             |source| downbeat_state_machine::load(&state_machine(source)?),
             |source| state_machine(source).map(|options| vec![options.path]).unwrap_or_default(),
         )
+        .reloaded()
         .with_panel("Chart", downbeat_state_machine::PANEL, &["~/mermaid", "~/state"])
         .with_synchrony(Synchrony::WhenDue),
         Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
@@ -619,7 +720,7 @@ fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
     };
     Ok(LibraryOptions {
         module: source.module.clone(),
-        path: source.folder.join(path),
+        path: source.file_to_read(&source.folder.join(path)),
         is_reloaded: is_set(source, "reload", false)?,
         is_isolated: is_set(source, "isolate", false)?,
         time_limit: match source.keys.get("time_limit") {
@@ -638,7 +739,8 @@ fn state_machine(source: &ModuleSource) -> Result<StateMachineOptions, String> {
     let Some(SettingValue::Text(file)) = source.keys.get("file") else {
         return Err("`file` is the chart, such as \"player.scxml\"".to_owned());
     };
-    Ok(StateMachineOptions { path: source.folder.join(file), is_reloaded: is_set(source, "reload", true)? })
+    let path = source.file_to_read(&source.folder.join(file));
+    Ok(StateMachineOptions { path, is_reloaded: is_set(source, "reload", true)? })
 }
 
 fn time_limit(text: &str) -> Result<Duration, String> {

@@ -15,11 +15,12 @@ mod lifecycle;
 mod parameters;
 mod profile;
 mod recorded;
+mod recorded_settings;
 mod ros_args;
 #[cfg(feature = "sensors")]
 mod sensors;
 mod services;
-mod sources;
+mod versions;
 
 pub use actions::Exposures;
 pub use build::Robot;
@@ -50,5 +51,8 @@ pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
     SettingProfile,
 };
+pub use recorded_settings::ChangedSetting;
+pub(crate) use recorded_settings::{record_settings, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
-pub(crate) use sources::Sources;
+pub use versions::LastVersion;
+pub(crate) use versions::{Live, ReplayedTime, Sources, Version, VersionsInBag, reloads_of};

@@ -20,6 +20,7 @@ mod node;
 #[cfg(feature = "view")]
 mod page_host;
 mod recording;
+mod revival;
 #[cfg(feature = "view")]
 mod view;
 
@@ -50,6 +51,7 @@ use crate::ros_recorder::ServeError;
 use expose_service::ExposeService;
 use inspected::InspectedRobot;
 use recording::RobotRecording;
+use revival::Revival;
 
 /// Why a robot cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -186,7 +188,7 @@ impl PreparedRobot {
         self
     }
 
-    fn on(mut core: Core, file: RobotFile, clock: NodeClock) -> Result<Self, StartError> {
+    fn on(mut core: Core, mut file: RobotFile, clock: NodeClock) -> Result<Self, StartError> {
         #[cfg(not(feature = "view"))]
         if file.view.foxglove.is_some() || file.view.page.is_some() {
             tracing::warn!(
@@ -195,6 +197,7 @@ impl PreparedRobot {
             );
         }
         let diagnostics = add_diagnostics(&mut core, &file)?;
+        file.modules.iter_mut().for_each(|module| module.source.may_be_late = true);
         let robot = file.build(core)?;
         Ok(Self {
             robot,
@@ -264,6 +267,7 @@ impl PreparedRobot {
         let view = self.view.map(Arc::new);
         let Self { robot: Robot { file, mut core }, simulated, node, recording, .. } = self;
         let handle = core.handle();
+        let revival = Revival::start(&file, handle.clone())?;
         let thread = std::thread::Builder::new().name("core".into());
         let thread = thread.spawn(move || match simulated {
             None => core.run(),
@@ -287,6 +291,7 @@ impl PreparedRobot {
         Ok(RunningRobot {
             core: handle,
             thread: Some(thread),
+            revival,
             inspection,
             expose_service,
             recording,
@@ -302,6 +307,7 @@ impl PreparedRobot {
 pub struct RunningRobot {
     core: CoreHandle,
     thread: Option<JoinHandle<Result<(), RunError>>>,
+    revival: Option<Revival>,
     inspection: Option<InspectionServer>,
     expose_service: Option<ExposeService>,
     recording: Option<RobotRecording>,
@@ -361,6 +367,7 @@ impl RunningRobot {
         let Some(thread) = self.thread.take() else { return Ok(None) };
         self.core.stop();
         let ran = thread.join();
+        self.revival = None;
         self.inspection = None;
         self.expose_service = None;
         #[cfg(feature = "view")]

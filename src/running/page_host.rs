@@ -103,7 +103,7 @@ impl PageHost {
             let writer = recordable.create(&directory, options.writer)?;
             let recording = Recording::start_with(writer, &options.recording)?;
             let mut core = CoreAccess::Running(&self.core);
-            let outlets = recordable.record(&mut core, &recording, options.encoding)?;
+            let outlets = recordable.record(&mut core, &recording, options.encoding, &directory)?;
             Ok(OwnRecording { recording, _outlets: outlets })
         };
         *own = Some(begin().map_err(|error| error.to_string())?);

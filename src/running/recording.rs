@@ -7,14 +7,14 @@ use downbeat_bags::{Recording, RecordingStatistics, Writer, WriterError, WriterO
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::ros::{Node, NodeName};
 use downbeat_edge::{CoreAccess, Interfaces, KnownType};
-use downbeat_executor::{Outlet, TopicInfo};
+use downbeat_executor::{Inbox, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Received, TopicInfo};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_msgs::qos::QosProfile;
 
 use super::StartError;
 use crate::recorder::{self, RecorderError, Unrecorded, WhenFull};
-use crate::robot::{RecordOptions, Robot, RobotFile, Sources};
+use crate::robot::{RecordOptions, Robot, RobotFile, Sources, Version, record_settings};
 use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
 
 /// Options of a recording.
@@ -48,6 +48,8 @@ pub(super) struct Recordable {
     pub(super) options: RecordOptions,
     /// What the bag says of the robot.
     custom_data: Vec<(&'static str, String)>,
+    /// What the modules in other languages started with.
+    sources: Sources,
     topics: Vec<TopicInfo>,
     /// The offered QoS of exposed topics.
     qos: BTreeMap<String, QosProfile>,
@@ -62,7 +64,9 @@ impl Recordable {
         if file.is_emulated() {
             custom_data.push(("emulated", "true".to_owned()));
         }
-        custom_data.extend(Sources::of(file).entry());
+        let sources = Sources::of(file);
+        custom_data.extend(sources.entries());
+        custom_data.extend(record_settings(robot));
         if is_in_simulated_time {
             custom_data.push((SIMULATED_TIME, "true".to_owned()));
         }
@@ -73,6 +77,7 @@ impl Recordable {
             robot: file.name.clone(),
             options: file.record.options.clone(),
             custom_data,
+            sources,
             topics: robot.recorded_topics()?,
             qos,
             interfaces: file.catalog.interfaces.clone(),
@@ -96,6 +101,7 @@ impl Recordable {
         let unrecorded = Unrecorded::of(&self.topics, &self.interfaces);
         unrecorded.warn();
         let writer = unrecorded.note(writer).create(directory)?;
+        self.sources.keep_in(directory);
         tracing::info!("recording into {}", directory.display());
         Ok(writer)
     }
@@ -106,9 +112,10 @@ impl Recordable {
         core: &mut CoreAccess<'_>,
         recording: &Recording,
         encoding: Encoding,
+        directory: &Path,
     ) -> Result<Vec<Outlet>, RecorderError> {
         let qos_of = |name: &str| self.qos.get(name).cloned().unwrap_or(QosProfile::DEFAULT);
-        recorder::record_while(
+        let mut outlets = recorder::record_while(
             core,
             recording,
             &self.topics,
@@ -116,7 +123,21 @@ impl Recordable {
             encoding,
             &self.interfaces,
             qos_of,
-        )
+        )?;
+        // Versions of which the bag holds only the hash.
+        if !self.sources.are_copied() {
+            return Ok(outlets);
+        }
+        let (directory, inbox) = (directory.to_owned(), OutletInbox::new("sources", Inbox::KeepAll));
+        let keep = move |event: Received<'_, ModuleEvent>| {
+            if let ModuleEventKind::Made { description, .. } = &event.kind
+                && let Ok(version) = serde_json::from_slice::<Version>(description)
+            {
+                version.keep_in(&directory);
+            }
+        };
+        outlets.push(core.outlet(ModuleEvent::TOPIC, &inbox, keep)?);
+        Ok(outlets)
     }
 }
 
@@ -158,7 +179,8 @@ impl RobotRecording {
             let (sender, name) = (recording.sender(), format!("{}: recording", recordable.robot));
             diagnostics.watch(move || vec![status(&name, &sender.statistics())]);
         }
-        let outlets = recordable.record(&mut CoreAccess::Idle(&mut robot.core), &recording, encoding)?;
+        let outlets =
+            recordable.record(&mut CoreAccess::Idle(&mut robot.core), &recording, encoding, &directory)?;
         Ok(Self { recording, _outlets: outlets, services })
     }
 }

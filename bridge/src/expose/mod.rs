@@ -25,6 +25,7 @@ mod actions;
 mod bridge;
 mod endpoints;
 mod exposure;
+mod open_requests;
 mod parameters;
 mod pattern;
 mod qos_events;

@@ -2,8 +2,11 @@
 
 use super::ExposeError;
 use super::endpoints::Traffic;
-use crate::edge::{EncodedCallError, EncodedCaller, KnownService, Refusals, RemoteCall, RemoteServices};
-use crate::middleware::rpc::IncomingRequest;
+use super::open_requests::OpenRequests;
+use crate::edge::{
+    EncodedAnswer, EncodedCallError, EncodedCaller, KnownService, Refusals, RemoteCall, RemoteServices,
+};
+use crate::middleware::rpc::{IncomingRequest, Responder};
 use crate::ros::{Introspection, Node, NodeError, RawClient, Service, ServiceName, ServiceType};
 use crate::worker::WorkerLink;
 use bytes::Bytes;
@@ -302,21 +305,19 @@ fn offer(
     traffic: Arc<Traffic>,
 ) -> Result<Service, NodeError> {
     let (service_type, timeout) = (exposure.service_type, exposure.timeout);
-    let refusals = Arc::new(ServiceRefusals { service_type, refusals: OnceLock::new() });
+    let refusals = Arc::new(ServiceRefusals { service_type, refusals: OnceLock::new(), traffic });
     let of_server = Arc::clone(&refusals);
+    let (of_due, service) = (Arc::clone(&refusals), Arc::<str>::from(&*exposure.service));
+    let open = OpenRequests::watched(node.worker(), timeout, move |responder| {
+        let error = CallError::TimedOut { service: Arc::clone(&service), timeout };
+        of_due.answer(responder, Err(error.into()));
+    });
     let on_request = move |IncomingRequest { cdr, responder, .. }: IncomingRequest| {
-        let (traffic, refusals) = (Arc::clone(&traffic), Arc::clone(&refusals));
+        let refusals = Arc::clone(&refusals);
+        let request = open.keep(responder);
         caller.call(&cdr, timeout, move |result| {
-            let is_first = traffic.count(&result.as_ref().map(drop).map_err(ToString::to_string));
-            match result {
-                // On the thread of the core, which neither serialises nor writes.
-                Ok(answer) => responder.reply_later(|| answer.into_cdr().into()),
-                Err(error) => responder.reply_later(move || {
-                    if is_first {
-                        refusals.warn(&error);
-                    }
-                    refusals.response(&error)
-                }),
+            if let Some(responder) = request.take() {
+                refusals.answer(responder, result);
             }
         });
     };
@@ -335,9 +336,25 @@ struct ServiceRefusals {
     service_type: KnownService,
     /// Set once the definition of the type is known.
     refusals: OnceLock<Refusals>,
+    traffic: Arc<Traffic>,
 }
 
 impl ServiceRefusals {
+    /// Answers a request, from any thread: neither serialises nor writes on it.
+    fn answer(self: &Arc<Self>, responder: Responder, result: Result<EncodedAnswer, EncodedCallError>) {
+        let is_first = self.traffic.count(&result.as_ref().map(drop).map_err(ToString::to_string));
+        let refusals = Arc::clone(self);
+        match result {
+            Ok(answer) => responder.reply_later(|| answer.into_cdr().into()),
+            Err(error) => responder.reply_later(move || {
+                if is_first {
+                    refusals.warn(&error);
+                }
+                refusals.response(&error)
+            }),
+        }
+    }
+
     fn get(&self) -> Cow<'_, Refusals> {
         if let Some(refusals) = self.refusals.get() {
             return Cow::Borrowed(refusals);

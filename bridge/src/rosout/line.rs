@@ -5,6 +5,7 @@ use crate::ros::NodeName;
 use downbeat_executor::running_module;
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::rcl_interfaces::msg::Log;
+use std::borrow::Cow;
 use std::fmt::{self, Write};
 use std::time::{SystemTime, UNIX_EPOCH};
 use tracing::Event;
@@ -25,15 +26,16 @@ pub struct LogLine {
     /// The message, followed by the other fields as `name=value`.
     pub message: String,
     /// The source file, empty if not known.
-    pub file: &'static str,
+    pub file: Cow<'static, str>,
     /// The line in it, 0 if not known.
     pub line: u32,
-    /// The path of the Rust module: `tracing` knows no functions.
-    pub function: &'static str,
+    /// The function of a module in Python, else the path of the Rust module: `tracing` knows no functions.
+    pub function: Cow<'static, str>,
 }
 
 impl LogLine {
-    /// The line for an event that is logged now on this thread.
+    /// The line for an event that is logged now on this thread. Its place is that of the event, unless the fields `log.file`,
+    /// `log.line` and `log.module_path` give another: so do lines of the crate `log` and of modules in other languages.
     #[must_use]
     pub fn of(event: &Event<'_>) -> Self {
         let metadata = event.metadata();
@@ -42,9 +44,9 @@ impl LogLine {
         Self {
             severity: Severity::of(*metadata.level()),
             module: fields.module.or_else(|| running_module().map(|name| name.to_string())),
-            file: metadata.file().unwrap_or_default(),
-            line: metadata.line().unwrap_or_default(),
-            function: metadata.module_path().unwrap_or_default(),
+            file: fields.file.map_or(metadata.file().unwrap_or_default().into(), Cow::Owned),
+            line: fields.line.unwrap_or(metadata.line().unwrap_or_default()),
+            function: fields.function.map_or(metadata.module_path().unwrap_or_default().into(), Cow::Owned),
             ..Self::now(Severity::Info, fields.message.join(fields.others))
         }
     }
@@ -57,9 +59,9 @@ impl LogLine {
             severity,
             module: None,
             message,
-            file: file!(),
+            file: file!().into(),
             line: line!(),
-            function: module_path!(),
+            function: module_path!().into(),
         }
     }
 
@@ -79,8 +81,8 @@ impl LogLine {
             level: self.severity.number(),
             name: self.logger(node_logger),
             msg: self.message.clone(),
-            file: self.file.to_owned(),
-            function: self.function.to_owned(),
+            file: self.file.to_string(),
+            function: self.function.to_string(),
             line: self.line,
         }
     }
@@ -97,16 +99,16 @@ pub fn logger_name(node: &NodeName) -> String {
 #[derive(Default)]
 struct Fields {
     module: Option<String>,
+    file: Option<String>,
+    line: Option<u32>,
+    function: Option<String>,
     message: Text,
     others: Text,
 }
 
 impl Fields {
     fn add_other(&mut self, name: &str, value: fmt::Arguments<'_>) {
-        // Where a line of the crate `log` comes from its target says.
-        if !matches!(name, "log.module_path" | "log.file" | "log.line") {
-            self.others.add(format_args!(" {name}={value}"));
-        }
+        self.others.add(format_args!(" {name}={value}"));
     }
 }
 
@@ -115,7 +117,16 @@ impl Visit for Fields {
         match field.name() {
             "message" => self.message.add(format_args!("{value}")),
             "module" => self.module = Some(value.to_owned()),
+            "log.file" => self.file = Some(value.to_owned()),
+            "log.module_path" => self.function = Some(value.to_owned()),
             name => self.add_other(name, format_args!("{value:?}")),
+        }
+    }
+
+    fn record_u64(&mut self, field: &Field, value: u64) {
+        match field.name() {
+            "log.line" => self.line = u32::try_from(value).ok(),
+            name => self.add_other(name, format_args!("{value}")),
         }
     }
 
@@ -194,6 +205,16 @@ mod tests {
         let message = logged.to_message("robot.downbeat");
         assert_eq!((message.name.as_str(), message.level), ("robot.downbeat", Log::WARN));
         assert!(message.stamp.sec > 1_700_000_000);
+    }
+
+    #[test]
+    fn a_line_of_another_language_has_its_own_place() {
+        let lines = lines(|| {
+            tracing::info!(log.file = "walk.py", log.line = 12_u32, log.module_path = "on_imu", "steps");
+        });
+        let message = lines[0].to_message("downbeat");
+        assert_eq!((&*message.file, message.line, &*message.function), ("walk.py", 12, "on_imu"));
+        assert_eq!(message.msg, "steps");
     }
 
     #[test]

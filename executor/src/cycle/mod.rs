@@ -14,7 +14,7 @@ pub(crate) use detached::DetachedModule;
 pub(crate) use mechanism::{CoreHost, Mechanisms};
 pub use mechanism::{Mechanism, MechanismKey, Step};
 pub use members::ModuleInfo;
-pub(crate) use members::{Member, Source};
+pub(crate) use members::{Member, Recruit, Source};
 pub use phase::SyncPhase;
 pub(crate) use phase::{CoreLife, CoreState, Pause};
 pub use stage::{Launcher, Stage};

@@ -38,7 +38,7 @@ pub enum ModuleEventKind {
         /// The answer; `None` unless the service has an encoder.
         result: Result<Option<Vec<u8>>, CallError>,
     },
-    /// A module was asked to make a transition, or held, or removed.
+    /// A module was asked to make a transition, or held, or removed, or started again.
     Command {
         /// The module.
         module: Arc<str>,
@@ -55,6 +55,13 @@ pub enum ModuleEventKind {
         job: u32,
         /// Counts what the module asked of that job, from 0.
         number: u64,
+    },
+    /// A module was made while the core ran, from what its setup [described](crate::Setup::made_from). Its setup may have failed.
+    Made {
+        /// The module.
+        module: Arc<str>,
+        /// What it was made from, in a form of its own.
+        description: Vec<u8>,
     },
     /// A run of a detached module took over the next `count` of the events that concern the module: requests to it, answers,
     /// commands and results.
@@ -90,6 +97,8 @@ pub enum ModuleCommand {
     Resume,
     /// To run once.
     Step,
+    /// To be made again after it stopped.
+    Restart,
     /// To leave.
     Remove,
 }

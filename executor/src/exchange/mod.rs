@@ -13,7 +13,7 @@ pub use events::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
 pub use jobs::{Completion, Job, JobError};
 pub(crate) use messages::Messages;
 pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
-pub use modules::UnknownModule;
+pub use modules::{RestartRefused, UnknownModule};
 pub(crate) use services::Services;
 pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, StandIn};
 pub use settings::{Setting, SettingInfo, SettingRefused, SettingsChange};

@@ -70,6 +70,8 @@ pub(crate) struct ModuleIo {
     pub(crate) run: u64,
     /// The lines of its log that are not written each time.
     pub(crate) log_limits: LogLimits,
+    /// What its setup says of where the module comes from, see [`Setup::made_from`](crate::Setup::made_from).
+    pub(crate) made_from: Option<Vec<u8>>,
     /// The port of messages.
     pub(crate) outboxes: Outboxes,
     /// Those of the other mechanisms, by their numbers.
@@ -79,7 +81,8 @@ pub(crate) struct ModuleIo {
 impl ModuleIo {
     pub(crate) fn new(name: Arc<str>, id: ModuleId, link: Arc<Link>) -> Self {
         let (asked, outboxes, ports) = (Asked::default(), Outboxes::default(), Vec::new());
-        Self { name, id, link, asked, received: 0, run: 0, log_limits: LogLimits::default(), outboxes, ports }
+        let log_limits = LogLimits::default();
+        Self { name, id, link, asked, received: 0, run: 0, log_limits, made_from: None, outboxes, ports }
     }
 
     /// The module's port of the mechanism with that number, if it has one.

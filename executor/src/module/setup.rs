@@ -43,6 +43,7 @@ pub(crate) struct Offer {
 }
 
 /// What a module is given by name.
+#[derive(Default)]
 pub(crate) struct Given {
     pub(crate) settings: BTreeMap<String, SettingValue>,
     pub(crate) optional_settings: BTreeSet<String>,
@@ -91,6 +92,12 @@ impl<'a, M: Module> Setup<'a, M> {
     pub fn remapped(&mut self, name: &str) -> String {
         self.own_names.push(name.strip_prefix('/').unwrap_or(name).to_owned());
         options::resolved(name, &self.given.remaps, &self.given.namespace)
+    }
+
+    /// Describes what the module was made from, such as the version of a source file. The event
+    /// [`ModuleEventKind::Made`](crate::ModuleEventKind) carries it, so that a replay can use the same again.
+    pub fn made_from(&mut self, description: Vec<u8>) {
+        self.io.made_from = Some(description);
     }
 
     /// An error with a reason of the module's own.

@@ -184,11 +184,17 @@ pub(crate) fn with_host<'a, R>(
 
 /// Writes a line of a library's log.
 pub(crate) fn log_line(module: &str, severity: i32, text: &str) {
+    // The interface carries no place in the source; that of this file would mislead.
+    macro_rules! write_line {
+        ($write:ident) => {
+            tracing::$write!(module, log.file = "", log.line = 0_u32, log.module_path = "", "{text}")
+        };
+    }
     match severity {
-        ..severity::INFO => tracing::debug!(module, "{text}"),
-        severity::INFO..severity::WARN => tracing::info!(module, "{text}"),
-        severity::WARN..severity::ERROR => tracing::warn!(module, "{text}"),
-        severity::ERROR.. => tracing::error!(module, "{text}"),
+        ..severity::INFO => write_line!(debug),
+        severity::INFO..severity::WARN => write_line!(info),
+        severity::WARN..severity::ERROR => write_line!(warn),
+        severity::ERROR.. => write_line!(error),
     }
 }
 

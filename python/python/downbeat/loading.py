@@ -20,17 +20,21 @@ class LoadError(Exception):
 _numbers = itertools.count()
 
 
-def class_of_file(path: str | Path, name: str) -> type[Module]:
-    """Returns the class ``name`` of a file, which is imported anew under a name of its own."""
+def class_of_file(path: str | Path, name: str, content: str | Path | None = None) -> type[Module]:
+    """Returns the class ``name`` of a file, which is imported anew under a name of its own.
+
+    The text is that of the file ``content`` if it is given: what the file held earlier.
+    """
     path = Path(path).absolute()
-    if not path.is_file():
-        raise LoadError(f"{path}: there is no such file")
+    content = path if content is None else Path(content).absolute()
+    if not content.is_file():
+        raise LoadError(f"{content}: there is no such file")
     # Beside it, as for a script.
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
     # Two versions that are written within one tick of the file system's clock must not share a cache.
     try:
-        code = compile(path.read_bytes(), str(path), "exec")
+        code = compile(content.read_bytes(), str(path), "exec")
     except SyntaxError as error:
         line = (error.text or "").strip()
         raise LoadError(f"{path}:{error.lineno}: {error.msg}: {line}") from None

@@ -172,9 +172,8 @@ class Log:
         self._write(40, text, every, once)
 
     def _write(self, level: int, text: object, every: float | str | None, once: bool) -> None:
-        line = str(text)
+        line, place = str(text), sys._getframe(2)
         if once or every is not None:
-            place = sys._getframe(2)
             key, now = (place.f_code.co_filename, place.f_lineno), self._link.now
             if key in self._limits:
                 written, suppressed = self._limits[key]
@@ -185,7 +184,8 @@ class Log:
                 if suppressed:
                     line += f" suppressed={suppressed}"
             self._limits[key] = (now, 0)
-        self._link.log(level, line)
+        code = place.f_code
+        self._link.log(level, line, code.co_filename, place.f_lineno, code.co_name)
 
 
 class Module:

@@ -366,13 +366,18 @@ impl Link {
         self.ask("remove()", |_| Asked::Remove { module })
     }
 
-    /// Writes a line into the log of the program.
-    fn log(&self, level: u8, text: &str) {
+    /// Writes a line into the log of the program, from a place in the source.
+    fn log(&self, level: u8, text: &str, file: &str, line: u32, function: &str) {
+        macro_rules! write_line {
+            ($write:ident) => {
+                tracing::$write!(log.file = file, log.line = line, log.module_path = function, "{text}")
+            };
+        }
         match level {
-            ..=10 => tracing::debug!("{text}"),
-            11..=20 => tracing::info!("{text}"),
-            21..=30 => tracing::warn!("{text}"),
-            _ => tracing::error!("{text}"),
+            ..=10 => write_line!(debug),
+            11..=20 => write_line!(info),
+            21..=30 => write_line!(warn),
+            _ => write_line!(error),
         }
     }
 }

@@ -6,7 +6,7 @@ use downbeat::executor::SettingValue;
 use downbeat::robot::{Kind, ModuleSource};
 use parking_lot::Mutex;
 use pyo3::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
@@ -96,7 +96,8 @@ impl ModuleOrigin {
                 .map_err(|error| Python::attach(|py| error.value(py).to_string()))?;
         }
         Python::attach(|py| {
-            let loaded = self.place.class(py).and_then(|class| PythonModule::new(&class, Arc::clone(&self)));
+            let class = self.place.class(py, |file| self.source.file_to_read(file));
+            let loaded = class.and_then(|class| PythonModule::new(&class, Arc::clone(&self)));
             match loaded {
                 Ok(module) => Ok(Box::new(module) as Box<dyn Foreign>),
                 Err(error) => Err(self.place.explain(py, &error)),
@@ -122,10 +123,15 @@ impl ModuleOrigin {
 }
 
 impl Place {
-    fn class<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    /// Loads the class. `content` names the file with the content of a file, which is another one in a replay of an earlier version.
+    fn class<'py>(
+        &self,
+        py: Python<'py>,
+        content: impl FnOnce(&Path) -> PathBuf,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let loading = py.import("downbeat.loading")?;
         match self {
-            Self::File { path, class } => loading.call_method1("class_of_file", (path, class)),
+            Self::File { path, class } => loading.call_method1("class_of_file", (path, class, content(path))),
             Self::Package { package, class } => loading.call_method1("class_of_package", (package, class)),
             Self::Class(class) => loading.call_method1("checked", (class.bind(py),)),
         }
@@ -136,7 +142,7 @@ impl Place {
         match self {
             Self::File { path, .. } => Some(path.clone()),
             Self::Package { .. } | Self::Class(_) => Python::attach(|py| {
-                let class = self.class(py).ok()?;
+                let class = self.class(py, Path::to_owned).ok()?;
                 let file = py
                     .import("downbeat.loading")
                     .and_then(|module| module.call_method1("file_of_class", (class,)));

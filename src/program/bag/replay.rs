@@ -8,7 +8,7 @@ use crate::replay::{
     Difference, ReplayOptions, ReplayReport, Simulators, Strictness, TopicReport, What,
     replay as replay_robot,
 };
-use crate::robot::{Catalog, LauncherChoice, RosArgs};
+use crate::robot::{Catalog, ChangedSetting, LastVersion, LauncherChoice, RosArgs};
 use anyhow::anyhow;
 use clap::Args;
 use serde_json::{Value, json};
@@ -19,7 +19,8 @@ use crate::program::logging::Log;
 
 #[derive(Args)]
 pub(crate) struct ReplayArguments {
-    /// The robot file of the recording, except for the changes under test.
+    /// The robot file of the recording. Settings have the values with which the recording began, unless --param or --params-file give
+    /// others.
     #[arg(value_name = "ROBOT.toml")]
     pub(crate) robot: PathBuf,
     /// A rosbag2 directory or an MCAP file.
@@ -49,6 +50,9 @@ pub(crate) struct ReplayArguments {
     /// time (`--fast`). Modules that drive a simulated device then drive it again, instead of running on its recorded answers.
     #[arg(long, conflicts_with = "modules")]
     pub(crate) simulators: bool,
+    /// Run modules in other languages in the last version that was recorded, instead of the files as they are now.
+    #[arg(long)]
+    pub(crate) recorded_sources: bool,
     /// Print the report as JSON.
     #[arg(long)]
     pub(crate) json: bool,
@@ -74,7 +78,8 @@ pub(crate) fn replay(
     let rules = file.replay.rules.iter().chain(tolerances).chain(ignored).cloned().collect();
     let except = file.replay.except.iter().chain(&arguments.except).cloned().collect();
     let simulators = if arguments.simulators { Simulators::RunAgain } else { Simulators::LeftOut };
-    let options = ReplayOptions { modules: given.clone(), rules, except, simulators };
+    let last_version = if arguments.recorded_sources { LastVersion::AsRecorded } else { LastVersion::AsItIs };
+    let options = ReplayOptions { modules: given.clone(), rules, except, simulators, last_version };
     let report = replay_robot(file, &reader, &options)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&as_json(&report))?);
@@ -118,6 +123,9 @@ fn as_json(report: &ReplayReport) -> Value {
         "has_recorded_cycles": report.has_recorded_cycles,
         "detached": detached.collect::<Vec<_>>(),
         "left_out": left_out.collect::<Vec<_>>(),
+        "changed_sources": report.changed_sources,
+        "versions": report.versions,
+        "changed_settings": report.changed_settings.iter().map(changed_setting).collect::<Vec<_>>(),
         "inputs": report.inputs,
         "missing_inputs": report.missing_inputs,
         "topics": topics.collect::<Vec<_>>(),
@@ -127,6 +135,16 @@ fn as_json(report: &ReplayReport) -> Value {
         "different": report.different(),
         "bag_seconds": report.bag_duration.as_secs_f64(),
         "seconds": report.took.as_secs_f64(),
+    })
+}
+
+fn changed_setting(changed: &ChangedSetting) -> Value {
+    json!({
+        "module": changed.module,
+        "setting": changed.setting,
+        "recorded": changed.recorded.as_ref().map(ToString::to_string),
+        "now": changed.now.as_ref().map(ToString::to_string),
+        "replayed": if changed.is_explicit { "now" } else { "recorded" },
     })
 }
 

@@ -93,8 +93,8 @@ impl Token {
             Self::Severity => text.write_str(line.severity.name()),
             Self::Name => text.write_str(&printable(logger)),
             Self::Message => write_message(&line.message, text),
-            Self::FunctionName => text.write_str(line.function),
-            Self::FileName => text.write_str(line.file),
+            Self::FunctionName => text.write_str(&printable(&line.function)),
+            Self::FileName => text.write_str(&printable(&line.file)),
             Self::LineNumber => write!(text, "{}", line.line),
             Self::Seconds => write!(text, "{seconds:010}.{nanoseconds:09}"),
             Self::Nanoseconds => write!(text, "{:019}", line.time_ns),
@@ -155,9 +155,9 @@ mod tests {
             severity: Severity::Warn,
             module: None,
             message: "servo 5 is silent".into(),
-            file: "bus.rs",
+            file: "bus.rs".into(),
             line: 42,
-            function: "darwin_op::bus",
+            function: "darwin_op::bus".into(),
         };
         let mut text = String::new();
         Format::read(format).write(&line, "robot.darwin_op", &mut text);

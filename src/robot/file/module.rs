@@ -102,6 +102,11 @@ impl ModuleEntry {
         self.kind.is_emulated() || (self.kind.uses_device() && is_in_memory)
     }
 
+    /// True for a module in another language that is loaded again when its files change.
+    pub(crate) fn reloads(&self) -> bool {
+        self.kind.reloads(&self.source)
+    }
+
     /// A line of the file that has the module.
     pub(crate) fn at(&self, line: usize) -> Place {
         match &self.included {
@@ -148,7 +153,7 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         folder,
         keys,
         deadline: running.deadline,
-        interfaces: Vec::new(),
+        ..ModuleSource::default()
     };
     Ok(ModuleEntry { line, included: None, name, kind, settings, remaps, source, thread_line, running })
 }

@@ -120,6 +120,13 @@ pub(crate) struct ParameterPlace {
     pub(crate) keys: Vec<String>,
 }
 
+impl Place {
+    /// True for the command line and parameter files, which say how this run is to be, and not how the robot is.
+    pub(crate) fn is_for_this_run(&self) -> bool {
+        matches!(self, Self::Parameter(_) | Self::Argument(_))
+    }
+}
+
 impl RobotFile {
     /// Creates an error that points to a place.
     pub(crate) fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {

@@ -2,6 +2,7 @@
 
 use super::declarations::{Declaration, Declarations, Named};
 use super::module::{Event, ForeignModule, Publisher};
+use super::versions::{Life, Made, prepare};
 use crate::{KnownService, KnownType};
 use downbeat_executor::{Context, Module, Setup, SetupError, Transition, TransitionError};
 use std::sync::Arc;
@@ -14,17 +15,43 @@ impl Module for ForeignModule {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        let joined = self.join(setup);
+        self.versions.note(if joined.is_ok() { Life::Runs } else { Life::Stopped });
+        joined
+    }
+
+    fn configure(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Configure, ctx).map_err(TransitionError::new)
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Activate, ctx).map_err(TransitionError::new)
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Deactivate, ctx).map_err(TransitionError::new)
+    }
+
+    fn cleanup(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.make_transition(Transition::Cleanup, ctx).map_err(TransitionError::new)
+    }
+
+    fn shutdown(&mut self, ctx: &mut Context<'_>) {
+        if let Err(reason) = self.make_transition(Transition::Shutdown, ctx) {
+            tracing::error!(module = ctx.module_name(), "its shutdown failed: {reason}");
+        }
+    }
+}
+
+impl ForeignModule {
+    fn join(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
         let declared = match self.declared.take() {
             Some(declared) => declared,
-            None => {
-                let mut foreign = (self.make)().map_err(|reason| setup.refuse(reason))?;
-                let mut declared = Declarations::new(setup.module_name(), self.options.settings.clone())
-                    .with_interfaces(self.interfaces.clone());
-                foreign.setup(&mut declared).map_err(|reason| setup.refuse(reason))?;
-                self.foreign = Some(foreign);
-                Arc::new(declared)
-            }
+            None => Arc::new(self.make(setup)?),
         };
+        if let Some(description) = self.description.take() {
+            setup.made_from(description);
+        }
         self.declare_settings(&declared, setup)?;
         let (mut subscriptions, mut servers, mut timers) = (0_u32.., 0_u32.., 0_u32..);
         let (mut clients, mut tasks) = (0_u32.., 0_u32..);
@@ -58,37 +85,31 @@ impl Module for ForeignModule {
         if declared.is_run_each_cycle {
             setup.each_run(|module, ctx| module.take(Event::EachRun, ctx));
         }
-        if declared.is_reloading {
+        if declared.is_reloading || self.versions.has_successors() {
             setup.every(RELOAD_PERIOD, Self::look_for_successor)?;
         }
         self.declared = Some(declared);
         Ok(())
     }
 
-    fn configure(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.make_transition(Transition::Configure, ctx).map_err(TransitionError::new)
-    }
-
-    fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.make_transition(Transition::Activate, ctx).map_err(TransitionError::new)
-    }
-
-    fn deactivate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.make_transition(Transition::Deactivate, ctx).map_err(TransitionError::new)
-    }
-
-    fn cleanup(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
-        self.make_transition(Transition::Cleanup, ctx).map_err(TransitionError::new)
-    }
-
-    fn shutdown(&mut self, ctx: &mut Context<'_>) {
-        if let Err(reason) = self.make_transition(Transition::Shutdown, ctx) {
-            tracing::error!(module = ctx.module_name(), "its shutdown failed: {reason}");
+    /// Makes the module, unless another thread has prepared it.
+    fn make(&mut self, setup: &mut Setup<'_, Self>) -> Result<Declarations, SetupError> {
+        let made = match self.versions.take_prepared() {
+            Some(prepared) => Ok(prepared),
+            None => {
+                let settings = self.options.settings.clone();
+                prepare(&*self.versions, setup.module_name(), settings, &self.interfaces)
+            }
+        };
+        let failure = made.as_ref().err().map(String::as_str);
+        if let Some(description) = self.versions.describe(Made::Anew(failure)) {
+            setup.made_from(description);
         }
+        let (foreign, declared) = made.map_err(|reason| setup.refuse(reason))?;
+        self.foreign = Some(foreign);
+        Ok(declared)
     }
-}
 
-impl ForeignModule {
     fn declare_settings(
         &mut self,
         declared: &Declarations,

@@ -9,7 +9,9 @@
 mod declarations;
 mod join;
 mod module;
+mod versions;
 
 pub use declarations::{Declarations, SettingDeclaration};
 pub(crate) use module::{CallEncoded as CallEncodedIn, ReplyEncoded};
 pub use module::{Event, Foreign, ForeignContext, ForeignError, ForeignModule, MakeForeign, SavedState};
+pub use versions::{Life, Made, Prepared, Versions, prepare};

@@ -1,6 +1,7 @@
 //! A module in another language: what it implements, what comes to it, and what it can ask for.
 
 use super::Declarations;
+use super::versions::{Life, Made, OneVersion, StopsByPanic, Versions};
 use crate::KnownType;
 use bytes::Bytes;
 use downbeat_executor::{
@@ -175,7 +176,9 @@ pub struct ForeignContext<'a, 'b> {
 pub struct ForeignModule {
     /// `None` once the module has a successor.
     pub(super) foreign: Option<Box<dyn Foreign>>,
-    pub(super) make: Arc<MakeForeign>,
+    pub(super) versions: Arc<dyn Versions>,
+    /// Of a successor: the version, for a recording.
+    pub(super) description: Option<Vec<u8>>,
     pub(super) interfaces: crate::Interfaces,
     pub(super) options: ModuleOptions,
     /// Set for a successor, and for one that goes on because its successor was refused.
@@ -307,7 +310,25 @@ impl ForeignModule {
     /// A module whose [`Foreign`] `make` makes: in its setup, and again after each panic.
     #[must_use]
     pub fn new(make: Arc<MakeForeign>, interfaces: crate::Interfaces, options: ModuleOptions) -> Self {
-        Self { foreign: None, make, interfaces, options, declared: None, ports: Ports::default() }
+        Self::of_versions(Arc::new(OneVersion(make)), interfaces, options)
+    }
+
+    /// A module whose versions are known: what they are made from is [described](downbeat_executor::Setup::made_from).
+    #[must_use]
+    pub fn of_versions(
+        versions: Arc<dyn Versions>,
+        interfaces: crate::Interfaces,
+        options: ModuleOptions,
+    ) -> Self {
+        Self {
+            foreign: None,
+            versions,
+            description: None,
+            interfaces,
+            options,
+            declared: None,
+            ports: Ports::default(),
+        }
     }
 
     /// The same with a module that was set up.
@@ -317,12 +338,13 @@ impl ForeignModule {
         declared: Arc<Declarations>,
         options: ModuleOptions,
     ) -> Self {
-        let new = Self::new(Arc::clone(&self.make), self.interfaces.clone(), options);
+        let new = Self::of_versions(Arc::clone(&self.versions), self.interfaces.clone(), options);
         Self { foreign: Some(foreign), declared: Some(declared), ..new }
     }
 
     pub(super) fn take(&mut self, event: Event, context: &mut Context<'_>) {
-        let Self { foreign: Some(foreign), ports, .. } = self else { return };
+        let Self { foreign: Some(foreign), ports, versions, .. } = self else { return };
+        let _noting = StopsByPanic(&**versions);
         if let Err(reason) = foreign.handle(event, &mut ForeignContext { context, ports }) {
             // Not `panic!`, which would log the place in this file.
             std::panic::resume_unwind(Box::new(reason));
@@ -359,34 +381,43 @@ impl ForeignModule {
         transition: Transition,
         context: &mut Context<'_>,
     ) -> Result<(), String> {
-        match self {
-            Self { foreign: Some(foreign), ports, .. } => {
-                foreign.transition(transition, &mut ForeignContext { context, ports })
-            }
-            _ => Ok(()),
+        let Self { foreign: Some(foreign), ports, versions, .. } = self else { return Ok(()) };
+        let _noting = StopsByPanic(&**versions);
+        let result = foreign.transition(transition, &mut ForeignContext { context, ports });
+        match (&result, transition) {
+            (_, Transition::Shutdown) => {}
+            (Ok(()), Transition::Activate) => versions.note(Life::Runs),
+            (Ok(()), _) => {}
+            (Err(_), _) => versions.note(Life::Stopped),
         }
+        result
     }
 
     /// Lets a newer version take over, if there is one.
     pub(super) fn look_for_successor(&mut self, context: &mut Context<'_>) {
         let Some(foreign) = &mut self.foreign else { return };
-        let module = context.module_name().to_owned();
-        let successor = match foreign.successor() {
+        let (module, now) = (context.module_name().to_owned(), context.now());
+        let successor = match self.versions.successor(&mut **foreign, now) {
             Ok(None) => return,
             Ok(Some(successor)) => self.prepare_successor(successor, context),
             Err(reason) => Err(reason),
         };
+        let source = self.versions.source();
         let (successor, declarations) = match successor {
             Ok(successor) => successor,
             Err(reason) => {
-                tracing::error!(module, "is not reloaded, the version before goes on: {reason}");
+                tracing::error!(
+                    module,
+                    "{source} was saved and is not reloaded, the version before goes on: {reason}"
+                );
                 return;
             }
         };
         let (Some(current), Some(declared)) = (self.foreign.take(), self.declared.clone()) else { return };
         let options = self.options_for(&declarations, context);
-        tracing::info!(module, "is reloaded");
-        let new = self.prepared(successor, Arc::new(declarations), options.clone());
+        tracing::info!(module, "{source} was saved and is reloaded");
+        let mut new = self.prepared(successor, Arc::new(declarations), options.clone());
+        new.description = self.versions.describe(Made::Reloaded(now));
         let fallback = self.prepared(current, declared, options.clone());
         context.replace_self(options, first_then_new(new), first_then_new(fallback));
     }
@@ -425,12 +456,14 @@ impl ForeignModule {
 
 /// A factory that returns `module` first, and then modules that are made anew.
 fn first_then_new(module: ForeignModule) -> impl FnMut() -> ForeignModule + Send + 'static {
-    let (make, interfaces, options) =
-        (Arc::clone(&module.make), module.interfaces.clone(), module.options.clone());
+    let (versions, interfaces, options) =
+        (Arc::clone(&module.versions), module.interfaces.clone(), module.options.clone());
     let first = Mutex::new(Some(module));
     move || {
         let first = first.lock().take();
-        first.unwrap_or_else(|| ForeignModule::new(Arc::clone(&make), interfaces.clone(), options.clone()))
+        first.unwrap_or_else(|| {
+            ForeignModule::of_versions(Arc::clone(&versions), interfaces.clone(), options.clone())
+        })
     }
 }
 

@@ -3,12 +3,16 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use crate::cycle::{CoreHost, CoreLife, DetachedModule, Member, Pause, Source};
+use crate::cycle::{CoreHost, CoreLife, DetachedModule, Member, Pause, Recruit, Source};
+use crate::exchange::events::{hears_events, note_event};
 use crate::exchange::settings::SettingsPort;
 use crate::exchange::timers::TimersPort;
 use crate::module::{Behaviour, Given, ModuleCell, ModuleIo, Place, SETTINGS, TIMERS};
 use crate::threads::{drop_guarded, end_of};
-use crate::{ModuleId, ModuleOptions, Restart, SetupError, SyncPhase, Synchrony};
+use crate::{
+    LifecycleState, Module, ModuleEventKind, ModuleId, ModuleOptions, Restart, Role, Setup, SetupError,
+    SyncPhase, Synchrony,
+};
 
 /// A module that is to join.
 pub(super) struct Candidate {
@@ -19,6 +23,27 @@ pub(super) struct Candidate {
 
 /// Adds a module. What it declared is undone where its setup fails.
 pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(), SetupError> {
+    let mut member = enlist(phase, candidate)?;
+    instate(phase, &mut member)?;
+    phase.state.members.insert(member);
+    Ok(())
+}
+
+/// Adds a module as one that has stopped for this reason: it is made when it is started again.
+pub(super) fn admit_stopped(
+    phase: &mut SyncPhase<'_>,
+    candidate: Candidate,
+    reason: &str,
+) -> Result<(), SetupError> {
+    let mut member = enlist(phase, candidate)?;
+    member.panic = Some(reason.into());
+    hold_place(phase, &mut member)?;
+    phase.state.members.insert(member);
+    Ok(())
+}
+
+/// Gives a module that is to join its place.
+fn enlist(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<Member, SetupError> {
     if let Some(error) = objection(phase, &candidate) {
         drop_guarded("a module that was refused", || drop(candidate));
         return Err(error);
@@ -33,7 +58,7 @@ pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(
         false => Place::Attached(stage.cells.free_slot()),
     };
     let (id, name, started) = (ModuleId { order, life: 0, place }, Arc::from(name), state.clock.now());
-    let mut member = Member {
+    Ok(Member {
         id,
         name,
         options,
@@ -45,10 +70,7 @@ pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(
         started,
         periods: Vec::new(),
         meter: None,
-    };
-    instate(phase, &mut member)?;
-    phase.state.members.insert(member);
-    Ok(())
+    })
 }
 
 /// What speaks against a module before it is set up.
@@ -73,7 +95,47 @@ pub(super) fn instate(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<
     result
 }
 
+/// In the place of a module that could not be made, until it can.
+struct Absent;
+
+impl Module for Absent {
+    type Ports = ();
+
+    fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        Ok(())
+    }
+}
+
+/// Keeps the place of a module that could not be made, so that it can be started again.
+pub(super) fn hold_place(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<(), SetupError> {
+    let SyncPhase { stage, state, mechanisms, .. } = phase;
+    let mut io = ModuleIo::new(Arc::clone(&member.name), member.id, Arc::clone(&state.link));
+    let mut host = CoreHost { views: &mut stage.views, mechanisms };
+    let is_detached = matches!(member.options.synchrony, Synchrony::Detached(_));
+    let absent = Box::new(Absent);
+    let behaviour = absent.set_up(&mut io, &mut host, &mut member.uses, is_detached, Given::default())?;
+    member.periods = Vec::new();
+    let meter = member.meter.take().unwrap_or_else(|| state.inspector.module_meter());
+    put(phase, member, ModuleCell::new(io, behaviour, LifecycleState::Finalized, None, meter))
+}
+
 fn set_up(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<ModuleCell, SetupError> {
+    let mut made_from = None;
+    let result = make(phase, member, &mut made_from);
+    if let Some(description) = made_from
+        && member.options.role == Role::Part
+        && hears_events(phase)
+    {
+        note_event(phase, ModuleEventKind::Made { module: Arc::clone(&member.name), description });
+    }
+    result
+}
+
+fn make(
+    phase: &mut SyncPhase<'_>,
+    member: &mut Member,
+    made_from: &mut Option<Vec<u8>>,
+) -> Result<ModuleCell, SetupError> {
     let SyncPhase { stage, state, mechanisms, .. } = phase;
     let mut io = ModuleIo::new(Arc::clone(&member.name), member.id, Arc::clone(&state.link));
     let mut host = CoreHost { views: &mut stage.views, mechanisms };
@@ -88,6 +150,7 @@ fn set_up(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<ModuleCell, 
     let set_up = catch_unwind(set_up).unwrap_or_else(|panic| {
         Err(SetupError::Panicked { module: member.name.to_string(), reason: end_of(panic) })
     });
+    *made_from = io.made_from.take();
     let behaviour: Box<dyn Behaviour> = set_up.inspect_err(|_| {
         state.refused_settings =
             io.look::<SettingsPort>(SETTINGS).map_or_else(Vec::new, SettingsPort::declared);

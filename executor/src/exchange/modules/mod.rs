@@ -6,7 +6,7 @@ use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
-use admission::{Candidate, admit, instate};
+use admission::{Candidate, admit, admit_stopped, hold_place, instate};
 
 use super::events::{ModuleCommand, ModuleEventKind, note_event_of};
 use super::messages::DetachedStep;
@@ -42,6 +42,8 @@ enum Command {
         transition: Transition,
         receipt: Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>,
     },
+    /// To be made again, after it stopped.
+    Restart { module: String, receipt: Option<ReceiptSender<Result<(), RestartRefused>>> },
     /// Looks at the core between two cycles.
     Look(Look),
 }
@@ -64,6 +66,23 @@ pub struct UnknownModule {
     pub known: String,
 }
 
+/// Why a module is not started again.
+#[derive(Debug, thiserror::Error)]
+pub enum RestartRefused {
+    /// There is no such module.
+    #[error(transparent)]
+    UnknownModule(#[from] UnknownModule),
+    /// The module runs.
+    #[error("module \"{module}\" runs; only one that has stopped, or is not active, is started again")]
+    Runs {
+        /// The module.
+        module: String,
+    },
+    /// The module cannot be made again, or its setup failed: it stays stopped.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+}
+
 impl Command {
     /// The module that has to do something, unless it is to join or to leave.
     fn target(&self) -> Option<&str> {
@@ -71,7 +90,7 @@ impl Command {
             Self::Change { module, change: Change::Hold(_), .. } | Self::Transition { module, .. } => {
                 Some(module)
             }
-            Self::Add { .. } | Self::Change { .. } | Self::Look(_) => None,
+            Self::Add { .. } | Self::Change { .. } | Self::Restart { .. } | Self::Look(_) => None,
         }
     }
 
@@ -244,7 +263,42 @@ impl Modules {
         let (due, later): (Vec<_>, Vec<_>) =
             phase.state.restarts.drain(..).partition(|&(time, _)| time <= now);
         phase.state.restarts = later;
-        due.into_iter().for_each(|(_, order)| restart(phase, order));
+        for (_, order) in due {
+            match restart(phase, order) {
+                Some((module, Ok(restarts))) => {
+                    tracing::info!(module = &*module, restarts, "starts again after its panic");
+                }
+                Some((_, Err(error))) => tracing::error!("not started again after its panic: {error}"),
+                None => {}
+            }
+        }
+    }
+
+    /// Starts a module again that has stopped, or is not active.
+    fn restart_stopped(
+        phase: &mut SyncPhase<'_>,
+        by: Option<ModuleId>,
+        module: &str,
+    ) -> Result<(), RestartRefused> {
+        let id = find(phase, module)?;
+        if phase.state.link.is_closed() {
+            return Err(SetupError::Stopped(module.to_owned()).into());
+        }
+        let member = phase.state.members.get(id.order);
+        let has_stopped = member.is_some_and(|member| member.panic.is_some());
+        let state = match id.place {
+            Place::Attached(_) => phase.attached(id).map(|cell| cell.state()),
+            Place::Detached(_) => phase.state.detached(id).map(|detached| detached.state),
+        };
+        if !has_stopped && state == Some(LifecycleState::Active) {
+            return Err(RestartRefused::Runs { module: module.to_owned() });
+        }
+        note(phase, id, by, ModuleCommand::Restart);
+        phase.state.restarts.retain(|&(_, order)| order != id.order);
+        match restart(phase, id.order) {
+            Some((_, Err(error))) => Err(error.into()),
+            _ => Ok(()),
+        }
     }
 
     fn apply(&mut self, phase: &mut SyncPhase<'_>, by: Option<ModuleId>, command: Command) {
@@ -291,6 +345,10 @@ impl Modules {
                     answer(receipt, Err(TransitionRefused::UnknownModule { module: unknown.module }));
                 }
             },
+            Command::Restart { module, receipt } => {
+                let result = Self::restart_stopped(phase, by, &module);
+                answer(receipt, result);
+            }
             Command::Look(look) => look(phase),
         }
     }
@@ -335,8 +393,10 @@ fn lengthened(backoff: Duration, doublings: u32) -> Duration {
     backoff.saturating_mul(1_u32.checked_shl(doublings).unwrap_or(u32::MAX)).min(longest)
 }
 
-fn restart(phase: &mut SyncPhase<'_>, order: u64) {
-    let Some(mut member) = phase.state.members.take(order) else { return };
+/// Makes a module again. Returns its name, and how often that has happened to it, or why it stays stopped; `None` if there is no
+/// such module.
+fn restart(phase: &mut SyncPhase<'_>, order: u64) -> Option<(Arc<str>, Result<u32, SetupError>)> {
+    let mut member = phase.state.members.take(order)?;
     phase.give_back(&mut member, None);
     member.meter = phase.vacate(member.id);
     if let Some(meter) = &mut member.meter {
@@ -349,18 +409,20 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) {
     member.id.life += 1;
     member.started = phase.now();
     let (module, restarts) = (Arc::clone(&member.name), member.restarts);
-    match instate(phase, &mut member) {
-        Ok(()) => {
-            phase.state.members.insert(member);
-            tracing::info!(module = &*module, restarts, "starts again after its panic");
-        }
-        Err(error) => {
-            tracing::error!("not started again after its panic: {error}");
+    let result = instate(phase, &mut member).map(|()| restarts);
+    if let Err(error) = &result {
+        // It keeps its place: what is wrong with it may be mended.
+        member.panic = Some(error.to_string().into());
+        if let Err(error) = hold_place(phase, &mut member) {
+            tracing::error!(module = &*module, "is removed: {error}");
             if let Place::Attached(slot) = member.id.place {
                 phase.state.freed_slots.push(slot);
             }
+            return Some((module, result));
         }
     }
+    phase.state.members.insert(member);
+    Some((module, result))
 }
 
 /// Publishes a command that a module is given as an event.
@@ -556,6 +618,21 @@ impl Core {
         self.admit(name, Source::factory(make), options)
     }
 
+    /// Adds a module that can be made again, but not now, as one that has stopped for this reason: [`CoreHandle::restart`] makes it.
+    ///
+    /// # Errors
+    /// If the name is taken, or the core has stopped.
+    pub fn add_stopped<M: Module>(
+        &mut self,
+        name: &str,
+        make: impl FnMut() -> M + Send + 'static,
+        options: ModuleOptions,
+        reason: &str,
+    ) -> Result<(), SetupError> {
+        let candidate = Candidate { name: name.to_owned(), source: Source::factory(make), options };
+        admit_stopped(&mut self.between_cycles(), candidate, reason)
+    }
+
     /// Drops what modules ask of themselves but to leave: transitions, pauses and settings. For a replay of a detached module,
     /// which is given them in the run in which it took them over when it was recorded.
     pub fn drop_commands_to_self(&mut self) {
@@ -612,6 +689,36 @@ impl CoreHandle {
     /// Has a module run once, on what the next cycle has for it, and holds it then.
     pub fn step_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
         self.change(module, Change::Hold(Hold::Step))
+    }
+
+    /// Makes a module again that has stopped by a panic, or is not active, by the closure that it was added with: whatever its
+    /// [restart policy](crate::Restart) is, and without its back-off. If that fails, it stays stopped and can be started again.
+    ///
+    /// ```
+    /// # use downbeat_executor::{Core, LifecycleState, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
+    /// struct Camera;
+    ///
+    /// impl Module for Camera {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.subscribe::<(), _>("pull", |_, _, _| panic!("the cable came loose"))
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add_restartable("camera", || Camera, ModuleOptions::default())?;
+    /// core.inlet("pull")?.publish(())?;
+    /// (0..3).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(core.modules()[0].state, LifecycleState::Finalized);
+    /// drop(core.handle().restart("camera"));
+    /// (0..2).try_for_each(|_| core.cycle())?;
+    /// assert_eq!(core.modules()[0].state, LifecycleState::Active);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn restart(&self, module: &str) -> Receipt<Result<(), RestartRefused>> {
+        let module = module.to_owned();
+        self.command(|receipt| Command::Restart { module, receipt })
     }
 
     /// Requests a transition of a module. The receipt is answered when the transition is made or refused.
