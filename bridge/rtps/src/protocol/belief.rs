@@ -21,6 +21,8 @@ const RATE_PER_MS: u128 = 1000;
 /// A contradiction must last this long: samples and heartbeats overtake each other in the network, and a reader that was suspended
 /// receives together what had been sent before.
 const DOUBT: Duration = Duration::from_millis(250);
+/// Messages farther apart do not continue a contradiction: the reader asks again and again, and at first more often.
+const LULL: Duration = Duration::from_secs(1);
 /// The number of samples of a best-effort writer that contradict another one.
 const STALE_SAMPLES: u32 = 3;
 
@@ -31,8 +33,8 @@ pub(super) struct Belief {
     reached: Option<(i64, Instant)>,
     /// The number of an unbelievable message.
     claim: Option<i64>,
-    /// The first of consecutive contradicting messages, with their number.
-    doubted: Option<(Instant, u32)>,
+    /// When the first and the last of consecutive contradicting messages came, and their number.
+    doubted: Option<(Instant, Instant, u32)>,
     /// The last of these samples.
     stale: i64,
     /// When the first of these samples was written, by the clock of its host, if it says so.
@@ -72,8 +74,9 @@ impl Belief {
     /// Records a heartbeat that ends before numbers that were already given up or delivered. Returns whether
     /// the writer insists, so that it is right.
     pub fn doubt(&mut self, now: Instant) -> bool {
-        let (since, count) = self.doubted.unwrap_or((now, 0));
-        self.doubted = Some((since, count.saturating_add(1)));
+        let continued = self.doubted.filter(|(_, last, _)| now.saturating_duration_since(*last) <= LULL);
+        let (since, _, count) = continued.unwrap_or((now, now, 0));
+        self.doubted = Some((since, now, count.saturating_add(1)));
         count > 0 && now.saturating_duration_since(since) >= DOUBT
     }
 
@@ -88,8 +91,8 @@ impl Belief {
         if previous.is_none() {
             self.stale_since = written;
         }
-        let (since, count) = previous.unwrap_or((now, 0));
-        (self.doubted, self.stale) = (Some((since, count.saturating_add(1))), number);
+        let (since, _, count) = previous.unwrap_or((now, now, 0));
+        (self.doubted, self.stale) = (Some((since, now, count.saturating_add(1))), number);
         let was_written_over_time = self.stale_since.zip(written).is_none_or(|(first, last)| {
             last.to_nanos().saturating_sub(first.to_nanos()) >= DOUBT.as_nanos() as i64
         });
@@ -128,6 +131,7 @@ mod tests {
         belief.trust();
         assert!(!belief.doubt(start + 100 * MS) && !belief.doubt(start + 101 * MS));
         assert!(belief.doubt(start + 351 * MS));
+        assert!(!belief.doubt(start + 1_352 * MS) && !belief.doubt(start + 2_353 * MS));
     }
 
     #[test]

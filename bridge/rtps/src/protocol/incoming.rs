@@ -144,7 +144,11 @@ impl Incoming {
             if (self.floor..self.next).contains(&number) && self.question.is_none() {
                 self.question = Some((now + FIRST_QUESTION, FIRST_QUESTION));
             }
-            return self.is_wanted(number);
+            let is_wanted = self.is_wanted(number);
+            if is_wanted {
+                self.belief.trust();
+            }
+            return is_wanted;
         }
         if number >= self.floor {
             self.belief.trust();
