@@ -20,6 +20,24 @@ pub(crate) struct Feature {
 const NOTHING: Feature =
     Feature { name: "", is_built_in: false, kinds: &[], options: &[], is_in_wheel: true };
 
+const SENSORS: &[&str] = &[
+    "camera",
+    "camera_emulator",
+    "can",
+    "can_emulator",
+    "gpio",
+    "gpio_emulator",
+    "gps",
+    "gps_emulator",
+    "imu",
+    "imu_emulator",
+    "joy_teleop",
+    "joystick",
+    "joystick_emulator",
+    "lidar",
+    "lidar_emulator",
+];
+
 const FEATURES: [Feature; 11] = [
     Feature {
         name: "football",
@@ -42,12 +60,7 @@ const FEATURES: [Feature; 11] = [
         ..NOTHING
     },
     Feature { name: "plots", is_built_in: cfg!(feature = "plots"), ..NOTHING },
-    Feature {
-        name: "sensors",
-        is_built_in: cfg!(feature = "sensors"),
-        kinds: &["gps", "gps_emulator", "imu", "imu_emulator", "lidar", "lidar_emulator"],
-        ..NOTHING
-    },
+    Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: SENSORS, ..NOTHING },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },
     Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
     Feature { name: "top", is_built_in: cfg!(feature = "top"), options: &[("--plot", &["top"])], ..NOTHING },

@@ -57,6 +57,8 @@ impl Catalog {
         let own = downbeat_state_machine::INTERFACES;
         #[cfg(any(feature = "football", feature = "network"))]
         let own = (own, downbeat_football::INTERFACES);
+        #[cfg(feature = "sensors")]
+        let own = (own, downbeat_sensors::INTERFACES);
         // No carried interface has these names.
         let interfaces = Interfaces::carried().with(own).unwrap_or_default();
         Self { kinds: kinds.collect(), interfaces, ..Self::default() }

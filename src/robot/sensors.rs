@@ -57,7 +57,66 @@ fn emulator<M: Module>(name: &str, about: &str, make: impl Fn() -> M + Send + Sy
     Kind::new(name, about, make).drives_device().emulated().with_synchrony(Synchrony::WhenDue)
 }
 
-/// Sensors and buses that Linux serves as devices of a class.
+/// Sensors and buses that Linux serves as devices of a class, and driving with one of them.
 fn of_the_kernel() -> Vec<Kind> {
-    Vec::new()
+    use downbeat_sensors::camera::{Camera, Pictures, V4l2, VideoDevice};
+    use downbeat_sensors::can::{CanBus, CanDevice, CandumpLog, SocketCan};
+    use downbeat_sensors::gpio::{Chip, Gpio, GpioDevice, Pins};
+    use downbeat_sensors::joystick::teleop::JoyTeleop;
+    use downbeat_sensors::joystick::{Evdev, InputDevice, Joystick, RecordedEvents};
+    vec![
+        Kind::device(
+            "camera",
+            "a USB camera, or another that Linux has as a video device",
+            || VideoDevice::new(V4l2::default()),
+            Camera::new,
+        )
+        .with_files(&["calibration"]),
+        Kind::device(
+            "camera_emulator",
+            "an emulated camera: pictures of files, or a pattern",
+            || VideoDevice::new(Pictures::default()),
+            Camera::emulated,
+        )
+        .with_files(&["calibration", "device"])
+        .emulated(),
+        Kind::device(
+            "joystick",
+            "a joystick or gamepad",
+            || InputDevice::new(Evdev::default()),
+            Joystick::new,
+        ),
+        Kind::device(
+            "joystick_emulator",
+            "an emulated gamepad that a file of events moves",
+            || InputDevice::new(RecordedEvents::default()),
+            Joystick::new,
+        )
+        .with_files(&["device"])
+        .emulated(),
+        Kind::new("joy_teleop", "drives with a joystick, as teleop_twist_joy does", JoyTeleop::default),
+        Kind::device("can", "a CAN bus, as topics", || CanDevice::new(SocketCan::default()), CanBus::new),
+        Kind::device(
+            "can_emulator",
+            "an emulated CAN bus, on which a log of candump is played",
+            || CanDevice::new(CandumpLog::default()),
+            CanBus::emulated,
+        )
+        .with_files(&["interface"])
+        .emulated(),
+        Kind::device(
+            "gpio",
+            "lines of a GPIO chip, as topics",
+            || GpioDevice::new(Chip::default()),
+            Gpio::new,
+        ),
+        Kind::device(
+            "gpio_emulator",
+            "an emulated GPIO chip: a folder with a file for each line",
+            || GpioDevice::new(Pins::default()),
+            Gpio::emulated,
+        )
+        .with_files(&["chip"])
+        .emulated(),
+    ]
 }
