@@ -245,7 +245,7 @@ impl CanBus {
             }
             for bytes in exchange.reply.chunks_exact(LENGTH).filter_map(|chunk| chunk.first_chunk()) {
                 let frame_id = ctx.get::<String>(ctx.ports.frame_id).clone();
-                let frame = Frame::parse(bytes, Header { stamp: exchange.stamp.clone(), frame_id });
+                let frame = Frame::parse(bytes, Header { stamp: exchange.stamp, frame_id });
                 if frame.is_error {
                     self.take_error(&frame, ctx);
                 } else {

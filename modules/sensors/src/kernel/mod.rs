@@ -1,7 +1,7 @@
 //! What the kernel offers in C for devices of its classes: cameras, input devices, CAN sockets, lines of a GPIO chip.
 //!
 //! Structures are arrays of bytes here, so that only requests and mapped memory need `unsafe`, in one file. Their layouts and numbers
-//! are those of 64-bit Linux; tests compare them with the headers of Linux 6.12 (`linux/videodev2.h`, `input.h`, `can.h`, `gpio.h`).
+//! are those of 64-bit Linux; tests compare them with the headers of Linux 6.1 (`linux/videodev2.h`, `input.h`, `can.h`, `gpio.h`).
 
 #[cfg_attr(not(all(target_os = "linux", target_pointer_width = "64")), path = "elsewhere.rs")]
 mod linux;
@@ -87,7 +87,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// `printf("%x", VIDIOC_QUERYCAP)` and so on, compiled with the headers of Linux 6.12 on x86-64.
+    /// `printf("%x", VIDIOC_QUERYCAP)` and so on, compiled with the headers of Linux 6.1 on x86-64.
     #[cfg(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64")))]
     #[test]
     fn requests_have_the_numbers_of_the_headers() {
