@@ -20,6 +20,7 @@ using std_msgs::msg::Float64;
 class Sums : public downbeat::Module {
     void setup() override {
         auto out = publish<Float64>("sum");
+        info("is set up");
         every(std::chrono::milliseconds(10), [this, out] {
             sum_ += STEP * static_cast<double>(now().count() % 1000003);
             out({sum_});
@@ -172,6 +173,25 @@ const CHART: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:down
     <state id="second"><transition event="tick" target="first"/></state>
 </scxml>
 "#;
+
+#[test]
+fn lines_of_libraries_have_their_place_in_the_source() {
+    if !has_compiler() {
+        return;
+    }
+    let number = SUMS.lines().position(|line| line.contains("is set up")).unwrap() + 1;
+    for keys in ["", "isolate = true\n"] {
+        let site = Site::new(&format!("{LIBRARY}{keys}"));
+        site.build("0.1", -1);
+        let mut command = downbeat(&["run", "robot.toml", "--duration", "1s"]);
+        command.current_dir(site.path()).env("ROS_DOMAIN_ID", "135").env("XDG_RUNTIME_DIR", site.path());
+        command.env("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{file_name}:{line_number} {function_name}: {message}");
+        let mut robot = Running::start_by(&mut command);
+        robot.wait();
+        let line = format!("sums.cpp:{number} setup: is set up\n");
+        assert!(robot.output().contains(&line), "{keys}{}", robot.output());
+    }
+}
 
 #[test]
 fn a_robot_starts_without_a_module_whose_file_has_an_error_until_it_is_saved() {

@@ -166,7 +166,7 @@ pub fn replay(
         false => Vec::new(),
     };
     let versions = VersionsInBag::use_in(&mut file, reader, &made, options.last_version);
-    let (plan, mut extract) = Plan::make(&file, reader, options)?;
+    let (plan, mut extract) = Plan::make(&file, reader, options, versions.reached.clone())?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
     let mut calls = Calls::default();
     if let Some(events) = extract.messages(reader, journal::EVENTS)? {
@@ -177,24 +177,14 @@ pub fn replay(
         comparisons.next_modules();
         runs.push((
             name.clone(),
-            runs::detached(
-                &file,
-                reader,
-                &plan,
-                &mut extract,
-                name,
-                &mut comparisons,
-                &mut calls,
-                &versions.reached,
-            )?,
+            runs::detached(&file, reader, &plan, &mut extract, name, &mut comparisons, &mut calls)?,
         ));
     }
     comparisons.next_modules();
     let cycles = if plan.attached.is_empty() {
         0
     } else {
-        let reached = &versions.reached;
-        runs::attached(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls, reached)?
+        runs::attached(&file, reader, &plan, &mut extract, &mut comparisons, &mut calls)?
     };
     let mut topics = comparisons.finish()?;
     topics.extend(calls.finish(&plan, &options.rules));

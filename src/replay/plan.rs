@@ -12,7 +12,7 @@ use super::{LeftOut, ReplayError, ReplayOptions, Simulators};
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
 use crate::playback::account::{Cycles, Extract, was_in_simulated_time};
-use crate::robot::{ModuleEntry, RobotFile};
+use crate::robot::{ModuleEntry, ReplayedTime, RobotFile};
 
 pub(super) struct Plan {
     /// Modules inside the cycle, which are replayed together.
@@ -34,6 +34,8 @@ pub(super) struct Plan {
     pub(super) service_types: BTreeMap<String, &'static str>,
     pub(super) cycles: Cycles,
     pub(super) simulators: Simulators,
+    /// Decides which versions of modules are in force.
+    pub(super) reached: ReplayedTime,
 }
 
 /// A topic that replayed modules publish.
@@ -50,6 +52,7 @@ impl Plan {
         file: &RobotFile,
         reader: &Reader,
         options: &ReplayOptions,
+        reached: ReplayedTime,
     ) -> Result<(Self, Extract), ReplayError> {
         check_names(file, options)?;
         if options.simulators == Simulators::RunAgain && !was_in_simulated_time(reader) {
@@ -69,6 +72,7 @@ impl Plan {
             service_types: graph.service_types.clone(),
             cycles: Cycles::Unknown,
             simulators: options.simulators,
+            reached,
         };
         let runs_detached = |module: &ModuleEntry| {
             !was_in_simulated_time(reader) && matches!(module.options().synchrony, Synchrony::Detached(_))

@@ -20,7 +20,7 @@ use crate::playback::account::{Extract, SettingsChanges};
 use crate::playback::events::Events;
 use crate::playback::follow::{Follower, Inputs};
 use crate::playback::replay_steps;
-use crate::robot::{ReplayedTime, RobotFile};
+use crate::robot::RobotFile;
 
 /// Replays the modules inside the cycle together, in the recorded cycles. Returns the number of cycles.
 pub(super) fn attached(
@@ -30,11 +30,10 @@ pub(super) fn attached(
     extract: &mut Extract,
     comparisons: &mut Comparisons,
     calls: &mut Calls,
-    reached: &ReplayedTime,
 ) -> Result<u64, ReplayError> {
     let start = plan.cycles.first().or(reader.start_time()).unwrap_or(0);
     let clock = ManualClock::new(Time::from_nanos(start));
-    reached.reset();
+    plan.reached.reset();
     let mut core = file.launch(Core::new().with_clock(clock.clone()))?;
     let is_replayed = |module: &str| plan.attached.iter().any(|name| name == module);
     core = build(file, reader, plan, extract, core, is_replayed)?;
@@ -45,7 +44,7 @@ pub(super) fn attached(
     let end = plan.cycles.end();
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let events = Events::of_core(&mut core, recorded.as_deref(), interfaces)?;
-    let reached = reached.clone();
+    let reached = plan.reached.clone();
     let mut follower = Follower { core: &mut core, clock: &clock, inputs, settings, events, reached };
     let cycles = follower.run(reader, &plan.cycles, || {
         let before_end = captured.take().into_iter().filter(|replayed| replayed.time < end);
@@ -65,15 +64,14 @@ pub(super) fn detached(
     name: &str,
     comparisons: &mut Comparisons,
     calls: &mut Calls,
-    reached: &ReplayedTime,
 ) -> Result<usize, ReplayError> {
     let clock = ManualClock::new(Time::ZERO);
-    reached.reset();
+    plan.reached.reset();
     let core = Core::new().with_clock(clock.clone());
     let mut core = build(file, reader, plan, extract, core, |module| module == name)?;
     let captured =
         Captured::add(&mut core, &file.catalog.interfaces, |topic| plan.outputs.contains_key(topic))?;
-    let steps = replay_steps(&mut core, &clock, reader, extract, name, reached);
+    let steps = replay_steps(&mut core, &clock, reader, extract, name, &plan.reached);
     let steps =
         steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;
     if !steps.is_whole {

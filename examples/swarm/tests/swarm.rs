@@ -7,7 +7,9 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use downbeat::TestResult;
+use downbeat::bags::Reader;
 use downbeat::executor::{Inbox, Received};
+use downbeat::replay::{ReplayOptions, replay};
 use downbeat::running::{PreparedRobot, RecordPlan};
 use swarm::{Light, Overview};
 use tempfile::TempDir;
@@ -165,9 +167,17 @@ fn repeats_from_its_bag(kinds: &[&str], detached: usize) -> TestResult {
     assert!(report.compared() > 50 * 2 * 20, "{report}");
     report.assert_same()?;
 
+    // Another seed in the file changes nothing: a replay uses the recorded settings.
+    let file = swarm::app().robot_file(Swarm { seed: 2, ..swarm }.write(folder.path()))?;
+    let (reader, options) = (Reader::open(&bag)?, ReplayOptions::of(&file));
+    let report = replay(file, &reader, &options)?;
+    assert_eq!(report.changed_settings.len(), 51, "{report}");
+    report.assert_same()?;
     // Robots that choose differently are found out.
-    let other = Swarm { seed: 2, ..swarm }.write(folder.path());
-    assert!(swarm::app().replay(other, &bag)?.different() > 0);
+    let mut other = swarm::app().robot_file(&path)?;
+    let names: Vec<String> = other.modules.iter().map(|module| module.name.clone()).collect();
+    names.iter().try_for_each(|name| other.set_from_argument(&format!("{name}.seed:=2")))?;
+    assert!(replay(other, &reader, &options)?.different() > 0);
     Ok(())
 }
 

@@ -170,6 +170,11 @@ struct downbeat_host_v1 {
      * refers to, in parts that end with NULL. The module can then use the type in robots that do not know it. On an error the
      * robot knows another definition of that name. Programs that lack this function are older: see `downbeat_define`. */
     int32_t (*define)(const downbeat_host_v1 *host, const char *type, const char *const *text);
+
+    /* In every call: as `log`, with the place in the source. `file` and `function` may be NULL. Programs that lack this function are
+     * older: see `downbeat_log_at` and the macro `DOWNBEAT_LOG`. */
+    void (*log_at)(const downbeat_host_v1 *host, int32_t severity, const char *text, const char *file, uint32_t line,
+                   const char *function);
 };
 
 /* When a line of the log was written that is not written each time. For each such place in the source, the state of the module has
@@ -201,6 +206,20 @@ static inline int32_t downbeat_define(const downbeat_host_v1 *host, const char *
     size_t needed = offsetof(downbeat_host_v1, define) + sizeof host->define;
     return host->struct_size >= needed ? host->define(host, type, text) : 0;
 }
+
+/* Calls `log_at`, or `log` if the program lacks it. */
+static inline void downbeat_log_at(const downbeat_host_v1 *host, int32_t severity, const char *text, const char *file, uint32_t line,
+                                   const char *function) {
+    size_t needed = offsetof(downbeat_host_v1, log_at) + sizeof host->log_at;
+    if (host->struct_size >= needed) {
+        host->log_at(host, severity, text, file, line, function);
+    } else {
+        host->log(host, severity, text);
+    }
+}
+
+/* Writes a line of the log with the place at which this stands. */
+#define DOWNBEAT_LOG(host, severity, text) downbeat_log_at((host), (severity), (text), __FILE__, __LINE__, __func__)
 
 /* The functions of a module. */
 typedef struct downbeat_module_v1 {

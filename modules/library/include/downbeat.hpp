@@ -447,7 +447,11 @@ template <class S> class Request {
 // A place in the source: that of the call whose default argument it is.
 class Place {
   public:
-    explicit Place(const char *file = __builtin_FILE(), int line = __builtin_LINE()) : file_(file), line_(line) {}
+    explicit Place(const char *file = __builtin_FILE(), int line = __builtin_LINE(), const char *function = __builtin_FUNCTION())
+        : file_(file), line_(line), function_(function) {}
+    const char *file() const { return file_; }
+    int line() const { return line_; }
+    const char *function() const { return function_; }
     bool operator<(const Place &other) const {
         return line_ != other.line_ ? line_ < other.line_ : std::strcmp(file_, other.file_) < 0;
     }
@@ -455,6 +459,7 @@ class Place {
   private:
     const char *file_;
     int line_;
+    const char *function_;
 };
 
 // Where a goal of an action stands: the values of action_msgs/msg/GoalStatus.
@@ -563,13 +568,13 @@ class Module {
     // The time of the cycle: the only clock that a module may use.
     std::chrono::nanoseconds now() const { return std::chrono::nanoseconds(host_->now(host_)); }
 
-    void debug(const std::string &text) const { host_->log(host_, DOWNBEAT_DEBUG, text.c_str()); }
-    void info(const std::string &text) const { host_->log(host_, DOWNBEAT_INFO, text.c_str()); }
-    void warn(const std::string &text) const { host_->log(host_, DOWNBEAT_WARN, text.c_str()); }
-    void error(const std::string &text) const { host_->log(host_, DOWNBEAT_ERROR, text.c_str()); }
+    void debug(const std::string &text, Place place = Place()) const { log(DOWNBEAT_DEBUG, text, place); }
+    void info(const std::string &text, Place place = Place()) const { log(DOWNBEAT_INFO, text, place); }
+    void warn(const std::string &text, Place place = Place()) const { log(DOWNBEAT_WARN, text, place); }
+    void error(const std::string &text, Place place = Place()) const { log(DOWNBEAT_ERROR, text, place); }
 
     // A line that is written at most once per period, with a count of those left out; and one that is written once. The place in
-    // the source tells lines apart: leave `place` as it is.
+    // the source tells lines apart, and is on /rosout: leave `place` as it is.
     void debug_every(std::chrono::nanoseconds period, const std::string &text, Place place = Place()) const {
         log_limited(DOWNBEAT_DEBUG, period.count(), text, place);
     }
@@ -804,7 +809,11 @@ class Module {
         }
         std::string line = limit.suppressed ? text + " suppressed=" + std::to_string(limit.suppressed) : text;
         limit.suppressed = 0;
-        host_->log(host_, severity, line.c_str());
+        log(severity, line, place);
+    }
+
+    void log(std::int32_t severity, const std::string &text, const Place &place) const {
+        downbeat_log_at(host_, severity, text.c_str(), place.file(), static_cast<std::uint32_t>(place.line()), place.function());
     }
 
     template <class T> const std::vector<std::uint8_t> &encoded(const T &message) {

@@ -137,14 +137,14 @@ struct Call<'a> {
     /// What the last `get` returned.
     lent: Option<LentValue>,
     failure: Option<String>,
-    log: &'a mut dyn FnMut(i32, &str),
+    log: &'a mut dyn FnMut(&LogLine<'_>),
 }
 
 /// Calls a function of a library with the functions of the program, and returns its result and the reason given for a failure.
 pub(crate) fn with_host<'a, R>(
     module: &'a CStr,
     phase: Phase<'a>,
-    log: &'a mut dyn FnMut(i32, &str),
+    log: &'a mut dyn FnMut(&LogLine<'_>),
     call: impl FnOnce(Host) -> R,
 ) -> (R, Option<String>) {
     let mut state = Call { module, phase, values: Vec::new(), lent: None, failure: None, log };
@@ -177,17 +177,29 @@ pub(crate) fn with_host<'a, R>(
         remove,
         saved,
         define,
+        log_at,
     };
     let result = call(&raw const host);
     (result, state.failure)
 }
 
+/// A line that a library logs, with its place in the source; empty and 0 where that is not known.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct LogLine<'a> {
+    pub(crate) severity: i32,
+    pub(crate) text: &'a str,
+    pub(crate) file: &'a str,
+    pub(crate) line: u32,
+    pub(crate) function: &'a str,
+}
+
 /// Writes a line of a library's log.
-pub(crate) fn log_line(module: &str, severity: i32, text: &str) {
-    // The interface carries no place in the source; that of this file would mislead.
+pub(crate) fn log_line(module: &str, logged: &LogLine<'_>) {
+    // The place is that in the source of the library, or none: that of this file would mislead.
+    let LogLine { severity, text, file, line, function } = *logged;
     macro_rules! write_line {
         ($write:ident) => {
-            tracing::$write!(module, log.file = "", log.line = 0_u32, log.module_path = "", "{text}")
+            tracing::$write!(module, log.file = file, log.line = line, log.module_path = function, "{text}")
         };
     }
     match severity {
@@ -294,7 +306,29 @@ unsafe extern "C" fn log(host: Host, severity: i32, text: *const c_char) {
     unsafe {
         with(host, |call| {
             let text = text_of(text, "the line of the log")?;
-            (call.log)(severity, &text);
+            (call.log)(&LogLine { severity, text: &text, ..LogLine::default() });
+            Ok(())
+        });
+    }
+}
+
+unsafe extern "C" fn log_at(
+    host: Host,
+    severity: i32,
+    text: *const c_char,
+    file: *const c_char,
+    line: u32,
+    function: *const c_char,
+) {
+    unsafe {
+        with(host, |call| {
+            let text = text_of(text, "the line of the log")?;
+            let place = |text: *const c_char, what| match text.is_null() {
+                true => Ok(String::new()),
+                false => text_of(text, what),
+            };
+            let (file, function) = (place(file, "the file")?, place(function, "the function")?);
+            (call.log)(&LogLine { severity, text: &text, file: &file, line, function: &function });
             Ok(())
         });
     }

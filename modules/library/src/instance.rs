@@ -2,7 +2,7 @@
 
 #![expect(unsafe_code, reason = "calls of a library")]
 
-use crate::call::{Declare, Phase, Requests, log_line, number_of, with_host};
+use crate::call::{Declare, LogLine, Phase, Requests, log_line, number_of, with_host};
 use crate::library::Library;
 use downbeat_edge::foreign::Event;
 use downbeat_executor::{SettingValue, Transition};
@@ -17,8 +17,8 @@ pub(crate) struct Instance {
     log: Log,
 }
 
-/// Takes the lines that a library logs: severity and text.
-pub(crate) type Log = Box<dyn FnMut(i32, &str) + Send>;
+/// Takes the lines that a library logs.
+pub(crate) type Log = Box<dyn FnMut(&LogLine<'_>) + Send>;
 
 // SAFETY: downbeat.h demands that modules may be called by different threads, one at a time.
 unsafe impl Send for Instance {}
@@ -27,7 +27,7 @@ impl Instance {
     /// Creates a module that logs under its name.
     pub(crate) fn new(library: Library, name: &str) -> Result<Self, String> {
         let of_log = name.to_owned();
-        Self::with_log(library, name, Box::new(move |severity, text| log_line(&of_log, severity, text)))
+        Self::with_log(library, name, Box::new(move |line| log_line(&of_log, line)))
     }
 
     pub(crate) fn with_log(library: Library, name: &str, mut log: Log) -> Result<Self, String> {

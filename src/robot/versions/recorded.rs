@@ -144,7 +144,7 @@ pub(crate) struct VersionsInBag {
     /// The time that the modules go by.
     pub(crate) reached: ReplayedTime,
     /// The files whose content was in the bag.
-    _folder: Option<TempDir>,
+    folder: Option<TempDir>,
 }
 
 /// Which version of a module is the last one in a replay.
@@ -244,7 +244,7 @@ impl VersionsInBag {
     }
 
     fn write(&mut self, path: &Path, sha256: &str, text: &str) -> std::io::Result<PathBuf> {
-        let folder = match &mut self._folder {
+        let folder = match &mut self.folder {
             Some(folder) => folder,
             none => none.insert(TempDir::with_prefix("downbeat-replay-")?),
         };

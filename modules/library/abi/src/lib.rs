@@ -102,6 +102,8 @@ pub struct HostV1 {
     pub saved: unsafe extern "C" fn(Host, *const u8, usize) -> i32,
     /// Programs whose `struct_size` ends before it lack it.
     pub define: unsafe extern "C" fn(Host, Text, *const Text) -> i32,
+    /// As `define`.
+    pub log_at: unsafe extern "C" fn(Host, i32, Text, Text, u32, Text),
 }
 
 /// `downbeat_module_v1`: the functions of a module.

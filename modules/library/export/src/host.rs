@@ -225,8 +225,19 @@ impl Subscriber for Forward {
             _ => severity::DEBUG,
         };
         let text = c_string(&(line.message + &line.fields));
-        // SAFETY: `during` sets the host for the time of the call only.
-        unsafe { ((*host).log)(host, severity, text.as_ptr()) };
+        let metadata = event.metadata();
+        let [file, path] =
+            [metadata.file(), metadata.module_path()].map(|text| c_string(text.unwrap_or_default()));
+        let needed = offset_of!(HostV1, log_at) + size_of::<usize>();
+        // SAFETY: `during` sets the host for the time of the call only, and its size says whether it has the function.
+        unsafe {
+            if (*host).struct_size as usize >= needed {
+                let number = metadata.line().unwrap_or_default();
+                ((*host).log_at)(host, severity, text.as_ptr(), file.as_ptr(), number, path.as_ptr());
+            } else {
+                ((*host).log)(host, severity, text.as_ptr());
+            }
+        }
     }
 
     fn enter(&self, _: &Id) {}

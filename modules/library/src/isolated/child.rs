@@ -117,11 +117,13 @@ fn call(
 /// Sends lines of the log with what is said next.
 fn log(shared: &Shared) -> crate::instance::Log {
     let shared = Arc::clone(shared);
-    Box::new(move |severity, text| {
+    Box::new(move |line| {
         let mut channel = shared.lock();
-        channel.frame().tag(say::LOG);
-        channel.frame().number(severity as u64);
-        channel.frame().text(text);
+        let frame = channel.frame();
+        frame.tag(say::LOG);
+        frame.number(line.severity as u64);
+        frame.number(line.line.into());
+        [line.text, line.file, line.function].into_iter().for_each(|text| frame.text(text));
     })
 }
 

@@ -14,7 +14,7 @@ pub use child::child;
 pub use process::set_child_command;
 
 use crate::LibraryOptions;
-use crate::call::{Requests, log_line, number_of, transition_of};
+use crate::call::{LogLine, Requests, log_line, number_of, transition_of};
 use crate::instance::event_in_c;
 use crate::module::state_of;
 use crate::watch::Watch;
@@ -126,9 +126,8 @@ impl IsolatedModule {
                         break Some(Err(fields.text().map_err(|garbled| garbled.to_string())?.to_owned()));
                     }
                     say::LOG => {
-                        let line = fields.number().and_then(|severity| Ok((severity, fields.text()?)));
-                        let (severity, text) = line.map_err(|garbled| garbled.to_string())?;
-                        log_line(module, severity as i32, text);
+                        let line = logged(&mut fields).map_err(|garbled| garbled.to_string())?;
+                        log_line(module, &line);
                     }
                     tag => match take(tag, &mut fields, &mut answer) {
                         Ok(()) => {}
@@ -241,6 +240,12 @@ impl Foreign for IsolatedModule {
         self.call(Function::Restore, PATIENCE, write, &mut |_, _, _| Err(Garbled.into()))?;
         Ok(())
     }
+}
+
+/// Reads a line of the log.
+fn logged<'a>(fields: &mut Fields<'a>) -> Result<LogLine<'a>, Garbled> {
+    let (severity, line) = (fields.number()? as i32, fields.number()? as u32);
+    Ok(LogLine { severity, line, text: fields.text()?, file: fields.text()?, function: fields.text()? })
 }
 
 /// Passes a declaration on.
