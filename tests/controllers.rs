@@ -41,6 +41,63 @@ in = [{ topic = "head_controller/joint_trajectory", type = "trajectory_msgs/msg/
 actions = ["head_controller/follow_joint_trajectory"]
 "#;
 
+/// The block of the page that contains a text.
+fn block(language: &str, text: &str) -> &'static str {
+    let start = format!("```{language}\n");
+    let page = include_str!("../docs/servos.md");
+    let mut blocks = page.split(&start).skip(1).map(|rest| rest.split("```").next().unwrap());
+    blocks.find(|block| block.contains(text)).unwrap()
+}
+
+#[test]
+fn controllers_are_switched_and_chained_as_the_page_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let hardware = "[robot]\nname = \"head\"\n[[module]]\nkind = \"darwin_op_emulator\"\n\
+                    settings = { link = \"memory:head\" }\n[[module]]\nname = \"hardware\"\nkind = \"darwin_op\"\n\
+                    settings = { port = \"memory:head\", hardware_id = \"emulated\" }\n";
+    std::fs::write(folder.join("robot.toml"), format!("{hardware}{}", block("toml", "head/reference")))
+        .unwrap();
+    let command = |line: &str| {
+        let mut parts = line.split('"');
+        let mut words: Vec<&str> = parts.next().unwrap().split_whitespace().collect();
+        words.extend(parts.next());
+        let mut command = common::downbeat(&words);
+        command.current_dir(folder).env("ROS_DOMAIN_ID", "179").env("XDG_RUNTIME_DIR", folder);
+        command
+    };
+    let mut robot = Running::start_by(&mut command("run robot.toml"));
+    robot.wait_for_output("exposed to ROS 2: /joint_states");
+    assert!(!robot.output().contains("both command"), "{}", robot.output());
+    let said = |line: &str| {
+        let output = command(line).output().unwrap();
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat()
+    };
+    let lines = block("sh", "lifecycle set /head_by_hand").lines();
+    let lines: Vec<&str> =
+        lines.map(|line| line.split('#').next().unwrap().trim_start_matches("ros2 ")).collect();
+    let refused = said(lines[0]);
+    assert!(!refused.contains("successful"), "{refused}");
+    robot.wait_for_output("\"head_controller\" commands the joint \"head_pan\" on \"head/reference\"");
+    for line in &lines[1..3] {
+        assert!(said(line).contains("successful"), "{line}\n{}", robot.output());
+    }
+    // Until the publisher is matched, a command passes by.
+    wait_until("the head is where it was sent by hand", || {
+        let published = said(lines[3]);
+        assert!(published.contains("publishing"), "{published}");
+        let state = said("topic echo --once /joint_states --full-length");
+        let items = |key: &str| {
+            let lines = state.lines().skip_while(|line| *line != key).skip(1);
+            lines.map_while(|line| line.strip_prefix("- ")).collect::<Vec<_>>()
+        };
+        let pan = items("name:").iter().position(|name| *name == "head_pan");
+        let pan = pan.and_then(|pan| items("position:").get(pan)?.parse::<f64>().ok());
+        pan.is_some_and(|pan| (pan - 0.2).abs() < 0.02)
+    });
+    robot.interrupt();
+}
+
 #[test]
 fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
     let Some(mut rclpy) = Peer::start(230, "LOCALHOST") else { return };

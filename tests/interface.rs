@@ -213,10 +213,60 @@ fn unknown_names_are_reported_with_the_nearest_name() {
         (["show", "my_msgs/msg/Xyzzy"], "set its location with --from"),
         (["list", "std_msg"], "no package \"std_msg\" with interfaces is known, did you mean \"std_msgs\"?"),
         (["list", "--from=no/such/folder"], "cannot read no/such/folder"),
-        (["list", "--from=src"], "src has no interfaces"),
+        (["list", "--from=docs"], "docs has no interfaces"),
     ] {
         let message = refused(&arguments);
         assert!(message.contains(expected), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn two_packages_of_one_name_are_reported_with_both_places() {
+    let folder = tempfile::tempdir().unwrap();
+    let package = |place: &str, text: &str| {
+        let messages = folder.path().join(place).join("msg");
+        std::fs::create_dir_all(&messages).unwrap();
+        std::fs::write(messages.join("Tilt.msg"), text).unwrap();
+    };
+    package("ours/group/lab_msgs", "float64 angle\n");
+    package("theirs/lab_msgs", "float32 angle\n");
+    // What `generate` wrote is no package.
+    std::fs::create_dir_all(folder.path().join("ours/include/lab_msgs/msg")).unwrap();
+    std::fs::write(folder.path().join("ours/include/lab_msgs/msg/tilt.hpp"), "").unwrap();
+    package("both/first/lab_msgs", "float64 angle\n");
+    package("both/second/lab_msgs", "float64 angle\n");
+    package("prefix/share/lab_msgs", "float32 angle\n");
+    package("same/share/lab_msgs", "float64 angle\n");
+    let show = |from: &[&str], ament: &str| {
+        let mut command = interface(&["show", "lab_msgs/msg/Tilt"]);
+        for place in from {
+            command.arg("--from").arg(folder.path().join(place));
+        }
+        let prefixes = std::env::join_paths(ament.split_whitespace().map(|place| folder.path().join(place)));
+        output_of(command.env("AMENT_PREFIX_PATH", prefixes.unwrap()))
+    };
+    let (is_success, shown, said) = show(&["ours", "theirs"], "");
+    assert!(is_success && shown.contains("float64"), "{shown}{said}");
+    for words in ["two packages named lab_msgs", "ours/group/lab_msgs is used", "theirs/lab_msgs, which"] {
+        assert!(said.contains(words), "{said}");
+    }
+    let (is_success, _, said) = show(&["both"], "");
+    assert!(!is_success, "{said}");
+    for words in ["two packages named lab_msgs", "both/first/lab_msgs", "both/second/lab_msgs"] {
+        assert!(said.contains(words), "{said}");
+    }
+    for (from, ament, is_reported) in [
+        (&["ours"][..], "prefix", true),
+        (&["ours"], "same", false),
+        (&[], "same prefix", true),
+        (&[], "prefix", false),
+    ] {
+        let (is_success, _, said) = show(from, ament);
+        assert_eq!(
+            (is_success, said.contains("two packages")),
+            (true, is_reported),
+            "{from:?} {ament} {said}"
+        );
     }
 }
 

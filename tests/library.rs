@@ -89,6 +89,34 @@ fn the_module_in_c_of_the_page_is_a_module() {
     assert!(refused.contains("`isolate` is true or false, not 3"), "{refused}");
 }
 
+#[test]
+fn the_action_in_c_of_the_page_is_an_action() {
+    if !has_compiler() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::write(folder.join("counter.c"), block("c", "downbeat_action_take")).unwrap();
+    shell(folder, "downbeat interface generate --lang c example_interfaces");
+    shell(folder, "cc -std=c11 -Wall -Wextra -Werror -shared -fPIC -Iinclude counter.c -o libcounter.so");
+    let robot = "[robot]\nname = \"demo\"\n[[module]]\nkind = \"library\"\npath = \"libcounter.so\"\n[expose]\nactions = [\"count\"]\n";
+    std::fs::write(folder.join("robot.toml"), robot).unwrap();
+    let command = |arguments: &[&str]| {
+        let mut command = downbeat(arguments);
+        command.current_dir(folder).env("ROS_DOMAIN_ID", "177").env("XDG_RUNTIME_DIR", folder);
+        command
+    };
+    let mut robot = Running::start_by(&mut command(&["run", "robot.toml"]));
+    robot.wait_for_output("exposed service: /count/_action/get_result");
+    for (order, words) in [("{order: 3}", "SUCCEEDED"), ("{order: 0}", "rejected")] {
+        let goal = ["action", "send_goal", "/count", "example_interfaces/action/Fibonacci", order];
+        let sent = command(&goal).output().unwrap();
+        let sent = [sent.stdout, sent.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        assert!(sent.contains(words), "{sent}\n{}", robot.output());
+    }
+    robot.interrupt();
+}
+
 /// Publishes a sum over time, with rounding errors that repeat only if everything does.
 const SUMS: &str = r#"
 #include "downbeat.hpp"

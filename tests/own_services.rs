@@ -38,11 +38,13 @@ fn write(folder: &Path, name: &str, text: &str) {
 const TILT: &str = "std_msgs/Header header\nfloat64 angle\n";
 const LEVEL: &str = "# Whether a tilt is level.\nTilt tilt\n---\nbool is_level\nstring why\n";
 
-/// Serves `level`; publishes what it was asked last.
+/// Serves `level` and the action `turn`; publishes what it was asked last.
 const SPIRIT: &str = r#"
 #include "downbeat.hpp"
 #include "lab_msgs/msg/tilt.hpp"
+#include "lab_msgs/action/turn.hpp"
 #include "lab_msgs/srv/level.hpp"
+using lab_msgs::action::Turn;
 using lab_msgs::msg::Tilt;
 using lab_msgs::srv::Level;
 class Spirit : public downbeat::Module {
@@ -50,10 +52,18 @@ class Spirit : public downbeat::Module {
         auto asked = publish<Tilt>("asked");
         serve<Level>("level", [asked](const Level::Request &request) {
             asked(request.tilt);
+            if (request.tilt.angle > 8.0) {
+                throw downbeat::Error("it has fallen over");
+            }
             Level::Response response;
             response.is_level = request.tilt.angle < 0.1;
             response.why = "it leans " + std::to_string(request.tilt.angle);
             return response;
+        });
+        act<Turn>("turn", [](const downbeat::Goal<Turn> &goal) {
+            Turn::Result result;
+            result.turned = goal.request().angle;
+            goal.succeed(result);
         });
     }
 };
@@ -148,6 +158,7 @@ fn site() -> Option<tempfile::TempDir> {
     let path = folder.path();
     write(path, "lab_msgs/msg/Tilt.msg", TILT);
     write(path, "lab_msgs/srv/Level.srv", LEVEL);
+    write(path, "lab_msgs/action/Turn.action", TURN);
     write(path, "spirit.cpp", SPIRIT);
     write(path, "mason.c", MASON);
     write(path, "robot.toml", ROBOT);
@@ -220,6 +231,43 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
     write(folder, "spirit.cpp", &SPIRIT.replace("< 0.1", "< 0.2"));
     shell(folder, "c++ -std=c++17 -shared -fPIC -Icpp_include spirit.cpp -o libspirit.so");
     assert!(!replay().0);
+}
+
+#[test]
+fn foxglove_and_the_page_call_what_only_a_library_knows() {
+    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
+        return eprintln!(
+            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)"
+        );
+    };
+    let Some(folder) = site() else { return };
+    let folder = folder.path();
+    let mut robot =
+        Running::start_by(&mut command(folder, "178", &["run", "robot.toml", "--view=0", "--foxglove=0"]));
+    let url = |before: &str| {
+        robot.wait_for_output(before);
+        let output = robot.output();
+        output.lines().find_map(|line| line.strip_prefix(before)).unwrap().to_owned()
+    };
+    let address = url("open in Foxglove, Lichtblick or PlotJuggler, as Foxglove WebSocket: ");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("bridge/view/tests/node/own_service.mjs");
+    let mut node = Command::new("node");
+    node.arg(script).arg(address).env("DOWNBEAT_NODE_MODULES", modules);
+    let said = text(&node.output().unwrap());
+    let found: serde_json::Value = serde_json::from_str(said.trim()).unwrap_or_else(|_| panic!("{said}"));
+    assert_eq!(found["type"], "lab_msgs/srv/Level");
+    assert_eq!(found["response"], serde_json::json!({"is_level": false, "why": "it leans 0.750000"}));
+    assert!(found["message"].as_str().unwrap().contains("it has fallen over"), "{said}");
+    assert_eq!(
+        (&found["accepted"], &found["status"], &found["turned"]),
+        (&true.into(), &4.into(), &1.5.into())
+    );
+
+    if let Some(mut script) = common::browser::script("own_service.mjs") {
+        let output = script.env("DOWNBEAT_PAGE", url("open in a browser: ")).output().unwrap();
+        assert!(output.status.success(), "{}\n{}", text(&output), robot.output());
+    }
+    robot.interrupt();
 }
 
 #[test]
@@ -374,6 +422,152 @@ class Asker : public downbeat::Module {
 DOWNBEAT_MODULE(Asker)
 "#;
 
+/// The turner in C.
+const TURNER_C: &str = r#"
+#include "lab_msgs/action/turn.h"
+
+typedef struct {
+    downbeat_action_server turn;
+} turner;
+
+static void *create(const downbeat_host_v1 *host) {
+    (void)host;
+    return calloc(1, sizeof(turner));
+}
+
+static void destroy(void *self) {
+    turner *of = self;
+    for (downbeat_goal *goal = of->turn.goals; goal; goal = goal->next) {
+        free(goal->user);
+    }
+    downbeat_action_server_fini(&of->turn);
+    free(self);
+}
+
+static int32_t setup(void *self, const downbeat_host_v1 *host) {
+    turner *of = self;
+    return lab_msgs__action__Turn__serve(host, "turn", &of->turn) || host->timer(host, 20000000, NULL);
+}
+
+static int32_t take(turner *of, const downbeat_host_v1 *host, downbeat_goal *goal) {
+    lab_msgs__action__Turn_Goal wanted = {0};
+    int32_t code = lab_msgs__action__Turn__goal(host, goal, &wanted);
+    if (code || wanted.angle > 3.0) {
+        return code ? code : downbeat_goal_reject(host, &of->turn, goal);
+    }
+    double *left = malloc(sizeof *left);
+    *left = wanted.angle;
+    goal->user = left;
+    return downbeat_goal_accept(host, &of->turn, goal);
+}
+
+static int32_t turn(turner *of, const downbeat_host_v1 *host, downbeat_goal *goal) {
+    double *left = goal->user;
+    *left -= 0.25;
+    lab_msgs__action__Turn_Feedback feedback = {*left};
+    int32_t code = lab_msgs__action__Turn__publish_feedback(host, &of->turn, goal, &feedback);
+    if (code || (*left > 0.0 && !downbeat_goal_is_canceling(goal))) {
+        return code;
+    }
+    lab_msgs__action__Turn_Goal wanted = {0};
+    code = lab_msgs__action__Turn__goal(host, goal, &wanted);
+    lab_msgs__action__Turn_Result result = {wanted.angle - *left};
+    int8_t how = downbeat_goal_is_canceling(goal) ? DOWNBEAT_GOAL_CANCELED : DOWNBEAT_GOAL_SUCCEEDED;
+    return code ? code : lab_msgs__action__Turn__end(host, &of->turn, goal, how, &result);
+}
+
+static int32_t handle(void *self, const downbeat_host_v1 *host, const downbeat_event_v1 *event) {
+    turner *of = self;
+    downbeat_goal *goal;
+    int32_t code = downbeat_action_take(host, &of->turn, event, &goal);
+    if (code == 0 && goal) {
+        return take(of, host, goal);
+    }
+    for (goal = of->turn.goals; code == 0 && event->kind == DOWNBEAT_TIMER && goal; goal = goal->next) {
+        if (downbeat_goal_is_active(goal)) {
+            code = turn(of, host, goal);
+        }
+    }
+    return code;
+}
+
+const downbeat_module_v1 *downbeat_module(void) {
+    static const downbeat_module_v1 module = {
+        .abi_version = DOWNBEAT_ABI_VERSION, .struct_size = sizeof module, .name = "turner",
+        .create = create, .setup = setup, .handle = handle, .destroy = destroy};
+    return &module;
+}
+"#;
+
+/// The asker in C, which cancels each goal of the angle 3 when it hears of it.
+const ASKER_C: &str = r#"
+#include "lab_msgs/action/turn.h"
+#include "std_msgs/msg/float64.h"
+
+typedef struct {
+    downbeat_action_client turn;
+    downbeat_writer writer;
+    int number;
+    uint8_t far[16];
+} asker;
+
+static void *create(const downbeat_host_v1 *host) {
+    (void)host;
+    return calloc(1, sizeof(asker));
+}
+
+static void destroy(void *self) {
+    asker *of = self;
+    downbeat_action_client_fini(&of->turn);
+    downbeat_writer_fini(&of->writer);
+    free(self);
+}
+
+static int32_t setup(void *self, const downbeat_host_v1 *host) {
+    asker *of = self;
+    return lab_msgs__action__Turn__use(host, "turn", 1000000000, &of->turn) ||
+           host->publisher(host, "turned", std_msgs__msg__Float64__TYPE, std_msgs__msg__Float64__HASH, NULL) ||
+           host->timer(host, 100000000, NULL);
+}
+
+static int32_t handle(void *self, const downbeat_host_v1 *host, const downbeat_event_v1 *event) {
+    asker *of = self;
+    if (event->kind == DOWNBEAT_TIMER) {
+        lab_msgs__action__Turn_Goal goal = {++of->number % 5};
+        uint8_t id[16];
+        int32_t code = lab_msgs__action__Turn__send(host, &of->turn, &goal, id);
+        if (goal.angle == 3.0) {
+            memcpy(of->far, id, 16);
+        }
+        return code;
+    }
+    downbeat_goal_news news;
+    int32_t code = downbeat_action_hear(host, &of->turn, event, &news);
+    std_msgs__msg__Float64 turned = {-1.0};
+    if (code == 0 && news.kind == DOWNBEAT_GOAL_FEEDBACK) {
+        lab_msgs__action__Turn_Feedback feedback = {0};
+        code = lab_msgs__action__Turn__take_feedback(host, event, &feedback);
+        turned.data = 100.0 + feedback.left;
+        if (code == 0 && memcmp(of->far, news.id, 16) == 0) {
+            code = downbeat_action_cancel(host, &of->turn, news.id);
+        }
+    }
+    if (code == 0 && news.kind == DOWNBEAT_GOAL_END && !news.error) {
+        lab_msgs__action__Turn_Result result = {0};
+        code = lab_msgs__action__Turn__take_result(host, event, &result);
+        turned.data = (news.status == DOWNBEAT_GOAL_CANCELED ? 200.0 : 0.0) + result.turned;
+    }
+    return code || news.kind == DOWNBEAT_GOAL_NOTHING ? code : std_msgs__msg__Float64__publish(host, 0, &turned, &of->writer);
+}
+
+const downbeat_module_v1 *downbeat_module(void) {
+    static const downbeat_module_v1 module = {
+        .abi_version = DOWNBEAT_ABI_VERSION, .struct_size = sizeof module, .name = "asker",
+        .create = create, .setup = setup, .handle = handle, .destroy = destroy};
+    return &module;
+}
+"#;
+
 const TURNING: &str = r#"
 [robot]
 name = "turning"
@@ -398,29 +592,50 @@ topics = "all"
 "#;
 
 #[test]
-fn libraries_serve_and_use_an_action_that_only_they_know() {
-    if !has_compiler() {
+fn libraries_in_cpp_serve_and_use_an_action_that_only_they_know() {
+    serve_and_use_an_action("132", "cpp", "c++ -std=c++17", [TURNER, ASKER]);
+}
+
+#[test]
+fn libraries_in_c_serve_and_use_an_action_that_only_they_know() {
+    let Some(turned) = serve_and_use_an_action("176", "c", "cc -std=c11", [TURNER_C, ASKER_C]) else {
         return;
+    };
+    // Refused, reached, and canceled after the first feedback.
+    for wanted in [-1.0, 1.0, 102.75] {
+        assert!(turned.contains(&wanted), "{wanted} {turned:?}");
+    }
+    assert!(turned.iter().any(|turned| (200.25..202.0).contains(turned)), "{turned:?}");
+}
+
+/// Returns what the asker published.
+fn serve_and_use_an_action(
+    domain: &str,
+    language: &str,
+    compiler: &str,
+    sources: [&str; 2],
+) -> Option<Vec<f64>> {
+    if !has_compiler() {
+        return None;
     }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     write(folder, "lab_msgs/action/Turn.action", TURN);
-    write(folder, "turner.cpp", TURNER);
-    write(folder, "asker.cpp", ASKER);
     write(folder, "robot.toml", TURNING);
-    shell(folder, "downbeat interface generate --lang cpp --from . lab_msgs");
-    shell(folder, "downbeat interface generate --lang cpp std_msgs/msg/Float64");
-    for name in ["turner", "asker"] {
-        let flags = "-std=c++17 -Wall -Wextra -Wpedantic -Werror -O1 -shared -fPIC -Iinclude";
-        shell(folder, &format!("c++ {flags} {name}.cpp -o lib{name}.so"));
+    shell(folder, &format!("downbeat interface generate --lang {language} --from . lab_msgs"));
+    shell(folder, &format!("downbeat interface generate --lang {language} std_msgs/msg/Float64"));
+    for (name, source) in ["turner", "asker"].into_iter().zip(sources) {
+        let flags = "-Wall -Wextra -Wpedantic -Werror -O1 -shared -fPIC -Iinclude";
+        write(folder, &format!("{name}.{language}"), source);
+        shell(folder, &format!("{compiler} {flags} {name}.{language} -o lib{name}.so"));
     }
     std::fs::remove_dir_all(folder.join("lab_msgs")).unwrap();
     let mut robot =
-        Running::start_by(&mut command(folder, "132", &["run", "robot.toml", "--record", "turned"]));
+        Running::start_by(&mut command(folder, domain, &["run", "robot.toml", "--record", "turned"]));
     robot.wait_for_output("exposed service: /turn/_action/get_result");
     let send = |angle: &str, more: &[&str]| {
         let goal = ["action", "send_goal", "/turn", "lab_msgs/action/Turn", angle];
-        text(&command(folder, "132", &[&goal, more].concat()).output().unwrap())
+        text(&command(folder, domain, &[&goal, more].concat()).output().unwrap())
     };
     let sent = send("{angle: 1.0}", &["--feedback"]);
     assert!(sent.contains("turned: 1.0") && sent.contains("SUCCEEDED"), "{sent}\n{}", robot.output());
@@ -428,7 +643,12 @@ fn libraries_serve_and_use_an_action_that_only_they_know() {
     let refused = send("{angle: 4.0}", &[]);
     assert!(refused.contains("Goal was rejected"), "{refused}");
     robot.interrupt();
-    let replayed = command(folder, "132", &["bag", "replay", "robot.toml", "turned"]).output().unwrap();
+    let replayed = command(folder, domain, &["bag", "replay", "robot.toml", "turned"]).output().unwrap();
     let said = text(&replayed);
     assert!(replayed.status.success() && said.contains("get_result answers"), "{said}");
+    let bag = downbeat::bags::Reader::open(folder.join("turned")).unwrap();
+    let topic = bag.topic("/turned").unwrap();
+    let messages = bag.messages(downbeat::bags::Selection::all()).unwrap().map(Result::unwrap);
+    let messages = messages.filter(|message| message.topic == topic);
+    Some(messages.map(|message| f64::from_le_bytes(message.data[4..12].try_into().unwrap())).collect())
 }

@@ -194,7 +194,7 @@ pub use observe::{
     TopicStatistics, TraceCause, TraceEvent, TraceEventKind, running_module, running_modules,
 };
 pub use probe::{Heard, Probe, ProbeError};
-pub use threads::{Overrun, Receipt, Spin, ThreadError, ThreadOptions};
+pub use threads::{Failure, Overrun, Receipt, Spin, ThreadError, ThreadOptions};
 pub use time::{Clock, ManualClock, SystemClock, Time};
 pub use topics::{
     AnyMessage, AnyPublication, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter,

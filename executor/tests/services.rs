@@ -173,7 +173,9 @@ fn a_server_that_leaves_panics_or_is_not_active_cannot_answer() {
     let panicking = module(|setup| {
         setup.serve::<u32, u32, _>("double", |_, _, _| panic!("a server that panics, as this test wants it"))
     });
-    assert_eq!(gone(panicking, |_| {}), [format!("3: {gone_message}")]);
+    let failed =
+        "service \"double\": module \"server\" has failed: a server that panics, as this test wants it";
+    assert_eq!(gone(panicking, |_| {}), [format!("3: {failed}")]);
 }
 
 #[test]

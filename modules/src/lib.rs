@@ -12,6 +12,7 @@
 //! - [`motions`]: plays key-frame motions;
 //! - [`falls`]: detects falls and gets up;
 //! - [`joint_command_mux`]: decides which commands joints get;
+//! - [`joint_state_merger`]: joint states of several buses as one;
 //! - [`kinematics`]: answers where links are and how joints bring them elsewhere; re-exports the library for it;
 //! - [`robot_state_publisher`]: transforms of all links;
 //! - [`stand_nod_wave`]: a small motion;
@@ -31,6 +32,7 @@ pub mod falls;
 pub mod gait;
 pub mod imu_filter;
 pub mod joint_command_mux;
+pub mod joint_state_merger;
 pub mod kinematics;
 pub mod motions;
 mod robot_description;

@@ -152,6 +152,86 @@ def test_a_type_that_nobody_knows_is_named(site, write, program):
     assert "site_msgs/srv/Levl" in check.text() and "site_msgs/srv/Level" in check.text(), check.text()
 
 
+UNRELIABLE = """
+    import downbeat as db
+
+    class Unreliable(db.Module):
+        def setup(self):
+            self.held = []
+            self.serve_later("hold", "site_msgs/srv/Level", self.hold)
+            self.serve_later("leave", "site_msgs/srv/Level", self.leave)
+
+        @db.serve("refuse", "site_msgs/srv/Level")
+        def refuse(self, request):
+            raise db.Refused("the lamp is broken")
+
+        @db.serve("fail", "site_msgs/srv/Level")
+        def fail(self, request):
+            raise ValueError("the vial is empty")
+
+        @db.serve("wrong", "site_msgs/srv/Level")
+        def wrong(self, request):
+            return {"is_levl": True}
+
+        def hold(self, request, open):
+            if request.tilt.angle < 0:
+                raise db.Refused("below the floor")
+            self.log.info("holds a request")
+            self.held.append(open)
+
+        def leave(self, request, open):
+            self.remove(self.name)
+
+        @db.action("turn", "site_msgs/action/Turn")
+        def turn(self, goal):
+            if goal.request.angle > 3:
+                raise ValueError("it cannot turn that far")
+            self.held.append(goal)
+"""
+
+UNRELIABLE_ROBOT = """
+    [robot]
+    name = "site"
+    interfaces = ["src"]
+
+    [[module]]
+    kind = "python"
+    name = "unreliable"
+    module = "unreliable.py:Unreliable"
+    restart = { times = 100, backoff = "10ms" }
+
+    [expose]
+    services = ["refuse", "fail", "wrong", "leave", { service = "hold", timeout = "300ms" }]
+    actions = ["turn"]
+"""
+
+
+def test_a_client_always_has_an_answer(site, write, program):
+    write("unreliable.py", UNRELIABLE)
+    write("robot.toml", UNRELIABLE_ROBOT)
+    robot = program("run", "robot.toml")
+    robot.wait_for("exposed service: /hold")
+
+    def call(service, angle=0.0):
+        return other(robot, "service", "call", service, "site_msgs/srv/Level", f"{{tilt: {{angle: {angle}}}}}")
+
+    assert "is_level=False, why='the lamp is broken'" in call("/refuse"), robot.text()
+    starts = 0
+    for service, words in (("/fail", "ValueError: the vial is empty"), ("/wrong", "is_levl")):
+        answer = call(service)
+        assert "has failed: " in answer and words in answer and "Traceback" not in answer, answer + robot.text()
+        starts += 1
+        robot.wait_for("starts again after its panic", starts)
+    assert "ValueError: the vial is empty" in robot.text() and "Traceback" in robot.text()
+    assert "no answer in 300ms" in call("/hold")
+    assert "below the floor" in call("/hold", -1.0)
+    sent = other(robot, "action", "send_goal", "/turn", "site_msgs/action/Turn", "{angle: 4.0}")
+    assert "rejected" in sent.lower(), sent
+    robot.wait_for("starts again after its panic", starts + 1)
+    assert 'module "unreliable" does not run and cannot answer' in call("/leave")
+    assert "no module serves it" in call("/refuse")
+
+
 CPP = """
 #include "downbeat.hpp"
 #include "site_msgs/srv/level.hpp"

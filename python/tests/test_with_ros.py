@@ -179,6 +179,104 @@ def test_rclpys_messages_are_published_as_they_are(write, monkeypatch):
     assert heard[0].linear.x == 0.25
 
 
+UNRELIABLE = """
+    import downbeat as db
+
+    class Unreliable(db.Module):
+        def setup(self):
+            self.held = []
+            self.serve_later("hold", "std_srvs/srv/Trigger", self.hold)
+            self.serve_later("leave", "std_srvs/srv/Trigger", self.leave)
+
+        @db.serve("refuse", "std_srvs/srv/Trigger")
+        def refuse(self, request):
+            raise db.Refused("the lamp is broken")
+
+        @db.serve("fail", "std_srvs/srv/Trigger")
+        def fail(self, request):
+            raise ValueError("the vial is empty")
+
+        def hold(self, request, open):
+            self.held.append(open)
+
+        def leave(self, request, open):
+            self.remove(self.name)
+
+        @db.action("count", "test_msgs/action/Fibonacci")
+        def count(self, goal):
+            if goal.request.order > 100:
+                raise ValueError("it cannot count that far")
+            if goal.request.order < 0:
+                raise db.Refused("it counts up")
+            self.held.append(goal)
+"""
+
+UNRELIABLE_ROBOT = """
+    [robot]
+    name = "unreliable"
+
+    [[module]]
+    kind = "python"
+    name = "server"
+    module = "unreliable.py:Unreliable"
+    restart = { times = 100, backoff = "10ms" }
+
+    [expose]
+    services = ["refuse", "fail", "leave", { service = "hold", timeout = "300ms" }]
+    actions = ["count"]
+"""
+
+
+def test_rclpy_has_an_answer_whatever_a_handler_does(write, monkeypatch):
+    domain = 30 + os.getpid() % 30
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    write("unreliable.py", UNRELIABLE)
+    from rclpy.action import ActionClient
+    from std_srvs.srv import Trigger
+    from test_msgs.action import Fibonacci
+
+    with downbeat.start(write("robot.toml", UNRELIABLE_ROBOT)):
+        peer = Peer(domain)
+
+        def call(service):
+            response = peer.call(peer.node.create_client(Trigger, service), Trigger.Request())
+            assert not response.success
+            return response.message
+
+        def started_again():
+            peer.wait(lambda: call("refuse") == "the lamp is broken", "the module to start again")
+
+        started_again()
+        assert call("fail") == 'service "fail": module "server" has failed: ValueError: the vial is empty'
+        started_again()
+        assert call("hold") == 'service "hold": no answer in 300ms'
+
+        action = ActionClient(peer.node, Fibonacci, "count")
+        assert action.wait_for_server(60.0)
+
+        def send(order):
+            sent = action.send_goal_async(Fibonacci.Goal(order=order))
+            peer.wait(sent.done, "the answer to the goal")
+            return sent.result()
+
+        assert not send(-1).accepted and not send(200).accepted
+        started_again()
+        goal = send(3)
+        assert goal.accepted
+        canceled = goal.cancel_goal_async()
+        peer.wait(canceled.done, "the answer to the cancel request")
+        assert canceled.result().return_code == 0
+        result = goal.get_result_async()
+        # The goal is lost with its module.
+        assert "the vial is empty" in call("fail")
+        peer.wait(result.done, "the result")
+        assert result.result().status == 6
+        started_again()
+        assert call("leave") == 'service "leave": module "server" does not run and cannot answer'
+        assert call("refuse") == 'service "refuse": no module serves it'
+        peer.stop()
+
+
 OWN = """
     import downbeat as db
 

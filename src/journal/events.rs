@@ -71,15 +71,20 @@ pub(crate) fn message(event: &Event) -> ModuleEvent {
             ..of_call(service, origin)
         },
         Kind::Answer { service, origin, result } => {
+            let mut by = String::new();
             let (outcome, reason) = match result {
                 Ok(_) => (ModuleEvent::ANSWERED, String::new()),
                 Err(CallError::Refused { reason, .. }) => (ModuleEvent::REFUSED, reason.clone()),
                 Err(CallError::NoServer { .. }) => (ModuleEvent::NO_SERVER, String::new()),
                 Err(CallError::ServerGone { module, .. }) => (ModuleEvent::SERVER_GONE, module.to_string()),
+                Err(CallError::ServerFailed { module, reason, .. }) => {
+                    by = module.to_string();
+                    (ModuleEvent::SERVER_FAILED, reason.to_string())
+                }
                 Err(error) => (ModuleEvent::REFUSED, error.to_string()),
             };
             let data = result.as_ref().ok().cloned().flatten().unwrap_or_default();
-            ModuleEvent { kind: ModuleEvent::ANSWER, outcome, reason, data, ..of_call(service, origin) }
+            ModuleEvent { kind: ModuleEvent::ANSWER, by, outcome, reason, data, ..of_call(service, origin) }
         }
         Kind::Command { module, command, by } => ModuleEvent {
             kind: ModuleEvent::COMMAND,

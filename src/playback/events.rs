@@ -166,6 +166,11 @@ impl Events {
                     ModuleEvent::SERVER_GONE => {
                         Err(CallError::ServerGone { service: name, module: reason.as_str().into() })
                     }
+                    ModuleEvent::SERVER_FAILED => Err(CallError::ServerFailed {
+                        service: name,
+                        module: event.by.as_str().into(),
+                        reason: reason.as_str().into(),
+                    }),
                     _ => Err(CallError::Refused { service: name, reason: reason.clone() }),
                 };
                 stand_in

@@ -4,6 +4,7 @@ use downbeat_bridge::expose::Exposure;
 use downbeat_executor::{
     Core, Idle, Linear, Pool, Scheduled, SetupError, ThreadError, ThreadOptions, Threads, TopicInfo,
 };
+use downbeat_modules::controllers::claims::Claims;
 
 use super::LauncherChoice;
 use super::commanders::rival_commanders;
@@ -57,6 +58,9 @@ impl RobotFile {
         mut instead: impl FnMut(&ModuleEntry, &mut Core) -> Option<std::result::Result<(), SetupError>>,
     ) -> Result<Core> {
         let mut core = self.catalog.engage(core);
+        if self.modules.iter().any(|module| module.kind.claims_joints()) {
+            core = core.with_mechanism(Claims::default());
+        }
         for module in &self.modules {
             self.check_thread(module)?;
             let added = instead(module, &mut core).unwrap_or_else(|| {

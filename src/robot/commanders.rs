@@ -3,7 +3,7 @@
 use std::any::TypeId;
 use std::collections::BTreeSet;
 
-use downbeat_executor::{Core, GraphEdge, SettingValue};
+use downbeat_executor::{Core, GraphEdge, LifecycleState, SettingValue};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 
 use super::file::{ModuleEntry, RobotFile};
@@ -12,7 +12,7 @@ use super::file::{ModuleEntry, RobotFile};
 const MUX: &str = "joint_command_mux";
 
 /// Returns a sentence with path and line for each topic of commands on which several modules command the same joints: of their
-/// commands the last one applies, so the joints go back and forth.
+/// commands the last one applies, so the joints go back and forth; of two controllers, which claim their joints, one is deactivated.
 pub(super) fn rival_commanders(file: &RobotFile, core: &Core) -> Vec<String> {
     let graph = core.graph();
     let entry = |module: usize| {
@@ -41,9 +41,16 @@ pub(super) fn rival_commanders(file: &RobotFile, core: &Core) -> Vec<String> {
                 Some(joints) => format!("command {} on", joints.join(", ")),
                 None => "may command the same joints on".to_owned(),
             };
+            let (outcome, or) = match claim_joints(first, second) {
+                true => (
+                    format!("\"{}\" is deactivated", second.name),
+                    ", or start one of them with `initial_state = \"inactive\"`",
+                ),
+                false => ("the last command applies".to_owned(), ""),
+            };
             let problem = format!(
-                "\"{}\" and \"{}\" both {joints} topic \"{}\", and the last command applies: let each publish on a topic of its \
-                 own (`remap`), and name these in the setting `sources` of a module of kind \"{MUX}\"",
+                "\"{}\" and \"{}\" both {joints} topic \"{}\", and {outcome}: let each publish on a topic of its own (`remap`), \
+                 and name these in the setting `sources` of a module of kind \"{MUX}\"{or}",
                 first.name, second.name, topic.name
             );
             sentences.push(file.error_at(&second.at(second.line), problem).to_string());
@@ -52,13 +59,22 @@ pub(super) fn rival_commanders(file: &RobotFile, core: &Core) -> Vec<String> {
     sentences
 }
 
-/// Two of the modules that have joints in common, and these; `None` where the joints of one are unknown.
+fn claim_joints(first: &ModuleEntry, second: &ModuleEntry) -> bool {
+    first.kind.claims_joints() && second.kind.claims_joints()
+}
+
+/// Two of the modules that have joints in common, and these; `None` where the joints of one are unknown. Controllers that claim their
+/// joints do not meet if one of them does not start active.
 fn rivals<'a>(
     core: &Core,
     publishers: &[&'a ModuleEntry],
 ) -> Option<(&'a ModuleEntry, &'a ModuleEntry, Option<Vec<String>>)> {
     for (position, second) in publishers.iter().enumerate() {
         for first in &publishers[..position] {
+            let starts = |entry: &ModuleEntry| entry.options().initial_state == LifecycleState::Active;
+            if claim_joints(first, second) && !(starts(first) && starts(second)) {
+                continue;
+            }
             let (Some(ours), Some(theirs)) = (joints(core, first), joints(core, second)) else {
                 return Some((first, second, None));
             };
@@ -112,15 +128,18 @@ mod tests {
     #[test]
     fn two_modules_that_command_the_same_joints_are_named_with_the_multiplexer() {
         let both = [forward("arm", "\"lift\", \"turn\""), forward("hand", "\"grip\", \"turn\"")].concat();
-        let expected = "robot.toml:12: \"arm\" and \"hand\" both command turn on topic \"joint_commands\", and the last command \
-                        applies: let each publish on a topic of its own (`remap`), and name these in the setting `sources` of a \
-                        module of kind \"joint_command_mux\"";
+        let expected = "robot.toml:12: \"arm\" and \"hand\" both command turn on topic \"joint_commands\", and \"hand\" is \
+                        deactivated: let each publish on a topic of its own (`remap`), and name these in the setting `sources` of a \
+                        module of kind \"joint_command_mux\", or start one of them with `initial_state = \"inactive\"`";
         assert_eq!(sentences(&both), [expected]);
+        let inactive = both.replace("name = \"hand\"\n", "name = \"hand\"\ninitial_state = \"inactive\"\n");
+        assert!(sentences(&inactive).is_empty());
         let unknown = forward("arm", "\"lift\"")
             + "[[module]]\nkind = \"gait\"\nremap = { \"gait/joint_commands\" = \"joint_commands\" }\n";
         let found = sentences(&unknown);
         assert!(
-            found[0].contains("\"arm\" and \"gait\" both may command the same joints on topic"),
+            found[0].contains("\"arm\" and \"gait\" both may command the same joints on topic")
+                && found[0].contains("the last command applies"),
             "{found:?}"
         );
     }

@@ -22,6 +22,7 @@ use downbeat_modules::falls::Falls;
 use downbeat_modules::gait::Gait;
 use downbeat_modules::imu_filter::ImuFilter;
 use downbeat_modules::joint_command_mux::JointCommandMux;
+use downbeat_modules::joint_state_merger::JointStateMerger;
 use downbeat_modules::kinematics::Kinematics;
 use downbeat_modules::motions::MotionPlayer;
 use downbeat_modules::robot_state_publisher::RobotStatePublisher;
@@ -63,6 +64,7 @@ pub struct Kind {
     about: Arc<str>,
     is_emulated: bool,
     uses_device: bool,
+    claims_joints: bool,
     synchrony: Synchrony,
     files: Arc<[String]>,
     source: Option<ForeignKind>,
@@ -211,6 +213,7 @@ impl Kind {
             about: about.into(),
             is_emulated: false,
             uses_device: false,
+            claims_joints: false,
             synchrony: Synchrony::WhenDue,
             files: Arc::default(),
             source: None,
@@ -263,6 +266,16 @@ impl Kind {
     #[must_use]
     pub fn drives_device(self) -> Self {
         Self { uses_device: true, ..self }
+    }
+
+    /// Marks the modules as controllers, each of which has its joints for itself while it is active.
+    #[must_use]
+    pub(crate) fn claiming_joints(self) -> Self {
+        Self { claims_joints: true, ..self }
+    }
+
+    pub(crate) fn claims_joints(&self) -> bool {
+        self.claims_joints
     }
 
     /// Marks the data of the modules as not from real hardware, which status, bags and `check` then show.
@@ -520,22 +533,31 @@ pub(super) fn built_in() -> Vec<Kind> {
             "diff_drive",
             "drives a base with wheels on two sides by cmd_vel, with odometry",
             DiffDriveController::default,
-        ),
+        )
+        .claiming_joints(),
         Kind::new(
             "forward_command",
             "passes positions, velocities or efforts on to joints",
             ForwardCommandController::default,
-        ),
+        )
+        .claiming_joints(),
         Kind::new(
             "joint_command_mux",
             "which of several commands a joint gets, by the order of their sources",
             JointCommandMux::default,
         ),
         Kind::new(
+            "joint_state_merger",
+            "joint_states of several buses as one message",
+            JointStateMerger::default,
+        )
+        .with_files(&["robot_description"]),
+        Kind::new(
             "joint_trajectory",
             "follows trajectories of joints: the action FollowJointTrajectory",
             JointTrajectoryController::default,
-        ),
+        )
+        .claiming_joints(),
         Kind::new(
             "kinematics",
             "services for poses of links, inverse kinematics, where the camera looks; the centre of mass",

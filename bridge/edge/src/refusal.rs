@@ -91,8 +91,15 @@ impl Refusals {
         if service_type == "action_msgs/srv/CancelGoal" {
             verdicts.push(("return_code".to_owned(), Value::Int8(CancelGoalResponse::ERROR_REJECTED)));
         } else if is_part(service_type, "_GetResult") {
-            // The goal is lost with its server; the result in the response keeps its defaults.
+            // The goal is lost with its server.
             verdicts.push(("status".to_owned(), Value::Int8(GoalStatus::STATUS_ABORTED)));
+            if let Some(result) = response.as_ref().and_then(|response| message_in(response, "result")) {
+                let fields = Fields::of(&result);
+                let within = |path: String| format!("result.{path}");
+                let verdict = fields.verdict();
+                reason = fields.reason(verdict.is_some()).map(within);
+                verdicts.extend(verdict.map(|(path, value)| (within(path), value)));
+            }
         } else if is_part(service_type, "_SendGoal") {
             verdicts.push(("accepted".to_owned(), Value::Bool(false)));
         } else if let Some(response) = &response {
@@ -125,6 +132,11 @@ impl Refusals {
         }
         message.to_cdr()
     }
+}
+
+/// The type of a field that is one message.
+fn message_in(of: &DynamicType, name: &str) -> Option<DynamicType> {
+    of.fields().find(|field| field.name == name)?.message
 }
 
 /// Sets a text that may be bounded: a long reason is cut.
@@ -329,7 +341,7 @@ mod tests {
 
     #[test]
     fn a_goal_is_rejected_and_its_result_is_that_of_a_goal_that_was_aborted() {
-        use downbeat_msgs::control_msgs::action::FollowJointTrajectory;
+        use downbeat_msgs::control_msgs::action::{FollowJointTrajectory, FollowJointTrajectoryResult};
         use downbeat_msgs::{Action, Service};
         type Response<S> = <S as Service>::Response;
         let action = crate::KnownAction::of::<FollowJointTrajectory>();
@@ -338,8 +350,10 @@ mod tests {
         assert!(!FollowJointTrajectory::acceptance_of(rejected).0);
         let aborted: Response<<FollowJointTrajectory as Action>::GetResult> =
             cdr::from_slice(&action.get_result().refusals().response("why")).unwrap();
-        let expected = (GoalStatus::STATUS_ABORTED, Default::default());
-        assert_eq!(FollowJointTrajectory::result_of(aborted), expected);
+        let result = FollowJointTrajectoryResult { error_string: "why".into(), ..Default::default() };
+        assert_eq!(FollowJointTrajectory::result_of(aborted), (GoalStatus::STATUS_ABORTED, result));
+        let said = action.get_result().refusals().to_string();
+        assert_eq!(said, "status: 6, result.error_string: the reason");
         let cancel: CancelGoalResponse =
             cdr::from_slice(&action.cancel_goal().refusals().response("why")).unwrap();
         assert_eq!(cancel.return_code, CancelGoalResponse::ERROR_REJECTED);

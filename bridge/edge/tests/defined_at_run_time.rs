@@ -4,7 +4,7 @@
 use bytes::Bytes;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, ForeignModule};
 use downbeat_edge::{EventContent, Interfaces};
-use downbeat_executor::{Core, ManualClock, ModuleOptions, Time};
+use downbeat_executor::{Core, Failure, ManualClock, ModuleOptions, Time};
 use downbeat_msgs::dynamic::DynamicMessage;
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
 use std::path::{Path, PathBuf};
@@ -49,7 +49,7 @@ impl Foreign for Spirit {
         Ok(())
     }
 
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         let Event::Request { request, cdr, .. } = event else { return Ok(()) };
         let interfaces = known("spirit");
         let of = |part: &str| interfaces.definitions().find(&format!("{LEVEL}_{part}")).unwrap();
@@ -58,7 +58,7 @@ impl Foreign for Spirit {
         let mut answer = DynamicMessage::new(&of("Response"));
         answer.set("is_level", angle < 0.1).unwrap();
         answer.set("why", "as measured").unwrap();
-        context.reply(request, Ok(&answer.to_cdr())).map_err(|error| error.to_string())
+        Ok(context.reply(request, Ok(&answer.to_cdr()))?)
     }
 }
 
@@ -125,9 +125,9 @@ fn requests_of_either_byte_order_reach_the_server_as_little_endian() {
             Ok(())
         }
 
-        fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
             let Event::Request { request, cdr, .. } = event else { return Ok(()) };
-            context.reply(request, Ok(&cdr)).map_err(|error| error.to_string())
+            Ok(context.reply(request, Ok(&cdr))?)
         }
     }
     let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
@@ -219,7 +219,7 @@ fn a_module_compiled_with_another_definition_is_refused_with_both_hashes() {
             Ok(())
         }
 
-        fn handle(&mut self, _: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        fn handle(&mut self, _: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
             Ok(())
         }
     }
@@ -272,7 +272,7 @@ fn a_message_that_is_none_does_not_reach_the_module() {
             Ok(())
         }
 
-        fn handle(&mut self, event: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+        fn handle(&mut self, event: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
             if let Event::Message { cdr, .. } = event {
                 self.0.send(cdr).unwrap();
             }

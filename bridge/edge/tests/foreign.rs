@@ -7,7 +7,7 @@ use downbeat_edge::foreign::{
     Declarations, Event, Foreign, ForeignContext, ForeignModule, SavedState, SettingDeclaration,
 };
 use downbeat_executor::{
-    Core, Inbox, LifecycleState, ManualClock, ModuleOptions, Restart, SettingValue, Time,
+    Core, Failure, Inbox, LifecycleState, ManualClock, ModuleOptions, Restart, SettingValue, Time,
 };
 use downbeat_msgs::std_msgs::msg::Float64;
 use downbeat_msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse};
@@ -18,7 +18,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 type SetUp = fn(&mut Declarations) -> Result<(), String>;
-type Handle = Box<dyn FnMut(Event, &mut ForeignContext<'_, '_>) -> Result<(), String> + Send>;
+type Handle = Box<dyn FnMut(Event, &mut ForeignContext<'_, '_>) -> Result<(), Failure> + Send>;
 
 /// A module of two functions.
 struct Played {
@@ -31,7 +31,7 @@ impl Foreign for Played {
         (self.set_up)(declarations)
     }
 
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         (self.handle)(event, context)
     }
 }
@@ -101,11 +101,9 @@ fn amplifier() -> Played {
     };
     let handle = |event, context: &mut ForeignContext<'_, '_>| {
         let Event::Message { cdr, .. } = event else { return Ok(()) };
-        let SettingValue::Double(gain) = context.setting(0).map_err(|error| error.to_string())? else {
-            return Err("another kind".to_owned());
-        };
+        let SettingValue::Double(gain) = context.setting(0)? else { return Err("another kind".into()) };
         let amplified = float(gain * float_of(&cdr));
-        context.publish(0, &amplified).map_err(|error| error.to_string())
+        Ok(context.publish(0, &amplified)?)
     };
     Played { set_up, handle: Box::new(handle) }
 }
@@ -138,12 +136,10 @@ fn services_are_served_and_called() {
             let Event::Request { request, cdr, .. } = event else { return Ok(()) };
             let SetBoolRequest { data } = cdr::from_slice(&cdr).unwrap();
             if !data {
-                return context
-                    .reply(request, Err("it stays on".to_owned()))
-                    .map_err(|error| error.to_string());
+                return Ok(context.reply(request, Err("it stays on".to_owned()))?);
             }
             let response = cdr::to_vec(&SetBoolResponse { success: data, message: "on".to_owned() });
-            context.reply(request, Ok(&response)).map_err(|error| error.to_string())?;
+            context.reply(request, Ok(&response))?;
             assert!(context.reply(request, Ok(&response)).is_err(), "it is answered");
             Ok(())
         }),
@@ -162,11 +158,11 @@ fn services_are_served_and_called() {
                     Event::Timer { .. } => {
                         for data in [true, false] {
                             let request = cdr::to_vec(&SetBoolRequest { data });
-                            context.call(0, &request).map_err(|error| error.to_string())?;
+                            context.call(0, &request)?;
                         }
                     }
                     Event::Reply { call, result, .. } => drop(sender.send((call, result))),
-                    other => return Err(format!("{other:?}")),
+                    other => return Err(format!("{other:?}").into()),
                 }
                 Ok(())
             }),
@@ -195,7 +191,7 @@ fn an_error_ends_the_module_alone_and_its_policy_starts_it_again() {
                 declarations.every(Duration::from_millis(10));
                 Ok(())
             },
-            handle: Box::new(|_, _| Err("Traceback: line 7".to_owned())),
+            handle: Box::new(|_, _| Err("Traceback: line 7".into())),
         }
     };
     robot.add("failing", options, failing).unwrap();
@@ -259,15 +255,15 @@ impl Foreign for Versioned {
         Ok(())
     }
 
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         if let Event::Timer { .. } = event {
             self.ticks += 1.0;
             let _ = context.publish(0, &float(self.ticks));
-            let SettingValue::Double(gain) = context.setting(0).map_err(|error| error.to_string())? else {
+            let SettingValue::Double(gain) = context.setting(0)? else {
                 return Ok(());
             };
             let gain = float(*gain);
-            context.publish(1, &gain).map_err(|error| error.to_string())?;
+            context.publish(1, &gain)?;
         }
         Ok(())
     }
@@ -331,7 +327,7 @@ impl Foreign for Keeper {
         Ok(())
     }
 
-    fn handle(&mut self, event: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: Event, _: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         if let Event::Request { .. } = event {
             self.has_request.store(1, Ordering::Relaxed);
         }
@@ -363,14 +359,9 @@ fn a_request_is_answered_whatever_the_module_does_with_it() {
         assert!(!response.success);
         response.message
     }
-    type Does = fn(u64, &mut ForeignContext<'_, '_>) -> Result<(), String>;
-    let cases: [(Does, &str); 3] = [
-        (
-            |request, context| {
-                context.reply(request, Err("I will not".to_owned())).map_err(|error| error.to_string())
-            },
-            "I will not",
-        ),
+    type Does = fn(u64, &mut ForeignContext<'_, '_>) -> Result<(), Failure>;
+    let cases: [(Does, &str); 4] = [
+        (|request, context| Ok(context.reply(request, Err("I will not".to_owned()))?), "I will not"),
         (
             |request, context| {
                 assert!(context.reply(request, Ok(&[0, 1, 0, 0, 9])).is_err());
@@ -378,7 +369,15 @@ fn a_request_is_answered_whatever_the_module_does_with_it() {
             },
             "are no response of std_srvs/srv/SetBool",
         ),
-        (|_, _| Err("it raised an exception".to_owned()), "module \"server\" does not run and cannot answer"),
+        (|_, _| Err("it has no lamp".into()), "module \"server\" has failed: it has no lamp"),
+        (
+            // A traceback is for the log.
+            |_, _| {
+                let report = Some("Traceback:\n  line 7\nKeyError: lamp".to_owned());
+                Err(Failure { reason: "KeyError: lamp".to_owned(), report })
+            },
+            "module \"server\" has failed: KeyError: lamp",
+        ),
     ];
     for (does, expected) in cases {
         let mut robot = Robot::new();

@@ -22,7 +22,7 @@ pub(crate) struct ShownService {
     caller: EncodedCaller,
 }
 
-/// The services that modules serve when the server starts, except for those of actions and those whose types are unknown.
+/// The services that modules serve when the server starts, also those of actions, except for those whose types are unknown.
 ///
 /// # Errors
 /// [`SetupError`] when the core has no caller for a service.
@@ -31,7 +31,7 @@ pub(crate) fn shown(core: &mut Core, interfaces: &Interfaces) -> Result<Vec<Show
     let definitions = interfaces.definitions();
     let mut shown = Vec::new();
     for (id, info) in (1..).zip(served) {
-        let Some(service_type) = interfaces.service_of(&info) else { continue };
+        let Some(service_type) = interfaces.service_in(core, &info.name) else { continue };
         let text =
             |part| definitions.find_text(&format!("{}_{part}", service_type.name())).map(|found| found.0);
         let (Ok(request), Ok(response)) = (text("Request"), text("Response")) else { continue };

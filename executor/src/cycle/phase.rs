@@ -11,7 +11,7 @@ use super::stage::{Askers, Stage};
 use crate::module::{Asked, Causes, Link, ModuleCell, Place, Post, StepOutcome, Use, UseEnds};
 use crate::observe::{Inspector, ModuleMeter};
 use crate::threads::Watchdog;
-use crate::{Clock, ModuleChange, ModuleId, Role, SettingInfo, Time};
+use crate::{Clock, ModuleId, Role, SettingInfo, Time};
 
 /// What the core knows beside its stage and its mechanisms.
 pub(crate) struct CoreState {
@@ -288,9 +288,8 @@ impl<'a> SyncPhase<'a> {
                 self.state.agenda.leave(slot);
                 let mut cell = self.stage.cells.take(slot)?;
                 // Those who wait for an answer of it receive an error.
-                let module = Arc::clone(cell.name());
                 cell.io.asked = Asked::default();
-                cell.io.changed(ModuleChange::Inactive { module: &module });
+                cell.refuse_requests();
                 for (number, part) in cell.io.split_off() {
                     self.mechanisms.join(number, Step { module: id, number: 0, time: self.now }, part);
                     self.ask(number);

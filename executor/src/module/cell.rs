@@ -10,7 +10,7 @@ use super::causes::{Asked, Causes, MODULES, TIMERS};
 use super::link::Delivery;
 use super::port::{ModuleChange, ModuleIo, Port, Views};
 use crate::observe::{Badge, ModuleMeter, Span};
-use crate::threads::{ReceiptSender, Watch, end_of};
+use crate::threads::{ReceiptSender, Watch, end_of, sentence};
 use crate::{Context, LifeStep, LifecycleState, Role, SettingValue, Time, Transition, TransitionRefused};
 
 pub(crate) struct ModuleCell {
@@ -29,6 +29,8 @@ pub(crate) struct ModuleCell {
     watch: Option<Watch>,
     badge: Badge,
     panic: Option<String>,
+    /// What the panic said in a sentence.
+    failure: Option<Arc<str>>,
     pub(crate) meter: ModuleMeter,
     /// The last run, in a cycle that is measured.
     pub(crate) span: Option<Span>,
@@ -82,6 +84,7 @@ impl ModuleCell {
             watch,
             badge,
             panic: None,
+            failure: None,
             meter,
             span: None,
         }
@@ -367,6 +370,7 @@ impl ModuleCell {
         self.io.asked = Asked::of(MODULES);
         self.io.changed(ModuleChange::Panicked);
         self.meter.panicked();
+        self.failure = Some(sentence(&*panic).into());
         self.panic = Some(end_of(panic));
         self.end();
         self.report(LifeStep::Panicked { transition, from });
@@ -390,10 +394,10 @@ impl ModuleCell {
     }
 
     /// Those who wait for an answer of this module receive an error.
-    fn refuse_requests(&mut self) {
+    pub(crate) fn refuse_requests(&mut self) {
         let name = Arc::clone(&self.io.name);
         self.is_plain = false;
-        self.io.changed(ModuleChange::Inactive { module: &name });
+        self.io.changed(ModuleChange::Inactive { module: &name, failure: self.failure.as_ref() });
     }
 }
 

@@ -41,6 +41,8 @@ pub enum ModuleChange<'a> {
     Inactive {
         /// Its name.
         module: &'a Arc<str>,
+        /// What its panic said, if that is why.
+        failure: Option<&'a Arc<str>>,
     },
     /// Its run panicked: what it asked in that run is void.
     Panicked,

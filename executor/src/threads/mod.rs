@@ -10,7 +10,8 @@ mod sync;
 mod system;
 mod watchdog;
 
-pub(crate) use guard::{drop_guarded, end_of, reason, unpoisoned};
+pub use guard::Failure;
+pub(crate) use guard::{drop_guarded, end_of, reason, sentence, unpoisoned};
 pub use options::{ThreadError, ThreadOptions};
 pub use receipt::Receipt;
 pub(crate) use receipt::{ReceiptSender, receipt};

@@ -616,20 +616,21 @@ class Module {
     // `callback` takes a request and returns the response. An Error is sent to the client.
     template <class S, class F> void serve(const std::string &service, F callback) {
         serve_later<S>(service, [callback](const typename S::Request &request, const Request<S> &open) mutable {
-            try {
-                open.reply(callback(request));
-            } catch (const Error &error) {
-                open.refuse(error.what());
-            }
+            open.reply(callback(request));
         });
     }
 
-    // `callback` takes a request and a Request<S>, to be answered now or later.
+    // `callback` takes a request and a Request<S>, to be answered now or later. An Error is sent to the client.
     template <class S, class F> void serve_later(const std::string &service, F callback) {
         detail::Carried<S>::define(host_);
         detail::check(host_->server(host_, service.c_str(), Interface<S>::name, Interface<S>::hash, nullptr));
         servers_.push_back([this, callback](const downbeat_event_v1 &event) mutable {
-            callback(cdr::decode<typename S::Request>(event.data, event.size), Request<S>(this, event.id));
+            const Request<S> open(this, event.id);
+            try {
+                callback(cdr::decode<typename S::Request>(event.data, event.size), open);
+            } catch (const Error &error) {
+                open.refuse(error.what());
+            }
         });
     }
 

@@ -18,6 +18,9 @@ use std::fmt::Write;
 /// The CDR functions of C.
 const HEADER_CDR: &str = include_str!("../include/downbeat_cdr.h");
 
+/// Actions in C.
+const HEADER_ACTION: &str = include_str!("../include/downbeat_action.h");
+
 /// A language that headers are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Language {
@@ -44,7 +47,9 @@ pub fn generate(catalog: &Catalog, names: &[TypeName], language: Language) -> Re
     let mut headers = vec![Header { path: "downbeat.h".to_owned(), text: HEADER.to_owned() }];
     match language {
         Language::C => {
-            headers.push(Header { path: "downbeat_cdr.h".to_owned(), text: HEADER_CDR.to_owned() })
+            for (path, text) in [("downbeat_cdr.h", HEADER_CDR), ("downbeat_action.h", HEADER_ACTION)] {
+                headers.push(Header { path: path.to_owned(), text: text.to_owned() });
+            }
         }
         Language::Cpp => {
             headers.push(Header { path: "downbeat.hpp".to_owned(), text: HEADER_CPP.to_owned() })

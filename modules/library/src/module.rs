@@ -5,7 +5,7 @@ use crate::instance::{Instance, event_in_c};
 use crate::library::Library;
 use crate::watch::Watch;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState};
-use downbeat_executor::{SettingValue, Transition};
+use downbeat_executor::{Failure, SettingValue, Transition};
 
 /// A module of a library that this process has loaded.
 pub(crate) struct LibraryModule {
@@ -36,8 +36,8 @@ impl Foreign for LibraryModule {
         self.instance.setup(declarations)
     }
 
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
-        self.instance.handle(&event_in_c(&event), context)
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
+        Ok(self.instance.handle(&event_in_c(&event), context)?)
     }
 
     fn transition(

@@ -232,14 +232,21 @@ fn rust_library() -> LibraryOptions {
 /// What a robot with this module publishes in a scenario of messages, calls, tasks and settings.
 fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> Vec<Vec<f64>> {
     let mut robot = Robot::new();
-    let remaps = BTreeMap::from([("other".to_owned(), "theirs".to_owned())]);
+    let action = |from: &str, to: &str| {
+        let name = |action: &str, part: &str| format!("{action}/_action/{part}");
+        ["send_goal", "get_result", "cancel_goal", "feedback", "status"]
+            .map(|part| (name(from, part), name(to, part)))
+    };
+    let mut remaps = BTreeMap::from([("other".to_owned(), "theirs".to_owned())]);
+    remaps.extend(action("lean_on", "other/lean"));
     let settings = BTreeMap::from([("gain".to_owned(), SettingValue::Double(3.0))]);
     add(&mut robot, "module", ModuleOptions { remaps, settings, ..ModuleOptions::default() });
     let remaps =
-        ["in", "out", "ticks", "answers", "ask"].map(|name| (name.to_owned(), format!("other/{name}")));
+        ["in", "out", "ticks", "answers", "ask", "lean_by", "level", "refuse", "fail", "hold", "leave"]
+            .map(|name| (name.to_owned(), format!("other/{name}")));
     let mut remaps = BTreeMap::from(remaps);
     remaps.insert("enable".into(), "theirs".into());
-    remaps.insert("level".into(), "other/level".into());
+    remaps.extend(action("lean", "other/lean"));
     add(&mut robot, "server", ModuleOptions { remaps, ..ModuleOptions::default() });
     let taken = ["out", "ticks", "answers"].map(|topic| robot.receive(topic));
     let input = robot.core.inlet::<Float64>("in").unwrap();
@@ -255,7 +262,11 @@ fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> Vec<Vec<f64>> {
     let refused = refused.map(|receipt| receipt.try_take().unwrap().unwrap_err().to_string());
     assert!(refused[0].contains("not seven") && refused[1].contains("out of range"), "{refused:?}");
     input.publish(Float64 { data: 1.0 }).unwrap();
-    robot.cycles(5);
+    let lean = robot.core.inlet::<Float64>("lean_by").unwrap();
+    for data in [2.0, 0.5] {
+        lean.publish(Float64 { data }).unwrap();
+    }
+    robot.cycles(12);
     taken.map(|taken| taken.try_iter().collect()).into()
 }
 
@@ -272,7 +283,8 @@ fn a_module_in_rust_does_in_a_library_what_it_does_compiled_in() {
         robot.core.add_with(name, downbeat_library_example::Amplifier::default(), options).unwrap();
     });
     assert_eq!(compiled_in[0], [3.0, 6.0, 9.0, 5.0]);
-    assert_eq!(compiled_in[2], [1.0, -1.0]);
+    // Two answers, a goal that was refused, and one that was reached.
+    assert_eq!(compiled_in[2], [1.0, -1.0, -2.0, 0.5]);
     assert_eq!(scenario(library(false)), compiled_in);
     assert_eq!(scenario(library(true)), compiled_in);
 }

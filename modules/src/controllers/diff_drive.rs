@@ -5,7 +5,7 @@
 //! | `cmd_vel` (in) | geometry_msgs/Twist, or TwistStamped with `use_stamped_vel` | `linear.x` in m/s, `angular.z` in rad/s; the rest is ignored |
 //! | `joint_states` (in) | sensor_msgs/JointState | positions of the wheels, rad |
 //! | `joint_commands` | sensor_msgs/JointState | velocities of the wheels, rad/s, at `rate_hz` |
-//! | `odom` | nav_msgs/Odometry | pose of the base in the frame `odom_frame_id`, with the stamp of each state of all wheels |
+//! | `odom` | nav_msgs/Odometry | pose of the base in the frame `odom_frame_id`, at `publish_rate`, with the stamp of a state of all wheels |
 //! | `tf` | tf2_msgs/TFMessage | the same, unless `enable_odom_tf` is false |
 //!
 //! | setting | default | |
@@ -14,6 +14,7 @@
 //! | `wheel_separation` | | m between the sides |
 //! | `wheel_radius` | | m |
 //! | `rate_hz` | 50 | rate of commands |
+//! | `publish_rate` | `rate_hz` | Hz, rate of `odom` and `tf`, which follow from each state of the wheels, however often they are published; 0: with each state |
 //! | `cmd_vel_timeout` | 0.5 | s after which the base stops without a new command; 0: never. With `use_stamped_vel` it counts from the stamp, and commands with an older or a newer stamp are dropped; a stamp of 0 means now |
 //! | `linear.x.max_velocity`, `angular.z.max_velocity` | 1 m/s, 2 rad/s | limits, both ways |
 //! | `linear.x.max_acceleration`, `angular.z.max_acceleration` | 2 m/s², 8 rad/s² | limits, both ways |
@@ -30,6 +31,8 @@
 //!
 //! (2)  x' = x + d s cos(h + a/2),  y' = y + d s sin(h + a/2),  h' = h + a,  s = sin(a/2) / (a/2)
 //!
+//! The twist is the mean since the last message. Deactivation stops the base; what it moves until it is activated again is not counted.
+//!
 //! The covariances are guesses that consumers of odometry expect to find: 1 mm and 0.01 rad per state on the axes that
 //! wheels measure, 10^6 on the others.
 //!
@@ -39,9 +42,12 @@
 
 use std::time::Duration;
 
+use super::claims::OwnClaims;
 use super::{header, joint_names};
 use crate::stamps::{Stale, given_at};
-use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_executor::{
+    Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
+};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped, Twist, TwistStamped};
 use downbeat_msgs::nav_msgs::msg::Odometry;
@@ -56,7 +62,12 @@ pub struct DiffDriveController {
     stale: Stale,
     commanded: Velocity,
     pose: Pose,
-    last_state: Option<Time>,
+    /// How far the base has moved and turned since the last odometry was published: m, rad.
+    moved: (f64, f64),
+    published_at: Option<Time>,
+    /// When the next odometry is due.
+    due: Time,
+    claims: OwnClaims,
 }
 
 struct Wheel {
@@ -68,6 +79,9 @@ struct Wheel {
     /// True if a state had it since the last odometry.
     is_fresh: bool,
 }
+
+/// Between two messages of odometry.
+const LONGEST_PERIOD_S: f64 = 3600.0;
 
 /// In the plane: along x, and about z.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -90,6 +104,7 @@ pub struct Ports {
     odom: Publication<Odometry>,
     tf: Publication<TFMessage>,
     period_s: f64,
+    publish_rate: Setting<f64>,
     wheel_separation: Setting<f64>,
     wheel_radius: Setting<f64>,
     timeout: Setting<f64>,
@@ -119,6 +134,9 @@ impl DiffDriveController {
     }
 
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        if !self.claims.are_granted(ctx) {
+            return;
+        }
         let ports = ctx.ports;
         let timeout = *ctx.get(ports.timeout);
         let is_late = |at: Time| timeout > 0.0 && ctx.now() > at + Duration::from_secs_f64(timeout);
@@ -134,6 +152,11 @@ impl DiffDriveController {
             asked.clamp(-most, most).clamp(commanded - step, commanded + step)
         });
         self.commanded = Velocity { linear, angular };
+        self.command_wheels(ctx);
+    }
+
+    fn command_wheels(&self, ctx: &mut Context<'_, Ports>) {
+        let (ports, Velocity { linear, angular }) = (ctx.ports, self.commanded);
         let (radius, half) = (*ctx.get(ports.wheel_radius), *ctx.get(ports.wheel_separation) / 2.0);
         let of_side = [linear - angular * half, linear + angular * half].map(|speed| speed / radius);
         let mut command = JointState { header: header(ctx.now(), ""), ..JointState::default() };
@@ -160,11 +183,30 @@ impl DiffDriveController {
         if self.sides.iter().flatten().all(|wheel| wheel.is_fresh) {
             let stamp = Time::from_nanos(state.header.stamp.as_nanos());
             let measured_at = if stamp == Time::ZERO { ctx.now() } else { stamp };
-            self.publish_odometry(measured_at, ctx);
+            self.roll_on(ctx);
+            if self.is_due(measured_at, *ctx.get(ctx.ports.publish_rate)) {
+                self.publish_odometry(measured_at, ctx);
+            }
         }
     }
 
-    fn publish_odometry(&mut self, measured_at: Time, ctx: &mut Context<'_, Ports>) {
+    /// Whether the next odometry is due, at this rate on average.
+    fn is_due(&mut self, measured_at: Time, rate_hz: f64) -> bool {
+        if rate_hz <= 0.0 {
+            return true;
+        }
+        let period = Duration::from_secs_f64((1.0 / rate_hz).min(LONGEST_PERIOD_S));
+        // Also after a time that has gone back.
+        let is_near = self.due <= measured_at + period && measured_at < self.due + period;
+        if is_near && measured_at < self.due {
+            return false;
+        }
+        self.due = if is_near { self.due + period } else { measured_at + period };
+        true
+    }
+
+    /// Moves the pose by what the wheels have rolled.
+    fn roll_on(&mut self, ctx: &Context<'_, Ports>) {
         let ports = ctx.ports;
         let radius = *ctx.get(ports.wheel_radius);
         let [left, right] = self.sides.each_mut().map(|side| {
@@ -177,8 +219,14 @@ impl DiffDriveController {
         });
         let (distance, angle) = moved(left, right, *ctx.get(ports.wheel_separation));
         self.pose = self.pose.after(distance, angle);
-        let period = self.last_state.map_or(0.0, |last| measured_at.saturating_since(last).as_secs_f64());
-        self.last_state = Some(measured_at);
+        self.moved = (self.moved.0 + distance, self.moved.1 + angle);
+    }
+
+    fn publish_odometry(&mut self, measured_at: Time, ctx: &mut Context<'_, Ports>) {
+        let ports = ctx.ports;
+        let (distance, angle) = std::mem::take(&mut self.moved);
+        let before = self.published_at.replace(measured_at);
+        let period = before.map_or(0.0, |before| measured_at.saturating_since(before).as_secs_f64());
         let per_second = |way: f64| if period > 0.0 { way / period } else { 0.0 };
 
         let mut odometry = Odometry {
@@ -276,6 +324,12 @@ impl Module for DiffDriveController {
             odom: setup.publish("odom")?,
             tf: setup.publish("tf")?,
             period_s: 1.0 / rate,
+            publish_rate: setup.setting_in(
+                "publish_rate",
+                rate,
+                0.0..=10_000.0,
+                "Hz; rate of odom and tf; 0: with each state of the wheels",
+            )?,
             wheel_separation,
             wheel_radius,
             timeout: setup.setting_in(
@@ -307,7 +361,29 @@ impl Module for DiffDriveController {
         }
         setup.subscribe("joint_states", Self::on_joint_states)?;
         setup.every(Duration::from_secs_f64(1.0 / rate), Self::tick)?;
+        let wheels: Vec<String> = self.sides.iter().flatten().map(|wheel| wheel.name.clone()).collect();
+        self.claims = OwnClaims::declare(setup, "joint_commands", &wheels);
         Ok(ports)
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        self.claims.take(ctx)?;
+        (self.asked, self.commanded) = (None, Velocity::default());
+        // How far the wheels have turned meanwhile is not known.
+        for wheel in self.sides.iter_mut().flatten() {
+            (wheel.position, wheel.turned, wheel.is_fresh) = (None, 0.0, false);
+        }
+        (self.moved, self.published_at) = ((0.0, 0.0), None);
+        Ok(())
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        if self.claims.are_granted(ctx) {
+            self.commanded = Velocity::default();
+            self.command_wheels(ctx);
+        }
+        self.claims.give_back(ctx);
+        Ok(())
     }
 }
 
@@ -401,6 +477,38 @@ mod tests {
         assert!((x - 0.93).abs() < 0.02 && odometry.pose.pose.position.y == 0.0, "{x}");
         assert!((odometry.twist.twist.linear.x - 0.5).abs() < 0.01);
         assert_eq!((&*odometry.header.frame_id, &*odometry.child_frame_id), ("odom", "base_link"));
+    }
+
+    #[test]
+    fn odometry_has_the_rate_of_the_commands_unless_another_one_is_set() {
+        // Of states at 125 Hz.
+        let published = |settings: &[(&str, SettingValue)], at: f64| {
+            let (mut core, clock) = core_at_zero();
+            add(&mut core, settings).unwrap();
+            let odom = Collector::<Odometry>::add(&mut core, "odom");
+            let states = core.inlet("joint_states").unwrap();
+            let mut count = 0;
+            for number in 0..250 {
+                clock.advance(Duration::from_millis(8));
+                let position = vec![f64::from(number) * 0.016, f64::from(number) * 0.016];
+                let (name, header) = (vec!["left".into(), "right".into()], header(clock.now(), ""));
+                states.publish(JointState { header, name, position, ..JointState::default() }).unwrap();
+                (0..3).for_each(|_| core.cycle().unwrap());
+                let heard = odom.take();
+                count += heard.len();
+                if let Some(odometry) = heard.last().filter(|_| number > 10) {
+                    // 2 rad/s of wheels with a radius of 5 cm.
+                    assert!((odometry.twist.twist.linear.x - 0.1).abs() < 1e-9, "{number}");
+                    assert!((odometry.pose.pose.position.x - f64::from(number) * 0.0008).abs() < 1e-9);
+                }
+            }
+            assert!((count as f64 - 2.0 * at).abs() < 3.0, "{count} in 2 s, expected {at} a second");
+        };
+        published(&[], 50.0);
+        published(&[("rate_hz", 20.0.into())], 20.0);
+        published(&[("publish_rate", 10.0.into())], 10.0);
+        published(&[("publish_rate", 0.0.into())], 125.0);
+        published(&[("publish_rate", 1000.0.into())], 125.0);
     }
 
     #[test]

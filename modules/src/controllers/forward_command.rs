@@ -6,6 +6,7 @@
 //! | topic | type | |
 //! | --- | --- | --- |
 //! | `NAME/commands` (in) | std_msgs/Float64MultiArray | one value per joint, in the order of `joints` |
+//! | `NAME/reference` (in) | sensor_msgs/JointState | the commands of another controller, by name; other joints and values are ignored |
 //! | `joint_commands` | sensor_msgs/JointState | the same with names |
 //!
 //! | setting | default | |
@@ -14,13 +15,16 @@
 //! | `interface_name` | `position` | what the values are: `position` (rad or m), `velocity` (rad/s or m/s), `effort` (N·m or N) |
 //!
 //! A message with a wrong number of values is dropped; a value that is not finite leaves its joint alone. Both are
-//! logged the 1st, 10th, 100th time.
+//! logged the 1st, 10th, 100th time. Deactivation commands velocities and efforts of 0; positions stay.
 //!
 //! # References
 //! `forward_command_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst`.
 
+use super::claims::OwnClaims;
 use super::{header, joint_names, own};
-use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
+use downbeat_executor::{
+    Context, Module, Publication, Received, Setting, Setup, SetupError, TransitionError,
+};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::std_msgs::msg::Float64MultiArray;
 
@@ -30,6 +34,7 @@ pub struct ForwardCommandController {
     joints: Vec<String>,
     interface: Interface,
     faults: u64,
+    claims: OwnClaims,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -56,8 +61,32 @@ impl ForwardCommandController {
             self.fault("a command has a value that is not finite; its joint is left alone");
         }
         let commanded = self.joints.iter().zip(values).filter(|(_, value)| value.is_finite());
-        let (name, values): (Vec<String>, Vec<f64>) =
-            commanded.map(|(joint, value)| (joint.clone(), *value)).unzip();
+        let commanded = commanded.map(|(joint, value)| (joint.clone(), *value)).collect();
+        self.command(commanded, ctx);
+    }
+
+    fn on_reference(&mut self, reference: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
+        let values = match self.interface {
+            Interface::Position => &reference.position,
+            Interface::Velocity => &reference.velocity,
+            Interface::Effort => &reference.effort,
+        };
+        let of_joints = reference.name.iter().zip(values);
+        let of_joints = of_joints.filter(|(name, value)| self.joints.contains(name) && value.is_finite());
+        let commanded: Vec<_> = of_joints.map(|(name, value)| (name.clone(), *value)).collect();
+        if !commanded.is_empty() {
+            self.command(commanded, ctx);
+        }
+    }
+
+    fn command(&mut self, commanded: Vec<(String, f64)>, ctx: &mut Context<'_, Ports>) {
+        if self.claims.are_granted(ctx) {
+            self.publish(commanded, ctx);
+        }
+    }
+
+    fn publish(&self, commanded: Vec<(String, f64)>, ctx: &mut Context<'_, Ports>) {
+        let (name, values) = commanded.into_iter().unzip();
         let mut command = JointState { header: header(ctx.now(), ""), name, ..JointState::default() };
         match self.interface {
             Interface::Position => command.position = values,
@@ -98,7 +127,23 @@ impl Module for ForwardCommandController {
         };
         let commands = own(setup, "commands");
         setup.subscribe(&commands, Self::on_commands)?;
-        Ok(Ports { commands: setup.publish("joint_commands")? })
+        let reference = own(setup, "reference");
+        setup.subscribe(&reference, Self::on_reference)?;
+        let ports = Ports { commands: setup.publish("joint_commands")? };
+        self.claims = OwnClaims::declare(setup, "joint_commands", &self.joints);
+        Ok(ports)
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        self.claims.take(ctx)
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        if self.interface != Interface::Position && self.claims.are_granted(ctx) {
+            self.publish(self.joints.iter().map(|joint| (joint.clone(), 0.0)).collect(), ctx);
+        }
+        self.claims.give_back(ctx);
+        Ok(())
     }
 }
 

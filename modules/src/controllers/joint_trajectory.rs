@@ -24,8 +24,8 @@
 //!
 //! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than `stamp_timeout`, or more than a minute
 //! ahead, is refused: its beginning would be skipped, or the clocks differ. It begins from the command so far, so that a replaced trajectory
-//! causes no jump; without one, from the measured position. A goal that is cancelled or aborted holds the
-//! position in which it ends. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
+//! causes no jump; without one, and after an activation, from the measured position. A goal that is cancelled or aborted holds the
+//! position in which it ends; one that is under way when the controller is deactivated is aborted. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
 //!
 //! Differences from ros2_control: only positions are commanded, with the velocity beside them; trajectories of
 //! velocities alone are refused; `open_loop_control`, speed scaling, and joints of several degrees of freedom do not exist.
@@ -36,12 +36,15 @@
 
 use std::time::Duration;
 
+use super::claims::OwnClaims;
 use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
 use super::{header, joint_names, own};
 use crate::actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use crate::stamps::Stale;
 use crate::step::standstill;
-use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_executor::{
+    Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
+};
 use downbeat_msgs::builtin_interfaces::msg::Duration as DurationMessage;
 use downbeat_msgs::control_msgs::action::{
     FollowJointTrajectory, FollowJointTrajectoryFeedback, FollowJointTrajectoryGoal,
@@ -63,6 +66,7 @@ pub struct JointTrajectoryController {
     following: Option<Following>,
     last_state: Option<Time>,
     stale: Stale,
+    claims: OwnClaims,
 }
 
 /// How far ahead a trajectory may begin.
@@ -230,6 +234,9 @@ impl JointTrajectoryController {
     }
 
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        if !self.claims.are_granted(ctx) {
+            return;
+        }
         self.advance(ctx);
         if !self.commanded.is_empty() {
             let mut command = JointState { header: header(ctx.now(), ""), ..JointState::default() };
@@ -425,7 +432,25 @@ impl Module for JointTrajectoryController {
             .on_canceling(Self::on_canceling)
             .declare(setup, &action, &mut self.server)?;
         setup.every(Duration::from_secs_f64(1.0 / rate), Self::tick)?;
+        self.claims = OwnClaims::declare(setup, "joint_commands", &self.joints);
         Ok(ports)
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        self.claims.take(ctx)?;
+        // Joints may have been elsewhere since: the first trajectory begins where they are now.
+        self.commanded.clear();
+        self.measured.fill(None);
+        Ok(())
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        if let Some(goal) = self.following.take().and_then(|following| following.goal) {
+            let reason = "the controller was deactivated".to_owned();
+            self.abort(goal, FollowJointTrajectoryResult::SUCCESSFUL, reason, ctx);
+        }
+        self.claims.give_back(ctx);
+        Ok(())
     }
 }
 

@@ -8,7 +8,13 @@
 //! the hardware module or of a multiplexer. Their other names begin with the name of the module, as those of a
 //! controller in ros2_control begin with the name of the controller, so that a module called `arm_controller` serves
 //! `arm_controller/follow_joint_trajectory`, which is what MoveIt looks for.
+//!
+//! # Switched and chained
+//! Transitions of the lifecycle switch controllers: an active one has its joints for itself ([`claims`]), and the next one starts from where
+//! they are. The commands of one are the reference of another where a remap says so: those of any controller go into
+//! `NAME/reference` of a [`forward_command`].
 
+pub mod claims;
 pub mod diff_drive;
 pub mod forward_command;
 pub mod joint_trajectory;

@@ -15,7 +15,7 @@ use crate::values::{to_map, to_message};
 use downbeat_edge::foreign::{
     Declarations, Event as PortEvent, Foreign, ForeignContext, SavedState, SettingDeclaration,
 };
-use downbeat_executor::{SettingValue, Time, Transition};
+use downbeat_executor::{Failure, SettingValue, Time, Transition};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use downbeat_msgs::{Message, cdr, std_msgs};
@@ -515,7 +515,7 @@ impl Foreign for StateMachine {
         Ok(())
     }
 
-    fn handle(&mut self, event: PortEvent, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: PortEvent, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         match event {
             PortEvent::Message { subscription, cdr, .. } => {
                 let now = since_epoch(context.now());
@@ -533,7 +533,7 @@ impl Foreign for StateMachine {
                 }
             }
             PortEvent::Setting { .. } => self.is_due = true,
-            PortEvent::EachRun => return self.step(context),
+            PortEvent::EachRun => self.step(context)?,
             _ => {}
         }
         Ok(())

@@ -281,22 +281,25 @@ class Module:
         """
 
         def answer(request: Any, open: _core.Request) -> None:
-            try:
-                response = callback(request)
-            except Refused as refused:
-                open.refuse(str(refused))
-                return
+            response = callback(request)
             if response is None or isinstance(response, Mapping):
                 open.reply(**(response or {}))
             else:
                 open.reply(response)
 
-        self._link.serve(service, type, answer)
+        self.serve_later(service, type, answer)
 
     def serve_later(self, service: str, type: str, callback: Callable[[Any, _core.Request], None]) -> None:
         """Serves a service whose requests are answered when the answer is there: ``callback`` takes a request, and something
-        to answer it with: ``open.reply(field=value)`` or ``open.refuse(reason)``, once."""
-        self._link.serve(service, type, callback)
+        to answer it with: ``open.reply(field=value)`` or ``open.refuse(reason)``, once. Raising :class:`Refused` refuses it."""
+
+        def take(request: Any, open: _core.Request) -> None:
+            try:
+                callback(request, open)
+            except Refused as refused:
+                open.refuse(str(refused))
+
+        self._link.serve(service, type, take)
 
     def client(self, service: str, type: str, timeout: float | str = "5s") -> _core.Client:
         """Declares that the module calls a service. The result is called with a request or with its fields, and with a

@@ -3,7 +3,7 @@
 use super::values;
 use crate::messages::{self, MessageType};
 use downbeat::edge::foreign::{Declarations, ForeignContext, SettingDeclaration};
-use downbeat::executor::{SettingValue, Transition};
+use downbeat::executor::{Failure, SettingValue, Transition};
 use parking_lot::Mutex;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -87,8 +87,8 @@ impl Link {
     pub(super) fn running(
         &self,
         context: &mut ForeignContext<'_, '_>,
-        callback: impl FnOnce() -> Result<(), String>,
-    ) -> Result<(), String> {
+        callback: impl FnOnce() -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
         {
             let mut state = self.0.lock();
             state.now = context.now().as_nanos();
@@ -177,7 +177,7 @@ fn hash_of(service: &str) -> Option<String> {
     messages::interface(service).map(|(_, _, hash)| hash)
 }
 
-fn apply(context: &mut ForeignContext<'_, '_>, asked: Asked) -> Result<(), String> {
+fn apply(context: &mut ForeignContext<'_, '_>, asked: Asked) -> Result<(), Failure> {
     let refused = match asked {
         Asked::Publish { publisher, cdr } => context.publish(publisher, &cdr).err(),
         Asked::Call { client, cdr } => context.call(client, &cdr).err(),
@@ -199,7 +199,7 @@ fn apply(context: &mut ForeignContext<'_, '_>, asked: Asked) -> Result<(), Strin
             None
         }
     };
-    refused.map_or(Ok(()), |error| Err(error.to_string()))
+    refused.map_or(Ok(()), |error| Err(error.into()))
 }
 
 #[pymethods]

@@ -6,7 +6,7 @@ use super::values;
 use super::watch::Watch;
 use crate::messages;
 use downbeat::edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState};
-use downbeat::executor::{SettingValue, Transition};
+use downbeat::executor::{Failure, SettingValue, Transition};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
@@ -27,8 +27,8 @@ impl PythonModule {
         Ok(Self { instance: instance.unbind(), link, origin, watch })
     }
 
-    /// Calls Python, with the traceback as the error.
-    fn attached<T>(&self, call: impl FnOnce(&Self, Python<'_>) -> PyResult<T>) -> Result<T, String> {
+    /// Calls Python.
+    fn attached<T>(&self, call: impl FnOnce(&Self, Python<'_>) -> PyResult<T>) -> Result<T, Failure> {
         Python::attach(|py| {
             let _watched = self.watch.begin(py);
             let process = std::process::id();
@@ -36,7 +36,10 @@ impl PythonModule {
             if std::process::id() != process {
                 end_forked(py);
             }
-            result.map_err(|error| traceback(py, &error))
+            result.map_err(|error| Failure {
+                reason: sentence(py, &error),
+                report: Some(traceback(py, &error)),
+            })
         })
     }
 
@@ -45,7 +48,7 @@ impl PythonModule {
         &self,
         context: &mut ForeignContext<'_, '_>,
         call: impl FnOnce(&Self, Python<'_>) -> PyResult<()>,
-    ) -> Result<(), String> {
+    ) -> Result<(), Failure> {
         self.link.get().running(context, || self.attached(call))
     }
 
@@ -140,9 +143,10 @@ impl Foreign for PythonModule {
                 .get()
                 .declaring(declarations, || module.instance.call_method0(py, "_set_up").map(drop))
         })
+        .map_err(Failure::into_report)
     }
 
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         if let Event::Setting { setting } = event {
             self.link.get().refresh(setting, context);
         }
@@ -162,6 +166,7 @@ impl Foreign for PythonModule {
             Transition::Shutdown => "shutdown",
         };
         self.running(context, |module, py| module.instance.call_method0(py, method).map(drop))
+            .map_err(Failure::into_report)
     }
 
     fn accept(&mut self, setting: u32, value: &SettingValue) -> Result<(), String> {
@@ -179,8 +184,8 @@ impl Foreign for PythonModule {
     }
 
     fn save(&mut self) -> Result<SavedState, String> {
-        let state = self.attached(|module, py| module.instance.call_method0(py, "save"))?;
-        Ok(Box::new(state))
+        let state = self.attached(|module, py| module.instance.call_method0(py, "save"));
+        Ok(Box::new(state.map_err(Failure::into_report)?))
     }
 
     fn restore(&mut self, state: SavedState) -> Result<(), String> {
@@ -189,7 +194,18 @@ impl Foreign for PythonModule {
             true => Ok(()),
             false => module.instance.call_method1(py, "restore", (&*state,)).map(drop),
         })
+        .map_err(Failure::into_report)
     }
+}
+
+/// The last lines of that: the exception without the calls that led to it.
+fn sentence(py: Python<'_>, error: &PyErr) -> String {
+    let format = || -> PyResult<String> {
+        let parts = (error.get_type(py), error.value(py));
+        let lines = py.import("traceback")?.call_method1("format_exception_only", parts)?;
+        Ok(lines.extract::<Vec<String>>()?.concat().trim_end().to_owned())
+    };
+    format().unwrap_or_else(|_| error.to_string())
 }
 
 /// An exception as Python prints it.

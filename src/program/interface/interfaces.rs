@@ -1,9 +1,9 @@
 //! The interfaces that commands can use.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::io::IsTerminal;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 
@@ -37,27 +37,38 @@ impl Interfaces {
         registered: &Registered,
     ) -> anyhow::Result<Self> {
         let mut catalog = Catalog::new();
-        let mut taken = BTreeSet::new();
+        let mut places = BTreeMap::<String, PathBuf>::new();
         for path in &source.from {
             for folder in packages_at(path)? {
-                if taken.insert(package_name(&folder)) {
-                    catalog.add_package(&folder)?;
+                let package = package_name(&folder);
+                match places.get(&package) {
+                    Some(first) => warn_of_two(&package, first, &folder),
+                    None => {
+                        catalog.add_package(&folder)?;
+                        places.insert(package, folder);
+                    }
                 }
             }
         }
         for folder in ament_packages().context("AMENT_PREFIX_PATH")? {
-            if taken.contains(&package_name(&folder)) {
+            let package = package_name(&folder);
+            if let Some(first) = places.get(&package) {
+                // An overlay, unless both define the same.
+                if definitions_in(first) != definitions_in(&folder) {
+                    warn_of_two(&package, first, &folder);
+                }
                 continue;
             }
             // Parsed separately first, so that an invalid package leaves nothing behind.
             match Catalog::new().add_package(&folder) {
                 Ok(_) => {
                     catalog.add_package(&folder)?;
-                    taken.insert(package_name(&folder));
+                    places.insert(package, folder);
                 }
                 Err(error) => tracing::warn!("skipped the package {}: {error}", folder.display()),
             }
         }
+        let taken: BTreeSet<String> = places.into_keys().collect();
         add(&mut catalog, crate::msgs::carried(), &taken, CARRIED)?;
         for described in registered.registered() {
             let (name, mut definition) = (described.type_name.parse()?, Catalog::new());
@@ -215,6 +226,22 @@ fn add(
         }
     }
     Ok(())
+}
+
+/// Two sources have a package of one name.
+fn warn_of_two(package: &str, taken: &Path, left_out: &Path) {
+    tracing::warn!(
+        "there are two packages named {package}: that in {} is used, and that in {}, which comes later, is not",
+        taken.display(),
+        left_out.display()
+    );
+}
+
+/// The names and texts of the definitions in a package; `None` if one of them is invalid.
+fn definitions_in(folder: &Path) -> Option<BTreeMap<String, String>> {
+    let mut catalog = Catalog::new();
+    catalog.add_package(folder).ok()?;
+    Some(catalog.messages().map(|message| (message.name.to_string(), message.text.clone())).collect())
 }
 
 fn package_name(folder: &Path) -> String {

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::interfaces::Interfaces;
 use super::{ListArguments, Registered};
-use crate::msgs::definitions::{Kind, TypeName};
+use crate::msgs::definitions::{Catalog, Kind, TypeName};
 
 pub(super) fn list(arguments: &ListArguments, registered: &Registered) -> anyhow::Result<()> {
     let interfaces = Interfaces::load(&arguments.source, registered)?;
@@ -57,18 +57,12 @@ fn of_kind(names: &[TypeName], kind: Kind) -> impl Iterator<Item = &TypeName> {
 }
 
 /// The folders of packages at a path, sorted by name: the path itself if it is a package, those below its
-/// `share` if it is an ament prefix, otherwise those directly in it.
+/// `share` if it is an ament prefix, otherwise those at any depth in it, as in the folder `src` of a workspace.
 ///
 /// # Errors
-/// Returns an error if the path cannot be read, or there is no package.
+/// Returns an error if the path cannot be read, there is no package, or two have one name.
 pub(super) fn packages_at(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    if is_package(path) {
-        // Its last component is the package's name, so `.` and `..` must be resolved.
-        return Ok(vec![path.canonicalize().with_context(|| cannot_read(path))?]);
-    }
-    let share = path.join("share");
-    let folder = if share.is_dir() { share } else { path.to_owned() };
-    let packages = packages_in(&folder)?;
+    let packages: Vec<PathBuf> = Catalog::packages_below(path)?.into_values().collect();
     if packages.is_empty() {
         bail!(
             "{} has no interfaces: expected an ament prefix, a folder of packages, or a package with a folder msg, \

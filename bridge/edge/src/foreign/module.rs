@@ -5,7 +5,8 @@ use super::versions::{Life, Made, OneVersion, StopsByPanic, Versions};
 use crate::KnownType;
 use bytes::Bytes;
 use downbeat_executor::{
-    AnyPublication, Context, ModuleOptions, Setting, SettingValue, StopRequest, Task, Time, Transition,
+    AnyPublication, Context, Failure, ModuleOptions, Setting, SettingValue, StopRequest, Task, Time,
+    Transition,
 };
 use downbeat_msgs::cdr;
 use parking_lot::Mutex;
@@ -17,8 +18,8 @@ use thiserror::Error;
 
 /// A module in another language. All its functions are called by one thread at a time, but not always by the same.
 ///
-/// An error is a sentence, or a traceback. One of [`handle`](Self::handle) ends the module as a panic does, with that text in the
-/// log; the restart policy decides whether it is made again.
+/// An error is a sentence, or a traceback. One of [`handle`](Self::handle) ends the module as a panic does, with its report in the
+/// log and its sentence for clients that wait for an answer; the restart policy decides whether it is made again.
 pub trait Foreign: Send + 'static {
     /// Declares what the module publishes, receives, does periodically and can be set to.
     ///
@@ -30,7 +31,7 @@ pub trait Foreign: Send + 'static {
     ///
     /// # Errors
     /// Ends the module.
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String>;
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure>;
 
     /// Makes a transition of its lifecycle.
     ///
@@ -164,6 +165,12 @@ pub enum ForeignError {
     /// The request was answered before, or never existed.
     #[error("request {0} is not open: it was answered before")]
     Answered(u64),
+}
+
+impl From<ForeignError> for Failure {
+    fn from(error: ForeignError) -> Self {
+        error.to_string().into()
+    }
 }
 
 /// What a module in another language can ask for in an event. It takes effect in the sync phase.
@@ -345,9 +352,9 @@ impl ForeignModule {
     pub(super) fn take(&mut self, event: Event, context: &mut Context<'_>) {
         let Self { foreign: Some(foreign), ports, versions, .. } = self else { return };
         let _noting = StopsByPanic(&**versions);
-        if let Err(reason) = foreign.handle(event, &mut ForeignContext { context, ports }) {
+        if let Err(failure) = foreign.handle(event, &mut ForeignContext { context, ports }) {
             // Not `panic!`, which would log the place in this file.
-            std::panic::resume_unwind(Box::new(reason));
+            std::panic::resume_unwind(Box::new(failure));
         }
     }
 

@@ -72,13 +72,23 @@ pub enum CallError {
         /// How long the caller waited.
         timeout: Duration,
     },
-    /// The server was not active, was removed, or panicked, before it answered.
+    /// The server was not active, or was removed, before it answered.
     #[error("service \"{service}\": module \"{module}\" does not run and cannot answer")]
     ServerGone {
         /// The service.
         service: Arc<str>,
         /// The module that served it.
         module: Arc<str>,
+    },
+    /// The server panicked before it answered, or does not run since.
+    #[error("service \"{service}\": module \"{module}\" has failed: {reason}")]
+    ServerFailed {
+        /// The service.
+        service: Arc<str>,
+        /// The module that serves it.
+        module: Arc<str>,
+        /// What the panic said.
+        reason: Arc<str>,
     },
     /// The core stopped before there was an answer.
     #[error("service \"{service}\": the core has stopped")]

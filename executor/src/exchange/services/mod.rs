@@ -113,9 +113,9 @@ impl Port for ServicesPort {
                 self.servers.iter_mut().for_each(|server| server.discard_answers());
                 false
             }
-            ModuleChange::Inactive { module } => {
+            ModuleChange::Inactive { module, failure } => {
                 for server in &mut self.servers {
-                    drop_guarded("a request", || server.abandon(module));
+                    drop_guarded("a request", || server.abandon(module, failure));
                 }
                 self.servers.iter().any(|server| server.has_answers())
             }

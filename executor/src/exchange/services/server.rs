@@ -79,7 +79,7 @@ pub(crate) trait AnyServer: Any + Send {
     /// Hands out the answers.
     fn drain_answers(&mut self, deliver: &mut dyn FnMut(ReplyTo, &mut dyn AnyReply));
     /// Answers everything that is open with an error.
-    fn abandon(&mut self, module: &Arc<str>);
+    fn abandon(&mut self, module: &Arc<str>, failure: Option<&Arc<str>>);
     /// Forgets answers: those of a run that panicked.
     fn discard_answers(&mut self);
 }
@@ -111,11 +111,15 @@ impl<Q: Send + 'static, R: Send + 'static> AnyServer for ServerPort<Q, R> {
         }
     }
 
-    fn abandon(&mut self, module: &Arc<str>) {
+    fn abandon(&mut self, module: &Arc<str>, failure: Option<&Arc<str>>) {
         let Self { name, requests, open, answers, .. } = self;
         open.extend(requests.drain(..).map(|request| request.to));
         for to in open.drain(..) {
-            let error = CallError::ServerGone { service: Arc::clone(name), module: Arc::clone(module) };
+            let (service, module) = (Arc::clone(name), Arc::clone(module));
+            let error = match failure {
+                Some(reason) => CallError::ServerFailed { service, module, reason: Arc::clone(reason) },
+                None => CallError::ServerGone { service, module },
+            };
             answers.push((to, reply(to, Err(error))));
         }
     }

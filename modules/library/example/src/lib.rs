@@ -1,16 +1,26 @@
 //! A module in Rust as a shared library.
 
-use downbeat_library::executor::{Client, Module, Publication, Setting, Setup, SetupError, Task};
-use downbeat_library::msgs::Service;
+use downbeat_library::actions::{ActionClient, ActionServer, CancelResponse, GoalId, GoalResponse};
+use downbeat_library::executor::{
+    Client, Context, Module, Publication, Responder, Setting, Setup, SetupError, Task, log,
+};
 use downbeat_library::msgs::std_msgs::msg::Float64;
-use downbeat_library::msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse};
+use downbeat_library::msgs::std_srvs::srv::{
+    SetBoolRequest, SetBoolResponse, TriggerRequest, TriggerResponse,
+};
 use std::time::Duration;
-use user_msgs::my_msgs::srv::{LevelRequest, LevelResponse};
+use user_msgs::my_msgs::action::{Lean, LeanFeedback, LeanGoal, LeanResult};
+use user_msgs::my_msgs::srv::{Level, LevelRequest, LevelResponse};
 
-/// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable` and, of a type of its own, `level`; calls `other`.
+/// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable` and, of types of its own,
+/// the service `level` and the action `lean`; calls `other`, and leans elsewhere with the action `lean_on`. To requests of `refuse`, `fail`,
+/// `hold` and `leave` it has no answer.
 #[derive(Default)]
 pub struct Amplifier {
     ticks: f64,
+    lean: ActionServer<Lean>,
+    lean_on: ActionClient<Lean>,
+    held: Vec<Responder<TriggerRequest, TriggerResponse>>,
 }
 
 /// The ports of an [`Amplifier`].
@@ -37,6 +47,7 @@ impl Module for Amplifier {
             amplifier.ticks += 1.0;
             let ticks = ctx.ports.ticks;
             ctx.publish(ticks, Float64 { data: amplifier.ticks });
+            amplifier.go_on(ctx);
         })?;
         setup.serve::<SetBoolRequest, SetBoolResponse, _>("enable", |_, request, _| match request.data {
             true => Ok(SetBoolResponse { success: true, message: "on".to_owned() }),
@@ -50,6 +61,13 @@ impl Module for Amplifier {
             let later = ctx.ports.later;
             ctx.schedule_after(later, Duration::from_millis(10));
         })?;
+        setup.subscribe::<Float64, _>("lean_by", |amplifier, angle, ctx| {
+            let mut wanted = LeanGoal::default();
+            wanted.goal.angle = angle.data;
+            amplifier.lean_on.send(ctx, wanted);
+        })?;
+        self.declare_actions(setup)?;
+        Self::declare_refusals(setup)?;
         let later = setup.task(|_, ctx| {
             let client = ctx.ports.client;
             ctx.call(client, SetBoolRequest { data: true });
@@ -75,4 +93,70 @@ impl Module for Amplifier {
     }
 }
 
-downbeat_library::export_module!(Amplifier, user_msgs::my_msgs::srv::Level::INTERFACES);
+impl Amplifier {
+    fn declare_refusals(setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        setup.serve::<TriggerRequest, TriggerResponse, _>("refuse", |_, _, _| {
+            Err("the lamp is broken".into())
+        })?;
+        setup.serve::<TriggerRequest, TriggerResponse, _>("fail", |_, _, _| panic!("the vial is empty"))?;
+        setup.serve_later::<TriggerRequest, TriggerResponse, _>("hold", |amplifier, _, responder, _| {
+            log::info!("holds a request");
+            amplifier.held.push(responder);
+        })?;
+        setup.serve_later::<TriggerRequest, TriggerResponse, _>("leave", |amplifier, _, responder, ctx| {
+            amplifier.held.push(responder);
+            ctx.remove_self();
+        })
+    }
+
+    fn declare_actions(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        ActionServer::builder(|amplifier: &mut Self| &mut amplifier.lean)
+            .on_goal(|_, _, wanted, _| match wanted.goal.angle {
+                ..=1.0 => GoalResponse::AcceptAndExecute,
+                100.0.. => panic!("too far"),
+                _ => GoalResponse::Reject,
+            })
+            .on_cancel(|_, _, _| CancelResponse::Accept)
+            .declare(setup, "lean", &mut self.lean)?;
+        ActionClient::builder(|amplifier: &mut Self| &mut amplifier.lean_on)
+            .on_response(|_, _, accepted, ctx| {
+                let answers = ctx.ports.answers;
+                if accepted.is_err() {
+                    ctx.publish(answers, Float64 { data: -2.0 });
+                }
+            })
+            .on_result(|_, _, end, ctx| {
+                let answers = ctx.ports.answers;
+                let data = end.map_or(-3.0, |end| end.result.reached.angle);
+                ctx.publish(answers, Float64 { data });
+            })
+            .declare(setup, "lean_on", &mut self.lean_on)
+    }
+
+    /// Reaches goals at once, except those that wait to be canceled, of a negative angle.
+    fn go_on(&mut self, ctx: &mut Context<'_, Ports>) {
+        let active: Vec<(GoalId, LeanGoal, bool)> = self
+            .lean
+            .goals()
+            .filter(|goal| goal.is_active())
+            .map(|goal| (goal.id(), goal.goal().clone(), goal.is_canceling()))
+            .collect();
+        for (id, wanted, is_canceling) in active {
+            let result = LeanResult { reached: wanted.goal.clone() };
+            let feedback = LeanFeedback { remaining: wanted.goal.angle };
+            let ended = match (is_canceling, wanted.goal.angle < 0.0) {
+                (true, _) => self.lean.canceled(ctx, id, result),
+                (false, true) => self.lean.publish_feedback(ctx, id, feedback),
+                (false, false) => self.lean.succeed(ctx, id, result),
+            };
+            assert!(ended.is_ok(), "{ended:?}");
+        }
+    }
+}
+
+downbeat_library::msgs::interfaces! {
+    /// What the library carries.
+    pub OWN: Level, Lean
+}
+
+downbeat_library::export_module!(Amplifier, OWN);

@@ -3,10 +3,12 @@
 use crate::host::Robot;
 use crate::last_panic;
 use bytes::Bytes;
-use downbeat_edge::{CoreAccess, EncodedCaller, EncodedInlet, Interfaces, RemoteCall, RemoteServices};
+use downbeat_edge::{
+    CoreAccess, EncodedCallError, EncodedCaller, EncodedInlet, Interfaces, RemoteCall, RemoteServices,
+};
 use downbeat_executor::{
-    Core, GraphEdge, Inbox, LifecycleState, ManualClock, Module, ModuleOptions, OutletInbox, SettingInfo,
-    SettingValue, Time, Transition,
+    CallError, Core, GraphEdge, Inbox, LifecycleState, ManualClock, Module, ModuleOptions, OutletInbox,
+    SettingInfo, SettingValue, Time, Transition,
 };
 use downbeat_library_abi::{EventV1, event, transition};
 use parking_lot::Mutex;
@@ -152,7 +154,7 @@ impl Inner {
                 .edges
                 .iter()
                 .any(|edge| matches!(edge, GraphEdge::Calls { service, .. } if is_service(*service)));
-            let of = interfaces.service_of(service).ok_or_else(|| {
+            let of = interfaces.service_in(core, &service.name).ok_or_else(|| {
                 format!(
                     "service \"{}\" has requests of the type {}, which is of no ROS 2 service that `export_module!` was given",
                     service.name, service.request_type
@@ -188,8 +190,10 @@ impl Inner {
                 if let Some(caller) = self.callers.get(port) {
                     let (leaving, request) = (Arc::clone(&self.leaving), event.id);
                     caller.call(data, TIMEOUT, move |answer| {
-                        let result =
-                            answer.map(|answer| answer.into_cdr()).map_err(|error| error.to_string());
+                        let result = answer.map(|answer| answer.into_cdr()).map_err(|error| match error {
+                            EncodedCallError::Call(CallError::Refused { reason, .. }) => reason,
+                            error => error.to_string(),
+                        });
                         leaving.lock().push(Out::Answer { request, result });
                     });
                 }

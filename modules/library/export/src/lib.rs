@@ -25,12 +25,13 @@
 //!
 //! The package has `crate-type = ["cdylib"]`; a robot file names the result with `kind = "library"`. Interfaces of the user's own
 //! come second: `export_module!(Doubler, my_msgs::INTERFACES)`. The library carries their definitions, so the robot need not know them.
+//! Actions are served and used with [`actions`], as in a module that is compiled in.
 //!
 //! # What is different in a library
 //! The library contains a core of its own with this one module. A run of the module in the robot is one or more cycles of this
 //! core, at the time of the robot. Callbacks, their order, timers and panics are those of a module that is compiled in, except:
 //!
-//! - topics carry messages of ROS 2, not plain Rust types, and services are those of ROS 2; actions are not supported;
+//! - topics carry messages of ROS 2, not plain Rust types, and services and actions are those of ROS 2;
 //! - a module can neither receive a topic that it publishes nor call a service that it serves;
 //! - messages of several cycles that a detached module receives in one run have the time of the run;
 //! - the work of a job runs within the run that spawns it;
@@ -43,6 +44,7 @@
 mod host;
 mod inner;
 
+pub use downbeat_actions as actions;
 pub use downbeat_edge::Interfaces;
 pub use downbeat_executor as executor;
 pub use downbeat_library_abi as abi;

@@ -19,7 +19,7 @@ use crate::instance::event_in_c;
 use crate::module::state_of;
 use crate::watch::Watch;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState, SettingDeclaration};
-use downbeat_executor::{SettingValue, Transition};
+use downbeat_executor::{Failure, SettingValue, Transition};
 use function::{Declared, Function, Names};
 use process::{PATIENCE, Process};
 use std::time::Duration;
@@ -168,7 +168,7 @@ impl Foreign for IsolatedModule {
         Ok(())
     }
 
-    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), String> {
+    fn handle(&mut self, event: Event, context: &mut ForeignContext<'_, '_>) -> Result<(), Failure> {
         let in_c = event_in_c(&event);
         let data: &[u8] = match &event {
             Event::Message { cdr, .. } | Event::Request { cdr, .. } => cdr,

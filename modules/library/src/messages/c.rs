@@ -14,6 +14,9 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
     let mut text = format!(
         "{PREFACE} {file}.\n#ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n#include \"downbeat.h\"\n#include \"downbeat_cdr.h\"\n"
     );
+    if unit.action.is_some() {
+        text.push_str("#include \"downbeat_action.h\"\n");
+    }
     for include in &unit.includes {
         let _ = writeln!(text, "#include \"{}.h\"", path_of(include));
     }
@@ -37,9 +40,114 @@ pub(super) fn header(catalog: &Catalog, file: &TypeName, unit: &Unit<'_>) -> Res
     let _ = write!(
         text,
         "\n/* In `setup`, before declarations with types of this header: gives the robot their definition, which it may not know. */\n\
-         static inline int32_t {name}__define(const downbeat_host_v1 *host) {{\n{body}}}\n\n#endif\n"
+         static inline int32_t {name}__define(const downbeat_host_v1 *host) {{\n{body}}}\n"
     );
+    if unit.action.is_some() {
+        text.push_str(&action_functions(&name));
+    }
+    text.push_str("\n#endif\n");
     Ok(text)
+}
+
+/// What `downbeat_action.h` leaves to the type.
+fn action_functions(name: &str) -> String {
+    let type_and_hash = |of: &str| format!("{of}__TYPE, {of}__HASH");
+    let parts = [
+        type_and_hash(&format!("{name}_SendGoal")),
+        type_and_hash(&format!("{name}_GetResult")),
+        type_and_hash("action_msgs__srv__CancelGoal"),
+        type_and_hash(&format!("{name}_FeedbackMessage")),
+        type_and_hash("action_msgs__msg__GoalStatusArray"),
+    ];
+    let parts = parts.join(",\n        ");
+    format!(
+        r#"
+static inline void {name}__put_default_result(downbeat_writer *writer) {{
+    {name}_Result result;
+    if ({name}_Result__init(&result) != 0) {{
+        downbeat_write_fails(writer, "out of memory");
+    }}
+    {name}_Result__put(writer, &result);
+    {name}_Result__fini(&result);
+}}
+
+static inline const downbeat_action_type *{name}__type(void) {{
+    static const downbeat_action_type type = {{
+        {parts},
+        {name}__put_default_result}};
+    return &type;
+}}
+
+/* In `setup`: serves the action. */
+static inline int32_t {name}__serve(const downbeat_host_v1 *host, const char *action, downbeat_action_server *server) {{
+    int32_t code = {name}__define(host);
+    return code ? code : downbeat_action_serve(host, action, {name}__type(), server);
+}}
+
+/* Reads what is asked for into an initialized message. */
+static inline int32_t {name}__goal(const downbeat_host_v1 *host, const downbeat_goal *goal, {name}_Goal *message) {{
+    downbeat_reader reader;
+    uint8_t id[16];
+    downbeat_reader_start(&reader, goal->request, goal->request_size);
+    downbeat_get_uint8_array(&reader, id, 16);
+    {name}_Goal__get(&reader, message);
+    return reader.error ? host->fail(host, reader.error) : 0;
+}}
+
+static inline int32_t {name}__publish_feedback(const downbeat_host_v1 *host, downbeat_action_server *server, const downbeat_goal *goal,
+                                               const {name}_Feedback *feedback) {{
+    downbeat_writer *writer = &server->writer;
+    downbeat_writer_start(writer);
+    downbeat_put_uint8_array(writer, goal->id, 16);
+    {name}_Feedback__put(writer, feedback);
+    return writer->error ? host->fail(host, writer->error) : host->publish(host, server->feedback, writer->data, writer->size);
+}}
+
+/* Ends a goal: `status` is DOWNBEAT_GOAL_SUCCEEDED, DOWNBEAT_GOAL_ABORTED or DOWNBEAT_GOAL_CANCELED. */
+static inline int32_t {name}__end(const downbeat_host_v1 *host, downbeat_action_server *server, downbeat_goal *goal, int8_t status,
+                                  const {name}_Result *result) {{
+    downbeat_writer_start(&server->writer);
+    downbeat_put_int8(&server->writer, status);
+    {name}_Result__put(&server->writer, result);
+    return downbeat_goal_end(host, server, goal, status);
+}}
+
+/* In `setup`: uses the action. `timeout_ns` is for the acceptance of a goal and for canceling it. */
+static inline int32_t {name}__use(const downbeat_host_v1 *host, const char *action, int64_t timeout_ns, downbeat_action_client *client) {{
+    int32_t code = {name}__define(host);
+    return code ? code : downbeat_action_use(host, action, timeout_ns, {name}__type(), client);
+}}
+
+/* Sends a goal, and stores its id. */
+static inline int32_t {name}__send(const downbeat_host_v1 *host, downbeat_action_client *client, const {name}_Goal *goal, uint8_t id[16]) {{
+    downbeat_action_new_id(host, client, id);
+    downbeat_writer_start(&client->writer);
+    downbeat_put_uint8_array(&client->writer, id, 16);
+    {name}_Goal__put(&client->writer, goal);
+    return downbeat_action_send(host, client, id);
+}}
+
+/* Reads the feedback of an event into an initialized message. */
+static inline int32_t {name}__take_feedback(const downbeat_host_v1 *host, const downbeat_event_v1 *event, {name}_Feedback *feedback) {{
+    downbeat_reader reader;
+    uint8_t id[16];
+    downbeat_reader_start(&reader, event->data, event->size);
+    downbeat_get_uint8_array(&reader, id, 16);
+    {name}_Feedback__get(&reader, feedback);
+    return reader.error ? host->fail(host, reader.error) : 0;
+}}
+
+/* Reads the result of an event into an initialized message. */
+static inline int32_t {name}__take_result(const downbeat_host_v1 *host, const downbeat_event_v1 *event, {name}_Result *result) {{
+    downbeat_reader reader;
+    int8_t status;
+    downbeat_reader_start(&reader, event->data, event->size);
+    downbeat_get_int8(&reader, &status);
+    {name}_Result__get(&reader, result);
+    return reader.error ? host->fail(host, reader.error) : 0;
+}}
+"#
+    )
 }
 
 /// As rosidl names structs.

@@ -59,16 +59,24 @@ impl Catalog {
     /// # Errors
     /// See [`Catalog::add_package`]; also if the folder has no interfaces, or two packages of one name.
     pub fn add_folder(&mut self, folder: &Path) -> Result<usize, Error> {
+        let mut count = 0;
+        for package in Self::packages_below(folder)?.values() {
+            count += self.add_package(package)?;
+        }
+        if count == 0 { Err(Error::NoInterfaces(folder.into())) } else { Ok(count) }
+    }
+
+    /// The folders of the packages with interfaces that [`Catalog::add_folder`] adds, by the names of the packages.
+    ///
+    /// # Errors
+    /// Returns an error if a folder cannot be read, or two packages have one name.
+    pub fn packages_below(folder: &Path) -> Result<BTreeMap<String, PathBuf>, Error> {
         // What follows `.` is no name of a package.
         let folder = &folder.canonicalize().map_err(|source| Error::Read { path: folder.into(), source })?;
         let installed = folder.join("share");
         let mut packages = BTreeMap::new();
         find_packages(if installed.is_dir() { &installed } else { folder }, DEPTH, &mut packages)?;
-        let mut count = 0;
-        for package in packages.values() {
-            count += self.add_package(package)?;
-        }
-        if count == 0 { Err(Error::NoInterfaces(folder.clone())) } else { Ok(count) }
+        Ok(packages)
     }
 
     /// Adds the interfaces of every package installed below an ament prefix, such as `/opt/ros/jazzy` or a
@@ -149,7 +157,11 @@ const DEPTH: u32 = 8;
 
 /// Finds the packages in a folder, by name.
 fn find_packages(folder: &Path, depth: u32, found: &mut BTreeMap<String, PathBuf>) -> Result<(), Error> {
-    let is_package = Kind::ALL.iter().any(|kind| folder.join(kind.as_str()).is_dir());
+    // Headers that were generated from a package lie in folders of the same names.
+    let mut is_package = false;
+    for kind in Kind::ALL {
+        is_package |= !interface_files(&folder.join(kind.as_str()), kind)?.is_empty();
+    }
     if is_package {
         let package = name_of(folder);
         return match found.insert(package.clone(), folder.to_owned()) {
