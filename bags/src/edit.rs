@@ -38,7 +38,8 @@ pub struct Copied {
     pub summary: RecordingSummary,
     /// The parts that could not be read and are missing in the new bag.
     pub unreadable: Vec<ReaderError>,
-    /// The topics with messages that do not match the definition of their type. They are copied nevertheless.
+    /// The topics with messages that do not match the definition of their type, or whose definition is damaged and not known from
+    /// elsewhere. They are copied nevertheless.
     pub undecodable: Vec<Problem>,
     /// The number of messages whose publish time was dropped, because the storage of the new bag only has the
     /// receive time.
@@ -124,10 +125,12 @@ impl<'a> Copy<'a> {
             writer.add_topic(info.unwrap_or_else(|| topic.info.clone()))
         };
         let targets = self.bags.topics().iter().map(add).collect::<Result<Vec<_>, _>>()?;
-        let mut decoding = Decoding::new(&known);
+        let (mut decoding, mut undecodable) = (Decoding::new(&known), Vec::new());
         for topic in self.bags.topics() {
-            decoding.add(topic, &mut Vec::new(), &mut Vec::new());
+            decoding.add(topic, &mut undecodable, &mut Vec::new());
         }
+        // A bag without definitions is copied as what it is.
+        undecodable.retain(|problem| matches!(problem, Problem::Definition { .. }));
         let keeps_publish_time = writer.storage().keeps_publish_time();
         let (mut written, mut without_publish_time) = (0, 0);
         let latched = self.latched(&mut unreadable)?.into_iter().map(Ok);
@@ -148,7 +151,7 @@ impl<'a> Copy<'a> {
             }
         }
         progress(written);
-        let undecodable = decoding.problems(self.bags.topics()).collect();
+        undecodable.extend(decoding.problems(self.bags.topics()));
         Ok(Copied { summary: writer.finish()?, unreadable, undecodable, without_publish_time, completed })
     }
 

@@ -76,7 +76,11 @@ pub(crate) fn cut(arguments: &CutArguments) -> anyhow::Result<()> {
     let (Some(start), Some(end)) = (bag.start_time(), bag.end_time()) else {
         bail!("{} has no messages", arguments.bag.display());
     };
-    let from = arguments.from.map_or(i64::MIN, |place| place.in_bag(start));
+    let from = match arguments.from {
+        // Also messages with a damaged time, which are before what the bag declares as its start.
+        None | Some(Place::Offset(Duration::ZERO)) => i64::MIN,
+        Some(place) => place.in_bag(start),
+    };
     let until = arguments.until.map_or(i64::MAX, |place| place.in_bag(start));
     if from > end || until < start || from > until {
         let length = bag.duration().as_secs_f64();

@@ -32,7 +32,9 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
     let copied = write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout)?;
-    let is_damaged = !copied.unreadable.is_empty() || bags[0].truncation().any(Truncation::loses_messages);
+    let is_declared = bags[0].metadata().is_some_and(|metadata| metadata.message_count > 0);
+    let is_damaged =
+        is_declared || !copied.unreadable.is_empty() || bags[0].truncation().any(Truncation::loses_messages);
     if copied.summary.message_count() == 0 && is_damaged {
         bail!("no message of {} can be read", arguments.bag.display());
     }
