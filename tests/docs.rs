@@ -42,7 +42,7 @@ const PAGES: [&str; 23] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 19] = [
+const ELSEWHERE: [&str; 21] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
@@ -56,6 +56,8 @@ const ELSEWHERE: [&str; 19] = [
     "c++ ", // tests/library.rs, as the next two
     "ros2 topic echo --once /out",
     "ros2 topic pub --once /in",
+    "ros2 lifecycle set /head_", // tests/controllers.rs, as the next one
+    "ros2 topic pub --once /head_by_hand",
     "cargo run --release --features mqtt", // docs/network.md is read with the feature
     "pip install",
     "cargo run --release --features mujoco", // needs MuJoCo: the tests of downbeat-physics
