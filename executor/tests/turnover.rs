@@ -164,7 +164,7 @@ fn mechanisms_are_told_when_a_module_is_replaced_by_its_restart() {
 }
 
 #[test]
-fn a_restart_whose_setup_fails_frees_the_name_and_all_that_was_held() {
+fn a_restart_whose_setup_fails_keeps_the_name_and_frees_all_else_that_was_held() {
     let (mut core, clock, left) = core_with_guestbook();
     let mut lives = 0;
     let make = move || {
@@ -180,8 +180,12 @@ fn a_restart_whose_setup_fails_frees_the_name_and_all_that_was_held() {
     core.add_restartable("module", make, restart(STEP)).unwrap();
     cycles(&mut core, &clock, 8);
     assert_eq!(left.try_iter().count(), 1);
-    assert!(core.modules().is_empty());
+    let states: Vec<_> = core.modules().iter().map(|module| module.state).collect();
+    assert_eq!(states, [LifecycleState::Finalized]);
     assert_eq!((core.topics().count(), core.services().count()), (OWN_TOPICS.len(), 0));
+    assert!(core.add("module", module(|_| Ok(()))).is_err());
+    drop(core.handle().remove("module"));
+    cycles(&mut core, &clock, 2);
     core.add("module", module(|_| Ok(()))).unwrap();
     cycles(&mut core, &clock, 1);
 }
