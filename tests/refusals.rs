@@ -203,7 +203,7 @@ fn assert_always_answered(folder: &Path, case: &Case) {
     let late = call("/late");
     assert!(late.contains("no answer in 300ms"), "{late}");
 
-    // A request that is open when the module fails, and one that is open when it leaves.
+    // The first request is open when the module fails, the second when the module leaves.
     fails(&mut || {
         let seen = || robot.output().matches("holds a request").count();
         let before = seen();

@@ -16,6 +16,7 @@
 pub mod camera;
 pub mod can;
 mod diagnostics;
+mod exchange;
 pub mod gpio;
 pub mod gps;
 pub mod imu;

@@ -25,7 +25,7 @@
 //! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than `stamp_timeout`, or more than a minute
 //! ahead, is refused: its beginning would be skipped, or the clocks differ. It begins from the command so far, so that a replaced trajectory
 //! causes no jump; without one, and after an activation, from the measured position. A goal that is cancelled or aborted holds the
-//! position in which it ends; one that is under way when the controller is deactivated is aborted. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
+//! position in which it ends. Deactivating the controller aborts its goal. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
 //!
 //! Differences from ros2_control: only positions are commanded, with the velocity beside them; trajectories of
 //! velocities alone are refused; `open_loop_control`, speed scaling, and joints of several degrees of freedom do not exist.

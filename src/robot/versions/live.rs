@@ -36,7 +36,7 @@ struct Known {
     described: Option<Stamps>,
 }
 
-/// Time of modification and size of each file; `None` for one that is not there.
+/// Time of modification and size of each file, `None` for missing files.
 type Stamps = Vec<Option<(SystemTime, u64)>>;
 
 impl Live {

@@ -85,7 +85,7 @@ impl Source for Pictures {
     }
 }
 
-/// The file of a picture: the one that is named, or one of the folder that is.
+/// The file with the picture `number`: `device` itself, or a file in the folder `device`.
 fn picture(device: &str, number: usize) -> Result<PathBuf, String> {
     let path = Path::new(device);
     if !path.is_dir() {

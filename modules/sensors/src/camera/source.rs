@@ -9,6 +9,7 @@ use downbeat_modules::device::Device;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
+use crate::exchange;
 use crate::kernel::name_of;
 
 /// How pictures come from the camera.
@@ -180,7 +181,7 @@ impl Device for VideoDevice {
         let mut exchange = match request {
             Request::Open(wanted) => match self.source.open(wanted) {
                 Ok(granted) => BusExchange { reply: granted.to_text().into_bytes(), ..exchange },
-                Err(reason) => failed(exchange, reason),
+                Err(reason) => exchange::fail(exchange, reason),
             },
             Request::Frame => match self.source.frame(now) {
                 Ok(Some(frame)) => {
@@ -200,33 +201,28 @@ impl Device for VideoDevice {
                     BusExchange { stamp, sequence, outcome, error, reply: frame.bytes, ..exchange }
                 }
                 Ok(None) => BusExchange { outcome: BusExchange::TIMEOUT, ..exchange },
-                Err(reason) => failed(exchange, reason),
+                Err(reason) => exchange::fail(exchange, reason),
             },
             Request::Control(name, value) => match self.source.control(name, *value) {
                 Ok(()) => exchange,
-                Err(reason) => failed(exchange, reason),
+                Err(reason) => exchange::fail(exchange, reason),
             },
             Request::Close => {
                 self.source.close();
                 exchange
             }
         };
-        exchange.duration_us = started.elapsed().as_micros().try_into().unwrap_or(u32::MAX);
+        exchange.duration_us = exchange::microseconds_since(started);
         exchange
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        (exchange.kind, &exchange.instruction) == (expected.kind, &expected.instruction)
+        exchange::has_same_request(exchange, &exchange_of(request, Time::ZERO))
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
-        failed(exchange_of(request, now), reason.to_owned())
+        exchange::fail(exchange_of(request, now), reason)
     }
-}
-
-fn failed(exchange: BusExchange, error: String) -> BusExchange {
-    BusExchange { outcome: BusExchange::FAILED, error, ..exchange }
 }
 
 fn exchange_of(request: &Request, now: Time) -> BusExchange {
@@ -245,8 +241,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         }
         Request::Close => BusExchange::CLOSE,
     };
-    let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange { stamp, kind, instruction: instruction.into_bytes(), ..BusExchange::default() }
+    exchange::begin(kind, instruction, now)
 }
 
 /// What the answer to [`Request::Open`] says.

@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use downbeat_executor::Time;
 use downbeat_modules::device::Device;
-use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 use super::frame::{Filter, LENGTH};
+use crate::exchange;
 use crate::kernel::{self, name_of};
 
 /// How long a request for frames waits for the first one.
@@ -96,7 +96,6 @@ impl Device for CanDevice {
 
     fn exchange(&mut self, request: &Request, now: Time) -> BusExchange {
         let started = Instant::now();
-        let mut exchange = exchange_of(request, now);
         let outcome = match request {
             Request::Open(wanted) => self.source.open(wanted).map(|()| Some(Vec::new())),
             Request::Receive => {
@@ -108,23 +107,15 @@ impl Device for CanDevice {
                 Ok(Some(Vec::new()))
             }
         };
-        match outcome {
-            Ok(Some(reply)) => exchange.reply = reply,
-            Ok(None) => exchange.outcome = BusExchange::TIMEOUT,
-            Err(error) => (exchange.outcome, exchange.error) = (BusExchange::FAILED, error),
-        }
-        exchange.duration_us = started.elapsed().as_micros().try_into().unwrap_or(u32::MAX);
-        exchange
+        exchange::end(exchange_of(request, now), outcome, started)
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        (exchange.kind, &exchange.instruction) == (expected.kind, &expected.instruction)
+        exchange::has_same_request(exchange, &exchange_of(request, Time::ZERO))
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
-        let exchange = exchange_of(request, now);
-        BusExchange { outcome: BusExchange::FAILED, error: reason.to_owned(), ..exchange }
+        exchange::fail(exchange_of(request, now), reason)
     }
 }
 
@@ -141,8 +132,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         Request::Send(frame) => (BusExchange::TRANSFER, frame.to_vec()),
         Request::Close => (BusExchange::CLOSE, Vec::new()),
     };
-    let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange { stamp, kind, instruction, ..BusExchange::default() }
+    exchange::begin(kind, instruction, now)
 }
 
 /// CAN interfaces of this machine (SocketCAN).

@@ -56,7 +56,7 @@ pub struct Line {
     pub line: String,
     /// Whether a low voltage is true.
     pub is_active_low: bool,
-    /// What it is for.
+    /// Whether it is an input or an output, with what belongs to that.
     pub purpose: Use,
 }
 

@@ -8,6 +8,7 @@ use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 use super::lines::Line;
+use crate::exchange;
 use crate::kernel::name_of;
 
 /// The length of an edge in a recording.
@@ -109,43 +110,33 @@ impl Device for GpioDevice {
         let outcome = match request {
             Request::Open(chip, lines) => {
                 let values = self.source.open(chip, lines);
-                values.map(|values| values.into_iter().map(u8::from).collect())
+                values.map(|values| Some(values.into_iter().map(u8::from).collect()))
             }
             Request::Edges => {
-                self.source.edges().map(|edges| edges.iter().flat_map(Edge::emit).collect::<Vec<u8>>())
-            }
-            Request::Set(line, is_true) => self.source.set(*line, *is_true).map(|()| Vec::new()),
-            Request::Close => {
-                self.source.close();
-                Ok(Vec::new())
-            }
-        };
-        match outcome {
-            Ok(reply) if *request == Request::Edges => {
-                if reply.is_empty() {
-                    exchange.outcome = BusExchange::TIMEOUT;
-                } else {
+                let edges = self.source.edges();
+                if edges.as_ref().is_ok_and(|edges| !edges.is_empty()) {
                     // Ages are those at this moment.
                     let since = i64::try_from(started.elapsed().as_nanos()).unwrap_or_default();
                     exchange.stamp = Stamp::from_nanos(now.as_nanos().saturating_add(since));
                 }
-                exchange.reply = reply;
+                let bytes = edges.map(|edges| edges.iter().flat_map(Edge::emit).collect::<Vec<u8>>());
+                bytes.map(|bytes| Some(bytes).filter(|bytes| !bytes.is_empty()))
             }
-            Ok(reply) => exchange.reply = reply,
-            Err(error) => (exchange.outcome, exchange.error) = (BusExchange::FAILED, error),
-        }
-        exchange.duration_us = started.elapsed().as_micros().try_into().unwrap_or(u32::MAX);
-        exchange
+            Request::Set(line, is_true) => self.source.set(*line, *is_true).map(|()| Some(Vec::new())),
+            Request::Close => {
+                self.source.close();
+                Ok(Some(Vec::new()))
+            }
+        };
+        exchange::end(exchange, outcome, started)
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        (exchange.kind, &exchange.instruction) == (expected.kind, &expected.instruction)
+        exchange::has_same_request(exchange, &exchange_of(request, Time::ZERO))
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
-        let exchange = exchange_of(request, now);
-        BusExchange { outcome: BusExchange::FAILED, error: reason.to_owned(), ..exchange }
+        exchange::fail(exchange_of(request, now), reason)
     }
 }
 
@@ -162,8 +153,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         }
         Request::Close => (BusExchange::CLOSE, Vec::new()),
     };
-    let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange { stamp, kind, instruction, ..BusExchange::default() }
+    exchange::begin(kind, instruction, now)
 }
 
 #[cfg(test)]

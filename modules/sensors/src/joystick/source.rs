@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use downbeat_executor::Time;
 use downbeat_modules::device::Device;
-use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 use super::events::{Axis, Button, LENGTH, Layout};
+use crate::exchange;
 use crate::kernel::{self, i32_at, input, name_of, text_at};
 
 /// The most bytes that one request reads.
@@ -85,35 +85,27 @@ impl Device for InputDevice {
         let outcome = match request {
             Request::Open(device) => {
                 let opened = self.source.open(device).and_then(|()| self.source.layout());
-                opened.map(|layout| layout.to_text().into_bytes())
+                opened.map(|layout| Some(layout.to_text().into_bytes()))
             }
-            Request::Layout => self.source.layout().map(|layout| layout.to_text().into_bytes()),
-            Request::Read => self.source.read(now, self.wait),
+            Request::Layout => self.source.layout().map(|layout| Some(layout.to_text().into_bytes())),
+            Request::Read => self
+                .source
+                .read(now, self.wait)
+                .map(|events| Some(events).filter(|events| !events.is_empty())),
             Request::Close => {
                 self.source.close();
-                Ok(Vec::new())
+                Ok(Some(Vec::new()))
             }
         };
-        let mut exchange = exchange_of(request, now);
-        match outcome {
-            Ok(reply) if *request == Request::Read && reply.is_empty() => {
-                exchange.outcome = BusExchange::TIMEOUT;
-            }
-            Ok(reply) => exchange.reply = reply,
-            Err(error) => (exchange.outcome, exchange.error) = (BusExchange::FAILED, error),
-        }
-        exchange.duration_us = started.elapsed().as_micros().try_into().unwrap_or(u32::MAX);
-        exchange
+        exchange::end(exchange_of(request, now), outcome, started)
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        (exchange.kind, &exchange.instruction) == (expected.kind, &expected.instruction)
+        exchange::has_same_request(exchange, &exchange_of(request, Time::ZERO))
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
-        let exchange = exchange_of(request, now);
-        BusExchange { outcome: BusExchange::FAILED, error: reason.to_owned(), ..exchange }
+        exchange::fail(exchange_of(request, now), reason)
     }
 }
 
@@ -124,8 +116,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         Request::Read => (BusExchange::TRANSFER, &[][..]),
         Request::Close => (BusExchange::CLOSE, &[][..]),
     };
-    let (stamp, instruction) = (Stamp::from_nanos(now.as_nanos()), instruction.to_vec());
-    BusExchange { stamp, kind, instruction, ..BusExchange::default() }
+    exchange::begin(kind, instruction, now)
 }
 
 /// Joysticks of this machine, by the event devices of Linux.

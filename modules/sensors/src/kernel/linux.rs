@@ -147,9 +147,9 @@ unsafe impl<const LENGTH: usize> Ioctl for Argument<'_, LENGTH> {
 pub(crate) enum BufferRequest {
     /// Where it is.
     Query,
-    /// The device may fill it.
+    /// Give the buffer to the driver, which fills it.
     Queue,
-    /// The next one that is filled.
+    /// Take the next buffer that the driver has filled.
     Dequeue,
 }
 

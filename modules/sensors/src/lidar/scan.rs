@@ -71,7 +71,7 @@ pub struct Revolution {
 }
 
 impl Revolution {
-    /// The message, with the duration of the revolution if the lidar tells it.
+    /// Returns the scan. `duration` is that of the revolution, `None` if the lidar does not report it.
     #[must_use]
     pub fn into_scan(self, duration: Option<Duration>) -> LaserScan {
         let mut scan = self.scan;
