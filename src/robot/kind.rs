@@ -35,6 +35,7 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::{Message, cdr};
 use downbeat_state_machine::StateMachineOptions;
 
+use super::feature_kinds::of_features;
 use super::versions::{Live, LiveState, Recorded, Versions};
 
 /// A kind of module that robot files can name: how its modules are created, how they run by default, and
@@ -622,119 +623,6 @@ pub(super) fn built_in() -> Vec<Kind> {
     kinds
 }
 
-/// The names of the kinds that features of this program add.
-#[cfg(test)]
-pub(crate) fn kinds_of_features() -> Vec<String> {
-    of_features(&MemoryPorts::default()).map(|kind| kind.name().to_owned()).collect()
-}
-
-fn of_features(ports: &MemoryPorts) -> impl Iterator<Item = Kind> {
-    let kinds = simulator(ports.clone()).into_iter();
-    #[cfg(feature = "football")]
-    let kinds = kinds.chain(football(ports.clone()));
-    #[cfg(feature = "network")]
-    let kinds = kinds.chain(network());
-    #[cfg(feature = "mqtt")]
-    let kinds = kinds.chain([mqtt()]);
-    #[cfg(feature = "sensors")]
-    let kinds = kinds.chain(super::sensors::kinds());
-    kinds
-}
-
-#[cfg(feature = "mqtt")]
-fn mqtt() -> Kind {
-    Kind::device_with_interfaces(
-        "mqtt",
-        "topics of the robot on an MQTT broker, both ways, in JSON or CBOR",
-        downbeat_network::mqtt::broker::Broker::default,
-        downbeat_network::mqtt::Mqtt::new,
-    )
-    .with_files(&["password_file"])
-}
-
-#[cfg(feature = "football")]
-fn football(ports: MemoryPorts) -> [Kind; 7] {
-    [
-        Kind::new(
-            "football_match",
-            "a football field with a ball, simulated robots and a referee (docs/football.md)",
-            move || downbeat_match::FootballMatch::new(ports.clone()),
-        )
-        .drives_device()
-        .emulated()
-        .with_panel(
-            "Football",
-            downbeat_match::PANEL,
-            &["match/state", "match/field", "match/event"],
-        ),
-        Kind::new(
-            "head",
-            "turns the head of a football player: searches, looks at the ball, looks ahead",
-            downbeat_player::head::Head::default,
-        ),
-        Kind::new(
-            "team",
-            "tells the team what a football player knows, and joins what mates say with what it sees",
-            downbeat_player::team::Team::default,
-        ),
-        Kind::new(
-            "truth_beliefs",
-            "what a simulated player believes without eyes: the truth with noise",
-            downbeat_player::truth::TruthBeliefs::default,
-        ),
-        Kind::new(
-            "walk_to",
-            "walks to a place on the field, or lines up behind the ball for a kick",
-            downbeat_player::walk_to::WalkTo::default,
-        ),
-        Kind::new(
-            "localisation",
-            "where a football player and the ball are on the field, from what vision sees and odometry",
-            downbeat_localisation::Localisation::default,
-        ),
-        Kind::new(
-            "vision",
-            "lines, ball, goal posts and robots in the pictures of a football player's camera",
-            downbeat_vision::Vision::default,
-        )
-        .with_files(&["colours"])
-        .detached(),
-    ]
-}
-
-#[cfg(feature = "network")]
-fn network() -> [Kind; 5] {
-    use downbeat_network::game_controller::GameController;
-    use downbeat_network::game_controller_sender::GameControllerSender;
-    use downbeat_network::tcp::Tcp;
-    use downbeat_network::tcp_lines::TcpLines;
-    use downbeat_network::team::TeamCommunication;
-    use downbeat_network::udp::Udp;
-    use downbeat_network::udp_lines::UdpLines;
-    [
-        Kind::device(
-            "game_controller",
-            "listens to the referee's program of a football league, and answers it",
-            Udp::default,
-            GameController::new,
-        ),
-        Kind::device(
-            "game_controller_sender",
-            "sends what a referee decides as packets of a football league, and collects the answers",
-            Udp::default,
-            GameControllerSender::new,
-        ),
-        Kind::device(
-            "team_communication",
-            "team messages of the humanoid football league",
-            Udp::default,
-            TeamCommunication::new,
-        ),
-        Kind::device("tcp_lines", "lines of text on TCP, as topics", Tcp::default, TcpLines::new),
-        Kind::device("udp_lines", "lines of text on UDP, as topics", Udp::default, UdpLines::new),
-    ]
-}
-
 /// Reads the keys of a module in a shared library.
 fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
     let Some(SettingValue::Text(path)) = source.keys.get("path") else {
@@ -779,24 +667,6 @@ fn is_set(source: &ModuleSource, key: &str, default: bool) -> Result<bool, Strin
         Some(SettingValue::Bool(value)) => Ok(*value),
         Some(other) => Err(format!("`{key}` is true or false, not {other}")),
     }
-}
-
-/// The Darwin OP in a simulated world, if it is built in.
-#[cfg(feature = "physics")]
-fn simulator(ports: MemoryPorts) -> Option<Kind> {
-    let make = move || downbeat_physics::simulator::DarwinOpSimulator::new(ports.clone());
-    let about = "a Darwin OP in a simulated world: rigid bodies with contacts behind the bytes of its bus";
-    Some(
-        Kind::new("darwin_op_simulator", about, make)
-            .drives_device()
-            .emulated()
-            .with_files(&["urdf", "world"]),
-    )
-}
-
-#[cfg(not(feature = "physics"))]
-fn simulator(_ports: MemoryPorts) -> Option<Kind> {
-    None
 }
 
 fn recorded_bus(messages: Vec<BusExchange>) -> Result<Box<dyn Bus>, String> {

@@ -9,6 +9,7 @@ mod build;
 mod catalog;
 mod commanders;
 mod expose;
+mod feature_kinds;
 mod file;
 mod kind;
 mod lifecycle;
@@ -28,6 +29,8 @@ pub(crate) use catalog::unregistered;
 pub use catalog::{Catalog, CatalogError};
 pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoint};
 pub use downbeat_bridge::middleware::Direction;
+#[cfg(test)]
+pub(crate) use feature_kinds::kinds_of_features;
 #[cfg(all(feature = "cli", feature = "view"))]
 pub(crate) use file::FOXGLOVE_PORT;
 #[cfg(all(feature = "cli", feature = "football"))]
@@ -40,8 +43,6 @@ pub use file::{
     ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
     TopicChoice, ViewAccess, ViewEntry,
 };
-#[cfg(test)]
-pub(crate) use kind::kinds_of_features;
 pub use kind::{Kind, ModuleSource};
 #[cfg(feature = "cli")]
 pub(crate) use parameters::{
