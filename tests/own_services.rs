@@ -212,6 +212,12 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
         "{called}\n{}",
         robot.output()
     );
+    // Also where another one of the same name is at hand.
+    write(folder, "older/lab_msgs/msg/Tilt.msg", TILT);
+    write(folder, "older/lab_msgs/srv/Level.srv", "float64 angle\n---\nbool is_level\n");
+    let of_older = [&call[..], &["--from", "older"]].concat();
+    let called = text(&command(folder, "129", &of_older).output().unwrap());
+    assert!(called.contains("it leans 0.750000"), "{called}");
     let listed = text(&command(folder, "129", &["service", "list", "-t"]).output().unwrap());
     assert!(listed.contains("/level [lab_msgs/srv/Level]"), "{listed}");
     let echo = ["topic", "echo", "--once", "/asked"];

@@ -1,5 +1,6 @@
 //! Services that a node calls.
 
+use super::definition::Definition;
 use super::introspection::{Event, ServiceEvents};
 use super::node::{Hold, Listed};
 use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
@@ -191,11 +192,10 @@ impl Node {
     ) -> Result<RawClient, NodeError> {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
-        let client = RequestClient::new(
-            &*shared.middleware,
-            &shared.worker,
-            &name.endpoint(&shared.interfaces, service_type, qos),
-        )?;
+        let endpoint = name.endpoint(&shared.interfaces, service_type, qos);
+        let client = RequestClient::new(&*shared.middleware, &shared.worker, &endpoint)?;
+        let [requests, replies] = Definition::of_service(shared, &name, service_type, &endpoint.type_hashes);
+        client.on_events(requests, replies);
         let (reader, writer) = client.gids();
         let events = ServiceEvents::new(&name, service_type);
         Ok(RawClient {

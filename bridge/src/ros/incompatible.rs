@@ -1,5 +1,6 @@
 //! Warnings about endpoints of others that do not match, in the words of rclcpp.
 
+use super::definition::Definition;
 use super::{MessageType, TopicName};
 use crate::middleware::{Direction, EndpointEvent, EventHandler, Gid, QosPolicyKind};
 use downbeat_msgs::printable;
@@ -16,6 +17,7 @@ pub(super) struct Warnings {
     topic: TopicName,
     message_type: MessageType,
     direction: Direction,
+    definition: Definition,
     logged: Arc<Mutex<Logged>>,
 }
 
@@ -27,12 +29,18 @@ struct Logged {
 }
 
 impl Warnings {
-    pub(super) fn new(topic: &TopicName, message_type: &MessageType, direction: Direction) -> Self {
-        Self { topic: topic.clone(), message_type: message_type.clone(), direction, logged: Arc::default() }
+    pub(super) fn new(
+        topic: &TopicName,
+        message_type: &MessageType,
+        direction: Direction,
+        definition: Definition,
+    ) -> Self {
+        let (topic, message_type) = (topic.clone(), message_type.clone());
+        Self { topic, message_type, direction, definition, logged: Arc::default() }
     }
 
-    /// Logs the first endpoint with incompatible quality of service and each one with another type, and passes all events
-    /// to `then`.
+    /// Logs the first endpoint with incompatible quality of service and each one with another type or definition, and passes
+    /// all events to `then`.
     pub(super) fn and(&self, then: EventHandler) -> EventHandler {
         let warnings = self.clone();
         Box::new(move |event| {
@@ -41,6 +49,7 @@ impl Warnings {
                 EndpointEvent::IncompatibleType { peer, type_name } => {
                     warnings.warn_of_type(*peer, type_name)
                 }
+                EndpointEvent::Matched { peer } => warnings.definition.compare(*peer),
                 _ => {}
             }
             then(event);
@@ -133,17 +142,21 @@ mod tests {
         assert!(text.contains("requesting incompatible QoS") && text.contains("transient_local"), "{text}");
     }
 
+    fn warnings(topic: &TopicName, ours: &MessageType, direction: Direction) -> Warnings {
+        Warnings::new(topic, ours, direction, Definition::default())
+    }
+
     #[test]
     fn a_warning_of_another_type_names_both() {
         let topic = TopicName::expand("/scan", &NodeName::new("/", "n").unwrap()).unwrap();
         let ours = MessageType::new("sensor_msgs/msg/LaserScan").unwrap();
-        let text = Warnings::new(&topic, &ours, Direction::Out).type_warning("std_msgs::msg::dds_::String_");
+        let text = warnings(&topic, &ours, Direction::Out).type_warning("std_msgs::msg::dds_::String_");
         let expected = "Incompatible type on topic '/scan', no messages will be sent to it. The publisher of this node has \
                         type sensor_msgs/msg/LaserScan, a subscription of another node has std_msgs/msg/String";
         assert_eq!(text, expected);
-        let text = Warnings::new(&topic, &ours, Direction::In).type_warning("Plain DDS");
+        let text = warnings(&topic, &ours, Direction::In).type_warning("Plain DDS");
         assert!(text.ends_with("a publisher of another node has Plain DDS"), "{text}");
-        let text = Warnings::new(&topic, &ours, Direction::In).type_warning("\x1b[2J\nfalse");
+        let text = warnings(&topic, &ours, Direction::In).type_warning("\x1b[2J\nfalse");
         assert!(text.ends_with("a publisher of another node has \\u001b[2J\\u000afalse"), "{text}");
     }
 }

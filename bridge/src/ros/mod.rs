@@ -1,6 +1,7 @@
 //! ROS 2 on top of raw topics: names, nodes, and the graph that tools show.
 
 mod client;
+mod definition;
 mod describe;
 mod graph;
 mod incompatible;

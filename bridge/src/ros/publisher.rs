@@ -1,7 +1,9 @@
 //! Publishers of nodes.
 
+use super::definition::Definition;
 use super::incompatible::Warnings;
 use super::node::{Hold, Listed};
+use super::participant::Shared;
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::edge::Interfaces;
 use crate::middleware::{Direction, Endpoint, EventHandler, Gid, WriteError, Writer};
@@ -94,7 +96,7 @@ impl Node {
         let shared = &self.membership.shared;
         let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
         let writer = shared.middleware.create_writer(&endpoint)?;
-        let warnings = Warnings::new(&topic, message_type, Direction::Out);
+        let warnings = warnings(shared, &topic, message_type, Direction::Out, &endpoint);
         writer.on_event(warnings.and(Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::Out, writer.gid());
         Ok(Publisher {
@@ -107,6 +109,18 @@ impl Node {
             _hold: self.hold(),
         })
     }
+}
+
+pub(super) fn warnings(
+    shared: &Shared,
+    topic: &TopicName,
+    message_type: &MessageType,
+    direction: Direction,
+    endpoint: &Endpoint,
+) -> Warnings {
+    let hashes = endpoint.type_hash.clone().into_iter().collect();
+    let definition = Definition::new(shared, format!("topic '{topic}'"), message_type.as_str(), hashes);
+    Warnings::new(topic, message_type, direction, definition)
 }
 
 pub(super) fn endpoint(

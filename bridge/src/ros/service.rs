@@ -1,5 +1,6 @@
 //! Services that a node offers.
 
+use super::definition::Definition;
 use super::introspection::{Event, ServiceEvents};
 use super::node::{Hold, Listed};
 use super::{Introspection, Node, NodeError, ServiceName, ServiceType};
@@ -212,6 +213,8 @@ impl Node {
         let events = ServiceEvents::new(&name, service_type);
         let on_request = observed(Arc::clone(&events), on_request);
         let server = RequestServer::new(&*shared.middleware, &shared.worker, &endpoint, on_request)?;
+        let [requests, replies] = Definition::of_service(shared, &name, service_type, &endpoint.type_hashes);
+        server.on_events(requests, replies);
         let (reader, writer) = server.gids();
         Ok(Service {
             name,

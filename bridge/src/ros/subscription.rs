@@ -2,7 +2,7 @@
 
 use super::incompatible::Warnings;
 use super::node::{Hold, Listed};
-use super::publisher::endpoint;
+use super::publisher::{endpoint, warnings};
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::middleware::{Direction, EventHandler, Reader, SampleHandler};
 use downbeat_msgs::qos::QosProfile;
@@ -68,7 +68,7 @@ impl Node {
         let shared = &self.membership.shared;
         let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
         let reader = shared.middleware.create_reader(&endpoint, on_sample)?;
-        let warnings = Warnings::new(&topic, message_type, Direction::In);
+        let warnings = warnings(shared, &topic, message_type, Direction::In, &endpoint);
         reader.on_event(warnings.and(Box::new(|_| ())));
         let listed = Listed::new(self.hold(), Direction::In, reader.gid());
         Ok(Subscription {

@@ -22,7 +22,7 @@ use super::network::{
     Environment, Look, LookArguments, NamesAndTypes, OF_TOPICS, Patience, actions, joined, print_list,
     print_types,
 };
-use super::service::{Call, DynamicClient};
+use super::service::{Call, DISCOVERY, DynamicClient};
 use super::values::FieldArguments;
 
 #[derive(Subcommand)]
@@ -206,22 +206,29 @@ fn send_goal(arguments: &SendGoalArguments, environment: &Environment<'_>) -> an
         DynamicClient::new(&look, &types, &service, &format!("{type_name}_{of}"))
             .context("The passed action type is invalid")
     };
-    let (sending, getting) = (client("send_goal", "SendGoal")?, client("get_result", "GetResult")?);
+    let (mut sending, mut getting) = (client("send_goal", "SendGoal")?, client("get_result", "GetResult")?);
     let feedback = match arguments.feedback {
         true => Some(Feedback::subscribe(&look, &types, &arguments.action, &type_name)?),
         false => None,
     };
-    let mut request = DynamicMessage::new(&sending.request);
-    let goal_type =
-        sending.request.fields().find(|field| field.name == "goal").and_then(|field| field.message);
-    let mut goal = DynamicMessage::new(&goal_type.context("The passed type is not an action")?);
-    let stamps = goal.fill_yaml(&yaml).context("Failed to populate message fields")?;
+    let filled = |sending: &DynamicClient| {
+        let goal_type =
+            sending.request.fields().find(|field| field.name == "goal").and_then(|field| field.message);
+        let mut goal = DynamicMessage::new(&goal_type.context("The passed type is not an action")?);
+        let stamps = goal.fill_yaml(&yaml).context("Failed to populate message fields")?;
+        anyhow::Ok((goal, stamps))
+    };
     let (clock, _follower) = LookClock::new(&look, arguments.look.use_sim_time)?;
 
     println!("Waiting for an action server to become available...");
-    if !look.wait_for(None, || sending.is_available() && getting.is_available()) {
+    if !sending.wait(&look, &types, Some(DISCOVERY))? {
+        filled(&sending)?;
+    }
+    if !(sending.wait(&look, &types, None)? && getting.wait(&look, &types, None)?) {
         return Ok(());
     }
+    let (mut goal, stamps) = filled(&sending)?;
+    let mut request = DynamicMessage::new(&sending.request);
     stamps.set(&mut goal, Time::from_nanos(clock.now()))?;
     println!("Sending goal:\n     {}", goal.to_yaml(&YamlStyle::default()));
     let id = new_id();

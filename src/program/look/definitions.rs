@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::bridge::ros::{Found, MessageType, ServiceType};
+use crate::bridge::ros::{EndpointKind, Found, MessageType, ServiceType};
 use crate::msgs::carried;
 use crate::msgs::definitions::{Catalog, TypeName};
 use crate::msgs::dynamic::DynamicType;
@@ -48,7 +48,8 @@ impl Types {
         Ok(described.with_context(|| self.not_at_hand(&name))?.message_type)
     }
 
-    /// Request and response of a service.
+    /// Request and response of a service. Uses local definitions unless a known server announces another hash; then its node is
+    /// asked for a description.
     pub(super) fn service(
         &self,
         look: &Look,
@@ -57,11 +58,12 @@ impl Types {
     ) -> anyhow::Result<[DynamicType; 2]> {
         let part = |suffix: &str| format!("{type_name}{suffix}").parse::<TypeName>();
         let names = [part("_Request")?, part("_Response")?];
-        let known = names.each_ref().map(|name| self.at_hand(name, None));
+        let service = look.node.service_name(service)?;
+        let announced = announced_hash(&look.participant.found(), service.as_str(), type_name.as_str());
+        let known = [self.at_hand(&names[0], announced.as_deref()), self.at_hand(&names[1], None)];
         if let [Some(request), Some(response)] = known {
             return Ok([request, response]);
         }
-        let service = look.node.service_name(service)?;
         let is_known = |found: &Found| {
             let mut endpoints = found.endpoints.iter();
             endpoints.any(|endpoint| endpoint.name == service.as_str() && endpoint.node.is_some())
@@ -90,12 +92,15 @@ impl Types {
     }
 }
 
-/// The hash that an endpoint of the topic announces for that type.
-fn announced_hash(found: &Found, topic: &str, type_name: &str) -> Option<String> {
+/// The hash that an endpoint of the topic announces for that type, or a server of the service for its requests.
+fn announced_hash(found: &Found, name: &str, type_name: &str) -> Option<String> {
     let mut endpoints = found.endpoints.iter();
     endpoints
         .find(|endpoint| {
-            endpoint.name == topic && endpoint.type_name == type_name && endpoint.remote.type_hash.is_some()
+            endpoint.name == name
+                && endpoint.type_name == type_name
+                && endpoint.kind != EndpointKind::Client
+                && endpoint.remote.type_hash.is_some()
         })
         .and_then(|endpoint| endpoint.remote.type_hash.clone())
 }

@@ -149,12 +149,13 @@ fn find(arguments: &FindArguments, environment: &Environment<'_>) -> anyhow::Res
 /// Calls a service of any type.
 pub(super) struct DynamicClient {
     client: RawClient,
+    service_type: ServiceType,
     pub(super) request: DynamicType,
     pub(super) response: DynamicType,
 }
 
 /// The maximum time of discovery on an idle machine.
-const DISCOVERY: Duration = Duration::from_secs(2);
+pub(super) const DISCOVERY: Duration = Duration::from_secs(2);
 
 /// How soon Ctrl-C is noticed.
 const POLL: Duration = Duration::from_millis(50);
@@ -167,11 +168,23 @@ impl DynamicClient {
         let service_type = ServiceType::new(type_name)?;
         let client = look.node.client_raw(service, &service_type, QosProfile::SERVICES)?;
         let [request, response] = types.service(look, service, &service_type)?;
-        Ok(Self { client, request, response })
+        Ok(Self { client, service_type, request, response })
     }
 
-    pub(super) fn is_available(&self) -> bool {
-        self.client.is_available()
+    /// Waits until a server is matched, and takes the definitions that it announces if they differ from those at hand. Returns
+    /// false if no server is there in time, or the command is stopped first.
+    pub(super) fn wait(
+        &mut self,
+        look: &Look,
+        types: &Types,
+        time: Option<Duration>,
+    ) -> anyhow::Result<bool> {
+        let is_there = look.wait_for(time, || self.client.is_available());
+        if is_there {
+            let service = self.client.name().to_string();
+            [self.request, self.response] = types.service(look, &service, &self.service_type)?;
+        }
+        Ok(is_there)
     }
 
     /// Sends a request; the response arrives at the returned call.
@@ -220,19 +233,23 @@ fn call(arguments: &CallArguments, environment: &Environment<'_>) -> anyhow::Res
     let look = Look::join("service", &arguments.look, environment)?;
     let types = Types::load(&look, &arguments.from)?;
     let type_name = full_name(&arguments.type_name, "srv");
-    let client = DynamicClient::new(&look, &types, &arguments.service, &type_name)
+    let mut client = DynamicClient::new(&look, &types, &arguments.service, &type_name)
         .context("The passed service type is invalid")?;
-    let mut request = DynamicMessage::new(&client.request);
-    let stamps = request.fill_yaml(&yaml).context("Failed to populate field")?;
+    let filled = |client: &DynamicClient| {
+        let mut request = DynamicMessage::new(&client.request);
+        let stamps = request.fill_yaml(&yaml).context("Failed to populate field")?;
+        anyhow::Ok((request, stamps))
+    };
     let (clock, _follower) = LookClock::new(&look, arguments.look.use_sim_time)?;
-    let is_there = || client.is_available();
     // An existing server is matched after a moment, without printing a line.
-    if !look.wait_for(Some(DISCOVERY), is_there) {
+    if !client.wait(&look, &types, Some(DISCOVERY))? {
+        filled(&client)?;
         println!("waiting for service to become available...");
-        if !look.wait_for(None, is_there) {
+        if !client.wait(&look, &types, None)? {
             return Ok(());
         }
     }
+    let (mut request, stamps) = filled(&client)?;
     let mut next = Instant::now();
     loop {
         stamps.set(&mut request, Time::from_nanos(clock.now()))?;

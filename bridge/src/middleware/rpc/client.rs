@@ -3,7 +3,8 @@
 use super::mapping::{Mapping, PayloadHeader};
 use super::{MAX_IN_FLIGHT, ServiceEndpoint, of_participant, reading};
 use crate::middleware::{
-    Gid, Middleware, MiddlewareError, Reader, Sample, SampleIdentity, WriteError, WriteOptions, Writer,
+    EventHandler, Gid, Middleware, MiddlewareError, Reader, Sample, SampleIdentity, WriteError, WriteOptions,
+    Writer,
 };
 use crate::worker::{TimeLimited, Worker, WorkerLink};
 use bytes::Bytes;
@@ -165,6 +166,13 @@ impl RequestClient {
     #[must_use]
     pub fn gids(&self) -> (Gid, Gid) {
         (self.reader.gid(), self.shared.writer.gid())
+    }
+
+    /// Registers the handlers for events of its two endpoints: of the writer of requests, of the reader of replies. They run on a thread of the
+    /// middleware, so they must not block.
+    pub fn on_events(&self, requests: EventHandler, replies: EventHandler) {
+        self.shared.writer.on_event(requests);
+        self.reader.on_event(replies);
     }
 
     /// How many servers are matched in both directions.

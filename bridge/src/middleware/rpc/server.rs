@@ -3,7 +3,9 @@
 use super::mapping::{Label, ReturnAddress, request};
 use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, of_participant, reading};
 use crate::limiter::Limiter;
-use crate::middleware::{Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer};
+use crate::middleware::{
+    EventHandler, Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer,
+};
 use crate::worker::{TimeLimited, Worker, WorkerLink};
 use bytes::Bytes;
 use parking_lot::Mutex;
@@ -139,6 +141,13 @@ impl RequestServer {
     #[must_use]
     pub fn gids(&self) -> (Gid, Gid) {
         (self.reader.gid(), self.shared.writer.gid())
+    }
+
+    /// Registers the handlers for events of its two endpoints: of the reader of requests, of the writer of replies. They run on a thread of the
+    /// middleware, so they must not block.
+    pub fn on_events(&self, requests: EventHandler, replies: EventHandler) {
+        self.reader.on_event(requests);
+        self.shared.writer.on_event(replies);
     }
 
     /// How many clients are matched in both directions.
