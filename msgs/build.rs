@@ -57,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// The folders of `interfaces/` that are always included or whose feature is enabled.
 fn enabled_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
-    let mut packages = sorted_entries(interfaces)?;
+    let mut packages = all_packages(interfaces)?;
     packages.retain(|package| {
         let feature = format!("CARGO_FEATURE_{}", package.to_uppercase());
         ALWAYS.contains(&package.as_str()) || env::var_os(feature).is_some()
@@ -69,7 +69,7 @@ fn enabled_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
 /// time.
 fn carried_texts(interfaces: &Path) -> Result<String, Box<dyn Error>> {
     let mut source = String::from("&[\n");
-    for package in sorted_entries(interfaces)? {
+    for package in all_packages(interfaces)? {
         for kind in sorted_entries(&interfaces.join(&package))? {
             for file in sorted_entries(&interfaces.join(&package).join(&kind))? {
                 let path = interfaces.join(&package).join(&kind).join(&file);
@@ -79,6 +79,13 @@ fn carried_texts(interfaces: &Path) -> Result<String, Box<dyn Error>> {
         }
     }
     Ok(source + "]\n")
+}
+
+/// The folders of `interfaces/`, which also holds a README.
+fn all_packages(interfaces: &Path) -> Result<Vec<String>, Box<dyn Error>> {
+    let mut packages = sorted_entries(interfaces)?;
+    packages.retain(|entry| interfaces.join(entry).is_dir());
+    Ok(packages)
 }
 
 fn sorted_entries(folder: &Path) -> Result<Vec<String>, Box<dyn Error>> {
