@@ -1,4 +1,5 @@
-//! Lines in the log of the program, and on `/rosout` in ROS 2, under the name of the module that writes them.
+//! Log lines for the program's log, and for `/rosout` in ROS 2, under the name of the module that writes
+//! them.
 //!
 //! ```
 //! use std::time::Duration;
@@ -30,10 +31,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! `debug!`, `info!`, `warn!` and `error!` are those of the crate `tracing`: named values (`warn!(servo = 5, "is silent")`) follow the
-//! text. The forms `_every` and `_once` take the context of the callback first. Each of their places in the source counts by itself
-//! and for each module by itself, by the time of cycles, so that a replay writes the same lines. A line of `_every` that follows lines
-//! which were left out ends with `suppressed=` and their number.
+//! `debug!`, `info!`, `warn!` and `error!` are those of the crate `tracing`: named values
+//! (`warn!(servo = 5, "is silent")`) follow the text. The forms `_every` and `_once` take the context of the
+//! callback as their first argument. Each call site is limited separately in each module, by the time of
+//! cycles, so that a replay writes the same lines. A line of `_every` that follows suppressed lines ends with
+//! `suppressed=` and their number.
 
 use std::time::Duration;
 
@@ -45,7 +47,7 @@ pub use crate::{
 };
 pub use tracing::{debug, error, info, trace, warn};
 
-/// When a module has last written the lines that are limited.
+/// The limited log lines of a module, with the time at which each was last written.
 #[derive(Default)]
 pub(crate) struct LogLimits(Vec<Limit>);
 
@@ -74,8 +76,9 @@ impl LogLimits {
 }
 
 impl<P> Context<'_, P> {
-    /// For the macros of [`log`](crate::log), and for wrappers of other loggers: `None` if the module has written the line of this
-    /// place within `period` (or at all, without a period), otherwise how often it was left out since.
+    /// Decides whether a limited line is due; for the macros of [`log`](crate::log), and for wrappers of
+    /// other loggers. Returns `None` if the module has written the line of this call site within `period` (or
+    /// at all, without a period), otherwise the number of lines suppressed since then.
     pub fn log_is_due(&mut self, site: &'static str, period: Option<Duration>) -> Option<u64> {
         let now = self.now();
         self.io().log_limits.is_due(site, now, period)
