@@ -6,7 +6,7 @@ use std::fmt::{self, Display};
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     /// Another module has this name.
-    #[error("module \"{0}\": there is a module of that name already; give each module a name of its own")]
+    #[error("module \"{0}\": a module with this name exists already; give each module another name")]
     DuplicateModule(String),
     /// ROS would refuse the topic name.
     #[error(

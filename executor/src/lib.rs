@@ -147,7 +147,7 @@
 //! in step 1 are still sent in step 4. The `shutdown` of a detached module runs on the module's thread, and
 //! its messages join a later sync phase.
 //!
-//! # What things cost, in cycles
+//! # Costs in cycles
 //!
 //! | | takes effect |
 //! | --- | --- |

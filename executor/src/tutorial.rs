@@ -61,11 +61,11 @@
 //!
 //! # 2 A controller
 //!
-//! The controller subscribes and publishes. It knows the sensor only by the name of its topic. What is published in one cycle is
-//! received in the next: **each hop costs a cycle**. That is not the period of a timer: under
-//! [`Core::run`](crate::Core::run), cycles follow each other without pause while there is something to do, and a hop takes as
-//! long as the other modules in these cycles compute. In return, neither the order in which modules run nor the threads
-//! affect the result.
+//! The controller subscribes and publishes. It refers to the sensor only by the name of its topic. A message
+//! published in one cycle is received in the next: **each hop costs a cycle**. A hop is not the period of a
+//! timer: under [`Core::run`](crate::Core::run), cycles follow each other without pause while there is
+//! something to do, and a hop takes as long as the other modules in these cycles compute. In return, neither
+//! the order in which modules run nor the threads affect the result.
 //!
 //! In a module as small as this, closures may instead capture the keys that they use. Its ports are then `()`.
 //!
@@ -118,9 +118,10 @@
 //!
 //! # 3 A setting
 //!
-//! A number that users will want to change is a setting, with a range and a unit. Its value is constant during a cycle.
-//! [`Setup::on_change`](crate::Setup::on_change) registers a callback that computes what depends on it;
-//! [`Setup::accept_if`](crate::Setup::accept_if) a condition that a range cannot express.
+//! A number that users will want to change is a setting, with a range and a unit. Its value is constant
+//! during a cycle. [`Setup::on_change`](crate::Setup::on_change) registers a callback that computes values
+//! derived from the setting; [`Setup::accept_if`](crate::Setup::accept_if) registers a condition that a range
+//! cannot express.
 //!
 //! ```
 //! # use downbeat_executor::{
@@ -288,10 +289,10 @@
 //!
 //! # 6 A job
 //!
-//! A run delays its cycle, and with it all modules. Reading files and long computations therefore belong in jobs, which run
-//! beside the cycle: [`Context::spawn`](crate::Context::spawn) runs a job on another thread,
-//! [`Context::spawn_async`](crate::Context::spawn_async) on the thread for async work. A job cannot access the module: it
-//! owns its input, and its result is passed to the callback of the job.
+//! A run delays its cycle, and with it all modules. Reading files and long computations therefore belong in
+//! jobs, which run outside the cycle: [`Context::spawn`](crate::Context::spawn) runs a job on another thread,
+//! [`Context::spawn_async`](crate::Context::spawn_async) on the thread for async work. A job cannot access
+//! the module: it owns its input, and its result is passed to the callback of the job.
 //!
 //! ```
 //! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};

@@ -1,4 +1,4 @@
-//! The states of a module, and what it does in which.
+//! The states of a module, and its activity in each.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -8,7 +8,8 @@ use downbeat_executor::*;
 
 use LifecycleState::{Active, Finalized, Inactive, Unconfigured};
 
-/// Notes its transitions, fails or panics in one of them, and does something in every cycle and for every message.
+/// Logs its transitions, fails or panics in one of them, and logs an entry in every cycle and for every
+/// message.
 struct Managed {
     log: Log,
     fails_in: Option<Transition>,
@@ -62,7 +63,7 @@ impl Module for Managed {
     }
 
     fn shutdown(&mut self, _: &mut Context<'_>) {
-        // Has no way to fail.
+        // A shutdown cannot fail.
         let _ = self.make(Transition::Shutdown);
     }
 }
@@ -75,7 +76,7 @@ fn state(core: &Core) -> LifecycleState {
     core.modules()[0].state
 }
 
-/// Has the module make a transition in a cycle.
+/// Requests a transition of the module and runs the cycles until it is made.
 fn transit(
     core: &mut Core,
     clock: &ManualClock,
@@ -205,7 +206,7 @@ fn timers_start_when_the_module_becomes_active_and_stop_when_it_is_not() {
     core.add_with("managed", Managed::new(&log), initially(Inactive)).unwrap();
     cycles(&mut core, &clock, 25);
     assert_eq!(log.take(), ["configure"]);
-    // In the sync phase of cycle 25; made in cycle 26.
+    // Requested in the sync phase of cycle 25, made in cycle 26.
     drop(core.handle().transition("managed", Transition::Activate));
     cycles(&mut core, &clock, 25);
     assert_eq!(log.take(), ["activate", "ticks at 36", "ticks at 46"]);

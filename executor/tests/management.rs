@@ -1,4 +1,4 @@
-//! Modules joining, leaving, waiting and starting again while the core runs.
+//! Modules are added, removed, paused and restarted while the core runs.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use common::*;
 use downbeat_executor::*;
 
-/// Publishes its number in every cycle from its first on.
+/// Publishes its number in every cycle, from its first one on.
 fn talker(topic: &'static str, number: u32) -> Scripted {
     module(move |setup| {
         let out = setup.publish(topic)?;
@@ -313,7 +313,8 @@ fn a_module_that_panics_starts_again_as_often_as_its_policy_says() {
     let gone = LifecycleState::Finalized;
     assert_eq!(runs(Restart::Never, 50), (1, 0, gone));
     assert_eq!(runs(Restart::Times { limit: 2, backoff }, 50), (3, 2, gone));
-    // It ticks in cycle 1, then waits for 2, 4, 8, 16 and 32 ms; and starts one cycle later, to tick one after that.
+    // The module ticks in cycle 1, then waits for 2, 4, 8, 16 and 32 ms. It starts one cycle later and ticks
+    // one cycle after that.
     assert_eq!(runs(Restart::Always { backoff }, 50).0, 5);
 }
 
@@ -462,7 +463,7 @@ fn a_module_that_cannot_be_made_yet_joins_when_it_is_started() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     let made = log.clone();
     let options = ModuleOptions {
-        // Declared by the module only.
+        // A setting that only the module declares.
         settings: [("gain".to_owned(), SettingValue::Double(2.0))].into(),
         ..ModuleOptions::default()
     };

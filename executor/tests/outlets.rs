@@ -1,4 +1,4 @@
-//! Messages that leave a core through outlets.
+//! Outlets: messages that leave a core.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -11,7 +11,7 @@ use std::time::Duration;
 use common::*;
 use downbeat_executor::*;
 
-/// A sink that passes on what it takes.
+/// A sink that forwards its messages.
 fn pass_on<T: Clone + Send + Sync + 'static>(
     sender: &Sender<T>,
 ) -> impl FnMut(Received<'_, T>) + Send + use<T> {
@@ -28,7 +28,7 @@ fn collect<T: Clone + Send + Sync + 'static>(
     (core.outlet(topic, inbox, pass_on(&sender)).unwrap(), messages)
 }
 
-/// Publishes 0, 1, 2, … on "numbers", one each step.
+/// Publishes 0, 1, 2, … on "numbers", one per step.
 fn counter() -> Scripted {
     module(|setup| {
         let (out, mut count) = (setup.publish("numbers")?, 0_u64);
@@ -39,7 +39,7 @@ fn counter() -> Scripted {
     })
 }
 
-/// A sink that waits until it is let go, message by message.
+/// A sink that waits for a signal after each message.
 struct Slow {
     at_work: Receiver<u64>,
     go: Sender<()>,

@@ -41,7 +41,7 @@ impl Core {
     pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
         let has_outlets = self.mechanisms.get::<Messages>(MESSAGES).is_some_and(Messages::has_outlets);
         let is_empty = self.state.members.is_empty() && !has_outlets;
-        assert!(is_empty, "give a core its clock before its modules and outlets");
+        assert!(is_empty, "call `with_clock` before modules and outlets are added");
         self.state.clock = Arc::new(clock);
         self
     }
@@ -59,7 +59,7 @@ impl Core {
     /// If the core has modules, since these were set up for measurement.
     #[must_use]
     pub fn without_times(mut self) -> Self {
-        assert!(self.state.members.is_empty(), "tell a core what to measure before its modules");
+        assert!(self.state.members.is_empty(), "call `without_times` before modules are added");
         self.state.inspector = self.state.inspector.turned_off();
         self
     }

@@ -20,10 +20,10 @@ use crate::{Role, ThreadError, Time, TraceCause};
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The clock advances only when it is set.
-    #[error("this clock does not go on by itself; set it and call `cycle`, or use a clock that does")]
+    #[error("this clock does not run by itself; set it and call `cycle`, or use a clock that runs")]
     ClockStandsStill,
     /// The core was stopped.
-    #[error("this core has stopped, and a stopped core does not start again; make a new one")]
+    #[error("this core has stopped and cannot be restarted; create a new one")]
     Stopped,
     /// The core's thread, or a thread of its launcher, cannot run as configured.
     #[error(transparent)]
@@ -354,7 +354,7 @@ impl Core {
     #[cold]
     fn go_back(&mut self, now: Time) {
         let by = self.last_now.saturating_since(now).as_secs_f64();
-        tracing::warn!("the clock went back by {by} s to {now}: timers start again from there");
+        tracing::warn!("the clock went back by {by} s to {now}: timers restart from there");
         let stage = self.stage.exclusive();
         for slot in 0..stage.cells.slots() {
             if let Some(cell) = stage.cells.get(slot) {
@@ -532,7 +532,7 @@ impl Core {
         self.state.link.end();
         for then in std::mem::take(&mut self.at_end) {
             if let Err(panic) = catch_unwind(AssertUnwindSafe(then)) {
-                tracing::error!("panicked when the core had stopped: {}", end_of(panic));
+                tracing::error!("a closure of Core::on_stop panicked: {}", end_of(panic));
             }
         }
     }
@@ -570,7 +570,7 @@ impl Drop for Core {
         if self.state.life == CoreLife::Running
             && let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.stop()))
         {
-            tracing::error!("panicked while it was stopped: {}", reason(&*panic));
+            tracing::error!("the core panicked while it was stopping: {}", reason(&*panic));
         }
         self.state.link.request_stop();
         self.state.link.end();

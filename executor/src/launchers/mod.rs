@@ -77,7 +77,7 @@ impl<L: Launcher> Launcher for Scheduled<L> {
 /// caught here, and neither ends the worker nor delays the cycle.
 fn run_guarded(run: impl FnOnce()) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(run)) {
-        tracing::error!("a thread of the launcher panicked and goes on: {}", reason(&*panic));
-        drop_guarded("what a panic carried", || drop(panic));
+        tracing::error!("a thread of the launcher panicked and continues: {}", reason(&*panic));
+        drop_guarded("the payload of a panic", || drop(panic));
     }
 }

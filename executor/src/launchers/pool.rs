@@ -23,7 +23,7 @@ pub enum PoolError {
     NoThreads,
     /// Threads that never park would take the CPU from the threads for which they wait.
     #[error(
-        "the {threads} threads of a pool cannot all spin always: each needs a CPU of its own, and {sharing} of them \
+        "the {threads} threads of a pool cannot all spin always: each needs a separate CPU, and {sharing} of them \
          have to share {cpus}; use fewer threads, give them more CPUs, or let them spin for a time"
     )]
     TooFewCpus {

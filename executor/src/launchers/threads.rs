@@ -86,7 +86,7 @@ impl Threads {
                     Ok(thread) => self.threads[slot] = Some(thread),
                     Err(error) if !self.has_been_refused => {
                         self.has_been_refused = true;
-                        tracing::error!("{error}; the core's thread runs the modules that have none");
+                        tracing::error!("{error}; modules without a thread run on the core's thread");
                     }
                     Err(_) => {}
                 }

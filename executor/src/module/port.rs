@@ -121,7 +121,7 @@ impl ModuleIo {
     pub(crate) fn open_own<P: Port + Default>(&mut self, mechanism: usize) -> &mut P {
         match self.open(mechanism) {
             Some(port) => port,
-            None => unreachable!("each mechanism of the core has a number of its own"),
+            None => unreachable!("the mechanisms of the core have distinct numbers"),
         }
     }
 
@@ -136,7 +136,7 @@ impl ModuleIo {
         let mut asked = Asked::default();
         for (mechanism, port) in self.each_port() {
             let mut is_asked = false;
-            drop_guarded("what a module was asked or asks", || is_asked = port.changed(change));
+            drop_guarded("a request", || is_asked = port.changed(change));
             if is_asked {
                 asked.add(Asked::of(mechanism));
             }

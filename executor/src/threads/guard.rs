@@ -33,7 +33,7 @@ fn log_panic(what: &str, panic: Box<dyn Any + Send>) {
 pub(crate) fn end_of(panic: Box<dyn Any + Send>) -> String {
     let said = reason(&*panic).to_owned();
     if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(panic))) {
-        tracing::error!("what a panic carried panicked while it was dropped: {}", reason(&*another));
+        tracing::error!("the payload of a panic panicked while it was dropped: {}", reason(&*another));
         // Leaked, because its drop could panic again, without end.
         std::mem::forget(another);
     }

@@ -241,7 +241,7 @@ impl Filled<AnyMessage> for Box<dyn AnyOutbox> {
     fn fill(&mut self, messages: impl Iterator<Item = AnyMessage>) {
         for message in messages {
             if !self.add_any(message) {
-                tracing::error!("a message of another type than that of its topic is discarded");
+                tracing::error!("a message was discarded: its type is not that of the topic");
             }
         }
     }

@@ -161,7 +161,7 @@ fn make(
         member.options.deadline.map(|deadline| state.watchdog.watch(Arc::clone(&member.name), deadline));
     let watch = watch.transpose().map_err(|error| SetupError::Thread {
         module: member.name.to_string(),
-        reason: format!("that of its watchdog: {error}"),
+        reason: format!("the thread of its watchdog: {error}"),
     })?;
     Ok(ModuleCell::new(io, behaviour, member.options.initial_state, watch, meter))
 }

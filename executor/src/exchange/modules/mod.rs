@@ -73,7 +73,7 @@ pub enum RestartRefused {
     #[error(transparent)]
     UnknownModule(#[from] UnknownModule),
     /// The module is running.
-    #[error("module \"{module}\" runs; only one that has stopped, or is not active, is started again")]
+    #[error("module \"{module}\" is running; only a stopped or inactive module can be restarted")]
     Runs {
         /// The module.
         module: String,
@@ -236,7 +236,7 @@ impl Modules {
         let module = &*member.name;
         let backoff = match member.options.restart {
             _ if is_final => {
-                tracing::error!(module, "panicked at its end: {reason}");
+                tracing::error!(module, "panicked while it was stopping: {reason}");
                 return;
             }
             Restart::Times { limit, backoff } if member.restarts < limit => backoff,
@@ -268,7 +268,7 @@ impl Modules {
                 Some((module, Ok(restarts))) => {
                     tracing::info!(module = &*module, restarts, "starts again after its panic");
                 }
-                Some((_, Err(error))) => tracing::error!("not started again after its panic: {error}"),
+                Some((_, Err(error))) => tracing::error!("cannot be restarted after its panic: {error}"),
                 None => {}
             }
         }
@@ -415,7 +415,7 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) -> Option<(Arc<str>, Result<u3
         // The module keeps its place, because the cause of the error may be fixed later.
         member.panic = Some(error.to_string().into());
         if let Err(error) = hold_place(phase, &mut member) {
-            tracing::error!(module = &*module, "is removed: {error}");
+            tracing::error!(module = &*module, "removed, because its place cannot be kept: {error}");
             if let Place::Attached(slot) = member.id.place {
                 phase.state.freed_slots.push(slot);
             }
