@@ -1,5 +1,5 @@
-//! Controllers of an emulated Darwin OP, used by others: rclpy publishes a trajectory, a participant of Cyclone DDS reads
-//! the state (no wheel has `control_msgs`), and the action is served.
+//! Controllers of an emulated Darwin OP with ROS 2 peers: rclpy publishes a trajectory, a participant of
+//! Cyclone DDS reads the state (no wheel has `control_msgs`), and the action is served.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -82,7 +82,7 @@ fn controllers_are_switched_and_chained_as_the_page_says() {
     for line in &lines[1..3] {
         assert!(said(line).contains("successful"), "{line}\n{}", robot.output());
     }
-    // Until the publisher is matched, a command passes by.
+    // A command sent before the publisher is matched is lost.
     wait_until("the head is where it was sent by hand", || {
         let published = said(lines[3]);
         assert!(published.contains("publishing"), "{published}");
