@@ -1,7 +1,7 @@
 //! Every command on damaged bags: it exits with 0 only if its result is whole.
 //!
-//! Each mutation depends only on the bag and its number. `DOWNBEAT_BAG_MUTATIONS=500` sets how many there are of each
-//! bag and includes the large bags; `cargo xtask bags` does that.
+//! Each mutation depends only on the bag and its number. `DOWNBEAT_BAG_MUTATIONS=500` sets how many there are
+//! of each bag and includes the large bags; `cargo xtask bags` does that.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -1,5 +1,6 @@
 //! Tests the pages for users: runs every command in `sh` blocks and transcripts, and reads every robot file,
-//! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests (`src/lib.rs`).
+//! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests
+//! (`src/lib.rs`).
 //!
 //! A `ros2` command is replaced by the `downbeat` command with the same arguments.
 #![allow(clippy::unwrap_used, missing_docs)]

@@ -1,5 +1,5 @@
-//! Extends a project that `downbeat new` creates, as a user does, and tests errors of the library in a user's app. The projects as
-//! they are created are tested by `tests/first_hour.rs`.
+//! Extends a project that `downbeat new` creates, as a user does, and tests errors of the library in a user's
+//! app. The projects as they are created are tested by `tests/first_hour.rs`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

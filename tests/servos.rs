@@ -1,4 +1,5 @@
-//! Robots of serial servos: the robot files in `robots/`, `downbeat servo`, and packets compared with `dynamixel-sdk`.
+//! Robots of serial servos: the robot files in `robots/`, `downbeat servo`, and packets compared with
+//! `dynamixel-sdk`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

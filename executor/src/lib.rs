@@ -52,7 +52,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`]. The [`tutorial`] builds a robot step by step.
+//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`]. The [`tutorial`] builds a robot
+//! step by step.
 //!
 //! # The order of one run
 //!
@@ -134,11 +135,11 @@
 //! 2. **jobs**: work starts; results go to their modules, in the order in which the work ended. Under a clock
 //!    that does not run by itself, the work runs here, to its end
 //! 3. **settings**: values are checked and applied, in the order of the requests
-//! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which their runs
-//!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next
-//!    cycle, and go to the inboxes of [`Outlet`]s
-//! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then of the
-//!    others; then answers go to their clients, and callers receive their time-outs
+//! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which
+//!    their runs ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch
+//!    of the next cycle, and go to the inboxes of [`Outlet`]s
+//! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then
+//!    of the others; then answers go to their clients, and callers receive their time-outs
 //! 6. **timers**: when each module has to run next
 //! 7. the mechanisms added with [`Core::with_mechanism`], in the order in which they were added
 //! 8. modules that were removed are dropped, and what they held is freed

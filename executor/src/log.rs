@@ -97,8 +97,8 @@ macro_rules! __log_limited {
     };
 }
 
-/// Writes a line of level DEBUG at most once per period: `debug_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level DEBUG at most once per period:
+/// `debug_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! debug_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -106,7 +106,8 @@ macro_rules! debug_every {
     };
 }
 
-/// Writes a line of level DEBUG once in the life of the module: `debug_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level DEBUG once in the life of the module: `debug_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! debug_once {
     ($context:expr, $($line:tt)+) => {
@@ -114,8 +115,8 @@ macro_rules! debug_once {
     };
 }
 
-/// Writes a line of level INFO at most once per period: `info_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level INFO at most once per period:
+/// `info_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! info_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -123,7 +124,8 @@ macro_rules! info_every {
     };
 }
 
-/// Writes a line of level INFO once in the life of the module: `info_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level INFO once in the life of the module: `info_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! info_once {
     ($context:expr, $($line:tt)+) => {
@@ -131,8 +133,8 @@ macro_rules! info_once {
     };
 }
 
-/// Writes a line of level WARN at most once per period: `warn_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level WARN at most once per period:
+/// `warn_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! warn_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -140,7 +142,8 @@ macro_rules! warn_every {
     };
 }
 
-/// Writes a line of level WARN once in the life of the module: `warn_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level WARN once in the life of the module: `warn_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! warn_once {
     ($context:expr, $($line:tt)+) => {
@@ -148,8 +151,8 @@ macro_rules! warn_once {
     };
 }
 
-/// Writes a line of level ERROR at most once per period: `error_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level ERROR at most once per period:
+/// `error_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! error_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -157,7 +160,8 @@ macro_rules! error_every {
     };
 }
 
-/// Writes a line of level ERROR once in the life of the module: `error_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level ERROR once in the life of the module: `error_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! error_once {
     ($context:expr, $($line:tt)+) => {

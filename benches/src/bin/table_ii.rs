@@ -9,14 +9,14 @@ use benches::measure::Effort;
 use benches::table_ii::{CellResult, Row, goals, grid, measure, table};
 use clap::Parser;
 
-/// One publisher sends messages to modules. Each delivery calls a callback that adds a field of the message to the
-/// state of the module.
+/// One publisher sends messages to modules. Each delivery calls a callback that adds a field of the message
+/// to the state of the module.
 ///
 /// Measured from the first publish to the last delivery, without setup. A trial publishes its messages in
-/// batches, one per cycle, for all contestants alike.
-/// ratio_to_limit is our time by that of a plain loop over the callbacks; ratio_to_queue_design and
-/// ratio_to_published are the time of the published design, measured here in its faster form, and its published time,
-/// by ours.
+/// batches, one per cycle, for all contestants alike. ratio_to_limit is the time of downbeat divided by that
+/// of a plain loop over the callbacks; ratio_to_queue_design and ratio_to_published are the time of the
+/// published design, measured here in its faster form, and its published time, each divided by that of
+/// downbeat.
 #[derive(Parser)]
 #[command(verbatim_doc_comment)]
 struct Arguments {

@@ -26,7 +26,8 @@ pub enum ModuleEventKind {
         service: Arc<str>,
         /// The caller.
         origin: CallOrigin,
-        /// The request; `None` unless the service has an encoder, see [`Core::encode_service`](crate::Core::encode_service).
+        /// The request; `None` unless the service has an encoder, see
+        /// [`Core::encode_service`](crate::Core::encode_service).
         body: Option<Vec<u8>>,
     },
     /// An answer was delivered to its client. Time-outs of calls follow from the clock alone, and are not

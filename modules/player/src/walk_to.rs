@@ -357,8 +357,8 @@ fn keeping_off<'a>(mut velocity: Velocity, obstacles: impl IntoIterator<Item = &
     velocity
 }
 
-/// The point towards which to push the ball: past an obstacle on the way to the target, on the current side if
-/// there is one.
+/// The point towards which to push the ball: past an obstacle on the way to the target, on the current side
+/// if there is one.
 fn past(robots: &[Obstacle], ball: DVec2, target: DVec2, passing: &mut Option<f64>) -> DVec2 {
     let way = target - ball;
     let widened = if passing.is_some() { STILL_PASSING } else { 1.0 };

@@ -106,7 +106,8 @@ impl<P> Context<'_, P> {
         self.remove(&name);
     }
 
-    /// Requests a transition of a module in the next cycle. A transition that is invalid in the module's state is logged.
+    /// Requests a transition of a module in the next cycle. A transition that is invalid in the module's
+    /// state is logged.
     pub fn transition(&mut self, module: &str, transition: Transition) {
         self.command(Command::Transition { module: module.to_owned(), transition, receipt: None });
     }
