@@ -83,7 +83,7 @@ fn controllers_are_switched_and_chained_as_the_page_says() {
         assert!(said(line).contains("successful"), "{line}\n{}", robot.output());
     }
     // A command sent before the publisher is matched is lost.
-    wait_until("the head is where it was sent by hand", || {
+    wait_until("the head has reached the commanded position", || {
         let published = said(lines[3]);
         assert!(published.contains("publishing"), "{published}");
         let state = said("topic echo --once /joint_states --full-length");
@@ -115,7 +115,7 @@ fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
     );
     let mut position_of_pan = |bound: &dyn Fn(f64) -> bool| {
         let mut last = Value::Null;
-        wait_until("the state has the head where it is to be", || {
+        wait_until("the state shows the head at its goal", || {
             for heard in cyclone.ask(json!({"do": "take", "topic": state})).as_array().unwrap() {
                 last = heard["fields"].clone();
             }

@@ -408,7 +408,7 @@ impl Place {
         if is_endless {
             let started = Instant::now();
             while running.output().is_empty() && running.is_running() {
-                assert!(started.elapsed() < WATCHDOG, "{page}: `{command}` says nothing");
+                assert!(started.elapsed() < WATCHDOG, "{page}: `{command}` prints nothing");
                 std::thread::sleep(Duration::from_millis(20));
             }
             if running.is_running() {

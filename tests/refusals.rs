@@ -188,7 +188,7 @@ fn assert_always_answered(folder: &Path, case: &Case) {
     let call_by =
         |service: &str| in_domain(folder, case.domain, &["service", "call", service, "std_srvs/srv/Trigger"]);
     let call = |service: &str| text(&call_by(service).output().unwrap());
-    let starts = || robot.output().matches("starts again after its panic").count();
+    let starts = || robot.output().matches("restarted after its panic").count();
     let fails = |fail: &mut dyn FnMut()| {
         let before = starts();
         fail();

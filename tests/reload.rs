@@ -130,7 +130,7 @@ fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay()
         site.build("0.1", 20);
         let first = std::fs::read(site.path().join("libsums.so")).unwrap();
         let mut robot = site.run(&["--record", "bag"], "131");
-        robot.wait_for_output("panicked and is stopped, the others go on: as this test wants it");
+        robot.wait_for_output("panicked and was stopped; the other modules continue: as this test wants it");
         site.build("0.2", -1);
         robot.wait_for_output("libsums.so was saved: it starts again with it");
         site.wait_for_more("/sum");

@@ -128,7 +128,7 @@ fn reading(criterion: &mut Criterion) {
 }
 
 fn print_table(samples: &[Sample], best: &BTreeMap<(usize, &str), f64>) {
-    println!("\nbest time of one message in µs, and how many times that rosbags takes");
+    println!("\nbest time per message in µs, and that of rosbags as a multiple of it");
     println!("{:<20} {:>18} {:>18} {:>10}", "", "DynamicMessage", "DynamicView", "rosbags");
     for (index, sample) in samples.iter().enumerate() {
         let Some(whole) = best.get(&(index, WHOLE)) else { continue }; // Filtered out.

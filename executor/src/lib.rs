@@ -142,7 +142,7 @@
 //!    of the others; then answers go to their clients, and callers receive their time-outs
 //! 6. **timers**: when each module has to run next
 //! 7. the mechanisms added with [`Core::with_mechanism`], in the order in which they were added
-//! 8. modules that were removed are dropped, and what they held is freed
+//! 8. removed modules are dropped, and their resources are freed
 //!
 //! A cycle skips a mechanism of the core that has received no request. Messages that a `shutdown` publishes
 //! in step 1 are still sent in step 4. The `shutdown` of a detached module runs on the module's thread, and

@@ -87,7 +87,7 @@ pub enum ProbeError {
     },
     /// The modules keep each other busy, and the probe never comes to rest.
     #[error(
-        "after {cycles} cycles the modules still have something to do at the same time: they answer each other without end"
+        "the modules are still busy after {cycles} cycles at the same time: they answer each other without end"
     )]
     Restless {
         /// The number of cycles that ran.

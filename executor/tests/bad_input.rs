@@ -37,7 +37,7 @@ fn a_detached_module_that_blocks_holds_up_nobody() {
     let handle = core.handle();
     let running = std::thread::spawn(move || core.run());
     let mut ticks = 0;
-    wait_until("the other goes on", || {
+    wait_until("the other module continues", || {
         ticks += log.take().len();
         ticks > 20
     });
@@ -66,7 +66,7 @@ fn an_attached_module_that_blocks_is_told_while_it_does_and_the_rest_goes_on_aft
         let ended = told.iter().find(|overrun| overrun.has_ended).unwrap();
         assert!(ended.running_for > overrun.deadline);
         log.take();
-        wait_until("the rest goes on", || log.take().len() > 2);
+        wait_until("the other modules continue", || log.take().len() > 2);
         handle.stop();
         running.join().unwrap().unwrap();
     }

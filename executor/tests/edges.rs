@@ -230,7 +230,7 @@ fn next_event_tells_work_a_timer_or_nothing() {
     let mut core = Core::new().with_clock(clock.clone());
     assert_eq!(core.next_event(), None);
     core.add("idle", Idle).unwrap();
-    assert_eq!(core.next_event(), Some(Time::from_nanos(7)), "it has to start");
+    assert_eq!(core.next_event(), Some(Time::from_nanos(7)), "the core has to start");
     core.cycle().unwrap();
     assert_eq!(core.next_event(), Some(Time::from_nanos(5_000_007)));
     core.handle().set("idle", "none", true);

@@ -84,7 +84,7 @@ fn transit(
 ) -> Result<LifecycleState, TransitionRefused> {
     let receipt = core.handle().transition("managed", transition);
     cycles(core, clock, 2);
-    receipt.try_take().expect("the receipt tells how it went in the next cycle")
+    receipt.try_take().expect("the receipt is answered in the next cycle")
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn transitions_that_were_asked_for_together_are_made_in_that_order_until_one_fai
     let [configured, activated, deactivated] = receipts.map(|receipt| receipt.try_take());
     assert_eq!(configured, Some(Ok(Inactive)));
     assert!(matches!(activated, Some(Err(TransitionRefused::ByModule { .. }))));
-    assert!(matches!(deactivated, Some(Err(_))), "it is told that it is not made: {deactivated:?}");
+    assert!(matches!(deactivated, Some(Err(_))), "the refusal is reported: {deactivated:?}");
     assert_eq!(log.take(), ["configure", "activate"]);
 }
 
@@ -256,7 +256,7 @@ fn a_detached_module_makes_its_transitions_on_its_thread() {
     assert_eq!(make(Transition::Activate), Ok(Active));
     assert_eq!(make(Transition::Deactivate), Ok(Inactive));
     assert!(matches!(make(Transition::Deactivate), Err(TransitionRefused::WrongState { .. })));
-    wait_until("it is known", || handle.modules().wait(WATCHDOG).unwrap()[0].state == Inactive);
+    wait_until("the state is known", || handle.modules().wait(WATCHDOG).unwrap()[0].state == Inactive);
     handle.stop();
     running.join().unwrap().unwrap();
     assert_eq!(log.take(), ["configure", "activate", "deactivate", "shutdown"]);
@@ -313,5 +313,5 @@ fn who_listens_is_told_each_step_in_its_order_whatever_becomes_of_the_module() {
     drop(listening);
     core.add_with("failing", Managed::new(&log), initially(Inactive)).unwrap();
     cycles(&mut core, &clock, 1);
-    assert_eq!(steps("failing").last(), Some(&ended), "nothing is told any more");
+    assert_eq!(steps("failing").last(), Some(&ended), "no event follows");
 }

@@ -127,7 +127,7 @@ fn a_module_can_be_replaced_in_one_cycle() {
     assert_eq!(removed.try_take(), Some(Ok(())));
     assert!(added.try_take().unwrap().is_ok(), "removals come first");
     assert_eq!(log.take(), ["1", "1", "1", "2", "2"]);
-    assert_eq!(names(&core), ["listener", "server"], "who comes again comes last");
+    assert_eq!(names(&core), ["listener", "server"], "a module that is added again is last");
 }
 
 #[test]
@@ -170,7 +170,7 @@ fn the_messages_of_a_modules_end_are_delivered() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     let noted = log.clone();
     let listener = module(move |setup| {
-        let gone = setup.setting("gone", false, "whether the other module is gone")?;
+        let gone = setup.setting("gone", false, "whether the other module was removed")?;
         setup.on_change(gone, move |_, ctx| noted.note(format!("gone: {}", ctx.get(gone))));
         Ok(())
     });
@@ -212,7 +212,7 @@ fn a_paused_module_does_not_run_until_it_is_stepped_or_resumed() {
     assert!(core.modules()[1].is_paused);
     drop(handle.step_module("listener"));
     cycles(&mut core, &clock, 4);
-    assert_eq!(log.take(), ["1"], "one run, on what the cycle had for it");
+    assert_eq!(log.take(), ["1"], "one run, with the input of the cycle");
     drop(handle.resume_module("listener"));
     cycles(&mut core, &clock, 3);
     assert_eq!(log.take(), ["1", "1"]);

@@ -299,7 +299,7 @@ fn what_a_module_asked_of_a_mechanism_is_void_if_it_panics_in_that_run() {
             let ledger = setup.mechanism::<Ledger>(Version::new(1, 0))?;
             setup.each_run(move |_, ctx| {
                 ctx.ask(ledger, 7);
-                panic!("it has spoken too soon");
+                panic!("a module that panics, as this test wants it");
             });
             Ok(())
         }),

@@ -98,7 +98,7 @@ fn a_sink_that_blocks_does_not_block_the_cycle() {
         core.cycle().unwrap();
     }
     assert_eq!(sink.at_work.recv_timeout(WATCHDOG), Ok(0));
-    assert!(sink.at_work.try_recv().is_err(), "the cycles went on without it");
+    assert!(sink.at_work.try_recv().is_err(), "the cycles continued without it");
     (0..3).for_each(|_| sink.go.send(()).unwrap());
     core.stop();
     assert_eq!(sink.at_work.try_iter().collect::<Vec<_>>(), [1, 2]);
@@ -145,13 +145,13 @@ fn an_outlet_that_is_dropped_is_unsubscribed_and_its_sink_is_gone() {
     cycles(&mut core, &clock, 3);
     assert_eq!(numbers.try_iter().count(), 1);
     drop(outlet);
-    assert!(numbers.recv().is_err(), "nobody is left who could send");
+    assert!(numbers.recv().is_err(), "no sender is left");
     core.cycle().unwrap();
     assert_eq!(core.graph().outlets, []);
     let topic = "unused";
     drop(core.outlet(topic, Inbox::KeepAll, |_: Received<'_, u64>| ()).unwrap());
     core.cycle().unwrap();
-    assert!(!core.topics().any(|known| &*known.name == topic), "a topic that nobody uses is forgotten");
+    assert!(!core.topics().any(|known| &*known.name == topic), "an unused topic is removed");
 }
 
 #[test]
@@ -216,7 +216,7 @@ fn the_last_messages_of_all_modules_reach_an_outlet_before_its_sink_is_dropped()
         core.cycle().unwrap();
         assert!(stopped.try_recv().is_err());
         core.stop();
-        assert_eq!(last.iter().collect::<Vec<_>>(), [2, 1], "and then nobody is left who could send");
+        assert_eq!(last.iter().collect::<Vec<_>>(), [2, 1], "and then no sender is left");
         assert_eq!(stopped.recv(), Ok(()));
     }
 }
@@ -339,7 +339,7 @@ fn an_outlet_that_is_kept_is_open_until_the_core_stops() {
     cycles(&mut core, &clock, 3);
     assert_eq!(numbers.try_iter().count(), 1);
     core.stop();
-    assert_eq!(numbers.iter().count(), 2, "and then nobody is left who could send");
+    assert_eq!(numbers.iter().count(), 2, "and then no sender is left");
 }
 
 #[test]

@@ -15,7 +15,7 @@ fn tuned(log: &Log) -> Scripted {
     module(move |setup| {
         let gain = setup.setting_in("gain", 2.0, 0.0..=4.0, "of the loop")?;
         setup.read_only_setting("port", "usb0".to_owned(), "where the motors are")?;
-        let name = setup.setting("name", "one".to_owned(), "what it is called")?;
+        let name = setup.setting("name", "one".to_owned(), "its name")?;
         setup.accept_if(gain, |_, gain: &f64| match gain % 2.0 == 0.0 {
             true => Ok(()),
             false => Err(format!("{gain} is odd")),
@@ -191,9 +191,9 @@ fn settings_are_transferred_where_both_have_them_and_the_taker_does_not_refuse()
     core.add_with("giver", tuned(&Log::default()), options).unwrap();
     core.add("taker", tuned(&log)).unwrap();
     let small = module(|setup| {
-        setup.setting("name", "small".to_owned(), "what it is called")?;
+        setup.setting("name", "small".to_owned(), "its name")?;
         setup.setting_in("gain", 1.0, 0.0..=2.0, "of the loop")?;
-        setup.setting("own", true, "nobody else has it").map(drop)
+        setup.setting("own", true, "only in this module").map(drop)
     });
     core.add("small", small).unwrap();
     let receipts = ["taker", "small"].map(|taker| core.handle().transfer_settings("giver", taker));

@@ -318,7 +318,7 @@ fn check(name: &str, world: &World, threads_before: usize) {
         let received = heard.get(source).map_or(0, |&(next, _)| next);
         assert_eq!(
             received, number,
-            "under {name}: source {source} published {number}, {received} were heard"
+            "under {name}: source {source} published {number}, {received} were received"
         );
     }
     wait_until("the threads of jobs end", || threads() <= threads_before);
@@ -331,7 +331,7 @@ fn check(name: &str, world: &World, threads_before: usize) {
     );
     assert!(count(replies) <= count(calls) && count(results) <= count(jobs), "under {name}: doubled");
     println!(
-        "{name}: {} modules joined, {} panics, {} messages heard in order, {} of {} calls and {} of {} jobs answered \
+        "{name}: {} modules joined, {} panics, {} messages received in order, {} of {} calls and {} of {} jobs answered \
          (the others' modules were gone)",
         count(joined),
         count(panics),

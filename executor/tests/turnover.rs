@@ -159,7 +159,7 @@ fn mechanisms_are_told_when_a_module_is_replaced_by_its_restart() {
     drop(core.handle().remove("module"));
     cycles(&mut core, &clock, 1);
     let second = left.try_recv().unwrap();
-    assert_ne!(first, second, "the two are told apart");
+    assert_ne!(first, second, "the two instances have different identifiers");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A browser that looks at pages of the program, driven by Node.js.
+//! Opens pages of the program in a browser, driven by Node.js.
 
 use std::ffi::OsString;
 use std::io::Write;

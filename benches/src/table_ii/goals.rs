@@ -44,7 +44,7 @@ pub fn goals(results: &[CellResult]) -> Vec<Goal> {
         ),
         at_least(
             0.9,
-            "1000 x 100000, Pool(2): at least 0.9 of what two threads gain the limit",
+            "1000 x 100000, Pool(2): at least 0.9 of the limit's gain with two threads",
             gain_of_pool,
         ),
         at_most(1.3, "x", "10 x 100, Linear: at most 1.3 times the limit", smallest_to_limit),

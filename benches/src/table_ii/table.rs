@@ -50,7 +50,7 @@ pub fn table(results: &[CellResult], goals: &[Goal]) -> String {
     for load in results.iter().filter(|result| is_too_noisy(result)).map(|result| result.load) {
         let _ = writeln!(
             text,
-            "Read no ratio of {} x {}: one thread came out faster than the limit, so the machine was too busy.",
+            "Ignore the ratios of {} x {}: one thread was faster than the limit, so the machine was too busy.",
             load.modules, load.messages
         );
     }

@@ -390,7 +390,7 @@ impl<P> Context<'_, P> {
         }
         match self.io().port(number) {
             Some(port) => port,
-            None => unreachable!("it was opened above"),
+            None => unreachable!("the port was opened above"),
         }
     }
 

@@ -283,7 +283,7 @@ impl StageHolder {
     /// If a launcher has kept a clone of the stage, which its contract forbids.
     #[inline]
     pub(crate) fn exclusive(&mut self) -> &mut Stage {
-        #[expect(clippy::expect_used, reason = "a broken launcher leaves nothing that could go on")]
+        #[expect(clippy::expect_used, reason = "the core cannot continue with a broken launcher")]
         self.get_mut().expect("the launcher kept the stage beyond the process phase")
     }
 
@@ -303,7 +303,7 @@ impl StageHolder {
         }
         match self {
             Self::Shared(stage) => stage,
-            Self::Own(_) => unreachable!("it was made shared above"),
+            Self::Own(_) => unreachable!("the stage was made shared above"),
         }
     }
 }

@@ -284,10 +284,10 @@ mod tests {
     fn a_timer_is_due_after_one_period_when_time_has_gone_back() {
         let mut timer = Timer::new(Duration::from_nanos(10));
         timer.go_back(Time::ZERO);
-        assert_eq!(timer.due, Time::MAX, "it has not started");
+        assert_eq!(timer.due, Time::MAX, "the timer has not started");
         timer.start(Time::from_nanos(100));
         timer.go_back(Time::from_nanos(105));
-        assert_eq!(timer.due, Time::from_nanos(110), "not further than to its last due time");
+        assert_eq!(timer.due, Time::from_nanos(110), "the last due time is not exceeded");
         timer.go_back(Time::from_nanos(3));
         assert_eq!(timer.due, Time::from_nanos(13));
     }

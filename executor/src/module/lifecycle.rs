@@ -191,7 +191,7 @@ pub enum LifeStep {
 type Listener = dyn Fn(&LifeEvent) + Send + Sync;
 
 /// Registration of a listener of transitions, which ends when this is dropped.
-#[must_use = "it stops listening when it is dropped"]
+#[must_use = "the listener is removed when this is dropped"]
 pub struct Listening {
     _listener: Arc<Listener>,
 }

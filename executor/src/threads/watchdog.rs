@@ -303,7 +303,7 @@ mod tests {
         let watch = watchdog.watch(Arc::from("rare"), SHORT).unwrap();
         let begin = Instant::now();
         while !watchdog.shared.sleeps.load(Ordering::SeqCst) {
-            assert!(begin.elapsed() < LONG, "it does not go to sleep");
+            assert!(begin.elapsed() < LONG, "the watchdog does not go to sleep");
             std::thread::yield_now();
         }
         watch.begin();

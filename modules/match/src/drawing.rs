@@ -61,6 +61,6 @@ mod tests {
         let rows: Vec<&str> = drawing.lines().collect();
         assert_eq!((rows.len(), rows[0].len()), (22, 62));
         assert!(rows[1].starts_with("|a") && rows[20].contains('B'), "{drawing}");
-        assert!(drawing.contains("o|"), "what is beyond the carpet is at its edge\n{drawing}");
+        assert!(drawing.contains("o|"), "objects beyond the carpet are drawn at its edge\n{drawing}");
     }
 }

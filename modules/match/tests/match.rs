@@ -131,7 +131,7 @@ fn mates_hear_each_other_late_and_not_always_and_opponents_do_not() {
     };
     let robots = ["blue_1", "blue_2", "red_2"];
     let linear = heard(Box::new(move |seed| Game::of(&robots, seed, Linear)), 1);
-    assert!(linear.iter().all(|(name, ..)| *name != "red_2"), "it has no mate");
+    assert!(linear.iter().all(|(name, ..)| *name != "red_2"), "red_2 has no mate");
     for name in ["blue_1", "blue_2"] {
         let messages: Vec<_> = linear.iter().filter(|(of, ..)| *of == name).collect();
         // Five messages a second, of which one in twenty is lost.

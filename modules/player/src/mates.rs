@@ -219,7 +219,7 @@ mod tests {
         take(&mut mates, 3, 800, 2.0);
         take(&mut mates, 4, 1500, 3.0);
         let places = |mates: &Mates| mates.messages().map(|of| of.pose.pose.position.x).collect::<Vec<_>>();
-        assert_eq!(places(&mates), [1.0, 3.0], "one that was overtaken does not count");
+        assert_eq!(places(&mates), [1.0, 3.0], "an overtaken message does not count");
         assert_eq!(mates.refused().get(&Refusal::Old), Some(&1));
         mates.forget_after(NOW + Duration::from_secs(1), TIMEOUT);
         assert_eq!(places(&mates), [1.0]);

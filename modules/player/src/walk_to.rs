@@ -485,8 +485,8 @@ mod tests {
         let ball = DVec2::new(0.5, 0.05);
         let way = around(DVec2::new(1.0, 0.0), ball);
         assert!((way - ball).length() > 0.29 && way.y < 0.0, "{way}");
-        assert_eq!(around(DVec2::new(0.3, 0.0), ball), DVec2::new(0.3, 0.0), "it is not that far");
-        assert_eq!(around(DVec2::new(-1.0, 0.0), ball), DVec2::new(-1.0, 0.0), "it is behind");
+        assert_eq!(around(DVec2::new(0.3, 0.0), ball), DVec2::new(0.3, 0.0), "nearer than the ball");
+        assert_eq!(around(DVec2::new(-1.0, 0.0), ball), DVec2::new(-1.0, 0.0), "behind the robot");
     }
 
     #[test]
@@ -512,7 +512,7 @@ mod tests {
         assert_eq!(aside(&[robot(-0.3, 0.0), robot(1.5, 0.0)], &mut None), 0.0);
         let mut passing = None;
         assert!(aside(&[robot(0.6, 0.1)], &mut passing) < -1.0);
-        assert!(aside(&[robot(0.6, -0.1)], &mut passing) < -1.0, "it keeps its side");
+        assert!(aside(&[robot(0.6, -0.1)], &mut passing) < -1.0, "the side is kept");
         assert!(aside(&[robot(0.6, -0.1)], &mut None) > 1.0);
         assert_eq!(aside(&[robot(1.5, 0.0)], &mut passing), 0.0);
         assert_eq!(passing, None);

@@ -165,7 +165,7 @@ fn the_own_ball_goes_on_at_once_and_that_of_a_mate_stands_in() {
     player.sees_ball(0.5, 0.0, 0.01);
     let balls = player.run(1).balls;
     assert_eq!((balls.len(), balls[0].point.point.x), (1, 0.5));
-    assert!(player.run(35).balls.len() > 5, "for a while it is known where it was");
+    assert!(player.run(35).balls.len() > 5, "the ball stays known for a while");
     assert!(player.run(5).balls.is_empty());
     // The player sees no ball, but a mate does.
     let mut message = player.message(0.0, 1.0);

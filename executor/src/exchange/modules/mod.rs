@@ -242,7 +242,7 @@ impl Modules {
             Restart::Times { limit, backoff } if member.restarts < limit => backoff,
             Restart::Always { backoff } => backoff,
             Restart::Never | Restart::Times { .. } => {
-                tracing::error!(module, "panicked and is stopped, the others go on: {reason}");
+                tracing::error!(module, "panicked and was stopped; the other modules continue: {reason}");
                 return;
             }
         };
@@ -253,7 +253,7 @@ impl Modules {
         member.panics_in_a_row += 1;
         tracing::error!(
             module,
-            "panicked and is stopped, to start again in {pause:?}; the others go on: {reason}"
+            "panicked and will be restarted in {pause:?}; the other modules continue: {reason}"
         );
         phase.state.restarts.push((now + pause, order));
     }
@@ -266,9 +266,9 @@ impl Modules {
         for (_, order) in due {
             match restart(phase, order) {
                 Some((module, Ok(restarts))) => {
-                    tracing::info!(module = &*module, restarts, "starts again after its panic");
+                    tracing::info!(module = &*module, restarts, "restarted after its panic");
                 }
-                Some((_, Err(error))) => tracing::error!("cannot be restarted after its panic: {error}"),
+                Some((_, Err(error))) => tracing::error!("its restart after a panic failed: {error}"),
                 None => {}
             }
         }
