@@ -49,7 +49,11 @@ fn the_log_file_is_in_ros_log_dir() {
     let (_, _, error) = run_with(&[("ROS_LOG_DIR", logs.to_str().unwrap())]);
     let file = std::fs::read_dir(&logs).unwrap().next().unwrap().unwrap();
     assert!(file.file_name().to_str().unwrap().starts_with("downbeat_"));
-    assert_eq!(std::fs::read_to_string(file.path()).unwrap(), error, "the file has the same lines as the console");
+    assert_eq!(
+        std::fs::read_to_string(file.path()).unwrap(),
+        error,
+        "the file has the same lines as the console"
+    );
 }
 
 #[test]

@@ -48,7 +48,8 @@ impl Module for Bomb {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        setup.subscribe("number", |_: &mut Self, _: Received<'_, u32>, _: &mut Context<'_>| panic!("intended"))
+        setup
+            .subscribe("number", |_: &mut Self, _: Received<'_, u32>, _: &mut Context<'_>| panic!("intended"))
     }
 }
 
