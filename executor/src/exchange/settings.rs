@@ -20,7 +20,7 @@ use crate::{
 /// modules.
 #[derive(Default)]
 pub(crate) struct Settings {
-    /// Commands of other threads and of detached modules; the latter with the module that sent them.
+    /// Pending commands, each with the module that sent it; `None` for another thread.
     commands: Vec<(Option<ModuleId>, Command)>,
     /// The settings of detached modules, as of their last runs.
     detached: HashMap<ModuleId, Vec<SettingInfo>>,

@@ -309,7 +309,7 @@ fn subscriber(module: ModuleId) -> Subscriber {
 }
 
 impl<M: Module> Setup<'_, M> {
-    /// The topics that the core has so far.
+    /// The topics that have been declared so far.
     pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
         let topics = self.host.look(MESSAGES).and_then(|view| view.downcast_ref::<Topics>());
         topics.into_iter().flat_map(Topics::infos)

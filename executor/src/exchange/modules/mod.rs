@@ -23,7 +23,7 @@ use crate::{
 /// those of other threads before those of modules.
 #[derive(Default)]
 pub(crate) struct Modules {
-    /// Commands of other threads, and those of removed and detached modules with the module that sent them.
+    /// Pending commands, each with the module that sent it; `None` for another thread.
     commands: Vec<(Option<ModuleId>, Command)>,
 }
 
