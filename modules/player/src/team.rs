@@ -10,7 +10,7 @@
 //! | `team_messages` (in) | `football_interfaces/TeamMessage` | messages of mates, from the radio or a simulated match |
 //! | `team_status` | `football_interfaces/TeamMessage` | messages of this player, `rate` times a second, within the budget |
 //! | `team/ball` | `soccer_model_msgs/Ball` | in `map`: the player's own ball at once while it is certain; otherwise the ball of the team, ten times a second |
-//! | `team/robots` | `soccer_model_msgs/RobotArray` | in `map`: mates with their numbers at their reported positions, and all robots seen by any player; for each message on `robots`, and five times a second without such messages |
+//! | `team/robots` | `soccer_model_msgs/RobotArray` | in `map`: mates with their numbers at their reported positions, and all robots seen by any player; for each message on `robots`, and without such messages every 0.4 s |
 //! | `team/report` | `football_interfaces/TeamReport` | the player's own message and the latest of each mate, five times a second; for the choice of roles |
 //! | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | the numbers of sent messages, and of refused ones by reason; at most once a second, after a change |
 //!
