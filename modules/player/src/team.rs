@@ -292,7 +292,7 @@ impl Team {
             before.is_none_or(|before| !before.iter().filter(is_news).eq(values.iter().filter(is_news)));
         if has_changed {
             let any = values.iter().any(|value| value.key.starts_with("refused"));
-            let message = if any { "some team messages were refused" } else { "receives team messages" };
+            let message = if any { "some team messages were refused" } else { "hears its team" };
             let status = DiagnosticStatus {
                 level: if any { DiagnosticStatus::WARN } else { DiagnosticStatus::OK },
                 name: format!("{}: team messages", ctx.module_name()),
