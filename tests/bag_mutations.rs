@@ -1,7 +1,7 @@
 //! Every command on damaged bags: it exits with 0 only if its result is whole.
 //!
-//! Each mutation depends only on the bag and its number. `DOWNBEAT_BAG_MUTATIONS=500` sets how many there are of each
-//! bag and includes the large bags; `cargo xtask bags` does that.
+//! Each mutation depends only on the bag and its number. `DOWNBEAT_BAG_MUTATIONS=500` sets how many there are
+//! of each bag and includes the large bags; `cargo xtask bags` does that.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -114,7 +114,7 @@ fn commands_on_a_damaged_bag_exit_with_0_only_if_their_result_is_whole() {
     assert!(failures.is_empty(), "{} failures:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// How often commands exited with 0, and the number of messages that `repair` carried over.
+/// The number of commands that exited with 0, and of messages that `repair` recovered.
 #[derive(Debug, Default)]
 struct Tally {
     check: usize,

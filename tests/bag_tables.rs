@@ -148,7 +148,7 @@ fn foreign(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bags").join(name).with_extension("mcap")
 }
 
-/// The rows of the only topic, exported as JSON lines, and what was logged.
+/// The rows of the only topic, exported as JSON lines, and the log output.
 fn exported(bag: &Path, folder: &Path) -> (Vec<serde_json::Value>, String) {
     let output = folder.join("exported");
     let done = output_of(&["bag", "export", text(bag), "--force", "-f", "jsonl", "-o", text(&output)]);

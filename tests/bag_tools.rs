@@ -269,7 +269,7 @@ fn a_flipped_bit_in_a_recording_costs_at_most_a_message_and_is_told() {
     assert!(printed.contains("messages are read"), "{printed}");
     assert!(count(&repaired) >= expected - 1, "{} of {expected}", count(&repaired));
     assert!(text_of(&["bag", "check", text(&repaired)]).contains("found 0 problems"));
-    // All others process it too, and say so.
+    // All other commands process it too, and report the damage.
     let converted = folder.path().join("converted");
     let output = output_of(&["bag", "convert", text(&damaged), "--output", text(&converted)]);
     assert_eq!(output.status.code(), Some(1));

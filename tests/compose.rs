@@ -95,8 +95,8 @@ fn an_editor_asks_by_lines() {
     assert!(text.contains("[[module]]\nname = \"imu_filter\"\nkind = \"imu_filter\""), "{text}");
 }
 
-/// A user composes a robot from nothing in a browser, checks, saves, runs, records and looks at it. Needs node modules and a
-/// browser, named by the variables `DOWNBEAT_NODE_MODULES` and `DOWNBEAT_CHROMIUM`.
+/// A user composes a robot from scratch in a browser, and checks, saves, runs, records and inspects it. Needs
+/// node modules and a browser, named by the variables `DOWNBEAT_NODE_MODULES` and `DOWNBEAT_CHROMIUM`.
 #[test]
 fn a_robot_is_composed_in_a_browser() {
     let Some(mut script) = script("compose.mjs") else { return };
@@ -105,7 +105,8 @@ fn a_robot_is_composed_in_a_browser() {
     assert!(status.success());
 }
 
-/// A page that was opened elsewhere and knows the token can neither edit the robot nor run it: browsers say where a page comes from.
+/// A foreign page that knows the token can neither edit nor run the robot, because browsers report the origin
+/// of a page.
 #[test]
 fn a_hostile_page_with_the_token_reaches_no_editor() {
     let folder = tempfile::tempdir().unwrap();
@@ -133,15 +134,15 @@ fn a_hostile_page_with_the_token_reaches_no_editor() {
         (address.to_owned(), "Origin: https://evil.example\r\n".to_owned(), "403"),
         (address.to_owned(), "Origin: http://evil.example\r\n".to_owned(), "403"),
         (address.to_owned(), "Origin: null\r\n".to_owned(), "403"),
-        // Another server of this machine.
+        // Another server on this machine.
         (address.to_owned(), "Origin: http://127.0.0.1:1\r\n".to_owned(), "403"),
         (address.to_owned(), format!("Origin: http://localhost:{port}\r\n"), "403"),
-        // A name that an attacker lets lead to this machine.
+        // A name that an attacker resolves to this machine.
         (format!("evil.example:{port}"), format!("Origin: http://evil.example:{port}\r\n"), "421"),
     ] {
         assert_eq!(ask("GET", &host, &origin), expected, "{host}, {origin}");
     }
-    // A form needs no script and is sent to any server.
+    // A form needs no script and can be sent to any server.
     assert_eq!(ask("POST", address, "Origin: https://evil.example\r\n"), "405");
     assert!(!path.exists());
     editor.interrupt();

@@ -1,5 +1,5 @@
-//! Controllers of an emulated Darwin OP, used by others: rclpy publishes a trajectory, a participant of Cyclone DDS reads
-//! the state (no wheel has `control_msgs`), and the action is served.
+//! Controllers of an emulated Darwin OP with ROS 2 peers: rclpy publishes a trajectory, a participant of
+//! Cyclone DDS reads the state (no wheel has `control_msgs`), and the action is served.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -82,8 +82,8 @@ fn controllers_are_switched_and_chained_as_the_page_says() {
     for line in &lines[1..3] {
         assert!(said(line).contains("successful"), "{line}\n{}", robot.output());
     }
-    // Until the publisher is matched, a command passes by.
-    wait_until("the head is where it was sent by hand", || {
+    // A command sent before the publisher is matched is lost.
+    wait_until("the head has reached the commanded position", || {
         let published = said(lines[3]);
         assert!(published.contains("publishing"), "{published}");
         let state = said("topic echo --once /joint_states --full-length");
@@ -115,7 +115,7 @@ fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
     );
     let mut position_of_pan = |bound: &dyn Fn(f64) -> bool| {
         let mut last = Value::Null;
-        wait_until("the state has the head where it is to be", || {
+        wait_until("the state shows the head at its goal", || {
             for heard in cyclone.ask(json!({"do": "take", "topic": state})).as_array().unwrap() {
                 last = heard["fields"].clone();
             }

@@ -1,5 +1,6 @@
 //! Tests the pages for users: runs every command in `sh` blocks and transcripts, and reads every robot file,
-//! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests (`src/lib.rs`).
+//! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests
+//! (`src/lib.rs`).
 //!
 //! A `ros2` command is replaced by the `downbeat` command with the same arguments.
 #![allow(clippy::unwrap_used, missing_docs)]
@@ -85,7 +86,7 @@ const ENDLESS: [&[&str]; 11] = [
 const NEEDS_ROBOT: [&str; 10] =
     ["top", "trace", "expose", "topic", "node", "service", "param", "action", "lifecycle", "ros2"];
 
-/// What commands name that need the walking robot.
+/// Words of commands that need the walking robot.
 const WALKS: [&str; 6] = ["/cmd_vel", "/push", "/motions/", "/odom", "/simulator/", "gait"];
 
 /// A servo that was never configured.
@@ -197,11 +198,11 @@ fn every_robot_file_on_a_page_is_read() {
             file.push_str("\n[[module]]\nkind = \"stand_nod_wave\"\n");
         }
         std::fs::write(folder.path().join("params.yaml"), "/**:\n  ros__parameters: {}\n").unwrap();
-        // What `[[include]]` names.
+        // The file that `[[include]]` names.
         let included = "[robot]\nname = \"player\"\n[[module]]\nname = \"hardware\"\nkind = \"darwin_op\"\n";
         std::fs::create_dir(folder.path().join("football")).unwrap();
         std::fs::write(folder.path().join("football/player.toml"), included).unwrap();
-        // What `interfaces` names.
+        // The folder that `interfaces` names.
         let services = folder.path().join("src/site_msgs/srv");
         std::fs::create_dir_all(&services).unwrap();
         std::fs::write(services.join("Level.srv"), "float64 angle\n---\nbool is_level\n").unwrap();
@@ -246,7 +247,7 @@ fn the_names_of_robotis_can_be_exposed() {
 #[test]
 fn every_command_on_a_page_runs() {
     let place = Place::new();
-    // With whether it walks.
+    // The running robot, and whether it is the walking one.
     let mut robot: Option<(bool, Running)> = None;
     let mut servo: Option<Running> = None;
     let mut done = BTreeSet::new();
@@ -266,7 +267,7 @@ fn every_command_on_a_page_runs() {
         }
         let rewritten = if command.starts_with("downbeat servo ") {
             servo.get_or_insert_with(|| place.start_servo());
-            // Answers on a busy machine are late.
+            // Answers may be late on a busy machine.
             rewritten.replace("/dev/ttyUSB0", "ttyUSB0 --timeout-ms 200")
         } else {
             rewritten
@@ -300,7 +301,7 @@ fn every_command_on_a_page_runs() {
     assert!(done.len() > 20, "only {} commands were found", done.len());
 }
 
-/// A folder with the files that the commands of the pages name.
+/// A folder with the files that the commands of the pages use.
 struct Place {
     folder: PathBuf,
     _temporary: tempfile::TempDir,
@@ -312,7 +313,7 @@ impl Place {
         let temporary = tempfile::tempdir().unwrap();
         let folder = temporary.path().to_owned();
         std::fs::create_dir(folder.join("robots")).unwrap();
-        // One of the pages changes what is exposed with the service, another one switches the torque.
+        // One page changes the exposed endpoints with this service, another one switches the torque.
         let exposed = "[expose]\nexpose_service = true\nservices = [\"torque\"]\n";
         let demo = robot_file(&folder, |text| text.replace("[expose]\n", exposed));
         std::fs::create_dir(folder.join("robots/servos")).unwrap();
@@ -407,7 +408,7 @@ impl Place {
         if is_endless {
             let started = Instant::now();
             while running.output().is_empty() && running.is_running() {
-                assert!(started.elapsed() < WATCHDOG, "{page}: `{command}` says nothing");
+                assert!(started.elapsed() < WATCHDOG, "{page}: `{command}` prints nothing");
                 std::thread::sleep(Duration::from_millis(20));
             }
             if running.is_running() {

@@ -1,4 +1,5 @@
-//! What a robot exposes to ROS 2, seen from real rclpy: names, nodes, QoS, rates, and changes while it runs.
+//! The endpoints that a robot exposes to ROS 2, observed by real rclpy: names, nodes, QoS, rates, and changes
+//! at run time.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -1,8 +1,9 @@
-//! The first hour of a new user: the commands of the README and of projects, as they stand there, in an empty home directory. What
-//! each step compiles is counted; how long it takes is printed.
+//! The first hour of a new user: the commands of the README and of projects, taken from their text, in an
+//! empty home directory. The packages that each step compiles are counted; the durations are printed.
 //!
-//! Commands run without `--release`, whose first build takes minutes of processor time more; what is shared between the checkout and
-//! projects is the same. Other commands of the pages are run by `tests/docs.rs`, those for Python by `python/tests/`.
+//! Commands run without `--release`, whose first build takes minutes more of processor time; checkout and
+//! projects share the same packages. Other commands of the pages are run by `tests/docs.rs`, those for Python
+//! by `python/tests/`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -19,9 +20,10 @@ struct User {
     home: PathBuf,
     /// The working directory.
     folder: PathBuf,
-    /// Where cargo puts what others need while it compiles.
+    /// The folder of cargo's shared intermediate files.
     build: PathBuf,
-    /// Where it puts programs. Those of the tests have other features, and are not to be replaced.
+    /// The target folder of the programs. It differs from that of the tests, whose programs have other
+    /// features.
     target: PathBuf,
     seconds: Vec<(String, f64, Vec<String>)>,
 }
@@ -38,7 +40,8 @@ impl User {
         Self { home, folder: CHECKOUT.into(), build, target: folder.join("programs"), seconds: Vec::new() }
     }
 
-    /// Runs a line of a page in a shell, which must succeed. Returns what it prints, and the packages that were compiled.
+    /// Runs a line of a page in a shell, which must succeed. Returns its output, and the packages that were
+    /// compiled.
     fn types(&mut self, line: &str) -> (String, Vec<String>) {
         let began = Instant::now();
         let typed = line
@@ -61,7 +64,7 @@ impl User {
         shell.env("CARGO_TARGET_DIR", &self.target).env("CARGO_BUILD_BUILD_DIR", &self.build);
         shell.env("PATH", path).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", "195");
         shell.env_remove("DOWNBEAT_LOG");
-        // Of the cargo that runs this test: a shell of a user has none of it.
+        // Variables of the cargo that runs this test, which a user's shell does not have.
         for (variable, _) in std::env::vars().filter(|(name, _)| name.starts_with("CARGO_PKG_")) {
             shell.env_remove(variable);
         }
@@ -86,7 +89,7 @@ impl User {
         self.folder = self.home.join(name);
     }
 
-    /// Makes a project and moves there.
+    /// Creates a project and makes it the working directory.
     fn begins(&mut self, name: &str, template: &str) {
         self.folder = self.home.clone();
         let (next, _) = self.types(&format!("downbeat new {name} --template {template}"));
@@ -134,7 +137,7 @@ fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
     let (text, compiled) = user.types(test);
     assert_eq!(compiled, ["my_robot"], "{text}");
     assert!(text.contains("2 passed"), "{text}");
-    // Of its README.
+    // From the project's README.
     let (text, _) = user.types("cargo run -- check robot.toml -p level_head.gain:=1");
     assert!(text.contains("level_head_msgs/msg/HeadTilt") && text.contains("gain = 1"), "{text}");
     let (text, _) = user
@@ -189,7 +192,7 @@ fn modules_in_cpp_are_built_run_and_replayed() {
     if has("cmake") {
         user.types("cmake -B build && cmake --build build && ctest --test-dir build --output-on-failure");
     } else {
-        // What its CMakeLists.txt does.
+        // The commands of the project's CMakeLists.txt.
         user.types("downbeat interface generate --lang cpp --out build/include sensor_msgs/msg/Imu sensor_msgs/msg/JointState");
         for module in ["level_head", "simulated_imu"] {
             let flags = "-std=c++17 -O2 -shared -fPIC -Wall -Wextra -Werror -isystem build/include";

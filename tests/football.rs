@@ -13,12 +13,12 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 
-/// Plays a part of the match and returns what was printed.
+/// Plays a part of the match and returns its output.
 fn play(bag: &Path, more: &[&str]) -> String {
     play_file("robots/match.toml", "3s", "219", bag, more)
 }
 
-/// Tests run at the same time: each has a domain of its own.
+/// As `play`, with a separate domain for each test, because tests run at the same time.
 fn play_file(file: &str, duration: &str, domain: &str, bag: &Path, more: &[&str]) -> String {
     let line = ["match", file, "--fast", "--duration", duration, "--domain", domain, "--record"];
     let mut command = downbeat(&line);
@@ -27,7 +27,7 @@ fn play_file(file: &str, duration: &str, domain: &str, bag: &Path, more: &[&str]
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Whether two bags have the same messages, but for what the process says of itself.
+/// True if two bags have the same messages, except for the diagnostics of the process.
 fn are_same(one: &Path, other: &Path) -> bool {
     let diff = ["bag", "diff", "--ignore", "diagnostics", one.to_str().unwrap(), other.to_str().unwrap()];
     downbeat(&diff).output().unwrap().status.success()
@@ -124,7 +124,7 @@ fn a_player_that_sees_is_replayed_bit_for_bit() {
             assert!(replay.contains(topic), "{topic}: {replay}");
         }
     }
-    // It knows where it is, and it stands still until play begins.
+    // The player is localised, and stands still until play begins.
     let reader = Reader::open(&bag).unwrap();
     let topic = reader.topic("/blue_2/pose").unwrap();
     let last = reader.messages(Selection::all().topics([topic])).unwrap().last().unwrap().unwrap();
@@ -132,7 +132,7 @@ fn a_player_that_sees_is_replayed_bit_for_bit() {
     let at = pose.pose.pose.position;
     assert!((at.x + 0.9).abs() < 0.2 && at.y.abs() < 0.2, "{at:?}");
 
-    // A picture of the bag teaches the carpet's colour.
+    // A picture of the bag is used to learn the colour of the carpet.
     let marks = folder.path().join("marks.toml");
     let text = "[[picture]]\nbag = \"bag\"\ntopic = \"blue_2/camera/image_raw\"\nat = 1.0\ngreen = [[160, 200, 6]]\n";
     std::fs::write(&marks, text).unwrap();
@@ -143,7 +143,7 @@ fn a_player_that_sees_is_replayed_bit_for_bit() {
     assert_eq!(colours.white, downbeat_vision::Colours::default().white);
 }
 
-/// Eyes in a world without a referee, whose pictures come from a job of the simulator.
+/// A robot with vision in a world without a referee; its pictures come from a job of the simulator.
 const EYES: &str = r#"
 [robot]
 name = "eyes"
@@ -202,7 +202,7 @@ fn teams_that_see_are_replayed_bit_for_bit() {
             assert!(replay.contains(topic), "{topic}: {replay}");
         }
     }
-    // Each hears its mate, under its number.
+    // Each player receives the messages of its mate, under the mate's number.
     let reader = downbeat::bags::Reader::open(&bag).unwrap();
     for (name, mate) in [("blue_1", 2), ("blue_2", 1), ("red_1", 2), ("red_2", 1)] {
         let topic = reader.topic(&format!("/{name}/team_messages")).unwrap();
@@ -231,7 +231,7 @@ fn colours_are_learned_from_the_marks_of_the_page() {
     let output = calibrate(marks, &["--pictures", "seen"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let colours = downbeat_vision::Colours::read(&folder.path().join("colours.toml")).unwrap();
-    // Of the carpet, and of the ball.
+    // The colours of the carpet and of the ball.
     assert_eq!(colours.class_of([20, 140, 80]), downbeat_vision::Class::Green);
     assert!(std::fs::read(folder.path().join("seen/classes_1.png")).unwrap().starts_with(b"\x89PNG"));
     for (changed, problem) in [

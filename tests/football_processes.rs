@@ -1,4 +1,4 @@
-//! `downbeat match --processes`, on the command line. Nothing here depends on how fast the machine is.
+//! `downbeat match --processes`, on the command line. No assertion depends on the speed of the machine.
 #![cfg(feature = "football")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -10,7 +10,7 @@ use downbeat::msgs::cdr;
 use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
 use std::path::{Path, PathBuf};
 
-/// A match of players that see.
+/// A match of players with vision.
 fn file(folder: &Path, robots: &[&str]) -> PathBuf {
     let player = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/football/seeing_player.toml");
     let mut text = format!(
@@ -28,7 +28,7 @@ fn file(folder: &Path, robots: &[&str]) -> PathBuf {
     path
 }
 
-/// What the match prints about a robot: its domain and its process.
+/// The domain and the process of a robot, from the output of the match.
 fn domain_and_process(game: &Running, robot: &str) -> (String, String) {
     game.wait_for_output(&format!("{robot}  domain "));
     let output = game.output();
@@ -37,13 +37,13 @@ fn domain_and_process(game: &Running, robot: &str) -> (String, String) {
     (words[2].to_owned(), words[4].to_owned())
 }
 
-/// Whether the process is there and has not ended.
+/// True if the process exists and has not ended.
 fn is_running(process: &str) -> bool {
     let state = std::fs::read_to_string(Path::new("/proc").join(process).join("stat"));
     state.is_ok_and(|state| !state.contains(") Z "))
 }
 
-/// The next message of a topic, when there is one.
+/// The next message of a topic.
 fn message_of(topic: &str, domain: &str) -> String {
     let mut message = String::new();
     wait_until(&format!("{topic} has a message"), || {
@@ -65,20 +65,20 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
     let (second, second_process) = domain_and_process(&game, "blue_2");
     assert_eq!((&*first, &*second), ("52", "53"));
 
-    // The referee is heard and answered, by datagrams.
+    // Players receive the referee's datagrams and answer them.
     game.wait_for_output("blue_1 answers the referee");
     game.wait_for_output("blue_2 answers the referee");
     let heard = message_of("/blue_2/game_state", &second);
     for line in ["own_team: 1\n", "player: 2\n", "is_goalkeeper: false\n", "is_first_half: true\n"] {
         assert!(heard.contains(line), "{line}: {heard}");
     }
-    // Pictures arrive, and nothing else does.
+    // Players receive pictures, and no other simulated data.
     assert!(message_of("/blue_1/pose", &first).contains("frame_id: map"));
     let topics = text_of(&["topic", "list", "--domain", &first]);
     assert!(topics.contains("/blue_1/camera/image_raw"), "{topics}");
     assert!(!topics.contains("ground_truth") && !topics.contains("blue_2"), "{topics}");
 
-    // What one says to its team, the other hears.
+    // The messages of one player arrive at the other.
     let told = message_of("/blue_1/team_messages", &first);
     assert!(told.contains("player: 2\n"), "{told}");
 
@@ -93,7 +93,7 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
 
     let reader = Reader::open(bags.join("blue_1")).unwrap();
     let topic = reader.topic("/blue_1/pose").unwrap();
-    // Its first belief, before anybody could push it.
+    // The first belief, before another robot could push the player.
     let first = reader.messages(Selection::all().topics([topic])).unwrap().next().unwrap().unwrap();
     let at = cdr::from_slice::<PoseWithCovarianceStamped>(&first.data).unwrap().pose.pose.position;
     assert!((at.x + 2.7).abs() < 0.3 && at.y.abs() < 0.3, "{at:?}");

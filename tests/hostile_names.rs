@@ -1,4 +1,4 @@
-//! Peers whose names and data hold control characters, or are no text: nothing of that reaches a terminal.
+//! Peers whose names and data hold control characters or invalid text: none of it reaches a terminal.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -17,7 +17,8 @@ use downbeat_rtps::{Options, Participant, Range};
 const DOMAIN: u16 = 156;
 const STRING: &str = "std_msgs::msg::dds_::String_";
 
-/// Clears the screen, colors, moves, rings, turns text around, and looks like another line.
+/// Clears the screen, sets colours, moves the cursor, rings the bell, reverses text, and imitates another
+/// line.
 const EVIL: &str = "\x1b[2J\u{9b}31m\u{7}\r\u{202e}\nfake line";
 
 const ROBOT: &str = r#"
@@ -33,7 +34,7 @@ kind = "joint_command_mux"
 in = ["joint_commands"]
 "#;
 
-/// A participant that announces such names wherever there are names.
+/// A participant that announces such names wherever names are possible.
 fn hostile() -> (Participant, Vec<downbeat_rtps::Writer>) {
     let mut options = Options::new(DOMAIN, Range::Localhost);
     options.name = EVIL.to_owned();

@@ -230,7 +230,7 @@ fn two_packages_of_one_name_are_reported_with_both_places() {
     };
     package("ours/group/lab_msgs", "float64 angle\n");
     package("theirs/lab_msgs", "float32 angle\n");
-    // What `generate` wrote is no package.
+    // The output of `generate` is not a package.
     std::fs::create_dir_all(folder.path().join("ours/include/lab_msgs/msg")).unwrap();
     std::fs::write(folder.path().join("ours/include/lab_msgs/msg/tilt.hpp"), "").unwrap();
     package("both/first/lab_msgs", "float64 angle\n");

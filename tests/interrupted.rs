@@ -1,4 +1,4 @@
-//! What is interrupted: output that nobody reads, commands that process bags, charts that compute for long.
+//! Interruption of commands: with unread output, while processing bags, and while a state chart computes.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -18,7 +18,7 @@ use rustix::process::Signal;
 
 type Pipe = Box<dyn Read + Send>;
 
-/// Starts a command whose output nobody reads: it stays in pipes, or before a terminal that was halted with Ctrl-S.
+/// Starts a command with unread output, in pipes or on a terminal that was halted with Ctrl-S.
 fn start_unread(mut command: Command, is_on_terminal: bool) -> (Program, Vec<Pipe>) {
     if is_on_terminal {
         let program = Program::start_on_terminal(&command);
@@ -101,7 +101,7 @@ fn a_command_whose_output_is_halted_ends_at_the_first_request() {
     let _talker = Program::start(command(&talker, domain, folder));
     let echo = command(&["topic", "echo", "/chatter", "std_msgs/msg/String"], domain, folder);
     let (mut program, _pipes) = start_unread(echo, false);
-    // Nothing more is written.
+    // The program writes nothing more.
     let (mut before, mut since) = (0, Instant::now());
     wait_until("it waits for its output", || {
         let written = written_by(program.child.id());
@@ -201,7 +201,7 @@ fn an_interrupted_command_leaves_nothing_that_looks_whole() {
     }
     assert!(contents() == before);
 
-    // What a killed one leaves is named as unfinished.
+    // The output of a killed command is named as unfinished.
     for arguments in &commands[1..5] {
         let mut program = begun(arguments);
         program.signal(Signal::KILL);
@@ -220,7 +220,7 @@ fn an_interrupted_command_leaves_nothing_that_looks_whole() {
     assert!(!unfinished.exists());
     assert_eq!(Reader::open(&output).unwrap().message_count(), MESSAGES);
 
-    // What is to be replaced stays until it is.
+    // A file to be replaced stays until it is replaced.
     let mut program = begun(&forced);
     program.signal(Signal::INT);
     assert_eq!(program.wait().code(), Some(130));
@@ -249,7 +249,7 @@ fn a_chart_that_computes_for_long_is_interrupted_by_a_stop() {
 "#;
     let file = robot_with_chart(folder.path(), chart);
     let mut program = Program::start(command(&["run", &file], 155, folder.path()));
-    // It computes nearly all the time: each event takes as long as it may.
+    // The chart computes nearly all the time: each event takes up to its time limit.
     program.wait_for_output("takes longer than 500ms");
     std::thread::sleep(Duration::from_millis(100));
     program.signal(Signal::INT);

@@ -1,4 +1,4 @@
-//! Sensors that Linux serves as devices, emulated in a robot: recorded, and replayed without them.
+//! Emulated sensors on Linux device interfaces: recorded, and replayed without the devices.
 #![cfg(feature = "sensors")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -25,7 +25,7 @@ fn replayed(robot: &Path, bag: &Path) -> Value {
     serde_json::from_str(&report).unwrap()
 }
 
-/// All of these topics were compared, and equal.
+/// Asserts that all topics were compared and are equal.
 fn assert_compared(report: &Value) {
     let topics = report["topics"].as_array().unwrap();
     for name in [
@@ -51,7 +51,7 @@ fn a_robot_with_emulated_devices_is_recorded_and_replayed_bit_for_bit() {
     }
     let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
     record_until(&["bag", "record", "--robot", text(&robot), "--output", text(&bag)], &bag, "/image_raw", 10);
-    // The devices are gone; the recording answers.
+    // The devices are removed; the recording supplies their data.
     fs::write(folder.path().join("drive.events"), "").unwrap();
     fs::write(folder.path().join("drive.log"), "").unwrap();
     assert_compared(&replayed(&robot, &bag));

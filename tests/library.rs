@@ -1,4 +1,5 @@
-//! Modules in libraries, by robot files: on the network, recorded and replayed. Skipped on machines without a compiler.
+//! Modules from libraries, loaded by robot files: on the network, recorded and replayed. Skipped on machines
+//! without a compiler.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -59,7 +60,7 @@ fn the_page_leads_to_a_module_on_the_network() {
     let data = publish[1];
     let mut publish: Vec<&str> = publish[0].split_whitespace().skip(1).collect();
     publish.push(data);
-    // The page's reader starts `echo` first; until it is matched, a number passes it by.
+    // `echo` is started first, as on the page; numbers published before it is matched are lost.
     while echo.is_running() {
         assert!(command(&publish).output().unwrap().status.success(), "{}", robot.output());
     }
@@ -117,7 +118,7 @@ fn the_action_in_c_of_the_page_is_an_action() {
     robot.interrupt();
 }
 
-/// Publishes a sum over time, with rounding errors that repeat only if everything does.
+/// Publishes a sum over time, whose rounding errors repeat only if all inputs and times do.
 const SUMS: &str = r#"
 #include "downbeat.hpp"
 #include "std_msgs/msg/float64.hpp"
@@ -154,7 +155,8 @@ fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
             &format!("c++ -std=c++17 -DSTEP={step} -shared -fPIC -Iinclude sums.cpp -o libsums.so"),
         );
     };
-    // A detached module is replayed apart from what it publishes itself.
+    // The first two subscribe to their own messages. The detached module does not, because it is replayed
+    // separately from its own messages.
     let modules = [
         ("remap = { input = \"sum\" }\n", "in"),
         ("remap = { input = \"sum\" }\nisolate = true\n", "isolated"),

@@ -49,7 +49,11 @@ fn the_log_file_is_in_ros_log_dir() {
     let (_, _, error) = run_with(&[("ROS_LOG_DIR", logs.to_str().unwrap())]);
     let file = std::fs::read_dir(&logs).unwrap().next().unwrap().unwrap();
     assert!(file.file_name().to_str().unwrap().starts_with("downbeat_"));
-    assert_eq!(std::fs::read_to_string(file.path()).unwrap(), error, "the file has what the console has");
+    assert_eq!(
+        std::fs::read_to_string(file.path()).unwrap(),
+        error,
+        "the file has the same lines as the console"
+    );
 }
 
 #[test]
@@ -133,7 +137,7 @@ fn rclpy_reads_and_sets_the_levels_of_loggers_of_a_running_robot() {
     assert_eq!(set(&mut peer, 20), accepted);
     expose(&["add", "out", "joint_goals", "--as", "aloud"]);
     let mut lines_seen = Vec::new();
-    wait_until("rclpy receives what is logged at the new level", || {
+    wait_until("rclpy receives lines of the new level", || {
         let lines = peer.ask(json!({"do": "take", "topic": "/rosout"}));
         lines_seen.extend(lines.as_array().unwrap().iter().map(|line| line["fields"]["msg"].to_string()));
         lines_seen.iter().any(|line| line.contains("/aloud"))

@@ -1,5 +1,5 @@
-//! Extends a project that `downbeat new` creates, as a user does, and tests errors of the library in a user's app. The projects as
-//! they are created are tested by `tests/first_hour.rs`.
+//! Extends a project that `downbeat new` creates, as a user does, and tests errors of the library in a user's
+//! app. The projects as they are created are tested by `tests/first_hour.rs`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -110,7 +110,7 @@ fn a_project_is_not_overwritten_and_its_name_is_checked() {
     assert!(Path::new(path).join("notes").exists());
 }
 
-/// What the program, projects and the wheel share is compiled once only if their manifests say the same.
+/// Code shared by the program, projects and the wheel is compiled once only if their manifests agree.
 #[test]
 fn the_program_projects_and_the_wheel_have_the_same_features_and_profiles() {
     let table = |path: &str| -> toml::Table {
@@ -128,7 +128,7 @@ fn the_program_projects_and_the_wheel_have_the_same_features_and_profiles() {
         assert_eq!(downbeat["profile"]["release"][key], config["profile"]["release"][key], "{key}");
     }
     let [mut python, wheel] = ["python/Cargo.toml", "start/program/wheel/Cargo.toml"].map(table);
-    // Of the tests of the wheel alone.
+    // A feature for the tests of the wheel only.
     python["features"].as_table_mut().unwrap().remove("as_tested");
     python["dependencies"].as_table_mut().unwrap().remove("shared-build");
     assert_eq!(python["features"], wheel["features"]);

@@ -199,7 +199,7 @@ fn topics_services_and_actions_of_a_users_package_pass_in_both_directions() {
         assert_eq!(endpoint.unwrap().type_hash.as_deref(), Some(hash), "{topic}");
     }
 
-    // A service of the module, and one that it calls.
+    // A service of the module, and a service that it calls.
     let level = script.client::<Level>("/level", QosProfile::SERVICES).unwrap();
     assert!(level.wait_for_service(WATCHDOG));
     assert!(level.call_and_wait(&LevelRequest::default(), WATCHDOG).unwrap().is_level);
@@ -222,7 +222,7 @@ fn topics_services_and_actions_of_a_users_package_pass_in_both_directions() {
     let (status, result) = Lean::result_of(result.call_and_wait(&asked, WATCHDOG).unwrap());
     assert_eq!((status, result.reached), (4, tilt(0.75)), "succeeded");
 
-    // What the robot's node answers about its types.
+    // The answers of the robot's node about its types.
     let topic = script.topic_name("/tilt").unwrap();
     let described = script.describe(&topic, &tilt_type, WATCHDOG).unwrap();
     assert_eq!(described.hash, Tilt::TYPE_HASH);
@@ -285,7 +285,7 @@ fn a_robot_with_them_replays() {
     for step in 0..3 {
         inlet.publish(tilt(f64::from(step))).unwrap();
     }
-    // This request is after them in the queue of the core.
+    // This request comes after those messages in the queue of the core.
     running.core().topics().wait(WATCHDOG).unwrap();
     running.stop().unwrap();
 

@@ -1,5 +1,6 @@
-//! Services of a user's own in libraries, defined in a folder only: served in C, C++ and Rust, called from each other and with
-//! `downbeat service call`, recorded and replayed. Skipped on machines without a compiler.
+//! User-defined services in libraries, defined only by files in a folder: served in C, C++ and Rust, called
+//! from each other and with `downbeat service call`, recorded and replayed. Skipped on machines without a
+//! compiler.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -38,7 +39,7 @@ fn write(folder: &Path, name: &str, text: &str) {
 const TILT: &str = "std_msgs/Header header\nfloat64 angle\n";
 const LEVEL: &str = "# Whether a tilt is level.\nTilt tilt\n---\nbool is_level\nstring why\n";
 
-/// Serves `level` and the action `turn`; publishes what it was asked last.
+/// Serves `level` and the action `turn`; publishes its latest request.
 const SPIRIT: &str = r#"
 #include "downbeat.hpp"
 #include "lab_msgs/msg/tilt.hpp"
@@ -70,7 +71,7 @@ class Spirit : public downbeat::Module {
 DOWNBEAT_MODULE(Spirit)
 "#;
 
-/// Asks `level` for growing tilts, and publishes whether the answer was good.
+/// Calls `level` with growing tilts, and publishes whether the answer was good.
 const MASON: &str = r#"
 #include "downbeat.h"
 #include "lab_msgs/srv/level.h"
@@ -173,7 +174,7 @@ fn site() -> Option<tempfile::TempDir> {
         path,
         "cc -std=c11 -Wall -Wextra -Wpedantic -Werror -O1 -shared -fPIC -Ic_include mason.c -o libmason.so",
     );
-    // From now on the libraries alone know it.
+    // From now on, only the libraries contain the definitions.
     std::fs::rename(path.join("lab_msgs"), path.join("lab_msgs_of_the_author")).unwrap();
     Some(folder)
 }
@@ -198,7 +199,7 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
     let mut robot =
         Running::start_by(&mut command(folder, "129", &["run", "robot.toml", "--record", "morning"]));
     robot.wait_for_output("exposed to ROS 2: /asked");
-    // Its definition comes from the node.
+    // The call takes the definition from the node.
     let call = [
         "service",
         "call",
@@ -233,7 +234,7 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
     };
     let (is_same, said) = replay();
     assert!(is_same && said.contains("/asked ") && !said.contains("unknown message type"), "{said}");
-    // Another answer makes another run.
+    // A changed answer changes the run.
     write(folder, "spirit.cpp", &SPIRIT.replace("< 0.1", "< 0.2"));
     shell(folder, "c++ -std=c++17 -shared -fPIC -Icpp_include spirit.cpp -o libspirit.so");
     assert!(!replay().0);
@@ -293,7 +294,7 @@ fn another_definition_of_the_same_name_is_refused_with_both_sides() {
     for words in ["spirit", "lab_msgs/srv/Level", "RIHS01_", "ours", "build it again"] {
         assert!(said.contains(words), "{words}\n{said}");
     }
-    // The folder itself, with the line of the robot file.
+    // Errors of the folder itself name the line of the robot file.
     for (interfaces, words) in [
         ("[\"nowhere\"]", "nowhere"),
         ("[\"ours\", \"theirs\"]", "is already defined, differently"),
@@ -505,7 +506,7 @@ const downbeat_module_v1 *downbeat_module(void) {
 }
 "#;
 
-/// The asker in C, which cancels each goal of the angle 3 when it hears of it.
+/// The asker in C, which cancels each goal with the angle 3 after its first feedback.
 const ASKER_C: &str = r#"
 #include "lab_msgs/action/turn.h"
 #include "std_msgs/msg/float64.h"
@@ -614,7 +615,7 @@ fn libraries_in_c_serve_and_use_an_action_that_only_they_know() {
     assert!(turned.iter().any(|turned| (200.25..202.0).contains(turned)), "{turned:?}");
 }
 
-/// Returns what the asker published.
+/// Returns the messages published by the asker.
 fn serve_and_use_an_action(
     domain: &str,
     language: &str,

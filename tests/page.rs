@@ -34,7 +34,7 @@ fn each_view_shows_true_values_of_a_running_robot_and_changes_it() {
     let file = robot_file(folder.path(), |text| text);
     let domain = DOMAIN.to_string();
     let line = ["run", file.to_str().unwrap(), "--domain", &domain, "--view=0"];
-    // Its recordings and its socket are in the folder.
+    // Recordings and the socket are in the folder.
     let robot =
         Running::start_by(downbeat(&line).current_dir(folder.path()).env("XDG_RUNTIME_DIR", folder.path()));
     script.env("DOWNBEAT_PAGE", page_of(&robot)).env("DOWNBEAT_FOLDER", folder.path());

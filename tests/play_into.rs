@@ -1,4 +1,4 @@
-//! A bag that is played into the modules of a robot: they publish the recorded messages again.
+//! A bag that is played into the modules of a robot: the recorded messages are published again.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! Whatever the handler of a request does in a library in C, C++ or Rust, its client has a response, with the handler's own words where the
-//! type has a field for them: rclpy and `downbeat service call`. Skipped on machines without a compiler, and without rclpy.
+//! A client always receives a response, whatever the handler in a library in C, C++ or Rust does; the
+//! response contains the handler's error text if the type has a field for it. Tested with rclpy and
+//! `downbeat service call`. Skipped on machines without a compiler, and without rclpy.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -112,10 +113,10 @@ const downbeat_module_v1 *downbeat_module(void) {
 }
 "#;
 
-/// What the robot of a library serves, and how its process is to be.
+/// The robot under test: the service or action of its library, and the settings of its process.
 struct Case {
     domain: u16,
-    /// Of `[[module]]`.
+    /// The keys of `[[module]]`.
     keys: String,
     /// An action of the type Fibonacci.
     action: Option<&'static str>,
@@ -181,13 +182,13 @@ fn in_domain(folder: &Path, domain: u16, arguments: &[&str]) -> Command {
     command
 }
 
-/// What a handler does, and what its client has: of rclpy where that is installed, and of the program.
+/// Checks the responses to clients in rclpy, if installed, and in the program.
 fn assert_always_answered(folder: &Path, case: &Case) {
     let robot = robot_of(folder, case);
     let call_by =
         |service: &str| in_domain(folder, case.domain, &["service", "call", service, "std_srvs/srv/Trigger"]);
     let call = |service: &str| text(&call_by(service).output().unwrap());
-    let starts = || robot.output().matches("starts again after its panic").count();
+    let starts = || robot.output().matches("restarted after its panic").count();
     let fails = |fail: &mut dyn FnMut()| {
         let before = starts();
         fail();
@@ -253,7 +254,7 @@ fn assert_rclpy_is_answered(rclpy: &mut Peer, case: &Case, fails: &dyn Fn(&mut d
     fails(&mut || drop(message(rclpy, "/fail")));
     let end = rclpy.ask(json!({"do": "result_of", "goal": goal}));
     assert_eq!(end, json!([6, []]), "it was aborted");
-    // The module that has started again does not know it.
+    // The restarted module does not know the goal.
     assert_eq!(rclpy.ask(json!({"do": "cancel_goal", "goal": goal})), json!([2, []]));
     assert_eq!(rclpy.ask(json!({"do": "result_of", "goal": goal, "anew": true})), json!([0, []]));
 }
@@ -283,7 +284,7 @@ fn a_client_of_a_library_in_c_always_has_an_answer() {
 
 #[test]
 fn a_client_of_a_library_in_rust_always_has_an_answer() {
-    // Cargo builds it for the crate that these tests depend on.
+    // Cargo builds the library, because these tests depend on its crate.
     let library = std::env::current_exe().unwrap().with_file_name("libdownbeat_library_example.so");
     let folder = tempfile::tempdir().unwrap();
     let keys = format!("path = {library:?}");

@@ -1,4 +1,5 @@
-//! Write, save, see: modules whose files change while the robot runs, also after they have stopped; recorded and replayed.
+//! Modules whose files change while the robot runs, also after the modules have stopped; recorded and
+//! replayed.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -11,7 +12,7 @@ use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::ModuleEvent;
 
-/// Publishes sums whose rounding tells versions apart, and raises an exception where it is built to.
+/// Publishes sums whose rounding differs between versions, and throws an exception at a given step.
 const SUMS: &str = r#"
 #include "downbeat.hpp"
 #include "std_msgs/msg/float64.hpp"
@@ -45,7 +46,7 @@ fn has_compiler() -> bool {
     found
 }
 
-/// A folder with a robot.
+/// A folder with a robot file and its modules.
 struct Site {
     folder: tempfile::TempDir,
 }
@@ -65,7 +66,7 @@ impl Site {
         std::fs::write(self.path().join(name), text).unwrap();
     }
 
-    /// Builds the library `libsums.so`, as a linker that writes it beside its place and renames it.
+    /// Builds the library `libsums.so` as linkers do, which write a temporary file and rename it.
     fn build(&self, step: &str, raises_at: i32) {
         if !self.path().join("include").exists() {
             self.write("sums.cpp", SUMS);
@@ -129,7 +130,7 @@ fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay()
         site.build("0.1", 20);
         let first = std::fs::read(site.path().join("libsums.so")).unwrap();
         let mut robot = site.run(&["--record", "bag"], "131");
-        robot.wait_for_output("panicked and is stopped, the others go on: as this test wants it");
+        robot.wait_for_output("panicked and was stopped; the other modules continue: as this test wants it");
         site.build("0.2", -1);
         robot.wait_for_output("libsums.so was saved: it starts again with it");
         site.wait_for_more("/sum");
@@ -147,13 +148,13 @@ fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay()
             assert!(text.contains("libsums.so of sums was saved and taken 2 times"), "{text}");
             assert!(!text.contains("has changed since"), "{text}");
         }
-        // The last version is the file as it is now, unless the recorded one is asked for.
+        // The current file is the last version, unless the recorded one is requested.
         site.build("0.4", -1);
         let (is_same, text) = site.replay("bag", &[]);
         assert!(!is_same && text.contains("the source of sums has changed since the recording"), "{text}");
         site.assert_replays("bag", &["--recorded-sources"]);
 
-        // Without the copies, a version that is found beside the bag does, under another name.
+        // Without the copies, a version found next to the bag is used, under another name.
         site.build("0.3", -1);
         std::fs::remove_dir_all(site.path().join("bag/module_sources")).unwrap();
         let (is_same, text) = site.replay("bag", &[]);
@@ -207,7 +208,7 @@ fn a_robot_starts_without_a_module_whose_file_has_an_error_until_it_is_saved() {
     robot.wait_for_output("player.scxml was saved: it starts again with it");
     robot.interrupt();
 
-    // What the file needs of the module is missing: the error of the module is the reason.
+    // The file is invalid; the error names the cause.
     site.write("player.scxml", "<scxml");
     site.write(
         "robot.toml",
@@ -235,7 +236,7 @@ fn a_library_in_rust_that_panicked_starts_again_when_it_is_saved() {
         "{LIBRARY}remap = {{ sum = \"in\" }}\n[[module]]\nname = \"amplifier\"\nkind = \"library\"\npath = \"libamplifier.so\"\n\
          reload = true\n"
     ));
-    // Its numbers are negative, for which the amplifier panics.
+    // Negative numbers make the amplifier panic.
     site.build("-0.1", -1);
     std::fs::copy(rust_library(), site.path().join("libamplifier.so")).unwrap();
     let mut robot = site.run(&["--record", "bag"], "133");
@@ -287,14 +288,14 @@ fn a_replay_uses_the_recorded_settings_and_says_which_are_others_now() {
     let text = site.assert_replays("bag", &["-p", "player.gain:=0.1"]);
     assert!(!text.contains("player.gain"), "{text}");
 
-    // No longer in the file; and one more, which was a default.
+    // One setting is no longer in the file, and another one replaces a default.
     site.write("robot.toml", &robot.replace("gain = 0.1", "offset = 3.0"));
     let text = site.assert_replays("bag", &[]);
     let told = "player.gain: replayed with 0.1 as recorded; the robot file no longer gives it";
     assert!(text.contains(told), "{text}");
     assert!(text.contains("player.offset: replayed with 0 as recorded; it is 3 now"), "{text}");
 
-    // A bag without settings is replayed with those of the file.
+    // A bag without settings is replayed with the settings of the robot file.
     let metadata = site.path().join("bag/metadata.yaml");
     let text = std::fs::read_to_string(&metadata).unwrap();
     assert!(text.contains("module_settings:"), "{text}");

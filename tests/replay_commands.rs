@@ -503,8 +503,8 @@ fn on_loopback(domain_id: u16) -> ParticipantOptions {
     ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain_id) }
 }
 
-/// Runs and records the robot with its node in a domain until `command` returns, which commands it from
-/// there.
+/// Runs and records the robot with its node in a domain, until `command`, which sends commands from another
+/// node, returns.
 fn recorded_in_domain(domain: u16, command: impl FnOnce()) -> Recorded {
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));

@@ -1,4 +1,5 @@
-//! Inputs of a replay join in the cycle in which they joined when they were recorded, also where several cycles ran at one time.
+//! In a replay, inputs take effect in the same cycle as when they were recorded, even if several cycles ran
+//! at one time.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::{Path, PathBuf};
@@ -11,7 +12,8 @@ use downbeat::msgs::std_msgs::msg::{Float64, String as Text};
 use downbeat::replay::{ReplayOptions, ReplayReport, replay};
 use downbeat::running::{PreparedRobot, RecordPlan};
 
-/// Takes pictures in jobs, as a camera of a simulation: the answers come in simulated time, a cycle later.
+/// Takes pictures in jobs, like a simulated camera: the results arrive at the same simulated time, in a later
+/// cycle.
 struct Camera;
 
 impl Module for Camera {
@@ -37,7 +39,7 @@ impl Module for Camera {
     }
 }
 
-/// Does its work in several cycles at one time, and publishes in which of them it sees what.
+/// Does its work in several cycles at one time, and publishes the cycle in which each input arrived.
 #[derive(Default)]
 struct Stepper {
     step: u32,
@@ -160,7 +162,7 @@ fn a_bag_without_the_cycles_of_messages_is_replayed_by_their_times() {
     let (robot, bag) = recorded(folder.path());
     let older = without(&bag, "/cycle_messages");
     replayed(&robot, &older, &["camera"], "linear").assert_same().unwrap();
-    // What the camera published joins too early.
+    // The messages of the camera arrive too early.
     let report = replayed(&robot, &older, &["stepper"], "linear");
     assert!(report.different() > 0 && report.has_recorded_cycles, "{report}");
     assert_eq!(report.missing_inputs, ["cycle_messages"]);

@@ -162,7 +162,7 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
     peer.leave();
 }
 
-/// Suspended as by a debugger, a paused container or a sleeping laptop.
+/// Suspends the robot, as a debugger, a paused container or a sleeping laptop would.
 #[test]
 fn a_suspended_robot_is_available_again_with_all_endpoints() {
     let Some(mut peer) = peer(213) else { return };
@@ -177,7 +177,7 @@ fn a_suspended_robot_is_available_again_with_all_endpoints() {
     wait_until("the robot is available", || has_joint_states(&mut peer) && is_heard(&mut peer));
 
     robot.signal("-STOP");
-    // Everything sent before has arrived when nothing more arrives.
+    // When nothing more arrives, all earlier messages have arrived.
     wait_until("it is silent", || {
         std::thread::sleep(Duration::from_millis(200));
         !has_joint_states(&mut peer)

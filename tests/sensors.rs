@@ -10,7 +10,7 @@ use common::{output_of, record_until, recorded_messages, text_of};
 use serde_json::Value;
 
 const ROBOT: &str = "robots/sensors.toml";
-/// Two seconds of that robot.
+/// Two seconds of the robot.
 const BAG: &str = "tests/data/sensors";
 const TOPICS: [&str; 7] =
     ["/scan", "/fix", "/vel", "/time_reference", "/imu/data", "/imu/data_raw", "/imu/mag"];
@@ -37,7 +37,7 @@ fn emulated_sensors_in_simulated_time_give_the_same_bag_in_every_run_and_replay(
     for bag in [&one, &two] {
         text_of(&["run", ROBOT, "--fast", "--duration", "5s", "--record", text(bag)]);
     }
-    // `diagnostics` of the process has times of this machine.
+    // `diagnostics` of the process contains times of this machine.
     text_of(&["bag", "diff", text(&one), text(&two), "--ignore", "diagnostics"]);
     assert!(recorded_messages(&one, "/scan") > 40 && recorded_messages(&one, "/imu/data") > 400);
     let compared = compared(ROBOT, text(&one));

@@ -1,4 +1,5 @@
-//! Robots of serial servos: the robot files in `robots/`, `downbeat servo`, and packets compared with `dynamixel-sdk`.
+//! Robots of serial servos: the robot files in `robots/`, `downbeat servo`, and packets compared with
+//! `dynamixel-sdk`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -54,7 +55,7 @@ fn an_emulated_robot_in_simulated_time_gives_the_same_bag_in_every_run() {
         }
         let states = recorded_messages(&one, "/joint_states");
         assert!((cycles - 100..cycles).contains(&states), "{name}: {states} states in 20 s");
-        // `diagnostics` of the process has times of this machine.
+        // `diagnostics` of the process contains times of this machine.
         text_of(&["bag", "diff", text(&one), text(&two), "--ignore", "diagnostics"]);
     }
 }
@@ -106,7 +107,7 @@ impl Servos {
         let description = format!("robots/servos/{robot}.toml");
         let emulator = Running::start(&["emulate", "servos", &description, "--link", text(&port)]);
         wait_until("the emulated servos are there", || port.exists());
-        // Answers on a busy machine are late.
+        // Answers may be late on a busy machine.
         let options = ["--timeout-ms", "200", "--baud", &baud.to_string()].map(str::to_owned).to_vec();
         Self { _emulator: emulator, _folder: folder, port, options }
     }
@@ -226,7 +227,7 @@ fn id(raw: u8) -> Id {
     Id::new(raw).unwrap()
 }
 
-/// Instructions, and how `dynamixel-sdk` is asked for them.
+/// Instructions, with the corresponding calls of `dynamixel-sdk`.
 fn instructions() -> Vec<(Protocol, Instruction, Value)> {
     let mut all = Vec::new();
     let stuffed = vec![0xFF, 0xFF, 0xFD, 0xFD, 0x00];

@@ -1,7 +1,7 @@
-//! How long-running commands end: signals, closed terminals, parents that are killed.
+//! The end of long-running commands: by signals, closed terminals and killed parents.
 //!
-//! Everything is checked for every command and every way: the exit code, the bag, the node in the graph of a peer, child processes, and
-//! the link of the emulated bus.
+//! For every command and every way to stop it, the tests check the exit code, the bag, the node in the graph
+//! of a peer, child processes, and the link of the emulated bus.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -34,7 +34,7 @@ const WAYS: [Way; 8] = [
     Way::Terminal,
 ];
 
-/// The processes that a process started, and those that these started.
+/// The processes that a process started, and their descendants.
 fn descendants(process: u32) -> Vec<u32> {
     let parent = |entry: fs::DirEntry| -> Option<(u32, u32)> {
         let id = entry.file_name().to_str()?.parse().ok()?;
@@ -52,7 +52,7 @@ fn descendants(process: u32) -> Vec<u32> {
     found.split_off(1)
 }
 
-/// Whether a process is there and has not ended.
+/// True if a process exists and has not ended.
 fn is_running(process: u32) -> bool {
     fs::read_to_string(format!("/proc/{process}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
 }
@@ -71,17 +71,18 @@ fn sees(peer: &Participant, node: &str) -> bool {
     peer.remote_nodes().iter().any(|found| found.name == node)
 }
 
-/// Asserts that a peer notices the end of a process, which has ended just now, within a second.
+/// Asserts that a peer notices the end of a process, which has just ended, within a second.
 ///
-/// The last datagrams of the process are in the sockets of the peer. On a busy machine the peer may run later than in a second, so another
-/// node joins now: what takes longer than a second must at least be noticed before that one.
+/// The last datagrams of the process are in the sockets of the peer. On a busy machine, the peer may be
+/// delayed by more than a second. Therefore another node joins now, and the end must at least be noticed
+/// before that node.
 fn assert_gone(peer: &Participant, domain: u16, context: &str, is_gone: impl Fn(&Participant) -> bool) {
     let ended = Instant::now();
     let later = self::peer(domain);
     let _node = later.create_node(NodeName::new("/", "later").unwrap()).unwrap();
     let (mut gone, mut seen) = (None, None);
     wait_until("the node is gone, and a later one is there", || {
-        // In this order: both may have happened since the last look.
+        // Checked in this order, because both may have happened since the last check.
         if seen.is_none() && sees(peer, "/later") {
             seen = Some(ended.elapsed());
         }
@@ -95,15 +96,15 @@ fn assert_gone(peer: &Participant, domain: u16, context: &str, is_gone: impl Fn(
     assert!(gone < Duration::from_secs(1) || gone <= seen, "{context}: {gone:?}, {seen:?}");
 }
 
-/// A command that runs, and what must be true of its end.
+/// A running command, and the expectations for its end.
 struct Case {
     program: Program,
     domain: u16,
     node: Option<&'static str>,
-    /// A bag, and a topic of which it has messages.
+    /// A bag, and a topic that must have messages in it.
     bag: Option<(PathBuf, &'static str)>,
     link: Option<PathBuf>,
-    /// Whether it has child processes.
+    /// True if the command has child processes.
     has_children: bool,
 }
 
@@ -111,7 +112,7 @@ fn start(command: Command, way: Way) -> Program {
     if way == Way::Terminal { Program::start_on_terminal(&command) } else { Program::start(command) }
 }
 
-/// Waits until the command runs, asks it to stop and checks how it ends.
+/// Waits until the command runs, stops it and checks its end.
 fn check(mut case: Case, way: Way, context: &str) {
     let program = &mut case.program;
     let context = format!("{context}, {way:?}");
@@ -137,7 +138,7 @@ fn check(mut case: Case, way: Way, context: &str) {
 
     program.ask(way);
     let status = program.wait();
-    // If the machine is slow, the second signal comes while it stops.
+    // If the machine is slow, the second signal arrives while the command is stopping.
     let is_impatient = way == Way::Twice(Duration::from_secs(2)) && status.code() == Some(130);
     assert!(status.code() == Some(0) || is_impatient, "{context}: {status}\n{}", program.output());
     if let (Some(peer), Some(node)) = (&peer, case.node) {
@@ -289,7 +290,7 @@ fn a_command_whose_output_nobody_reads_leaves_the_network() {
     drop(talker);
 }
 
-/// Starts `compose` by lines, and in it a robot that records.
+/// Starts `compose` in its line mode, and in it a robot that records.
 fn compose(folder: &Path, domain: u16, way: Way) -> (Program, PathBuf) {
     let file = robot_file(folder, |text| text);
     let mut program = start(command(&["compose", "--stdio", file.to_str().unwrap()], domain, folder), way);
@@ -352,7 +353,7 @@ fn a_composed_robot_stops_in_order_when_compose_is_killed() {
 fn a_match_closes_its_bag() {
     let player = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/football/seeing_player.toml");
     for (number, way) in WAYS.into_iter().enumerate() {
-        // Robots in processes take long to start.
+        // Robots with child processes take long to start.
         let has_children = number % 4 == 0;
         let folder = tempfile::tempdir().unwrap();
         let (folder, domain) = (folder.path(), 138);
@@ -448,7 +449,7 @@ fn a_robot_that_does_not_stop_ends_at_the_second_request_with_a_whole_bag() {
     program.signal(Signal::TERM);
     assert_eq!(program.wait().code(), Some(128 + 15), "{}", program.output());
     assert_gone(&peer, domain, "impatient", |peer| !sees(peer, "/darwin_op"));
-    // The program measures itself, and ends when its time is over whatever is done by then.
+    // The program measures its own time and ends after its limit, regardless of unfinished work.
     let is_about_end = |line: &&str| line.contains("ends without waiting for modules");
     let output = program.output();
     let line = output.lines().find(is_about_end).unwrap_or_else(|| panic!("{output}"));
@@ -457,7 +458,7 @@ fn a_robot_that_does_not_stop_ends_at_the_second_request_with_a_whole_bag() {
     for closed in ["ROS 2", "links of emulated devices"] {
         assert!(line.contains(closed), "{line}");
     }
-    // A busy disk may take longer, which is said.
+    // A busy disk may take longer, which the output reports.
     if line.contains("bags") {
         assert_is_whole(&bag, "/joint_states", "impatient");
     } else {
@@ -521,7 +522,7 @@ fn a_robot_whose_hang_ups_are_ignored_outlives_its_terminal() {
     assert_is_whole(&bag, "/joint_states", "without a terminal");
 }
 
-/// systemd sends SIGTERM to all processes of a service, and SIGKILL to those that are left after a while.
+/// systemd sends SIGTERM to all processes of a service, and after a while SIGKILL to those that remain.
 #[test]
 fn a_service_manager_need_not_kill() {
     let folder = tempfile::tempdir().unwrap();
@@ -539,7 +540,7 @@ fn a_service_manager_need_not_kill() {
     assert_is_whole(&bag, "/joint_states", "systemd");
 }
 
-/// The block of a robot and the screen of `top` fit small terminals, and a signal leaves the terminal as it was.
+/// The robot's block and the screen of `top` fit small terminals, and a signal restores the terminal.
 #[test]
 fn small_terminals_are_drawn_on_and_restored() {
     let folder = tempfile::tempdir().unwrap();
@@ -566,7 +567,7 @@ fn small_terminals_are_drawn_on_and_restored() {
             is_there
         });
         let mut top = top.unwrap();
-        // Some pictures.
+        // Wait for several redraws.
         std::thread::sleep(Duration::from_millis(700));
         top.signal(signal);
         assert_eq!(top.wait().code(), Some(0), "{size:?}: {}", top.output());

@@ -1,6 +1,8 @@
-//! A walk with a push, a fall and a get-up, recorded in simulated time, replays bit for bit. All its data is simulated.
+//! A walk with a push, a fall and a get-up, recorded in simulated time, replays bit for bit. All data is
+//! simulated.
 //!
-//! The bag depends on gait, motions, falls and physics. `cargo xtask record-walk` records it again after a change of them.
+//! The bag depends on gait, motions, falls and physics. `cargo xtask record-walk` records it again after a
+//! change to them.
 #![cfg(feature = "physics")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -30,7 +32,8 @@ fn robot() -> RobotFile {
     App::with_built_in_kinds().robot_file(recordings().join("darwin_op_walk_simulated.toml")).unwrap()
 }
 
-/// Steers and pushes as somebody in ROS 2 would. It is not in the robot file, so a replay takes its messages from the bag.
+/// Steers and pushes the robot, as a ROS 2 operator would. It is not in the robot file, so a replay takes its
+/// messages from the bag.
 struct Operator;
 
 struct Ports {
@@ -38,9 +41,9 @@ struct Ports {
     push: Publication<Vector3Stamped>,
 }
 
-/// When the robot is first commanded to walk, after its start.
+/// The time after the start of the first walking command.
 const WALK: Duration = Duration::from_secs(2);
-/// When it is pushed.
+/// The time of the push.
 const PUSH: Duration = Duration::from_millis(4500);
 
 impl Module for Operator {
@@ -65,7 +68,7 @@ impl Module for Operator {
     }
 }
 
-/// Not a test: `cargo xtask record-walk` runs it to make the bag again.
+/// Not a test: `cargo xtask record-walk` runs it to record the bag again.
 #[test]
 #[ignore = "records the bag of the other tests"]
 fn record_the_walk() {
@@ -76,7 +79,8 @@ fn record_the_walk() {
     let watch = move |state: Received<'_, Text>| {
         has_fallen |= state.data == "falling";
         upright += u32::from(has_fallen && state.data == "upright");
-        // The recording ends a second after the robot has got up: its state is published when it changes and once a second.
+        // The recording ends one second after the robot has got up, because its state is published on changes
+        // and once a second.
         if upright == 2 {
             handle.stop();
         }

@@ -1,5 +1,6 @@
-//! The Darwin OP walks in its simulated world: rclpy steers it, it falls when pushed and begins to get up, and the
-//! recorded run replays. How often it succeeds is for `modules/physics/tests/walking.rs`, in simulated time.
+//! The Darwin OP walks in its simulated world: rclpy steers it, it falls when pushed and begins to get up,
+//! and the recorded run replays. The success rate is tested by `modules/physics/tests/walking.rs`, in
+//! simulated time.
 #![cfg(feature = "physics")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -75,7 +76,7 @@ struct Script(Child);
 
 impl Drop for Script {
     fn drop(&mut self) {
-        // Fails only if it has ended already. Without its terminal, what runs in it ends too.
+        // Fails only if the script has already ended. Closing its terminal ends its child processes too.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -94,7 +95,7 @@ fn the_teleoperation_on_the_page_steers_the_robot() {
     wait_until("the robot is upright", || {
         latest(&mut rclpy, "/robot_state").is_some_and(|state| state["data"] == "upright")
     });
-    // It reads keys from a terminal.
+    // The script reads keys from a terminal.
     let in_terminal = "import pty, sys; pty.spawn([sys.executable, sys.argv[1]])";
     let mut command = Command::new(python);
     command.args(["-c", in_terminal]).arg(&path).env("ROS_DOMAIN_ID", "227");

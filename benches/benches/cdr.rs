@@ -1,5 +1,5 @@
-//! Messages to CDR and back, beside other Rust libraries in the same run, and beside Fast CDR behind rclpy if the environment
-//! variable `DOWNBEAT_PYTHON` names an interpreter that has it.
+//! Messages to CDR and back, compared with other Rust libraries in the same run, and with Fast CDR behind
+//! rclpy if the environment variable `DOWNBEAT_PYTHON` names an interpreter with rclpy.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use std::env;
@@ -16,10 +16,10 @@ use downbeat_msgs::std_msgs::msg::Header;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Bytes of pixels and of points.
+/// The size of pixels and of points in bytes.
 const LARGE: usize = 1 << 20;
 
-/// Writes and reads a message, whose view is `view`, by each of the libraries.
+/// Writes and reads a message, with the view type `view`, by each of the libraries.
 macro_rules! compare {
     ($criterion:expr, $name:literal, $message:expr, $owned:ty, $view:ty) => {{
         let message: $owned = $message;
@@ -55,7 +55,7 @@ fn encode<T: Cdr + Serialize>(group: &mut Group<'_>, message: &T, bytes: &[u8]) 
     group.bench_function("cdr", |bencher| {
         bencher.iter(|| ::cdr::serialize::<_, _, ::cdr::CdrLe>(black_box(message), ::cdr::Infinite).unwrap());
     });
-    // What is the least that can be done for a message that is mostly bytes.
+    // The lower limit for a message that consists mostly of bytes.
     group.bench_function("memcpy", |bencher| bencher.iter(|| black_box(bytes).to_vec()));
 }
 
@@ -71,7 +71,7 @@ fn decode<T: Clone + for<'a> FromReader<'a> + DeserializeOwned>(group: &mut Grou
         bencher.iter(|| ::cdr::deserialize::<T>(black_box(bytes)).unwrap());
     });
     group.bench_function("memcpy", |bencher| bencher.iter(|| black_box(bytes).to_vec()));
-    // What the memory of the message costs, whoever reads it.
+    // The cost of allocating the message, which every reader pays.
     let message: T = cdr::from_slice(bytes).unwrap();
     group.bench_function("clone of the message", |bencher| bencher.iter(|| black_box(&message).clone()));
 }
@@ -123,7 +123,7 @@ fn image() -> Image {
     }
 }
 
-/// The same bytes as a `tf2_msgs/msg/TFMessage`, whose only field this is.
+/// The same bytes as a `tf2_msgs/msg/TFMessage`, which has only this field.
 fn transforms() -> Vec<TransformStamped> {
     let transform = |index| TransformStamped {
         header: header(),
@@ -163,7 +163,7 @@ fn main() {
     rclpy();
 }
 
-/// Has rclpy write and read the same messages.
+/// Runs rclpy on the same messages.
 fn rclpy() {
     let Ok(python) = env::var("DOWNBEAT_PYTHON") else {
         println!("Fast CDR behind rclpy: not measured, DOWNBEAT_PYTHON is not set");

@@ -1,6 +1,6 @@
-"""The messages of cdr.rs written and read by rclpy, which has Fast CDR do it; prints the best time of each.
+"""Writes and reads the messages of cdr.rs with rclpy, which uses Fast CDR; prints the best time of each.
 
-The time has two parts that cannot be told apart from here: Fast CDR, and the conversion between Python objects and C structs.
+The time has two parts that cannot be separated here: Fast CDR, and the conversion between Python objects and C structs.
 """
 
 import timeit

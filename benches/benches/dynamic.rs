@@ -1,8 +1,9 @@
-//! Reading messages whose type is met at run time: ours, and rosbags' `deserialize_cdr` in the same run if `DOWNBEAT_PYTHON`
-//! names an interpreter that has it. Behind criterion's figures stands a table of the best times and their ratio.
+//! Reading messages whose type is known only at run time, compared with rosbags' `deserialize_cdr` in the
+//! same run if `DOWNBEAT_PYTHON` names an interpreter with rosbags. A table of the best times and their
+//! ratios follows criterion's figures.
 //!
-//! rosbags copies no arrays of numbers: they stay in the input, a `memoryview`. So do those of a `DynamicView`; a `DynamicMessage` owns its
-//! values.
+//! rosbags does not copy arrays of numbers, which stay in the input as a `memoryview`. A `DynamicView` does
+//! the same; a `DynamicMessage` owns its values.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -127,7 +128,7 @@ fn reading(criterion: &mut Criterion) {
 }
 
 fn print_table(samples: &[Sample], best: &BTreeMap<(usize, &str), f64>) {
-    println!("\nbest time of one message in µs, and how many times that rosbags takes");
+    println!("\nbest time per message in µs, and that of rosbags as a multiple of it");
     println!("{:<20} {:>18} {:>18} {:>10}", "", "DynamicMessage", "DynamicView", "rosbags");
     for (index, sample) in samples.iter().enumerate() {
         let Some(whole) = best.get(&(index, WHOLE)) else { continue }; // Filtered out.
@@ -145,14 +146,14 @@ fn print_table(samples: &[Sample], best: &BTreeMap<(usize, &str), f64>) {
     }
 }
 
-/// A Python that reads messages and takes the time.
+/// A Python process that reads messages and measures the time.
 struct Peer {
     child: Child,
     requests: Option<ChildStdin>,
     answers: Option<BufReader<ChildStdout>>,
 }
 
-/// Gets names, definitions and bytes; then numbers of messages and how often to read them.
+/// Receives names, definitions and bytes; then indices of messages and repetition counts.
 const SCRIPT: &str = "
 import sys, time
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore

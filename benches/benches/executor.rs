@@ -1,4 +1,4 @@
-//! The executor beside its limit and beside the usual design; one hop under each launcher.
+//! The executor, compared with the lower limit and with the usual design; one hop under each launcher.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use std::num::NonZeroU64;
@@ -28,8 +28,8 @@ fn fan_out(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// One module publishes in a cycle, another receives in the next. `hop` is that alone: the two pass a message to and
-/// fro, and one of them runs in each cycle.
+/// One module publishes in a cycle, another receives in the next. `hop` measures this alone: two modules pass
+/// a message back and forth, and one of them runs in each cycle.
 fn hop(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("hop");
     for launcher in LAUNCHERS {
@@ -40,8 +40,8 @@ fn hop(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A publisher ticks and publishes in one cycle, a subscriber receives in the next: two cycles. In the second the
-/// publisher runs as well, so that a launcher with threads has work for two and has to share it out.
+/// A publisher publishes on a timer in one cycle, and a subscriber receives in the next: two cycles. The
+/// publisher also runs in the second one, so that a launcher with threads has two modules to distribute.
 fn shared_hop(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("shared_hop");
     let load = Load { modules: 1, messages: 1, batch: NonZeroU64::MIN };
@@ -58,7 +58,7 @@ fn shared_hop(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Long enough for the threads of every launcher to have gone to sleep.
+/// Long enough for the threads of every launcher to park.
 const REST: Duration = Duration::from_millis(2);
 
 fn hop_after_a_rest(core: &mut Downbeat) -> Duration {

@@ -1,4 +1,4 @@
-//! Kinematics of the Darwin OP: what a control cycle of 8 ms computes.
+//! Kinematics of the Darwin OP: the computations of a control cycle of 8 ms.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use std::hint::black_box;
@@ -8,7 +8,7 @@ use downbeat_kinematics::darwin_op::{Leg, Side};
 use downbeat_kinematics::nalgebra::{Matrix3xX, Matrix6xX};
 use downbeat_kinematics::{InverseKinematics, Masses, Pose, Robot, Search};
 
-/// Angles of a step, in rad.
+/// The angles of a step, in rad.
 const ANGLES: [f64; 6] = [0.1, 0.05, -0.6, 0.9, 0.5, 0.02];
 
 fn leg(criterion: &mut Criterion) {
@@ -39,7 +39,7 @@ fn robot(criterion: &mut Criterion) {
     group.bench_function("jacobian of the sole", |bencher| {
         bencher.iter(|| pose.jacobian(&robot, black_box(sole), &mut jacobian));
     });
-    // From a pose as far away as one control cycle later.
+    // From a pose that differs by the motion of one control cycle.
     let mut chain = InverseKinematics::new(&robot, base, sole).unwrap();
     let target = pose.target_from_source(base, sole);
     let start = [0.11; 20];

@@ -1,8 +1,8 @@
-//! A `JointState` of 20 joints to and from a module in C, compared with a module that is compiled in; to a module in a child
-//! process, compared with a bare hop between two processes through an `eventfd`, in the same run.
+//! A `JointState` of 20 joints to and from a module in C, compared with a compiled-in module; and to a module
+//! in a child process, compared with a bare hop between two processes through an `eventfd`, in the same run.
 //!
-//! One iteration is a cycle in which one module publishes and the other receives what was published in the cycle before. Needs
-//! `cc`.
+//! One iteration is a cycle in which one module publishes and the other receives the message of the previous
+//! cycle. Needs `cc`.
 #![allow(missing_docs, clippy::unwrap_used, unsafe_code)]
 
 use std::fs::File;
@@ -22,7 +22,7 @@ use downbeat_library_host::messages::{Language, generate};
 use downbeat_library_host::{LibraryOptions, child, load, set_child_command};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 
-/// Publishes a message in each run, or sums up the positions of what it receives.
+/// Publishes a message in each run, or sums up the received positions.
 const SOURCE: &str = r#"
 #include "sensor_msgs/msg/joint_state.h"
 
@@ -225,7 +225,7 @@ fn in_child(criterion: &mut Criterion) {
     peer.wait().unwrap();
 }
 
-/// Answers until it is sent a 2.
+/// Answers until it receives a 2.
 fn answer_eventfd() {
     let (mut input, mut output) = (std::io::stdin().lock(), std::io::stdout().lock());
     let mut count = [0; 8];

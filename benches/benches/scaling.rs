@@ -1,4 +1,4 @@
-//! Deliveries per second against the number of modules, of topics, of threads, and the size of the messages.
+//! Deliveries per second against the number of modules, of topics and of threads, and the size of messages.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use std::hint::black_box;
@@ -50,7 +50,7 @@ impl<const N: usize> Module for Sink<N> {
     }
 }
 
-/// What a cycle has to do.
+/// The work of a cycle.
 #[derive(Clone, Copy)]
 struct Shape {
     topics: u64,
@@ -58,7 +58,7 @@ struct Shape {
     batch: u8,
 }
 
-/// Measures a steady cycle: one batch is published on each topic, and the one before it received.
+/// Measures a steady cycle: one batch is published on each topic, and the previous batch is received.
 fn measure<const N: usize>(criterion: &mut Criterion, core: Core, id: BenchmarkId, shape: Shape) {
     let clock = ManualClock::new(Time::ZERO);
     let mut core = core.with_clock(clock.clone());
@@ -93,7 +93,7 @@ fn modules(criterion: &mut Criterion) {
     }
 }
 
-/// One publisher and one subscriber each.
+/// One publisher and one subscriber for each topic.
 fn topics(criterion: &mut Criterion) {
     for topics in [1, 10, 100, 1000] {
         let shape = Shape { topics, subscribers_per_topic: 1, batch: 1 };

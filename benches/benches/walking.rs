@@ -1,5 +1,6 @@
-//! What a cycle of 8 ms costs a walking Darwin OP: hardware module, orientation filter, gait with its kinematics, falls,
-//! motions and command multiplexer, with the answers of the bus from a recording of the emulated robot.
+//! The cost of a cycle of 8 ms of a walking Darwin OP: hardware module, orientation filter, gait with its
+//! kinematics, falls, motions and command multiplexer, with bus answers from a recording of the emulated
+//! robot.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -17,7 +18,7 @@ use downbeat_msgs::geometry_msgs::msg::Twist;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// The cycles of a run; the first ones, in which the robot gets ready, are not measured.
+/// The number of cycles of a run; the first ones, in which the robot gets ready, are not measured.
 const CYCLES: u32 = 1500;
 const READY: u32 = 500;
 
@@ -58,7 +59,7 @@ impl Robot {
     }
 }
 
-/// What the emulated robot answers.
+/// The recorded bus answers of the emulated robot.
 fn recording() -> Vec<Exchange> {
     let options = EmulatorOptions { timing: Timing::Stepped, ..EmulatorOptions::default() };
     let emulator = Emulator::in_memory(&options, None);

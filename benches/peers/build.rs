@@ -1,4 +1,4 @@
-//! Tells Copper's code generator where its files go.
+//! Gives Copper's code generator its output folder.
 
 fn main() {
     cu29_build::setup();

@@ -8,8 +8,8 @@ use downbeat_executor::{Client, Core, ManualClock, Module, Setup, SetupError, Ti
 use crate::Reading;
 use crate::contestants::Contestant;
 
-/// A module that calls a service of another one, and calls it again when the answer arrives. A trial is two cycles: the
-/// server runs in one of them, the client in the other.
+/// A module that calls a service of another module again and again: each answer triggers the next call. A
+/// trial is two cycles: the server runs in one, the client in the other.
 pub struct Calls {
     core: Core,
     trials: u64,
@@ -33,13 +33,13 @@ impl Calls {
 impl Contestant for Calls {
     fn trial(&mut self) {
         for _ in 0..2 {
-            // Fails only while it starts, and it has started.
+            // Fails only at the start, and the core has started.
             let _ = self.core.cycle();
         }
         self.trials += 1;
     }
 
-    /// How many answers the client received; 0 if that is not one per trial.
+    /// The number of answers that the client received; 0 unless it is one per trial.
     fn finish(self: Box<Self>) -> u64 {
         let topics = self.core.topics().find(|topic| &*topic.name == "answers");
         topics.map(|topic| topic.counter.messages()).filter(|&answers| answers == self.trials).unwrap_or(0)

@@ -1,4 +1,4 @@
-//! A football robot: eight modules, 14 topics, one message on each per cycle.
+//! A football robot: eight modules and 14 topics, with one message on each per cycle.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Receive
 
 use crate::contestants::Contestant;
 
-/// A message of N numbers, which is all that matters here.
+/// A message of N numbers; only its size matters.
 #[derive(Clone, Copy)]
 struct Numbers<const N: usize>([f32; N]);
 
@@ -17,7 +17,7 @@ impl<const N: usize> Numbers<N> {
     }
 }
 
-/// Where the pixels are, their size and the camera's position; pixels travel as a shared buffer.
+/// The address and size of the pixels, and the camera's position; pixels are passed as a shared buffer.
 type Image = Numbers<12>;
 type Ball = Numbers<4>;
 type Lines = Numbers<32>;
@@ -35,10 +35,11 @@ type Feet = Numbers<8>;
 
 const PERIOD: Duration = Duration::from_millis(8);
 
-/// `executor/steps` carries nothing here.
+/// `executor/steps` carries no messages here.
 const TOPICS: usize = 14;
 
-/// A module that hears topics, adds up a number of each message, and tells its sum on its own topics every cycle.
+/// A module that subscribes to topics, adds up one number of each message, and publishes its sum on its
+/// topics every cycle.
 macro_rules! part {
     ($part:ident hears [$($heard:ident: $Heard:ty),*] tells [$($told:ident: $Told:ty),*]) => {
         #[derive(Default)]
@@ -85,7 +86,7 @@ pub struct Football {
 }
 
 impl Football {
-    /// Adds the robot's modules to a core that `prepare` makes of a new one, and starts them.
+    /// Adds the robot's modules to the core returned by `prepare`, and starts them.
     ///
     /// # Errors
     /// If the core cannot be prepared.
@@ -109,11 +110,11 @@ impl Football {
 impl Contestant for Football {
     fn trial(&mut self) {
         self.clock.advance(PERIOD);
-        // Fails only while it starts. What is lost shows in the counts.
+        // Fails only at the start. Lost messages show in the counts.
         let _ = self.core.cycle();
     }
 
-    /// How many messages each topic has carried; 0 if they differ.
+    /// The number of messages that each topic has carried; 0 if the numbers differ.
     fn finish(self: Box<Self>) -> u64 {
         let counts = self.core.topics().map(|topic| topic.counter.messages());
         let mut counts: Vec<u64> = counts.filter(|&count| count > 0).collect();

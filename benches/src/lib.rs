@@ -1,7 +1,7 @@
-//! Benchmarks of downbeat: what is measured, and against what. `README.md` says how to run them.
+//! Benchmarks of downbeat and their contestants. `README.md` says how to run them.
 //!
-//! Every contestant carries the same [`Reading`]s in the same batches to the same callback, so that what differs is
-//! how a message gets from its publisher to its subscribers.
+//! Every contestant passes the same [`Reading`]s in the same batches to the same callback, so that only the
+//! path of a message from its publisher to its subscribers differs.
 
 mod calls;
 pub mod contestants;

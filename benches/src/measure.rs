@@ -1,24 +1,24 @@
-//! Measuring several contestants so that the noise of a busy machine hits all alike.
+//! Measures several contestants in turns, so that the noise of a busy machine affects all of them alike.
 
 use std::time::{Duration, Instant};
 
 use crate::contestants::Contestant;
 
-/// How long to measure.
+/// The extent of a measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// How often each contestant has its turn at most. The best one counts.
+    /// The largest number of turns of each contestant. The best turn counts.
     pub rounds: u32,
-    /// How long a turn lasts at least; trials shorter than that are repeated in it, and their mean counts.
+    /// The shortest duration of a turn. Shorter trials are repeated, and their mean counts.
     pub turn: Duration,
-    /// A contestant has no more turns when it has used up this time.
+    /// The time after which a contestant gets no more turns.
     pub budget: Duration,
 }
 
-/// The time of a trial of each contestant.
+/// Measures the time of a trial of each contestant.
 ///
-/// They take turns in several rounds, and of each the best turn counts: what disturbs a turn makes it longer, never
-/// shorter.
+/// The contestants take turns in several rounds, and the best turn of each counts, because disturbances only
+/// make a turn longer.
 pub fn best_of_rounds(contestants: &mut [Box<dyn Contestant>], effort: Effort) -> Vec<Duration> {
     let mut runners: Vec<Runner<'_>> =
         contestants.iter_mut().map(|contestant| Runner::new(&mut **contestant, effort.turn)).collect();
@@ -30,7 +30,7 @@ pub fn best_of_rounds(contestants: &mut [Box<dyn Contestant>], effort: Effort) -
     runners.iter().map(|runner| runner.best).collect()
 }
 
-/// How many times `time` is `other`.
+/// The ratio of `time` to `other`.
 #[must_use]
 pub fn ratio(time: Duration, other: Duration) -> f64 {
     time.as_secs_f64() / other.as_secs_f64()
@@ -44,7 +44,8 @@ struct Runner<'a> {
 }
 
 impl<'a> Runner<'a> {
-    /// Finds out how many trials a turn takes. The first trials also make the memory that later ones use again.
+    /// Determines the number of trials per turn. The first trials also allocate the memory that later ones
+    /// reuse.
     fn new(contestant: &'a mut dyn Contestant, turn_length: Duration) -> Self {
         let mut runner = Self { contestant, trials_per_turn: 1, best: Duration::MAX, spent: Duration::ZERO };
         while runner.turn() < turn_length && runner.trials_per_turn < MAX_TRIALS {
@@ -92,7 +93,7 @@ mod tests {
         let mut contestants = counts.clone().map(|count| Box::new(Counting(count)) as Box<dyn Contestant>);
         let effort = Effort { rounds: 3, turn: Duration::ZERO, budget: Duration::MAX };
         assert_eq!(best_of_rounds(&mut contestants, effort).len(), 2);
-        // One more for the turn that finds out how long one takes.
+        // One more, for the turn that determines the number of trials.
         assert!(counts.iter().all(|count| count.load(Ordering::Relaxed) == 4));
     }
 

@@ -1,4 +1,4 @@
-//! One message on its way between two modules.
+//! One message that two modules pass back and forth.
 
 use std::hint::black_box;
 
@@ -7,14 +7,15 @@ use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
 use crate::Reading;
 use crate::contestants::Contestant;
 
-/// Two modules that send each other what they receive: in each cycle one of them runs, receives what the other
-/// published in the cycle before, and publishes it. A trial is a cycle, and that a hop and nothing else.
+/// Two modules that return each received message. In each cycle one of them runs, receives the message
+/// published by the other in the previous cycle, and publishes it. A trial is one cycle, and measures one
+/// hop.
 pub struct Relay {
     core: Core,
 }
 
 impl Relay {
-    /// Adds the modules to a core that `prepare` makes of a new one, and sends the message on its way.
+    /// Adds the modules to the core returned by `prepare`, and publishes the message.
     ///
     /// # Errors
     /// If the core cannot be prepared.
@@ -30,11 +31,11 @@ impl Relay {
 
 impl Contestant for Relay {
     fn trial(&mut self) {
-        // Fails only while it starts, and it has started. A message that is lost shows in the number of hops.
+        // Fails only at the start, and the core has started. A lost message shows in the number of hops.
         let _ = self.core.cycle();
     }
 
-    /// How often the message was passed on.
+    /// The number of hops.
     fn finish(self: Box<Self>) -> u64 {
         self.core.topics().map(|topic| topic.counter.messages()).sum::<u64>().saturating_sub(1)
     }

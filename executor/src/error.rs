@@ -1,53 +1,53 @@
-//! What can be wrong with a module when it joins a core.
+//! Errors of a module that joins a core.
 
 use std::fmt::{self, Display};
 
-/// Why a module could not be set up.
+/// The reason why a module could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
-    /// Two modules of one name.
-    #[error("module \"{0}\": there is a module of that name already; give each module a name of its own")]
+    /// Another module has this name.
+    #[error("module \"{0}\": a module with this name exists already; give each module another name")]
     DuplicateModule(String),
-    /// A topic name that ROS would refuse.
+    /// ROS would refuse the topic name.
     #[error(
         "module \"{module}\": \"{topic}\" is not a topic name; use words of letters, digits and _, \
          joined by /, each beginning with a letter or _"
     )]
     InvalidTopicName {
-        /// The module that asked for the topic.
+        /// The module that uses the topic.
         module: String,
-        /// The name it gave.
+        /// The name as given by the module.
         topic: String,
     },
-    /// Two message types on one topic.
+    /// The topic exists with another message type.
     #[error(
         "module \"{module}\": topic \"{topic}\" carries {known}, not {asked}; rename the topic in one of the \
          modules, or remap it"
     )]
     TopicType {
-        /// The module that came second.
+        /// The module that was added later.
         module: String,
         /// The topic.
         topic: String,
-        /// The Rust path of the type it asked for.
+        /// The Rust path of the requested type.
         asked: &'static str,
         /// The Rust path of the type the topic has.
         known: &'static str,
     },
-    /// A remap for a topic the module does not have.
+    /// The module has no topic of the name that is to be remapped.
     #[error("module \"{module}\" has no topic \"{topic}\" to remap; it has {}", list(.known))]
     UnknownTopic {
         /// The module.
         module: String,
-        /// The name that was to be remapped.
+        /// The name in the remap.
         topic: String,
-        /// The topics of the module, by the names it gives them.
+        /// The topics of the module, under the module's own names for them.
         known: Vec<String>,
     },
-    /// A timer that would fire without end.
+    /// A timer has a period of zero.
     #[error("module \"{0}\": a timer needs a period longer than zero")]
     ZeroPeriod(String),
-    /// Two settings of one name in one module.
+    /// A module declares two settings with the same name.
     #[error("module \"{module}\" declares setting \"{setting}\" twice")]
     DuplicateSetting {
         /// The module.
@@ -55,7 +55,7 @@ pub enum SetupError {
         /// The setting.
         setting: String,
     },
-    /// A value for a setting that the module does not have.
+    /// The module has no setting of this name.
     #[error("module \"{module}\" has no setting \"{setting}\"; it has {}", list(.known))]
     UnknownSetting {
         /// The module.
@@ -65,56 +65,56 @@ pub enum SetupError {
         /// The settings of the module.
         known: Vec<String>,
     },
-    /// A value that a setting refuses.
+    /// The setting refuses the value.
     #[error("module \"{module}\", setting \"{setting}\": {refusal}")]
     SettingValue {
         /// The module.
         module: String,
         /// The setting.
         setting: String,
-        /// What is wrong with the value.
+        /// The reason of the refusal.
         refusal: String,
     },
-    /// A service name that ROS would refuse.
+    /// ROS would refuse the service name.
     #[error(
         "module \"{module}\": \"{service}\" is not a service name; use words of letters, digits and _, \
          joined by /, each beginning with a letter or _"
     )]
     InvalidServiceName {
-        /// The module that asked for the service.
+        /// The module that uses the service.
         module: String,
-        /// The name it gave.
+        /// The name as given by the module.
         service: String,
     },
-    /// One service with two types.
+    /// The service exists with other types.
     #[error(
         "module \"{module}\": service \"{service}\" is {known}, not {asked}; rename the service in one of the \
          modules, or remap it"
     )]
     ServiceType {
-        /// The module that came second.
+        /// The module that was added later.
         module: String,
         /// The service.
         service: String,
-        /// The Rust paths of the types it asked for.
+        /// The Rust paths of the requested types.
         asked: String,
         /// The Rust paths of the types the service has.
         known: String,
     },
-    /// Two servers for one service.
+    /// Another module serves the service.
     #[error(
         "module \"{module}\": service \"{service}\" is served by module \"{known}\" already; remap it in one of \
          them"
     )]
     DuplicateServer {
-        /// The module that came second.
+        /// The module that was added later.
         module: String,
         /// The service.
         service: String,
         /// The module that serves it.
         known: String,
     },
-    /// A mechanism that the core does not offer.
+    /// The core does not offer the mechanism, or only another version of it.
     #[error(
         "module \"{module}\" needs the mechanism \"{mechanism}\" at version {asked}; this core offers {}",
         match .offered { Some(version) => format!("version {version}"), None => format!("only {}", .known.join(", ")) }
@@ -124,11 +124,11 @@ pub enum SetupError {
         module: String,
         /// The mechanism.
         mechanism: String,
-        /// The version it asked for.
+        /// The requested version.
         asked: Version,
-        /// The version there is, if any.
+        /// The version that the core offers, if any.
         offered: Option<Version>,
-        /// All mechanisms there are, with their versions.
+        /// All mechanisms of the core, with their versions.
         known: Vec<String>,
     },
     /// The module's setup panicked.
@@ -136,29 +136,29 @@ pub enum SetupError {
     Panicked {
         /// The module.
         module: String,
-        /// What the panic said.
+        /// The message of the panic.
         reason: String,
     },
-    /// A restart policy for a module that cannot be made again.
+    /// A restart policy was given to a module that cannot be constructed again.
     #[error("module \"{0}\" cannot be restarted: add it with Core::add_restartable")]
     NotRestartable(String),
-    /// A module that no longer can be added.
+    /// The core has stopped, and accepts no more modules.
     #[error("module \"{0}\": the core has stopped")]
     Stopped(String),
-    /// The system gave the module no thread.
+    /// The system refused a thread for the module.
     #[error("module \"{module}\": cannot start its thread: {reason}")]
     Thread {
         /// The module.
         module: String,
-        /// What the system said.
+        /// The error of the system.
         reason: String,
     },
-    /// A reason of the module's own.
+    /// The setup of the module returned an error.
     #[error("module \"{module}\": {reason}")]
     Refused {
         /// The module.
         module: String,
-        /// What it said.
+        /// The message of that error.
         reason: String,
     },
 }
@@ -170,12 +170,12 @@ fn list(names: &[impl Display]) -> String {
     names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", ")
 }
 
-/// The version of a mechanism: what is built for `1.2` works with `1.3`, not with `1.1` nor `2.0`.
+/// The version of a mechanism. A module built for `1.2` works with `1.3`, but with neither `1.1` nor `2.0`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Version {
-    /// Changes when something is taken away.
+    /// Incremented when something is removed.
     pub major: u16,
-    /// Changes when something is added.
+    /// Incremented when something is added.
     pub minor: u16,
 }
 
@@ -186,7 +186,7 @@ impl Version {
         Self { major, minor }
     }
 
-    /// True if what asks for version `asked` can work with this one.
+    /// True if a user that requires version `asked` works with this version.
     #[must_use]
     pub const fn offers(self, asked: Self) -> bool {
         self.major == asked.major && self.minor >= asked.minor

@@ -1,9 +1,9 @@
 //! A deterministic in-process executor for robot modules.
 //!
-//! Modules run in *cycles*. In the **process phase** each module that has something to do runs, with
-//! exclusive access to itself, and only queues what it asks of others. In the **sync phase** all of it takes
-//! effect. Order follows from the order of registration and of publishing, never from threads: the same
-//! input gives the same output under every [`Launcher`].
+//! Modules run in *cycles*. In the **process phase**, each module that has something to do runs with
+//! exclusive access to itself, and only queues its messages and requests to others. In the **sync phase**,
+//! all of them take effect. The order follows from the order of registration and of publishing, never from
+//! threads: the same input gives the same output under every [`Launcher`].
 //!
 //! ```
 //! use std::time::Duration;
@@ -52,25 +52,27 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`]. The [`tutorial`] builds a robot step by step.
+//! With the default clock, [`Core::run`] runs until [`CoreHandle::stop`]. The [`tutorial`] builds a robot
+//! step by step.
 //!
 //! # The order of one run
 //!
-//! A module that is paused does not run. Otherwise, in this order:
+//! A paused module does not run. Otherwise, a run does the following, in this order:
 //!
-//! 1. transitions of its life, as they were asked for. The first that is refused takes those behind it with it. If the
-//!    module is not active after them, the run ends here: its requests are refused, messages pass it by
+//! 1. lifecycle transitions, in the order of the requests. If one is refused, the ones queued behind it are
+//!    discarded. If the module is not active after the transitions, the run ends here: requests to the module
+//!    are refused, and messages are dropped
 //! 2. changed settings ([`Setup::on_change`])
 //! 3. results of jobs, by the order in which the jobs were declared; of one job, in the order of joining
 //! 4. messages, by the order of subscription; of one topic, in the order of the sync phase below
 //! 5. requests, by the order in which the services were declared
 //! 6. answers to calls and calls whose time is up, by the order in which the clients were declared
-//! 7. tasks that are due, by time; where times are equal, by the order of scheduling. One that is scheduled in this run
-//!    waits for the next
+//! 7. tasks that are due, by time, and in the order of scheduling where times are equal. A task that is
+//!    scheduled in this run waits for the next run
 //! 8. timers that are due, by the order in which they were declared
 //! 9. [`Setup::each_run`]
 //!
-//! A panic ends the module, and all that this run asked for is discarded.
+//! A panic ends the module, and everything that this run has queued is discarded.
 //!
 //! ```
 //! # use std::sync::mpsc::{Sender, channel};
@@ -122,29 +124,31 @@
 //!
 //! # The order of the sync phase
 //!
-//! First it takes what other threads have asked for so far; what comes later waits for the next cycle. Then the
-//! mechanisms follow each other. Within each, **what comes from other threads goes first**, in the order in which it came
-//! (what a detached module asked for comes when its run has ended), and then what the other modules asked for, in the order
-//! of registration and of each module in its own order.
+//! The sync phase first takes the requests that other threads have posted so far; later ones wait for the
+//! next cycle. Then the mechanisms run one after another. Within each mechanism, **requests from other
+//! threads go first**, in the order of their arrival (those of a detached module arrive at the end of its
+//! run). Requests of the other modules follow, in the order of registration, and for each module in the order
+//! in which it made them.
 //!
-//! 1. **modules**: modules whose back-off is over start again; panics are noticed; modules are removed and run their
-//!    `shutdown`; then the other commands: add, transition, pause, resume
-//! 2. **jobs**: work starts; results go to their modules, in the order in which the work ended. Under a clock that does
-//!    not go on by itself the work runs here, to its end
-//! 3. **settings**: values are checked and given, in the order in which they were asked for
-//! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which their runs
-//!    ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch of the next
-//!    cycle, and go to the inboxes of [`Outlet`]s
-//! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then of the
-//!    others; then answers go to their clients, and callers receive their time-outs
+//! 1. **modules**: modules whose back-off is over start again; panics are noticed; modules are removed and
+//!    run their `shutdown`; then the remaining commands apply: add, transition, pause, resume
+//! 2. **jobs**: work starts; results go to their modules, in the order in which the work ended. Under a clock
+//!    that does not run by itself, the work runs here, to its end
+//! 3. **settings**: values are checked and applied, in the order of the requests
+//! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which
+//!    their runs ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch
+//!    of the next cycle, and go to the inboxes of [`Outlet`]s
+//! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then
+//!    of the others; then answers go to their clients, and callers receive their time-outs
 //! 6. **timers**: when each module has to run next
 //! 7. the mechanisms added with [`Core::with_mechanism`], in the order in which they were added
-//! 8. modules that were removed are dropped, and what they held is freed
+//! 8. removed modules are dropped, and their resources are freed
 //!
-//! A mechanism of the core may be passed over in a cycle in which nobody asked it for anything. What a `shutdown` in
-//! step 1 publishes is still sent in step 4; that of a detached module runs on its thread, and joins later.
+//! A cycle skips a mechanism of the core that has received no request. Messages that a `shutdown` publishes
+//! in step 1 are still sent in step 4. The `shutdown` of a detached module runs on the module's thread, and
+//! its messages join a later sync phase.
 //!
-//! # What things cost, in cycles
+//! # Costs in cycles
 //!
 //! | | takes effect |
 //! | --- | --- |
@@ -152,10 +156,10 @@
 //! | a call | received in the next cycle, answered in the one after that |
 //! | a setting, pause, removal | in the sync phase of this cycle |
 //! | an added module, a transition | runs in the next cycle |
-//! | what another thread asks for | as above, from the sync phase on at which it joins |
+//! | a request of another thread | as above, counted from the sync phase in which it is taken |
 //!
-//! Cycles follow each other without pause while there is something to do, so this is latency, and a short one, not a
-//! share of the time of a timer.
+//! Cycles follow each other without pause while there is something to do. These figures are therefore a short
+//! latency, and no fraction of a timer's period.
 
 mod api;
 mod cycle;

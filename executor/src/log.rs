@@ -1,4 +1,5 @@
-//! Lines in the log of the program, and on `/rosout` in ROS 2, under the name of the module that writes them.
+//! Log lines for the program's log, and for `/rosout` in ROS 2, under the name of the module that writes
+//! them.
 //!
 //! ```
 //! use std::time::Duration;
@@ -30,10 +31,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! `debug!`, `info!`, `warn!` and `error!` are those of the crate `tracing`: named values (`warn!(servo = 5, "is silent")`) follow the
-//! text. The forms `_every` and `_once` take the context of the callback first. Each of their places in the source counts by itself
-//! and for each module by itself, by the time of cycles, so that a replay writes the same lines. A line of `_every` that follows lines
-//! which were left out ends with `suppressed=` and their number.
+//! `debug!`, `info!`, `warn!` and `error!` are those of the crate `tracing`: named values
+//! (`warn!(servo = 5, "is silent")`) follow the text. The forms `_every` and `_once` take the context of the
+//! callback as their first argument. Each call site is limited separately in each module, by the time of
+//! cycles, so that a replay writes the same lines. A line of `_every` that follows suppressed lines ends with
+//! `suppressed=` and their number.
 
 use std::time::Duration;
 
@@ -45,7 +47,7 @@ pub use crate::{
 };
 pub use tracing::{debug, error, info, trace, warn};
 
-/// When a module has last written the lines that are limited.
+/// The limited log lines of a module, with the time at which each was last written.
 #[derive(Default)]
 pub(crate) struct LogLimits(Vec<Limit>);
 
@@ -74,8 +76,9 @@ impl LogLimits {
 }
 
 impl<P> Context<'_, P> {
-    /// For the macros of [`log`](crate::log), and for wrappers of other loggers: `None` if the module has written the line of this
-    /// place within `period` (or at all, without a period), otherwise how often it was left out since.
+    /// Decides whether a limited line is due; for the macros of [`log`](crate::log), and for wrappers of
+    /// other loggers. Returns `None` if the module has written the line of this call site within `period` (or
+    /// at all, without a period), otherwise the number of lines suppressed since then.
     pub fn log_is_due(&mut self, site: &'static str, period: Option<Duration>) -> Option<u64> {
         let now = self.now();
         self.io().log_limits.is_due(site, now, period)
@@ -94,8 +97,8 @@ macro_rules! __log_limited {
     };
 }
 
-/// Writes a line of level DEBUG at most once per period: `debug_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level DEBUG at most once per period:
+/// `debug_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! debug_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -103,7 +106,8 @@ macro_rules! debug_every {
     };
 }
 
-/// Writes a line of level DEBUG once in the life of the module: `debug_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level DEBUG once in the life of the module: `debug_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! debug_once {
     ($context:expr, $($line:tt)+) => {
@@ -111,8 +115,8 @@ macro_rules! debug_once {
     };
 }
 
-/// Writes a line of level INFO at most once per period: `info_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level INFO at most once per period:
+/// `info_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! info_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -120,7 +124,8 @@ macro_rules! info_every {
     };
 }
 
-/// Writes a line of level INFO once in the life of the module: `info_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level INFO once in the life of the module: `info_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! info_once {
     ($context:expr, $($line:tt)+) => {
@@ -128,8 +133,8 @@ macro_rules! info_once {
     };
 }
 
-/// Writes a line of level WARN at most once per period: `warn_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level WARN at most once per period:
+/// `warn_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! warn_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -137,7 +142,8 @@ macro_rules! warn_every {
     };
 }
 
-/// Writes a line of level WARN once in the life of the module: `warn_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level WARN once in the life of the module: `warn_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! warn_once {
     ($context:expr, $($line:tt)+) => {
@@ -145,8 +151,8 @@ macro_rules! warn_once {
     };
 }
 
-/// Writes a line of level ERROR at most once per period: `error_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See
-/// [`log`](crate::log).
+/// Writes a line of level ERROR at most once per period:
+/// `error_every!(ctx, Duration::from_secs(1), "{joint} is hot")`. See [`log`](crate::log).
 #[macro_export]
 macro_rules! error_every {
     ($context:expr, $period:expr, $($line:tt)+) => {
@@ -154,7 +160,8 @@ macro_rules! error_every {
     };
 }
 
-/// Writes a line of level ERROR once in the life of the module: `error_once!(ctx, "the first picture")`. See [`log`](crate::log).
+/// Writes a line of level ERROR once in the life of the module: `error_once!(ctx, "the first picture")`. See
+/// [`log`](crate::log).
 #[macro_export]
 macro_rules! error_once {
     ($context:expr, $($line:tt)+) => {

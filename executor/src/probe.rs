@@ -1,4 +1,4 @@
-//! Tests of modules: a core whose time only the test moves.
+//! Tests of modules with a core whose time is controlled by the test.
 
 use std::collections::BTreeSet;
 use std::sync::mpsc::channel;
@@ -11,8 +11,9 @@ use crate::{
     SettingRefused, SettingValue, SetupError, Time,
 };
 
-/// A core for the test of a module: it publishes, receives and calls in place of the rest of the robot, and time stands still
-/// until the test advances it. Nothing waits, and the result is the same on every machine.
+/// A core for the test of a module. It publishes, receives and calls in place of the rest of the robot. Time
+/// stands still until the test advances it, so the test never waits and the result is the same on every
+/// machine.
 ///
 /// ```
 /// use std::time::Duration;
@@ -43,53 +44,53 @@ use crate::{
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// Every method runs the modules until none has anything to do at the time the clock shows. A module that panics is an error of the
-/// method that ran it. Detached modules run inside the cycle.
+/// Every method runs the modules until no module has anything to do at the current time of the clock. If a
+/// module panics, the method that ran it returns an error. Detached modules run inside the cycle.
 pub struct Probe {
     core: Core,
     clock: ManualClock,
-    /// The modules whose panic was reported.
+    /// The modules whose panic has been reported.
     reported: BTreeSet<Arc<str>>,
 }
 
-/// Why a [`Probe`] could not go on.
+/// Errors of a [`Probe`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProbeError {
-    /// A module cannot join, or a topic or service has other types.
+    /// A module cannot join, or a topic or service exists with other types.
     #[error(transparent)]
     Setup(#[from] SetupError),
     /// The core cannot run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// The core does not take a message.
+    /// The core refuses a message.
     #[error("\"{topic}\": {source}")]
     Inlet {
         /// The topic.
         topic: String,
-        /// Why.
+        /// The error of the inlet.
         source: InletError,
     },
-    /// A call has no response.
+    /// A call has received no response.
     #[error(transparent)]
     Call(#[from] CallError),
     /// A setting refuses a value.
     #[error(transparent)]
     Setting(#[from] SettingRefused),
-    /// A module has ended.
+    /// A module has panicked.
     #[error("module \"{module}\" panicked: {reason}")]
     Panicked {
         /// The module.
         module: Arc<str>,
-        /// What the panic said.
+        /// The message of the panic.
         reason: Arc<str>,
     },
-    /// Modules give each other work without end.
+    /// The modules keep each other busy, and the probe never comes to rest.
     #[error(
-        "after {cycles} cycles the modules still have something to do at the same time: they answer each other without end"
+        "the modules are still busy after {cycles} cycles at the same time: they answer each other without end"
     )]
     Restless {
-        /// How many cycles ran.
+        /// The number of cycles that ran.
         cycles: u32,
     },
 }
@@ -99,7 +100,7 @@ pub enum ProbeError {
 pub struct Heard<T>(Arc<Mutex<Vec<T>>>);
 
 impl<T> Heard<T> {
-    /// The messages since they were taken last, in the order in which they were published.
+    /// Takes the messages since the last take, in the order of publishing.
     #[must_use]
     pub fn take(&self) -> Vec<T> {
         std::mem::take(&mut *unpoisoned(self.0.lock()))
@@ -119,10 +120,10 @@ impl Default for Probe {
 }
 
 impl Probe {
-    /// The time at which a probe begins; not zero, which as a stamp says that there is none.
+    /// The time at which a probe begins. It is not zero, because a stamp of zero means "no time".
     pub const START: Time = Time::from_nanos(1_000_000_000_000);
 
-    /// How long a [call](Self::call) may take.
+    /// The longest time that a [call](Self::call) may take.
     pub const PATIENCE: Duration = Duration::from_secs(5);
 
     const MOST_CYCLES: u32 = 10_000;
@@ -146,7 +147,7 @@ impl Probe {
     /// Adds a module with options, such as values of its settings.
     ///
     /// # Errors
-    /// Those of [`add`](Self::add).
+    /// As for [`add`](Self::add).
     pub fn add_with(
         &mut self,
         name: &str,
@@ -169,7 +170,7 @@ impl Probe {
         Ok(heard)
     }
 
-    /// Publishes a message, and runs the modules that it concerns.
+    /// Publishes a message, and runs the modules that receive it.
     ///
     /// # Errors
     /// If the topic carries another type, or a module panics.
@@ -179,7 +180,8 @@ impl Probe {
         self.settle()
     }
 
-    /// Calls a service, and returns its response. Time advances until there is one, at most by [`PATIENCE`](Self::PATIENCE).
+    /// Calls a service, and returns its response. Advances time until the response comes, by at most
+    /// [`PATIENCE`](Self::PATIENCE).
     ///
     /// # Errors
     /// If the service has other types, no server or no response, or a module panics.
@@ -199,7 +201,7 @@ impl Probe {
     /// Changes a setting of a module.
     ///
     /// # Errors
-    /// If there is no such setting, it refuses the value, or a module panics.
+    /// If there is no such setting, the setting refuses the value, or a module panics.
     pub fn set(
         &mut self,
         module: &str,
@@ -211,7 +213,7 @@ impl Probe {
         receipt.try_take().unwrap_or(Ok(())).map_err(ProbeError::from)
     }
 
-    /// Lets time pass: timers and tasks run at their times, those at the end of `time` too.
+    /// Advances time. Timers and tasks run at their times, including those due at the end of `time`.
     ///
     /// # Errors
     /// If a module panics.
@@ -219,7 +221,7 @@ impl Probe {
         self.wait(time, || None::<()>).map(drop)
     }
 
-    /// Lets time pass, at most `patience`, until `find` finds something.
+    /// Advances time until `find` returns a value, by at most `patience`.
     ///
     /// # Errors
     /// If a module panics.
@@ -248,15 +250,15 @@ impl Probe {
         self.clock.now()
     }
 
-    /// The core, for what a probe has no method for. Methods of the probe run its cycles.
+    /// The core, for functions that the probe does not offer. The methods of the probe run its cycles.
     pub fn core(&mut self) -> &mut Core {
         &mut self.core
     }
 
-    /// Runs cycles until nothing is left to do at this time.
+    /// Runs cycles until nothing is left to do at the current time.
     ///
     /// # Errors
-    /// If a module panics, or there is always something left.
+    /// If a module panics, or the modules never come to rest.
     pub fn settle(&mut self) -> Result<(), ProbeError> {
         let now = self.now();
         let mut cycles = 0;
@@ -271,7 +273,7 @@ impl Probe {
                 return Err(ProbeError::Restless { cycles });
             }
         }
-        // Outlets take the messages of the last cycle at the beginning of the next.
+        // Outlets receive the messages of the last cycle at the beginning of the next cycle.
         self.core.cycle()?;
         self.check_panics()
     }

@@ -1,12 +1,13 @@
-//! Queues between threads: what waits for the core, and what happens when too much does.
+//! Queues between threads, bounded and unbounded, and their behaviour when full.
 //!
-//! Modules need none of them, since what they ask of each other waits in places of their own. A queue stands where
-//! something comes from outside the cycle: behind an [`Inlet`](crate::Inlet). A bounded [`Locked`] is the default there;
-//! [`Core::inlet_with`](crate::Core::inlet_with) takes any other, a user's own too.
+//! Modules need no such queues, since requests between modules wait inside the modules until the sync phase.
+//! Queues accept input from outside the cycle, behind an [`Inlet`](crate::Inlet). The default there is a
+//! bounded [`Locked`]; [`Core::inlet_with`](crate::Core::inlet_with) accepts any other, including a
+//! user-defined one.
 //!
-//! | queue | bounded | allocates | of |
+//! | queue | bounded | allocates | implementation |
 //! | --- | --- | --- | --- |
-//! | [`Locked`] | as asked | until it has grown | a lock around a `VecDeque` |
+//! | [`Locked`] | optionally | until it has grown | a lock around a `VecDeque` |
 //! | [`LockFree`] | no | a block for each 31 items | crossbeam's `SegQueue` |
 //! | [`Ring`] | yes | once | crossbeam's `ArrayQueue` |
 
@@ -19,10 +20,10 @@ use crossbeam::queue::{ArrayQueue, SegQueue};
 
 use crate::threads::unpoisoned;
 
-/// A queue between threads: many push, one pops.
+/// A queue with many producers and one consumer.
 ///
-/// Items of one thread come out in the order in which it pushed them. No method waits for another thread longer than
-/// that takes to push or pop one item.
+/// Items of one thread come out in the order in which that thread pushed them. No method waits for another
+/// thread longer than that thread takes to push or pop one item.
 ///
 /// ```
 /// use std::collections::BTreeMap;
@@ -63,49 +64,49 @@ use crate::threads::unpoisoned;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait Queue<T: Send>: Send + Sync {
-    /// Adds an item, or does what the queue does when it is full. Never waits for room.
+    /// Adds an item, or applies the queue's policy if the queue is full. Never waits for space.
     fn push(&self, item: T) -> Pushed<T>;
 
-    /// Takes the item that waits longest.
+    /// Removes and returns the oldest item.
     fn pop(&self) -> Option<T>;
 
-    /// How many items wait.
+    /// The number of queued items.
     fn len(&self) -> usize;
 
-    /// True if none waits.
+    /// True if the queue is empty.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// How many items were dropped so far because the queue was full. Refused ones are not counted: who pushed them
-    /// has them.
+    /// The number of items dropped so far because the queue was full. Refused items are not counted, since
+    /// the caller still has them.
     fn dropped(&self) -> u64;
 }
 
-/// What became of an item that was pushed.
+/// The outcome of a push.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Pushed<T> {
-    /// It waits.
+    /// The item was queued.
     Taken,
     /// The queue was full, and this item or the oldest was dropped.
     Dropped,
-    /// The queue was full; here it is again.
+    /// The queue was full; this returns the item.
     Refused(T),
 }
 
-/// What a bounded queue does when it is full.
+/// The policy of a bounded queue that is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overflow {
-    /// Drops the item that waits longest: for measurements, of which the latest counts.
+    /// Drops the oldest item; suits measurements, where only the latest counts.
     DropOldest,
-    /// Drops the item that comes: for what was promised to those that wait.
+    /// Drops the new item; suits data whose queued items must be delivered.
     DropNewest,
-    /// Gives back the item that comes, so that who pushed it knows.
+    /// Returns the new item to the caller.
     Refuse,
 }
 
-/// A queue behind a lock: the simplest, and fair where few threads push. A thread that loses the processor while it
-/// holds the lock holds up the others for that time.
+/// A queue behind a lock: simple, and fair with few producers. A thread that is preempted while it holds the
+/// lock delays the others for that time.
 pub struct Locked<T> {
     limit: Option<(NonZeroUsize, Overflow)>,
     state: Mutex<State<T>>,
@@ -117,7 +118,7 @@ struct State<T> {
 }
 
 impl<T> Locked<T> {
-    /// A queue that takes as much as there is memory.
+    /// A queue that is limited only by memory.
     #[must_use]
     pub fn unbounded() -> Self {
         Self { limit: None, state: Mutex::new(State { items: VecDeque::new(), dropped: 0 }) }
@@ -153,7 +154,7 @@ impl<T: Send> Queue<T> for Locked<T> {
         };
         state.dropped += 1;
         drop(state);
-        // After the lock: dropping it may run code of its own, and may panic.
+        // Drops the item after the lock is released, because its destructor is the user's code and may panic.
         drop(dropped);
         Pushed::Dropped
     }
@@ -171,8 +172,8 @@ impl<T: Send> Queue<T> for Locked<T> {
     }
 }
 
-/// crossbeam's `SegQueue`: a thread that loses the processor in the middle of a push holds up nobody else's. It takes
-/// as much as there is memory, and never drops anything.
+/// crossbeam's `SegQueue`: a thread that is preempted in the middle of a push delays no other thread's push.
+/// It is limited only by memory and never drops an item.
 pub struct LockFree<T> {
     items: SegQueue<T>,
 }
@@ -210,8 +211,8 @@ impl<T: Send> Queue<T> for LockFree<T> {
     }
 }
 
-/// crossbeam's `ArrayQueue`: room for a fixed number of items, taken once. Where it drops the oldest item it drops no
-/// more than it needs, whoever else pushes.
+/// crossbeam's `ArrayQueue`: space for a fixed number of items, allocated once. If several threads push at
+/// once, the policy [`DropOldest`](Overflow::DropOldest) still drops only as many items as needed.
 pub struct Ring<T> {
     items: ArrayQueue<T>,
     overflow: Overflow,

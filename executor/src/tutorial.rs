@@ -1,19 +1,27 @@
 //! A small robot, step by step.
 //!
-//! The robot is a biped that keeps its balance. Every step below runs as a test with a [`ManualClock`](crate::ManualClock), which
-//! the test advances, and asserts the result. Units are SI; frames follow REP 103 and REP 105: `base_link`
-//! has x forward, y left and z up, so a positive pitch (about y) is nose down; `map` and `odom` are fixed to the world.
+//! The robot is a biped that keeps its balance. Every step below runs as a test with a
+//! [`ManualClock`](crate::ManualClock), which the test advances, and asserts the result. Units are SI; frames
+//! follow REP 103 and REP 105: `base_link` has x forward, y left and z up, so a positive pitch (about y) is
+//! nose down; `map` and `odom` are fixed to the world.
 //!
-//! 1. [A sensor](#1-a-sensor) 2. [A controller](#2-a-controller) 3. [A setting](#3-a-setting) 4. [A service](#4-a-service)
-//!    5. [A task](#5-a-task) 6. [A job](#6-a-job) 7. [A detached module](#7-a-detached-module)
-//!    8. [Life and restart](#8-life-and-restart) 9. [Modules that come and go](#9-modules-that-come-and-go)
-//!    10. [A launcher](#10-a-launcher) 11. [The end](#11-the-end)
+//! 1. [A sensor](#1-a-sensor)
+//! 2. [A controller](#2-a-controller)
+//! 3. [A setting](#3-a-setting)
+//! 4. [A service](#4-a-service)
+//! 5. [A task](#5-a-task)
+//! 6. [A job](#6-a-job)
+//! 7. [A detached module](#7-a-detached-module)
+//! 8. [Life and restart](#8-life-and-restart)
+//! 9. [Modules that come and go](#9-modules-that-come-and-go)
+//! 10. [A launcher](#10-a-launcher)
+//! 11. [The end](#11-the-end)
 //!
 //! # 1 A sensor
 //!
-//! In its `setup`, a module declares what it does. Each declaration returns a *key*, here for publishing. The keys are the
-//! module's *ports*: `setup` returns them, and callbacks receive them in the [`Context`](crate::Context), next to the module
-//! itself.
+//! In its `setup`, a module declares what it does. Each declaration returns a *key*, here for publishing. The
+//! keys are the module's *ports*: `setup` returns them, and callbacks receive them in the
+//! [`Context`](crate::Context), next to the module itself.
 //!
 //! ```
 //! use std::time::Duration;
@@ -61,13 +69,14 @@
 //!
 //! # 2 A controller
 //!
-//! The controller subscribes and publishes. It knows the sensor only by the name of its topic. What is published in one cycle is
-//! received in the next: **each hop costs a cycle**. That is not the period of a timer: under
-//! [`Core::run`](crate::Core::run), cycles follow each other without pause while there is something to do, and a hop takes as
-//! long as the other modules in these cycles compute. In return, neither the order in which modules run nor the threads
-//! affect the result.
+//! The controller subscribes and publishes. It refers to the sensor only by the name of its topic. A message
+//! published in one cycle is received in the next: **each hop costs a cycle**. A hop is not the period of a
+//! timer: under [`Core::run`](crate::Core::run), cycles follow each other without pause while there is
+//! something to do, and a hop takes as long as the other modules in these cycles compute. In return, neither
+//! the order in which modules run nor the threads affect the result.
 //!
-//! In a module as small as this, closures may instead capture the keys that they use. Its ports are then `()`.
+//! In a module as small as this, closures may instead capture the keys that they use. Its ports are then
+//! `()`.
 //!
 //! ```
 //! use std::sync::mpsc::{Sender, channel};
@@ -118,9 +127,10 @@
 //!
 //! # 3 A setting
 //!
-//! A number that users will want to change is a setting, with a range and a unit. Its value is constant during a cycle.
-//! [`Setup::on_change`](crate::Setup::on_change) registers a callback that computes what depends on it;
-//! [`Setup::accept_if`](crate::Setup::accept_if) a condition that a range cannot express.
+//! A number that users will want to change is a setting, with a range and a unit. Its value is constant
+//! during a cycle. [`Setup::on_change`](crate::Setup::on_change) registers a callback that computes values
+//! derived from the setting; [`Setup::accept_if`](crate::Setup::accept_if) registers a condition that a range
+//! cannot express.
 //!
 //! ```
 //! # use downbeat_executor::{
@@ -170,10 +180,10 @@
 //!
 //! # 4 A service
 //!
-//! A service is for requests with a response, such as "stand up". The server responds with a value or with an error as text.
-//! **A call takes two cycles**: one until the server has the request, one until the client has the response; if the server
-//! calls a third module, it takes four. For each call of a module that stays active, the callback runs exactly once, after the
-//! time-out at the latest.
+//! A service is for requests with a response, such as "stand up". The server responds with a value or with an
+//! error as text. **A call takes two cycles**: one until the server has the request, one until the client has
+//! the response; if the server calls a third module, it takes four. For each call of a module that stays
+//! active, the callback runs exactly once, after the time-out at the latest.
 //!
 //! ```
 //! # use std::sync::mpsc::{Sender, channel};
@@ -247,8 +257,8 @@
 //!
 //! # 5 A task
 //!
-//! A task runs once, at a time that the module chooses while it runs. Here, the motors go limp if no attitude arrives for
-//! 50 ms. Scheduling adds a time, so the previous one is cancelled first.
+//! A task runs once, at a time that the module chooses while it runs. Here, the motors go limp if no attitude
+//! arrives for 50 ms. Scheduling adds a time, so the previous one is cancelled first.
 //!
 //! ```
 //! # use std::time::Duration;
@@ -288,10 +298,10 @@
 //!
 //! # 6 A job
 //!
-//! A run delays its cycle, and with it all modules. Reading files and long computations therefore belong in jobs, which run
-//! beside the cycle: [`Context::spawn`](crate::Context::spawn) runs a job on another thread,
-//! [`Context::spawn_async`](crate::Context::spawn_async) on the thread for async work. A job cannot access the module: it
-//! owns its input, and its result is passed to the callback of the job.
+//! A run delays its cycle, and with it all modules. Reading files and long computations therefore belong in
+//! jobs, which run outside the cycle: [`Context::spawn`](crate::Context::spawn) runs a job on another thread,
+//! [`Context::spawn_async`](crate::Context::spawn_async) on the thread for async work. A job cannot access
+//! the module: it owns its input, and its result is passed to the callback of the job.
 //!
 //! ```
 //! # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
@@ -338,15 +348,16 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! With a running clock, results arrive *in the order in which the jobs end*, in the sync phase that follows. This is the only
-//! effect here that depends on the speed of threads. With a manual clock (in tests), a job runs in the sync phase of the cycle
-//! that spawned it, in the order of spawning. The topic `executor/events` reports the cycle in which each result arrived, and a
-//! replay holds the results back until then.
+//! With a running clock, results arrive *in the order in which the jobs end*, in the sync phase that follows.
+//! This is the only effect here that depends on the speed of threads. With a manual clock (in tests), a job
+//! runs in the sync phase of the cycle that spawned it, in the order of spawning. The topic `executor/events`
+//! reports the cycle in which each result arrived, and a replay holds the results back until then.
 //!
 //! # 7 A detached module
 //!
-//! A slow module (vision, a serial port) can run on its own thread; this is an option, and the module itself does not change.
-//! While it is busy, batches wait in its inbox: all of them or, if the inbox is bounded, the latest of each topic.
+//! A slow module (vision, a serial port) can run on its own thread; this is an option, and the module itself
+//! does not change. While it is busy, batches wait in its inbox: all of them or, if the inbox is bounded, the
+//! latest of each topic.
 //!
 //! ```
 //! # use std::num::NonZeroUsize;
@@ -379,19 +390,20 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The costs: a hop to the module and back wakes two threads, which the system schedules, and its messages arrive when its run
-//! ends, in a cycle that cannot be predicted. The topic [`DetachedStep::TOPIC`](crate::DetachedStep) reports each of its runs,
-//! which a replay repeats from a recording; [`SettingsChange::TOPIC`](crate::SettingsChange) reports settings that change
-//! meanwhile. The limits: a detached module cannot use a mechanism that was added to the core, because others change it while
-//! the module runs ([`Setup::mechanism`](crate::Setup::mechanism) returns an error, with every clock); and a core that stops
-//! waits until the run ends, because a thread cannot be ended from outside.
+//! The costs: a hop to the module and back wakes two threads, which the system schedules, and its messages
+//! arrive when its run ends, in a cycle that cannot be predicted. The topic
+//! [`DetachedStep::TOPIC`](crate::DetachedStep) reports each of its runs, which a replay repeats from a
+//! recording; [`SettingsChange::TOPIC`](crate::SettingsChange) reports settings that change meanwhile. The
+//! limits: a detached module cannot use a mechanism that was added to the core, because others change it
+//! while the module runs ([`Setup::mechanism`](crate::Setup::mechanism) returns an error, with every clock);
+//! and a core that stops waits until the run ends, because a thread cannot be ended from outside.
 //!
 //! # 8 Life and restart
 //!
-//! A module becomes active immediately, unless [`ModuleOptions::initial_state`](crate::ModuleOptions) says otherwise; then it can
-//! be configured and activated later, like a managed node of ROS 2. Only active modules run callbacks. A panic ends only its
-//! own module, and discards the outputs and requests of that run. A module that is added with a closure that creates it can be
-//! restarted.
+//! A module becomes active immediately, unless [`ModuleOptions::initial_state`](crate::ModuleOptions) says
+//! otherwise; then it can be configured and activated later, like a managed node of ROS 2. Only active
+//! modules run callbacks. A panic ends only its own module, and discards the outputs and requests of that
+//! run. A module that is added with a closure that creates it can be restarted.
 //!
 //! ```
 //! # use std::time::Duration;
@@ -448,11 +460,11 @@
 //!
 //! # 9 Modules that come and go
 //!
-//! [`CoreHandle`](crate::CoreHandle) adds and removes modules of a running core from any thread, and a module does so
-//! from a callback, with [`Context::add`](crate::Context::add) and [`Context::remove`](crate::Context::remove). Both take effect
-//! in the sync phase. The `setup` of an added module and the `shutdown` of a removed one run there, so long work in them delays
-//! the cycle: put it into a job, or make the module detached. Modules that are added later come later in the order of
-//! registration.
+//! [`CoreHandle`](crate::CoreHandle) adds and removes modules of a running core from any thread, and a module
+//! does so from a callback, with [`Context::add`](crate::Context::add) and
+//! [`Context::remove`](crate::Context::remove). Both take effect in the sync phase. The `setup` of an added
+//! module and the `shutdown` of a removed one run there, so long work in them delays the cycle: put it into a
+//! job, or make the module detached. Modules that are added later come later in the order of registration.
 //!
 //! ```
 //! # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
@@ -491,8 +503,8 @@
 //!
 //! # 10 A launcher
 //!
-//! The launcher decides on which threads the process phase runs. It does not change the result, because modules share
-//! nothing while they run and their requests are collected in the order of registration.
+//! The launcher decides on which threads the process phase runs. It does not change the result, because
+//! modules share nothing while they run and their requests are collected in the order of registration.
 //!
 //! | launcher | for |
 //! | --- | --- |
@@ -552,8 +564,8 @@
 //!
 //! [`CoreHandle::stop`](crate::CoreHandle::stop) ends [`Core::run`](crate::Core::run), which then calls the
 //! [`shutdown`](crate::Module::shutdown) of each module, in the reverse order of registration. An
-//! [outlet](crate::Core::outlet), through which messages leave the core for a file, a network or a test, is closed after all
-//! modules have stopped, so it receives their last messages.
+//! [outlet](crate::Core::outlet), through which messages leave the core for a file, a network or a test, is
+//! closed after all modules have stopped, so it receives their last messages.
 //!
 //! ```
 //! # use std::sync::mpsc::channel;

@@ -1,7 +1,7 @@
-//! In steady state a cycle takes no memory from the system.
+//! A cycle allocates no memory in steady state.
 #![allow(clippy::unwrap_used, missing_docs)]
-// Counting allocations takes an allocator, and its trait is unsafe to implement. It only counts and passes on to
-// the system's.
+// Counting allocations requires an allocator, whose trait is unsafe to implement. This one only counts, and
+// forwards to the system's allocator.
 #![allow(unsafe_code)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -16,7 +16,7 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-// SAFETY: every request goes to the system's allocator as it came.
+// SAFETY: every request is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
@@ -36,7 +36,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// A thread that is ending has no counter any more, and nothing is measured there.
+/// A thread that is ending has lost its counter; nothing is measured there.
 fn count() {
     let _ = ALLOCATIONS.try_with(|allocations| allocations.set(allocations.get() + 1));
 }
@@ -46,7 +46,7 @@ static ALLOCATOR: Counting = Counting;
 
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// Publishes a batch every millisecond, whose size changes up to a limit, and listens to all of them.
+/// Publishes a batch of varying, limited size every millisecond, and subscribes to the batches of all nodes.
 struct Node {
     out: Option<Publication<[u64; 8]>>,
     rounds: u64,

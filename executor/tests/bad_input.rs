@@ -1,4 +1,5 @@
-//! Bad input at run time: what blocks, overflows or never comes is told, and the rest of the robot goes on.
+//! Bad input at run time: blocking modules, full queues and missing services are reported, and the rest of
+//! the robot continues.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -11,7 +12,7 @@ use common::*;
 use downbeat_executor::queue::{Locked, Overflow, Queue, Ring};
 use downbeat_executor::*;
 
-/// Blocks in its first tick until the sender says go on, or is gone.
+/// Blocks in its first tick until the test sends a signal or drops the sender.
 fn blocking(gate: std::sync::mpsc::Receiver<()>) -> Scripted {
     module(move |setup| {
         let mut gate = Some(gate);
@@ -36,7 +37,7 @@ fn a_detached_module_that_blocks_holds_up_nobody() {
     let handle = core.handle();
     let running = std::thread::spawn(move || core.run());
     let mut ticks = 0;
-    wait_until("the other goes on", || {
+    wait_until("the other module continues", || {
         ticks += log.take().len();
         ticks > 20
     });
@@ -65,7 +66,7 @@ fn an_attached_module_that_blocks_is_told_while_it_does_and_the_rest_goes_on_aft
         let ended = told.iter().find(|overrun| overrun.has_ended).unwrap();
         assert!(ended.running_for > overrun.deadline);
         log.take();
-        wait_until("the rest goes on", || log.take().len() > 2);
+        wait_until("the other modules continue", || log.take().len() > 2);
         handle.stop();
         running.join().unwrap().unwrap();
     }
@@ -92,8 +93,8 @@ fn a_pool_of_no_threads_is_refused_with_what_to_do() {
     assert!(error.starts_with("a pool of 0 threads cannot run modules: give it at least 1"), "{error}");
 }
 
-/// What a listener hears of five messages of which an inlet's queue holds three, what publishing them gave, and how
-/// many were dropped.
+/// Publishes five messages through an inlet whose queue holds three. Returns the received messages, the
+/// results of publishing, and the number of dropped messages.
 fn through(queue: impl Queue<u32> + 'static) -> (Vec<String>, Vec<bool>, u64) {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     let inlet = core.inlet_with("numbers", queue).unwrap();

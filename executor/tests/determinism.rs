@@ -1,4 +1,4 @@
-//! The same robot computes the same under every launcher, whatever its modules do to each other.
+//! The same robot computes the same under every launcher, including when its modules manage each other.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::BTreeMap;
@@ -10,12 +10,12 @@ use proptest::prelude::*;
 
 const STEP: Duration = Duration::from_millis(1);
 const TOPICS: [&str; 4] = ["north", "east", "south", "west"];
-/// Served by the modules of these numbers, while they are there.
+/// Each service is provided by the module of the same index, while that exists.
 const SERVICES: [&str; 3] = ["dig", "lift", "carry"];
-/// As many names as modules can have.
+/// The number of possible module names.
 const NAMES: u64 = 10;
 
-/// A module of a random robot: what happens to it it mixes into its state, and its state decides what it does.
+/// A module of a random robot: it hashes every event into its state, and its state selects its actions.
 #[derive(Clone, Debug)]
 struct Node {
     listens: Vec<u8>,
@@ -24,20 +24,20 @@ struct Node {
     answers_later: bool,
     backoff_ms: Option<u8>,
     every_cycle: bool,
-    /// Of 64 things it does, how many do something to modules.
+    /// How many of its 64 actions manage modules.
     meddles: u8,
 }
 
-/// What happened to a module: when, what, and with which value.
+/// An event of a module: its time, its kind and a value.
 type Event = (Time, &'static str, u64);
-/// By the name of the module, so that what runs at the same time does not write in one place.
+/// By the name of the module, so that concurrent modules write to separate entries.
 type Trace = BTreeMap<String, Vec<Event>>;
 
 struct RandomModule {
     node: Node,
     number: u64,
     state: u64,
-    /// The time of the last action, and how many there were: feedback must not grow without bound.
+    /// The time of the last action, and the number of actions at that time, which limits feedback.
     acted: (Time, u32),
     keys: Option<Keys>,
     waiting: Vec<Responder<u64, u64>>,
@@ -70,7 +70,8 @@ impl RandomModule {
         }
     }
 
-    /// Notes what happened, and does something, as the state then says: every order of events leaves its own trace.
+    /// Records an event and performs an action selected by the new state, so that every order of events
+    /// leaves a distinct trace.
     fn absorb(&mut self, what: &'static str, value: u64, ctx: &mut Context<'_>) {
         let mut trace = self.trace.lock().unwrap_or_else(PoisonError::into_inner);
         trace.entry(name(self.number)).or_default().push((ctx.now(), what, value));
@@ -189,7 +190,7 @@ impl Module for RandomModule {
     }
 }
 
-/// What happens to the modules of a robot, and which of them there are in the end.
+/// The trace of a robot's run, and the modules that exist at its end.
 fn traced(nodes: &[Node], launcher: impl Launcher + 'static) -> (Trace, Vec<ModuleInfo>) {
     let clock = ManualClock::new(Time::ZERO);
     let mut core = Core::new().with_launcher(launcher).with_clock(clock.clone());
@@ -224,7 +225,7 @@ fn nodes() -> impl Strategy<Value = Vec<Node>> {
     proptest::collection::vec(node, 1..8)
 }
 
-/// What the modules' panics say is no news.
+/// Suppresses the output of intended panics.
 fn silence_panics() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -253,7 +254,7 @@ proptest! {
     }
 }
 
-/// A property that holds because nothing happens would be worth nothing.
+/// Guards against a vacuous property: every kind of event must occur.
 #[test]
 fn random_robots_do_everything_they_can() {
     silence_panics();

@@ -1,4 +1,4 @@
-//! What the executor promises at its edges: full queues, slow modules, faults, the end.
+//! Behaviour of the executor in edge cases: full queues, slow modules, faults, shutdown.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::num::NonZeroUsize;
@@ -12,8 +12,8 @@ const WATCHDOG: Duration = Duration::from_secs(30);
 
 type Log = Arc<Mutex<Vec<String>>>;
 
-/// Tells what it hears on two topics. The second topic is subscribed first, so that the order of subscription
-/// is not that of publishing. Waits at the gate after the first message on "gate".
+/// Logs the messages of two topics. The second topic is subscribed first, so that the order of subscription
+/// differs from that of publishing. Waits at the gate after the first message on "gate".
 struct Listener {
     log: Log,
     heard: Sender<()>,
@@ -46,8 +46,8 @@ impl Module for Listener {
     }
 }
 
-/// What a listener hears of messages that come while it is busy, one in a cycle: "first 1", "second 1", "first 2",
-/// "first 3".
+/// The log of a listener for messages that arrive while it is busy, one per cycle: "first 1", "second 1",
+/// "first 2", "first 3".
 fn heard_while_busy(inbox: Inbox, role: Role) -> Vec<String> {
     let mut core = Core::new();
     let (heard, waiting) = channel();
@@ -87,7 +87,7 @@ fn a_busy_topic_does_not_push_another_one_out_of_an_inbox() {
     assert_eq!(heard, ["second 1", "first 3"]);
 }
 
-/// Listens twice to one topic.
+/// Subscribes twice to one topic.
 struct Twice(Log);
 
 impl Module for Twice {
@@ -106,7 +106,7 @@ impl Module for Twice {
     }
 }
 
-/// Keeps the steps it sees.
+/// Collects the steps that it receives.
 struct Steps(Arc<Mutex<Vec<DetachedStep>>>);
 
 impl Module for Steps {
@@ -230,7 +230,7 @@ fn next_event_tells_work_a_timer_or_nothing() {
     let mut core = Core::new().with_clock(clock.clone());
     assert_eq!(core.next_event(), None);
     core.add("idle", Idle).unwrap();
-    assert_eq!(core.next_event(), Some(Time::from_nanos(7)), "it has to start");
+    assert_eq!(core.next_event(), Some(Time::from_nanos(7)), "the core has to start");
     core.cycle().unwrap();
     assert_eq!(core.next_event(), Some(Time::from_nanos(5_000_007)));
     core.handle().set("idle", "none", true);
@@ -239,7 +239,7 @@ fn next_event_tells_work_a_timer_or_nothing() {
     assert_eq!(core.next_event(), None);
 }
 
-/// Opens the gate when the log warns of a module.
+/// Opens the gate when a warning is logged.
 struct OpenOnWarning(Mutex<Sender<()>>);
 
 impl tracing::Subscriber for OpenOnWarning {
@@ -256,7 +256,7 @@ impl tracing::Subscriber for OpenOnWarning {
     fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
 
     fn event(&self, _: &tracing::Event<'_>) {
-        // Fails only after the first warning, when the gate is open and gone.
+        // Fails only after the first warning, when the gate has been opened and dropped.
         let _ = self.0.lock().unwrap().send(());
     }
 
@@ -281,12 +281,13 @@ fn a_stop_that_waits_for_a_detached_module_says_so() {
     waiting.recv_timeout(WATCHDOG).unwrap();
     first.publish(1).unwrap();
     core.cycle().unwrap();
-    // The module returns only because of the warning; had it panicked at its watchdog, it would hear nothing more.
+    // The module returns only because of the warning. After a time-out at its watchdog it would panic and log
+    // nothing more.
     tracing::subscriber::with_default(OpenOnWarning(Mutex::new(opener)), || core.stop());
     assert_eq!(*log.lock().unwrap(), ["first 1"]);
 }
 
-/// Passes on what it hears.
+/// Forwards the messages of one topic to another.
 struct Relay {
     from: &'static str,
     to: &'static str,
@@ -312,7 +313,7 @@ impl Module for Relay {
 fn what_is_passed_on_while_the_core_stops_reaches_who_still_runs() {
     let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
     let (log, first) = (Log::default(), core.inlet::<u64>("a").unwrap());
-    // Stop in the reverse order, so that those who hear stop after those who tell.
+    // Modules stop in the reverse order of registration, so each receiver must stop after its sender.
     for (from, to) in [("e", "f"), ("d", "e"), ("c", "d"), ("b", "c"), ("a", "b")] {
         core.add(from, Relay { from, to, log: Arc::clone(&log) }).unwrap();
     }

@@ -1,4 +1,4 @@
-//! What the executor promises, through its public API.
+//! The behaviour of the executor, through its public API.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::BTreeMap;
@@ -28,7 +28,7 @@ impl Module for Lambda {
     }
 }
 
-/// Tells when it starts and stops.
+/// Logs its start and its stop.
 struct Lifecycle(&'static str, Arc<Mutex<Vec<String>>>);
 
 impl Module for Lifecycle {
@@ -375,7 +375,7 @@ fn a_full_inbox_of_a_detached_module_drops_the_oldest_and_counts_it() {
     core.cycle().unwrap();
     inlet.publish(1).unwrap();
     core.cycle().unwrap();
-    // It is now inside the callback for 1, and cannot take more.
+    // The module is now inside the callback for 1, and cannot take more.
     assert_eq!(received.recv_timeout(wait).unwrap(), 1);
     for number in 2..=4 {
         inlet.publish(number).unwrap();

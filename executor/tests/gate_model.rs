@@ -1,7 +1,7 @@
-//! The gate between the core's thread and its workers, run through every interleaving of a few cycles.
+//! The gate between the core's thread and its workers, checked under every interleaving of a few cycles.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-// The file itself, on threads and atomics that loom drives.
+// The file under test, with the threads and atomics of loom.
 #[path = "../src/threads/gate.rs"]
 mod gate;
 
@@ -20,7 +20,7 @@ use loom::sync::Arc;
 use loom::sync::atomic::{AtomicUsize, Ordering};
 use loom::thread::JoinHandle;
 
-/// Looks so many times before it parks.
+/// Polls this number of times before it parks.
 struct Looks {
     limit: usize,
     left: usize,
@@ -46,7 +46,7 @@ impl Patience for Looks {
     fn end(&mut self) {}
 }
 
-/// What the workers of a cycle share, as the stage is.
+/// The data shared by the workers of a cycle, in place of the stage.
 type Shared = Arc<AtomicUsize>;
 
 struct Worker {
@@ -55,7 +55,7 @@ struct Worker {
 }
 
 impl Worker {
-    /// Counts 1 for each work it is given, after `run`.
+    /// Counts 1 for each piece of work, after `run`.
     fn start(gate: &Arc<Gate>, looks: usize, run: impl Fn() + Send + 'static) -> Self {
         let seat = Arc::new(Seat::new(Arc::clone(gate)));
         let served = Arc::clone(&seat);
@@ -77,7 +77,7 @@ impl Worker {
     }
 }
 
-/// What the core does with work that a worker has not begun when the core is through with its own.
+/// How the core treats work that a worker has not begun when the core's own work is done.
 #[derive(Clone, Copy, PartialEq)]
 enum Late {
     IsWaitedFor,
@@ -102,7 +102,7 @@ fn cycles(workers: usize, cycles: usize, looks: usize, late: Late) {
             }
         }
         gate.wait(&mut Looks::new(looks));
-        // Nobody holds it, and all of the cycle's work is done or was taken back.
+        // All references are gone, and all work of the cycle is done or was taken back.
         let count = Arc::get_mut(&mut shared).expect("a worker kept the work of a cycle");
         assert_eq!(count.with_mut(std::mem::take) + taken_back, workers.len());
     }
@@ -111,7 +111,7 @@ fn cycles(workers: usize, cycles: usize, looks: usize, late: Late) {
     }
 }
 
-/// All interleavings in which the system takes the CPU from a thread at most so many times.
+/// Checks all interleavings with at most this number of preemptions.
 fn model(preemptions: usize, check: impl Fn() + Send + Sync + 'static) {
     let mut builder = loom::model::Builder::new();
     builder.preemption_bound = Some(preemptions);
@@ -147,7 +147,7 @@ fn two_workers_do_their_work_or_have_it_taken_back() {
 fn an_unpark_that_was_not_meant_for_the_wait_ends_no_wait() {
     model(3, || {
         let (gate, core) = (Arc::new(Gate::new()), loom::thread::current());
-        // As a module may do that has the handle of the core's thread.
+        // A module with the handle of the core's thread may cause this.
         let worker = Worker::start(&gate, 0, move || core.unpark());
         let mut shared = Arc::new(AtomicUsize::new(0));
         for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! Looking at a running core: what it counts, measures, traces and draws.
+//! Observation of a running core: counters, times, traces and the graph.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::time::Duration;
@@ -10,7 +10,7 @@ use downbeat_executor::{
     TraceEventKind,
 };
 
-/// Generous: the machine may be busy.
+/// Long enough for a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(60);
 
 /// Publishes two numbers in each run.
@@ -48,7 +48,8 @@ impl Module for Bomb {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        setup.subscribe("number", |_: &mut Self, _: Received<'_, u32>, _: &mut Context<'_>| panic!("as told"))
+        setup
+            .subscribe("number", |_: &mut Self, _: Received<'_, u32>, _: &mut Context<'_>| panic!("intended"))
     }
 }
 
@@ -61,7 +62,7 @@ fn core(launcher: impl Launcher + 'static) -> Core {
     core
 }
 
-/// Looks at a core that runs on a thread of its own, then stops it.
+/// Runs the core on a separate thread, calls `look`, and stops the core.
 fn while_running<T>(mut core: Core, look: impl FnOnce(&CoreHandle) -> T) -> T {
     let handle = core.handle();
     let thread = std::thread::spawn(move || core.run());
@@ -91,7 +92,7 @@ fn check_counts(launcher: impl Launcher + 'static) {
     assert_eq!((topic.name.as_str(), topic.subscribers), ("number", 2));
     assert_eq!((topic.last_batch, topic.largest_batch, topic.messages), (2, 2, 2 * topic.batches));
     assert_eq!(source.published, topic.messages);
-    // The last batch is only on its way.
+    // The last batch has been published and not received.
     assert!(sink.received == topic.messages || sink.received + 2 == topic.messages, "{seen:#?}");
     assert_eq!(sink.runs - 1, sink.received / 2);
     assert!(apart.is_detached && apart.received <= topic.messages, "{seen:#?}");

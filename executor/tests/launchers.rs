@@ -1,4 +1,4 @@
-//! What every launcher has to do, and what each does besides.
+//! The contract of launchers, and the particulars of each.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::HashSet;
@@ -11,7 +11,7 @@ use std::time::Duration;
 use downbeat_executor::*;
 
 const PERIOD: Duration = Duration::from_millis(1);
-/// Longer than anything here takes on a busy machine.
+/// Longer than any wait of these tests on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(60);
 
 /// Calls a function at every multiple of a period.
@@ -32,7 +32,7 @@ fn every(periods: u32, tick: impl FnMut() + Send + 'static) -> Ticker {
     Ticker { periods, tick: Box::new(tick) }
 }
 
-/// Sees to the contract of the launcher in it.
+/// Checks the contract of the wrapped launcher.
 struct Watched<L>(L);
 
 impl<L: Launcher> Launcher for Watched<L> {
@@ -74,7 +74,7 @@ impl Robot {
     }
 }
 
-/// How often each of some modules of different periods has run, after each of some cycles.
+/// The numbers of runs of several modules with different periods, after each of several cycles.
 fn runs_by_cycle(launcher: impl Launcher + 'static) -> Vec<Vec<u64>> {
     let mut robot = Robot::new(launcher);
     let counts: Vec<_> = (0..10).map(|_| Arc::new(AtomicU64::new(0))).collect();
@@ -99,7 +99,7 @@ fn runs_each_module_that_is_due_exactly_once(launcher: impl Launcher + 'static) 
     assert_eq!(runs, runs_by_cycle(Linear));
 }
 
-/// Passes a number on.
+/// Forwards a number.
 struct Relay {
     from: &'static str,
     to: &'static str,
@@ -116,7 +116,7 @@ impl Module for Relay {
     }
 }
 
-/// Ends the test if `run` hangs.
+/// Fails the test if `run` hangs.
 fn watched(run: impl FnOnce() + Send + 'static) {
     let (done, is_done) = channel();
     let thread = std::thread::spawn(move || {
@@ -143,7 +143,7 @@ fn runs_many_cycles_in_a_row(launcher: impl Launcher + 'static, cycles: u64) {
         for _ in 0..cycles {
             robot.cycle();
         }
-        // One hop each cycle after the one that takes the first numbers in.
+        // One hop per cycle, after the cycle that takes the first numbers.
         assert_eq!(numbers.try_iter().last(), Some(cycles - 2));
     });
 }
@@ -187,7 +187,7 @@ thread_local! {
     static SIGN: std::cell::RefCell<Option<SignOfLife>> = const { std::cell::RefCell::new(None) };
 }
 
-/// Counts itself while its thread lives.
+/// Counts the threads that are alive.
 struct SignOfLife(Arc<AtomicUsize>);
 
 impl Drop for SignOfLife {
@@ -219,7 +219,7 @@ fn ends_its_threads_when_it_is_dropped(launcher: impl Launcher + 'static) {
             robot.cycle();
         }
         drop(robot);
-        // The core's own thread lives on.
+        // The core's own thread continues.
         leave_sign_of_life(&alive);
         assert_eq!(alive.load(Ordering::SeqCst), 1);
     });
@@ -371,7 +371,7 @@ fn the_thread_of_a_removed_module_ends_and_the_next_one_gets_its_own() {
     assert_eq!(alive.load(Ordering::SeqCst), 2);
 }
 
-/// What a panic carries, and panics itself when it is dropped.
+/// The payload of a panic, which panics itself when dropped.
 struct Bomb;
 
 impl Drop for Bomb {

@@ -1,4 +1,4 @@
-//! The states of a module, and what it does in which.
+//! The states of a module, and its activity in each.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -8,7 +8,8 @@ use downbeat_executor::*;
 
 use LifecycleState::{Active, Finalized, Inactive, Unconfigured};
 
-/// Notes its transitions, fails or panics in one of them, and does something in every cycle and for every message.
+/// Logs its transitions, fails or panics in one of them, and logs an entry in every cycle and for every
+/// message.
 struct Managed {
     log: Log,
     fails_in: Option<Transition>,
@@ -62,7 +63,7 @@ impl Module for Managed {
     }
 
     fn shutdown(&mut self, _: &mut Context<'_>) {
-        // Has no way to fail.
+        // A shutdown cannot fail.
         let _ = self.make(Transition::Shutdown);
     }
 }
@@ -75,7 +76,7 @@ fn state(core: &Core) -> LifecycleState {
     core.modules()[0].state
 }
 
-/// Has the module make a transition in a cycle.
+/// Requests a transition of the module and runs the cycles until it is made.
 fn transit(
     core: &mut Core,
     clock: &ManualClock,
@@ -83,7 +84,7 @@ fn transit(
 ) -> Result<LifecycleState, TransitionRefused> {
     let receipt = core.handle().transition("managed", transition);
     cycles(core, clock, 2);
-    receipt.try_take().expect("the receipt tells how it went in the next cycle")
+    receipt.try_take().expect("the receipt is answered in the next cycle")
 }
 
 #[test]
@@ -195,7 +196,7 @@ fn transitions_that_were_asked_for_together_are_made_in_that_order_until_one_fai
     let [configured, activated, deactivated] = receipts.map(|receipt| receipt.try_take());
     assert_eq!(configured, Some(Ok(Inactive)));
     assert!(matches!(activated, Some(Err(TransitionRefused::ByModule { .. }))));
-    assert!(matches!(deactivated, Some(Err(_))), "it is told that it is not made: {deactivated:?}");
+    assert!(matches!(deactivated, Some(Err(_))), "the refusal is reported: {deactivated:?}");
     assert_eq!(log.take(), ["configure", "activate"]);
 }
 
@@ -205,7 +206,7 @@ fn timers_start_when_the_module_becomes_active_and_stop_when_it_is_not() {
     core.add_with("managed", Managed::new(&log), initially(Inactive)).unwrap();
     cycles(&mut core, &clock, 25);
     assert_eq!(log.take(), ["configure"]);
-    // In the sync phase of cycle 25; made in cycle 26.
+    // Requested in the sync phase of cycle 25, made in cycle 26.
     drop(core.handle().transition("managed", Transition::Activate));
     cycles(&mut core, &clock, 25);
     assert_eq!(log.take(), ["activate", "ticks at 36", "ticks at 46"]);
@@ -255,7 +256,7 @@ fn a_detached_module_makes_its_transitions_on_its_thread() {
     assert_eq!(make(Transition::Activate), Ok(Active));
     assert_eq!(make(Transition::Deactivate), Ok(Inactive));
     assert!(matches!(make(Transition::Deactivate), Err(TransitionRefused::WrongState { .. })));
-    wait_until("it is known", || handle.modules().wait(WATCHDOG).unwrap()[0].state == Inactive);
+    wait_until("the state is known", || handle.modules().wait(WATCHDOG).unwrap()[0].state == Inactive);
     handle.stop();
     running.join().unwrap().unwrap();
     assert_eq!(log.take(), ["configure", "activate", "deactivate", "shutdown"]);
@@ -312,5 +313,5 @@ fn who_listens_is_told_each_step_in_its_order_whatever_becomes_of_the_module() {
     drop(listening);
     core.add_with("failing", Managed::new(&log), initially(Inactive)).unwrap();
     cycles(&mut core, &clock, 1);
-    assert_eq!(steps("failing").last(), Some(&ended), "nothing is told any more");
+    assert_eq!(steps("failing").last(), Some(&ended), "no event follows");
 }

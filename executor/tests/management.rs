@@ -1,4 +1,4 @@
-//! Modules joining, leaving, waiting and starting again while the core runs.
+//! Modules are added, removed, paused and restarted while the core runs.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use common::*;
 use downbeat_executor::*;
 
-/// Publishes its number in every cycle from its first on.
+/// Publishes its number in every cycle, from its first one on.
 fn talker(topic: &'static str, number: u32) -> Scripted {
     module(move |setup| {
         let out = setup.publish(topic)?;
@@ -127,7 +127,7 @@ fn a_module_can_be_replaced_in_one_cycle() {
     assert_eq!(removed.try_take(), Some(Ok(())));
     assert!(added.try_take().unwrap().is_ok(), "removals come first");
     assert_eq!(log.take(), ["1", "1", "1", "2", "2"]);
-    assert_eq!(names(&core), ["listener", "server"], "who comes again comes last");
+    assert_eq!(names(&core), ["listener", "server"], "a module that is added again is last");
 }
 
 #[test]
@@ -170,7 +170,7 @@ fn the_messages_of_a_modules_end_are_delivered() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     let noted = log.clone();
     let listener = module(move |setup| {
-        let gone = setup.setting("gone", false, "whether the other module is gone")?;
+        let gone = setup.setting("gone", false, "whether the other module was removed")?;
         setup.on_change(gone, move |_, ctx| noted.note(format!("gone: {}", ctx.get(gone))));
         Ok(())
     });
@@ -212,7 +212,7 @@ fn a_paused_module_does_not_run_until_it_is_stepped_or_resumed() {
     assert!(core.modules()[1].is_paused);
     drop(handle.step_module("listener"));
     cycles(&mut core, &clock, 4);
-    assert_eq!(log.take(), ["1"], "one run, on what the cycle had for it");
+    assert_eq!(log.take(), ["1"], "one run, with the input of the cycle");
     drop(handle.resume_module("listener"));
     cycles(&mut core, &clock, 3);
     assert_eq!(log.take(), ["1", "1"]);
@@ -313,7 +313,8 @@ fn a_module_that_panics_starts_again_as_often_as_its_policy_says() {
     let gone = LifecycleState::Finalized;
     assert_eq!(runs(Restart::Never, 50), (1, 0, gone));
     assert_eq!(runs(Restart::Times { limit: 2, backoff }, 50), (3, 2, gone));
-    // It ticks in cycle 1, then waits for 2, 4, 8, 16 and 32 ms; and starts one cycle later, to tick one after that.
+    // The module ticks in cycle 1, then waits for 2, 4, 8, 16 and 32 ms. It starts one cycle later and ticks
+    // one cycle after that.
     assert_eq!(runs(Restart::Always { backoff }, 50).0, 5);
 }
 
@@ -462,7 +463,7 @@ fn a_module_that_cannot_be_made_yet_joins_when_it_is_started() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     let made = log.clone();
     let options = ModuleOptions {
-        // Declared by the module only.
+        // A setting that only the module declares.
         settings: [("gain".to_owned(), SettingValue::Double(2.0))].into(),
         ..ModuleOptions::default()
     };

@@ -1,4 +1,4 @@
-//! Mechanisms of a user: who may use them, and in which order requests come.
+//! User-defined mechanisms: access to them, and the order of requests.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -6,7 +6,7 @@ mod common;
 use common::*;
 use downbeat_executor::*;
 
-/// Keeps all that was asked, in order; modules see it.
+/// Keeps all requests in order, and shows them to modules.
 #[derive(Default)]
 struct Ledger {
     requests: Vec<(ModuleId, u32)>,
@@ -36,7 +36,7 @@ impl Mechanism for Ledger {
     }
 }
 
-/// Offers another type under the same name.
+/// Another type under the same name.
 struct OtherLedger;
 
 impl Mechanism for OtherLedger {
@@ -128,7 +128,7 @@ fn mechanisms_are_listed_in_the_order_of_the_sync_phase() {
     assert_eq!(listed, expected);
 }
 
-/// Asks twice in each of its first three runs, for which it is woken by the mechanism, and notes what it sees then.
+/// Sends two requests in each of its first three runs, to which the mechanism wakes it, and logs the view.
 fn scribe(log: &Log, base: u32) -> Scripted {
     let log = log.clone();
     module(move |setup| {
@@ -146,7 +146,7 @@ fn scribe(log: &Log, base: u32) -> Scripted {
     })
 }
 
-/// What is in the ledger in the end, and what each module saw of it.
+/// The final content of the ledger, and the views that each module logged.
 fn ledger_under(launcher: impl Launcher + 'static) -> (Vec<String>, Vec<Vec<String>>) {
     let clock = ManualClock::new(Time::ZERO);
     let mut core =
@@ -179,7 +179,7 @@ fn requests_come_in_the_order_of_registration_and_asking_under_every_launcher() 
     }
     let (entries, views) = ledger_under(Linear);
     assert_eq!(entries, expected);
-    // In a cycle all modules see the same, whoever has asked already.
+    // In a cycle all modules see the same view, whichever have already sent requests.
     assert_eq!(views[3], ["m40 1", "m40 9", "m40 17", "m40 25"]);
     for threads in 1..=4 {
         assert_eq!(
@@ -233,7 +233,7 @@ fn a_key_of_another_module_ends_who_uses_it() {
     assert_eq!(core.modules()[1].state, LifecycleState::Finalized);
 }
 
-/// Adds up what each module sends, and gives it its own sum back.
+/// Adds up the deposits of each module, and returns the sum in the module's port.
 struct Accounts;
 
 #[derive(Default)]
@@ -299,7 +299,7 @@ fn what_a_module_asked_of_a_mechanism_is_void_if_it_panics_in_that_run() {
             let ledger = setup.mechanism::<Ledger>(Version::new(1, 0))?;
             setup.each_run(move |_, ctx| {
                 ctx.ask(ledger, 7);
-                panic!("it has spoken too soon");
+                panic!("a module that panics, as this test wants it");
             });
             Ok(())
         }),

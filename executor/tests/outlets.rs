@@ -1,4 +1,4 @@
-//! Messages that leave a core through outlets.
+//! Outlets: messages that leave a core.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -11,7 +11,7 @@ use std::time::Duration;
 use common::*;
 use downbeat_executor::*;
 
-/// A sink that passes on what it takes.
+/// A sink that forwards its messages.
 fn pass_on<T: Clone + Send + Sync + 'static>(
     sender: &Sender<T>,
 ) -> impl FnMut(Received<'_, T>) + Send + use<T> {
@@ -28,7 +28,7 @@ fn collect<T: Clone + Send + Sync + 'static>(
     (core.outlet(topic, inbox, pass_on(&sender)).unwrap(), messages)
 }
 
-/// Publishes 0, 1, 2, … on "numbers", one each step.
+/// Publishes 0, 1, 2, … on "numbers", one per step.
 fn counter() -> Scripted {
     module(|setup| {
         let (out, mut count) = (setup.publish("numbers")?, 0_u64);
@@ -39,7 +39,7 @@ fn counter() -> Scripted {
     })
 }
 
-/// A sink that waits until it is let go, message by message.
+/// A sink that waits for a signal after each message.
 struct Slow {
     at_work: Receiver<u64>,
     go: Sender<()>,
@@ -98,7 +98,7 @@ fn a_sink_that_blocks_does_not_block_the_cycle() {
         core.cycle().unwrap();
     }
     assert_eq!(sink.at_work.recv_timeout(WATCHDOG), Ok(0));
-    assert!(sink.at_work.try_recv().is_err(), "the cycles went on without it");
+    assert!(sink.at_work.try_recv().is_err(), "the cycles continued without it");
     (0..3).for_each(|_| sink.go.send(()).unwrap());
     core.stop();
     assert_eq!(sink.at_work.try_iter().collect::<Vec<_>>(), [1, 2]);
@@ -145,13 +145,13 @@ fn an_outlet_that_is_dropped_is_unsubscribed_and_its_sink_is_gone() {
     cycles(&mut core, &clock, 3);
     assert_eq!(numbers.try_iter().count(), 1);
     drop(outlet);
-    assert!(numbers.recv().is_err(), "nobody is left who could send");
+    assert!(numbers.recv().is_err(), "no sender is left");
     core.cycle().unwrap();
     assert_eq!(core.graph().outlets, []);
     let topic = "unused";
     drop(core.outlet(topic, Inbox::KeepAll, |_: Received<'_, u64>| ()).unwrap());
     core.cycle().unwrap();
-    assert!(!core.topics().any(|known| &*known.name == topic), "a topic that nobody uses is forgotten");
+    assert!(!core.topics().any(|known| &*known.name == topic), "an unused topic is removed");
 }
 
 #[test]
@@ -216,7 +216,7 @@ fn the_last_messages_of_all_modules_reach_an_outlet_before_its_sink_is_dropped()
         core.cycle().unwrap();
         assert!(stopped.try_recv().is_err());
         core.stop();
-        assert_eq!(last.iter().collect::<Vec<_>>(), [2, 1], "and then nobody is left who could send");
+        assert_eq!(last.iter().collect::<Vec<_>>(), [2, 1], "and then no sender is left");
         assert_eq!(stopped.recv(), Ok(()));
     }
 }
@@ -339,7 +339,7 @@ fn an_outlet_that_is_kept_is_open_until_the_core_stops() {
     cycles(&mut core, &clock, 3);
     assert_eq!(numbers.try_iter().count(), 1);
     core.stop();
-    assert_eq!(numbers.iter().count(), 2, "and then nobody is left who could send");
+    assert_eq!(numbers.iter().count(), 2, "and then no sender is left");
 }
 
 #[test]

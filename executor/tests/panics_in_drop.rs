@@ -1,4 +1,4 @@
-//! Messages that panic while they are dropped, which user types may do: the robot goes on.
+//! Messages whose destructors panic, as those of user types may: the robot continues.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::sync::mpsc::{Sender, channel};
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use downbeat_executor::*;
 
-/// Panics when it is dropped, if told to.
+/// Panics when dropped, if the flag is set.
 struct Bomb(bool);
 
 impl Drop for Bomb {
@@ -15,7 +15,7 @@ impl Drop for Bomb {
     }
 }
 
-/// Publishes a bomb in every cycle and, if told to, panics after that.
+/// Publishes a bomb in every cycle and, if the flag is set, panics after that.
 struct Bomber {
     panics: bool,
     out: Option<Publication<Bomb>>,

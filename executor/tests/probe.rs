@@ -121,7 +121,7 @@ fn a_module_that_starts_again_is_reported_for_each_panic() {
     }
 }
 
-/// Counts the lines of the log by their texts.
+/// Collects the lines of the log.
 #[derive(Clone, Default)]
 struct Lines(Arc<Mutex<Vec<String>>>);
 

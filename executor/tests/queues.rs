@@ -1,4 +1,4 @@
-//! What every queue between threads promises, and what bounded ones do when they are full.
+//! The contract of all queues between threads, and the policies of bounded ones.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::num::NonZeroUsize;
@@ -15,7 +15,7 @@ fn size(capacity: usize) -> NonZeroUsize {
     NonZeroUsize::new(capacity).unwrap()
 }
 
-/// Each bounded queue, with its policy.
+/// Each bounded queue with its policy.
 fn bounded<T: Send + 'static>(capacity: usize) -> Vec<(String, Overflow, Arc<dyn Queue<T>>)> {
     let mut queues = Vec::new();
     for policy in POLICIES {
@@ -27,7 +27,7 @@ fn bounded<T: Send + 'static>(capacity: usize) -> Vec<(String, Overflow, Arc<dyn
     queues
 }
 
-/// Every queue; bounded ones with room for `capacity` items.
+/// Every queue; bounded ones hold `capacity` items.
 fn all<T: Send + 'static>(capacity: usize) -> Vec<(String, Arc<dyn Queue<T>>)> {
     let unbounded: [(String, Arc<dyn Queue<T>>); 2] =
         [("Locked".into(), Arc::new(Locked::unbounded())), ("LockFree".into(), Arc::new(LockFree::new()))];
@@ -89,7 +89,7 @@ fn what_is_left_in_a_queue_is_dropped_with_it_and_what_it_dropped_before() {
     }
 }
 
-/// Panics when it is dropped, if it is armed.
+/// Panics when dropped, if armed.
 struct Bomb(bool);
 
 impl Drop for Bomb {
@@ -116,10 +116,10 @@ fn an_item_that_panics_while_it_is_dropped_leaves_the_queue_usable() {
     }
 }
 
-/// An item that tells who pushed it, and which of theirs it is.
+/// An item with the number of its producer and its number in that producer's sequence.
 type Item = (u64, u64);
 
-/// What several threads pushed while one popped: what came out, and how many were refused.
+/// Several threads push while one pops; returns the popped items and the number of refused ones.
 fn under_load(queue: &Arc<dyn Queue<Item>>) -> (Vec<Item>, u64) {
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -139,7 +139,7 @@ fn under_load(queue: &Arc<dyn Queue<Item>>) -> (Vec<Item>, u64) {
                 scope.spawn(move || {
                     let is_refused = |number: &u64| {
                         let pushed = queue.push((producer, *number));
-                        // So that threads meet in the queue even where there are few processors.
+                        // Lets threads meet in the queue even on a machine with few processors.
                         if number.is_multiple_of(64) {
                             std::thread::yield_now();
                         }
@@ -161,7 +161,7 @@ fn under_load_nothing_is_lost_or_doubled_and_each_producers_order_is_kept() {
         let (popped, refused) = under_load(&queue);
         for producer in 0..PRODUCERS {
             let numbers = popped.iter().filter(|item| item.0 == producer).map(|item| item.1);
-            // Strictly: what is doubled would not be.
+            // Strictly ascending, which also excludes duplicates.
             assert!(numbers.is_sorted_by(|one, next| one < next), "{name}: producer {producer}");
         }
         let accounted = popped.len() as u64 + queue.dropped() + refused;

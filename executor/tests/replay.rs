@@ -1,4 +1,4 @@
-//! What a detached module was given, and when, is recorded; given the same again, it does the same.
+//! The input of a detached module is recorded with its times; the same input again gives the same output.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use common::*;
 use downbeat_executor::*;
 
-/// Mixes what it hears, and when it runs, into its state, and tells it.
+/// Hashes its input and the times of its runs into its state, and publishes the state.
 struct Mixer {
     state: u64,
     out: Option<Publication<u64>>,
@@ -34,7 +34,7 @@ impl Module for Mixer {
             |mixer: &mut Self, number: Received<'_, u64>, ctx: &mut Context<'_>| {
                 mixer.mix(*number, ctx);
                 if number.is_multiple_of(5) {
-                    // Slow now and then, so that messages of several cycles wait, or are dropped.
+                    // Occasionally slow, so that messages of several cycles wait or are dropped.
                     std::thread::sleep(2 * STEP);
                 }
             },
@@ -72,7 +72,7 @@ fn options(inbox: Inbox) -> ModuleOptions {
     ModuleOptions { synchrony: Synchrony::Detached(inbox), ..ModuleOptions::default() }
 }
 
-/// A detached module among others on the machine's clock.
+/// Runs a detached module among others under the system clock.
 fn record(inbox: Inbox) -> Recording {
     let mut core = Core::new();
     let steps = observer::<DetachedStep>(&mut core, DetachedStep::TOPIC);
@@ -95,7 +95,7 @@ fn record(inbox: Inbox) -> Recording {
     Recording { steps, numbers, states: states.try_iter().collect() }
 }
 
-/// The same module alone, under a clock that is set to the times of its steps.
+/// Runs the same module alone, under a clock that is set to the times of its steps.
 fn replay(recording: &Recording, inbox: Inbox) -> Vec<u64> {
     let clock = ManualClock::new(recording.steps[0].time);
     let mut core = Core::new().with_clock(clock.clone());
@@ -111,7 +111,7 @@ fn replay(recording: &Recording, inbox: Inbox) -> Vec<u64> {
                 .by_ref()
                 .take(input.received as usize)
                 .for_each(|&number| numbers.publish(number).unwrap());
-            // The messages join at the time of the step before, at which nothing is due any more.
+            // The messages are published at the time of the previous step, at which nothing is due any more.
             core.cycle().unwrap();
         }
         clock.set(step.time);

@@ -1,4 +1,4 @@
-//! Calls between modules: who answers, when, and what the caller learns if nobody does.
+//! Calls between modules: their servers and times, and the errors of unanswered calls.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -11,7 +11,7 @@ use downbeat_executor::*;
 
 const TIMEOUT: Duration = Duration::from_millis(20);
 
-/// Answers with twice the number; refuses odd ones.
+/// Answers with twice the number, and refuses odd numbers.
 fn doubler(name: &'static str) -> Scripted {
     module(move |setup| {
         setup.serve(name, |_, &number: &u32, _| match number % 2 {
@@ -21,12 +21,12 @@ fn doubler(name: &'static str) -> Scripted {
     })
 }
 
-/// Takes requests and answers none.
+/// Takes requests and answers none of them.
 fn silent(name: &'static str) -> Scripted {
     module(move |setup| setup.serve_later::<u32, u32, _>(name, |_, _, _responder, _| {}))
 }
 
-/// Calls at its first run, once for each number, and notes how each call ends.
+/// Sends one call for each number in its first run, and logs the result of each.
 fn caller(log: &Log, service: &'static str, numbers: Vec<u32>) -> Scripted {
     let log = log.clone();
     module(move |setup| {
@@ -59,7 +59,7 @@ fn an_answer_comes_two_cycles_after_the_call() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     core.add("server", doubler("double")).unwrap();
     core.add("client", caller(&log, "double", vec![4, 6, 7])).unwrap();
-    // It calls in cycle 1, the server runs in cycle 2.
+    // The client calls in cycle 1, and the server runs in cycle 2.
     cycles(&mut core, &clock, 6);
     assert_eq!(log.take(), ["3: 8", "3: 12", "3: service \"double\": 7 is odd"]);
 }
@@ -90,7 +90,7 @@ fn a_server_may_answer_later_and_in_another_order() {
     core.add("first", caller(&log, "double", vec![1])).unwrap();
     core.add("second", caller(&log, "double", vec![2])).unwrap();
     cycles(&mut core, &clock, 6);
-    // Each is told in the order of registration of the clients.
+    // Replies are delivered in the order of registration of the clients.
     assert_eq!(log.take(), ["3: 2", "3: 4"]);
 }
 
@@ -130,7 +130,7 @@ fn an_answer_after_the_time_is_up_is_ignored() {
         })
     });
     core.add("client", client).unwrap();
-    // The first request is answered when the second one comes, long after its time.
+    // The first request is answered when the second one comes, long after its time-out.
     cycles(&mut core, &clock, 110);
     assert_eq!(log.take(), ["CallId(0): false", "CallId(1): false"]);
 }

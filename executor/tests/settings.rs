@@ -1,4 +1,4 @@
-//! Settings: who may change which, to what, and who learns of it.
+//! Settings: permissions, validity, and reports of changes.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -9,13 +9,13 @@ use std::thread::JoinHandle;
 use common::*;
 use downbeat_executor::*;
 
-/// Has a gain in 0 to 4 of which it takes even numbers only, a read-only port, and a name. Notes every change.
+/// Declares a gain from 0 to 4 that must be even, a read-only port, and a name. Logs every change.
 fn tuned(log: &Log) -> Scripted {
     let log = log.clone();
     module(move |setup| {
         let gain = setup.setting_in("gain", 2.0, 0.0..=4.0, "of the loop")?;
         setup.read_only_setting("port", "usb0".to_owned(), "where the motors are")?;
-        let name = setup.setting("name", "one".to_owned(), "what it is called")?;
+        let name = setup.setting("name", "one".to_owned(), "its name")?;
         setup.accept_if(gain, |_, gain: &f64| match gain % 2.0 == 0.0 {
             true => Ok(()),
             false => Err(format!("{gain} is odd")),
@@ -58,7 +58,7 @@ impl Drop for Running {
     }
 }
 
-/// What is refused, with what is said.
+/// Refused values, each with its error text.
 fn refusals() -> [(&'static str, SettingValue, &'static str); 6] {
     [
         ("gain", 1.0.into(), "module \"tuned\", setting \"gain\": 1 is odd"),
@@ -152,7 +152,7 @@ fn a_module_sets_another_in_the_sync_phase_and_the_last_one_in_order_counts() {
     cycles(&mut core, &clock, 2);
     assert_eq!(log.take(), [""; 0]);
     cycles(&mut core, &clock, 1);
-    // The third one's value is refused.
+    // The value of the third module is refused.
     assert_eq!(log.take(), ["gain 4"]);
 }
 
@@ -191,9 +191,9 @@ fn settings_are_transferred_where_both_have_them_and_the_taker_does_not_refuse()
     core.add_with("giver", tuned(&Log::default()), options).unwrap();
     core.add("taker", tuned(&log)).unwrap();
     let small = module(|setup| {
-        setup.setting("name", "small".to_owned(), "what it is called")?;
+        setup.setting("name", "small".to_owned(), "its name")?;
         setup.setting_in("gain", 1.0, 0.0..=2.0, "of the loop")?;
-        setup.setting("own", true, "nobody else has it").map(drop)
+        setup.setting("own", true, "only in this module").map(drop)
     });
     core.add("small", small).unwrap();
     let receipts = ["taker", "small"].map(|taker| core.handle().transfer_settings("giver", taker));
@@ -251,7 +251,7 @@ fn changes_of_parts_are_told_with_the_cycle_or_the_run_that_has_them() {
     let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
     core.add_with("watching", tuned(&log), observer).unwrap();
     cycles(&mut core, &clock, 1);
-    // Refused, that of an observer, and that of a part.
+    // In this order: a refused change, the change of an observer, the change of a part.
     for (module, gain) in [("tuned", 1.0), ("watching", 4.0), ("tuned", 4.0)] {
         drop(core.handle().set(module, "gain", gain));
     }
@@ -274,7 +274,7 @@ fn changes_of_a_detached_part_are_told_with_its_first_run_that_has_them() {
     assert_eq!((&*change.module, change.step), ("tuned", Some(1)));
     let gain = |value: f64| ("gain".to_owned(), SettingValue::Double(value));
     assert_eq!(change.settings, [gain(4.0)], "as the setting holds it");
-    // Held, so that both wait for the next run.
+    // Paused, so that both changes wait for the next run.
     core.handle.pause();
     drop(core.handle.set("tuned", "gain", 0.0));
     drop(core.handle.set("tuned", "gain", 4.0));
@@ -289,7 +289,7 @@ fn changes_of_a_detached_part_are_told_with_its_first_run_that_has_them() {
 fn changes_in(core: &mut Core) -> Receiver<SettingsChange> {
     let (sender, changes) = channel();
     let listener = module(move |setup| {
-        // The test may have stopped listening.
+        // The test may have dropped the receiver.
         let tell = move |_: &mut Scripted, change: Received<'_, SettingsChange>, _: &mut Context<'_>| {
             drop(sender.send(change.clone()));
         };

@@ -1,5 +1,6 @@
-//! Modules join, leave, panic and start again under load, for as long as `DOWNBEAT_STRESS_SECONDS` says (5 by default):
-//! nothing is lost, doubled or reordered, and nothing is left in the end, neither objects nor threads.
+//! Modules are added, removed, restarted and panic under load, for the time given by
+//! `DOWNBEAT_STRESS_SECONDS` (5 by default). No message is lost, duplicated or reordered, and neither objects
+//! nor threads remain at the end.
 //!
 //! ```sh
 //! DOWNBEAT_STRESS_SECONDS=600 cargo test -p downbeat-executor --test stress -- --nocapture
@@ -16,7 +17,7 @@ use std::time::{Duration, Instant};
 use common::*;
 use downbeat_executor::*;
 
-/// Counts what is alive and what happened.
+/// Counts live objects and events.
 #[derive(Default)]
 struct Counts {
     alive: AtomicI64,
@@ -35,7 +36,7 @@ impl Counts {
     }
 }
 
-/// Alive while it exists: in a message, a module, a request, an answer.
+/// Counts as alive while it exists: in a message, a module, a request or an answer.
 struct Life(Arc<Counts>);
 
 impl Life {
@@ -51,25 +52,25 @@ impl Drop for Life {
     }
 }
 
-/// A message that tells its source and its place there.
+/// A message with its source and its number in the source's sequence.
 struct Numbered {
     source: u64,
     number: u64,
     _life: Life,
 }
 
-/// What a listener has heard of each source: from its first message on, every one in order.
+/// For each source, the number of the next message that the listener expects; each must arrive in order.
 type Heard = Arc<Mutex<HashMap<u64, (u64, u64)>>>;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// How many messages of each source were handed over. What a run published that panicked is discarded, and not
-/// counted here either.
+/// The number of messages published by each source. Messages of a run that panicked are discarded, and not
+/// counted here.
 type Published = Arc<Mutex<HashMap<u64, u64>>>;
 
-/// What is wrong, to be told in the end: a panic in a module would only end the module.
+/// Faults, collected for the end of the test: a panic in a module would only end the module.
 type Faults = Arc<Mutex<Vec<String>>>;
 
 #[derive(Clone, Default)]
@@ -98,7 +99,7 @@ impl World {
     }
 }
 
-/// A small generator of numbers that look random, so that a run can be repeated.
+/// A small pseudo-random number generator, which makes runs repeatable.
 struct Dice(u64);
 
 impl Dice {
@@ -108,11 +109,11 @@ impl Dice {
     }
 }
 
-/// Publishes, calls, works, panics and leaves, as the dice fall.
+/// Publishes, calls, starts jobs, panics and leaves at random.
 struct Busy {
     world: World,
     dice: Dice,
-    /// A new one for each life.
+    /// A new number for each instance.
     source: u64,
     next: u64,
     _life: Life,
@@ -184,7 +185,7 @@ impl Module for Busy {
     }
 }
 
-/// Answers some at once, some later, some never.
+/// Answers some requests at once, some later, and some never.
 fn server(world: &World) -> Scripted {
     let (life, counts) = (Life::new(&world.counts), Arc::clone(&world.counts));
     module(move |setup| {
@@ -227,7 +228,7 @@ fn options(dice: &mut Dice) -> ModuleOptions {
     ModuleOptions { restart, synchrony, ..ModuleOptions::default() }
 }
 
-/// Adds, removes, pauses and moves modules from a thread of its own.
+/// Adds, removes and pauses modules and requests transitions, on a separate thread.
 fn meddle(world: World, handle: CoreHandle, until: Instant, seed: u64) {
     let mut dice = Dice(seed);
     while Instant::now() < until {
@@ -255,7 +256,7 @@ fn meddle(world: World, handle: CoreHandle, until: Instant, seed: u64) {
     }
 }
 
-/// Publishes through an inlet from a thread of its own.
+/// Publishes through an inlet on a separate thread.
 fn feed(world: &World, inlet: &Inlet<Numbered>, until: Instant) {
     let source = world.sources.fetch_add(1, Ordering::Relaxed);
     let mut number = 0;
@@ -309,7 +310,7 @@ fn stress(name: &str, launcher: impl Launcher + 'static, duration: Duration) {
     check(name, &world, before);
 }
 
-/// What must hold when all is over.
+/// The conditions at the end.
 fn check(name: &str, world: &World, threads_before: usize) {
     assert_eq!(*lock(&world.faults), [""; 0], "under {name}");
     let (published, heard) = (lock(&world.published), lock(&world.heard));
@@ -317,7 +318,7 @@ fn check(name: &str, world: &World, threads_before: usize) {
         let received = heard.get(source).map_or(0, |&(next, _)| next);
         assert_eq!(
             received, number,
-            "under {name}: source {source} published {number}, {received} were heard"
+            "under {name}: source {source} published {number}, {received} were received"
         );
     }
     wait_until("the threads of jobs end", || threads() <= threads_before);
@@ -330,7 +331,7 @@ fn check(name: &str, world: &World, threads_before: usize) {
     );
     assert!(count(replies) <= count(calls) && count(results) <= count(jobs), "under {name}: doubled");
     println!(
-        "{name}: {} modules joined, {} panics, {} messages heard in order, {} of {} calls and {} of {} jobs answered \
+        "{name}: {} modules joined, {} panics, {} messages received in order, {} of {} calls and {} of {} jobs answered \
          (the others' modules were gone)",
         count(joined),
         count(panics),
@@ -346,7 +347,7 @@ fn check(name: &str, world: &World, threads_before: usize) {
 fn nothing_is_lost_doubled_reordered_or_left_while_modules_come_and_go() {
     let seconds = std::env::var("DOWNBEAT_STRESS_SECONDS").ok().and_then(|seconds| seconds.parse().ok());
     let duration = Duration::from_secs(seconds.unwrap_or(5)) / 4;
-    // What the modules' panics say is no news.
+    // Suppresses the output of intended panics.
     std::panic::set_hook(Box::new(|info| {
         let said = info.payload().downcast_ref::<&str>();
         if said.is_none_or(|said| !said.ends_with("as this test wants it")) {

@@ -1,4 +1,4 @@
-//! What a module does at a time of its choice, and what it has done beside the cycle.
+//! Scheduled tasks, and jobs that run outside the cycle.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -14,7 +14,7 @@ fn now(ctx: &Context<'_>) -> i64 {
     ctx.now().as_nanos() / 1_000_000
 }
 
-/// Does something once, in its first run.
+/// Calls `run` once, in the module's first run.
 fn at_first(setup: &mut Setup<'_, Scripted>, mut run: impl FnMut(&mut Context<'_>) + Send + 'static) {
     let mut is_first = true;
     setup.each_run(move |_, ctx| {
@@ -24,7 +24,7 @@ fn at_first(setup: &mut Setup<'_, Scripted>, mut run: impl FnMut(&mut Context<'_
     });
 }
 
-/// Runs jobs of a kind in its first run and notes their results.
+/// Starts jobs of one kind in its first run, and logs their results.
 fn working<T: std::fmt::Debug + Send + 'static>(
     log: &Log,
     mut start: impl FnMut(Job<T>, &mut Context<'_>) + Send + 'static,
@@ -158,7 +158,7 @@ fn a_job_that_panics_or_whose_completion_is_dropped_is_lost_and_told_so() {
     assert_eq!(results, ["module: Err(Lost)", "module: Err(Lost)", "module: Err(Lost)", "module: Ok(1)"]);
 }
 
-/// A core that runs until the log has as many entries, which are returned.
+/// Runs the core until the log has this number of entries, and returns them.
 fn run_until(mut core: Core, log: &Log, entries: usize) -> Vec<String> {
     let handle = core.handle();
     let running = std::thread::spawn(move || core.run());
@@ -174,7 +174,7 @@ fn run_until(mut core: Core, log: &Log, entries: usize) -> Vec<String> {
     found
 }
 
-/// Waits for a signal of the test.
+/// A closure that waits for a signal of the test, and the sender of the signal.
 fn gate() -> (impl FnOnce() + Send + 'static, std::sync::mpsc::Sender<()>) {
     let (sender, gate): (_, Receiver<()>) = channel();
     (move || gate.recv_timeout(WATCHDOG).unwrap(), sender)
@@ -252,7 +252,7 @@ fn the_result_of_a_job_whose_module_was_removed_reaches_nobody() {
     core.add("module", working(&log, work)).unwrap();
     cycles(&mut core, &clock, 1);
     drop(core.handle().remove("module"));
-    // Has the same place, and a job of the same kind.
+    // The new module has the same place, and a job of the same kind.
     drop(core.handle().add("module", working::<u32>(&log, |_, _| {}), ModuleOptions::default()));
     cycles(&mut core, &clock, 1);
     completions.recv().unwrap().finish(1);
@@ -304,7 +304,7 @@ fn a_core_ends_while_a_job_still_blocks() {
     has_entered.recv_timeout(WATCHDOG).unwrap();
     core.stop();
     drop(core);
-    // The job was still waiting, or this would have nobody to go to.
+    // The job must still be waiting, otherwise the send would fail.
     opener.send(()).unwrap();
     assert_eq!(log.take(), [""; 0]);
 }

@@ -13,7 +13,7 @@ use thread_priority::{RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, thread
 
 const FIFO: ThreadSchedulePolicy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
 
-/// Runs on a thread of its own, whose scheduling the test may change.
+/// Runs the test on a separate thread, whose scheduling it may change.
 fn on_own_thread(test: impl FnOnce() + Send + 'static) {
     std::thread::Builder::new().name("test".into()).spawn(test).unwrap().join().unwrap();
 }
@@ -145,8 +145,8 @@ fn a_priority_that_the_system_forbids_is_refused_with_what_would_allow_it() {
     });
 }
 
-/// As for a user without rights. Capabilities are those of the thread; the limit is that of the process, where no
-/// other test needs more.
+/// Removes the rights to real-time scheduling, as for an unprivileged user. Capabilities belong to the
+/// thread; the limit belongs to the process, in which no other test needs more.
 fn forbid_realtime() {
     let mut sets = capabilities(None).unwrap();
     sets.effective.remove(CapabilitySet::SYS_NICE);

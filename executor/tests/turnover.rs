@@ -1,5 +1,4 @@
-//! One module goes and another takes its place: what was meant for the first, and what it had asked for, reaches
-//! nobody else.
+//! When one module replaces another, requests to and from the first one do not reach the second.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -43,7 +42,7 @@ fn the_last_call_of_a_module_that_leaves_does_not_reach_another_service() {
     let ((mut core, clock), log) = (manual_core(), Log::default());
     core.add("client", caller_that_leaves("wanted")).unwrap();
     cycles(&mut core, &clock, 1);
-    // Joins in the sync phase in which the other leaves.
+    // The new service is added in the sync phase in which the module leaves.
     let same_types = core.handle().add("same types", server::<u32>("other", &log), ModuleOptions::default());
     cycles(&mut core, &clock, 3);
     assert!(same_types.try_take().unwrap().is_ok());
@@ -125,7 +124,7 @@ fn a_module_that_paused_itself_in_a_tick_ticks_again_when_it_is_resumed() {
     assert_eq!(log.take(), ["20"]);
 }
 
-/// Notes which modules left.
+/// Collects the identifiers of modules that left.
 struct Guestbook(Sender<ModuleId>);
 
 impl Mechanism for Guestbook {
@@ -160,7 +159,7 @@ fn mechanisms_are_told_when_a_module_is_replaced_by_its_restart() {
     drop(core.handle().remove("module"));
     cycles(&mut core, &clock, 1);
     let second = left.try_recv().unwrap();
-    assert_ne!(first, second, "the two are told apart");
+    assert_ne!(first, second, "the two instances have different identifiers");
 }
 
 #[test]
@@ -313,10 +312,10 @@ fn a_refused_module_that_panics_in_its_drop_harms_nobody() {
     let added = core.handle().add("module", BadDrop, ModuleOptions::default());
     cycles(&mut core, &clock, 2);
     let error = added.try_take().unwrap().unwrap_err().to_string();
-    assert!(error.contains("there is a module of that name already"), "{error}");
+    assert!(error.contains("a module with this name exists already"), "{error}");
 }
 
-/// Panics when it is dropped, and is thrown by a module.
+/// Panics when dropped; used as the payload of a panic.
 struct BadPanic;
 
 impl Drop for BadPanic {
@@ -352,7 +351,7 @@ fn a_receipt_of_a_core_that_never_ran_does_not_keep_who_waits() {
     let handle = core.handle();
     let removed = handle.remove("module");
     drop(core);
-    // Ends long before the watchdog's time, or the test takes that long and fails.
+    // The wait must end long before the watchdog's time.
     let begin = std::time::Instant::now();
     assert_eq!(removed.wait(2 * WATCHDOG), None);
     assert!(begin.elapsed() < WATCHDOG);

@@ -221,13 +221,13 @@ def test_a_client_always_has_an_answer(site, write, program):
         answer = call(service)
         assert "has failed: " in answer and words in answer and "Traceback" not in answer, answer + robot.text()
         starts += 1
-        robot.wait_for("starts again after its panic", starts)
+        robot.wait_for("restarted after its panic", starts)
     assert "ValueError: the vial is empty" in robot.text() and "Traceback" in robot.text()
     assert "no answer in 300ms" in call("/hold")
     assert "below the floor" in call("/hold", -1.0)
     sent = other(robot, "action", "send_goal", "/turn", "site_msgs/action/Turn", "{angle: 4.0}")
     assert "rejected" in sent.lower(), sent
-    robot.wait_for("starts again after its panic", starts + 1)
+    robot.wait_for("restarted after its panic", starts + 1)
     assert 'module "unreliable" does not run and cannot answer' in call("/leave")
     assert "no module serves it" in call("/refuse")
 

@@ -1,19 +1,19 @@
-//! A browser that looks at pages of the program, driven by Node.js.
+//! Opens pages of the program in a browser, driven by Node.js.
 
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Where the browser is: `DOWNBEAT_CHROMIUM`, or where distributions put it.
+/// The path of the browser: `DOWNBEAT_CHROMIUM`, or the usual paths of distributions.
 fn chromium() -> Option<PathBuf> {
     let usual = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let named = std::env::var_os("DOWNBEAT_CHROMIUM").map(PathBuf::from);
     named.or_else(|| usual.iter().map(PathBuf::from).find(|path| path.exists()))
 }
 
-/// A script of `bridge/view/tests/page`, with what it needs in its environment. Where there is no Node.js or no browser, prints a
-/// message.
+/// A script of `bridge/view/tests/page`, with its environment. If there is no Node.js or no browser, prints a
+/// message and returns `None`.
 pub fn script(name: &str) -> Option<Command> {
     let skip = |reason: &str| {
         let _ = writeln!(std::io::stderr(), "skipped: {reason}");

@@ -32,7 +32,7 @@ name = "mux"
 kind = "joint_command_mux"
 "#;
 
-/// Generous: the machine may be busy.
+/// Long enough for a busy machine.
 pub const WATCHDOG: Duration = Duration::from_secs(60);
 
 /// The program behind [`rclpy::Peer`].

@@ -1,4 +1,4 @@
-//! The program on pipes or on a terminal, and how it is asked to stop.
+//! Runs the program on pipes or on a terminal, and stops it in several ways.
 
 use std::fs::{File, OpenOptions};
 use std::io::Read;
@@ -16,11 +16,11 @@ use rustix::termios::{Winsize, tcsetwinsize};
 
 use super::{WATCHDOG, downbeat, recorded_messages, text_of};
 
-/// How a command is asked to stop.
+/// A way to stop a command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Way {
     Signal(Signal),
-    /// SIGINT twice, so far apart.
+    /// SIGINT twice, with this interval.
     Twice(Duration),
     /// The controlling terminal is closed.
     Terminal,
@@ -29,7 +29,7 @@ pub enum Way {
 /// A command with its output, on pipes or on a terminal.
 pub struct Program {
     pub child: Child,
-    /// The other end of its terminal.
+    /// The other end of its terminal; `None` on pipes.
     pub terminal: Option<File>,
     pub output: Arc<Mutex<String>>,
 }
@@ -44,12 +44,12 @@ impl Program {
         Self { child, terminal: None, output }
     }
 
-    /// Starts a command as the leader of a session with a terminal that does not know its size.
+    /// Starts a command as the leader of a session, on a terminal of unknown size.
     pub fn start_on_terminal(command: &Command) -> Self {
         Self::start_on_terminal_of(command, (0, 0))
     }
 
-    /// Starts a command on a terminal with so many columns and rows.
+    /// Starts a command on a terminal with this number of columns and rows.
     pub fn start_on_terminal_of(command: &Command, (columns, rows): (u16, u16)) -> Self {
         let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         fcntl_setfl(&terminal, OFlags::NONBLOCK).unwrap();
@@ -100,7 +100,7 @@ impl Program {
     }
 
     pub fn signal(&self, signal: Signal) {
-        // It may have ended.
+        // Fails if the process has already ended.
         let _ = kill_process(self.pid(), signal);
     }
 

@@ -1,6 +1,6 @@
 """Decodes every message of a bag with other readers, and prints the number of messages of each topic by reader.
 
-Usage: decode_bag.py BAG_DIRECTORY. Anything that is not as it should be raises.
+Usage: decode_bag.py BAG_DIRECTORY. Any error raises.
 """
 
 import json

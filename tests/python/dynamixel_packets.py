@@ -14,7 +14,7 @@ except ImportError:
 
 
 class Port:
-    """Stands in for a serial port: keeps what is sent, and answers nothing."""
+    """Replaces a serial port: keeps the sent bytes, and never answers."""
 
     is_using = False
 

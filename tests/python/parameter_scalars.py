@@ -1,4 +1,4 @@
-"""Prints what rclpy declares for scalars in a parameter file: lines of JSON, [type, value as text], or null if it refuses the file.
+"""Prints the parameters that rclpy declares for scalars in a parameter file: lines of JSON, [type, value as text], or null if it refuses the file.
 
 usage: parameter_scalars.py FILE, with a scalar in each line
 """

@@ -1,7 +1,7 @@
-"""Compares exported tables with what rosbags decodes of the bag, message by message, cell by cell.
+"""Compares exported tables with the messages decoded by rosbags, message by message, cell by cell.
 
 Usage: read_tables.py BAG DIRECTORY. The directory has /joint_states and /bus/exchanges as .csv, .jsonl and .parquet, which
-DuckDB reads. Prints how many rows of each file were compared; anything that differs raises.
+DuckDB reads. Prints the number of compared rows of each file; any difference raises.
 """
 
 import base64

@@ -52,7 +52,7 @@ pub(crate) fn run(folder: &Path, bytes: u64, turns: u32) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Time on the processor.
+/// Measures processor time.
 fn timed(work: impl FnOnce() -> anyhow::Result<()>) -> anyhow::Result<Duration> {
     let now = || {
         let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
@@ -63,7 +63,7 @@ fn timed(work: impl FnOnce() -> anyhow::Result<()>) -> anyhow::Result<Duration> 
     Ok(now() - started)
 }
 
-/// The same as `downbeat bag repair`.
+/// As `downbeat bag repair`.
 fn repair(bag: &Path, target: &Path) -> anyhow::Result<()> {
     let bags = [Reader::open(bag)?];
     Copy::of(&bags, |_| true)?.into_writer(WriterOptions::new().create(target)?, |_| {})?;
@@ -84,7 +84,8 @@ fn mcap_of_python(file: &Path) -> anyhow::Result<Option<f64>> {
     output.map(|output| Ok(String::from_utf8(output)?.trim().parse()?)).transpose()
 }
 
-/// Images, scans, joint states and inertial readings of a small robot. Returns the bytes of the messages.
+/// Writes images, scans, joint states and inertial readings of a small robot. Returns the size of the
+/// messages in bytes.
 fn write(bag: &Path, bytes: u64, compression: Compression) -> anyhow::Result<u64> {
     let storage = McapOptions { compression, ..McapOptions::default() };
     let mut writer = WriterOptions::new().storage(storage).create(bag)?;

@@ -23,20 +23,20 @@ struct Arguments {
 enum What {
     /// Record in process: 100 topics at 1 kHz, and four images of 1 MB at 30 Hz, both with zstd_fast.
     Robot {
-        /// How long each recording is, in seconds.
+        /// The duration of each recording, in seconds
         #[arg(long, default_value_t = 20)]
         seconds: u64,
     },
     /// Write the same messages with the writers of this project, of the mcap crate and of Python.
     Writers {
-        /// Megabytes that each turn writes; the Python writers write a tenth of it.
+        /// Megabytes written per turn; the Python writers write a tenth of it
         #[arg(long, default_value_t = 400)]
         megabytes: u64,
         /// Number of turns; the best one counts.
         #[arg(long, default_value_t = 5)]
         turns: u32,
     },
-    /// Check and repair bags, beside the bare readers of the mcap crate and of PyPI.
+    /// Check and repair bags, compared with the bare readers of the mcap crate and of PyPI.
     Checks {
         /// Megabytes of messages in each bag.
         #[arg(long, default_value_t = 400)]

@@ -1,4 +1,4 @@
-//! Channels: one per subscriber, or one that every subscriber reads.
+//! Channels: one per subscriber, or a shared one that every subscriber reads.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use benches::{Load, Reading, Sum};
 use crossbeam::channel::{Receiver, Sender, unbounded};
 use tokio::sync::broadcast;
 
-/// crossbeam: an unbounded channel per subscriber, the message behind a shared pointer.
+/// crossbeam: an unbounded channel per subscriber, with the message behind a shared pointer.
 pub struct Crossbeam {
     load: Load,
     senders: Vec<Sender<Arc<Reading>>>,
@@ -31,7 +31,7 @@ impl Contestant for Crossbeam {
             for number in batch {
                 let message = Arc::new(Reading::new(number));
                 for sender in &self.senders {
-                    // Fails only when the receiver is gone; what is lost would show in the sum.
+                    // Fails only if the receiver was dropped; lost messages show in the sum.
                     let _ = sender.send(Arc::clone(&message));
                 }
             }

@@ -7,9 +7,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use benches::contestants::Contestant;
 use benches::{Load, Reading, Sum};
 
-/// The graph for a load, where there is one: graphs are fixed when this program is compiled.
-///
-/// Its log of messages is off.
+/// The graph for a load, if there is one: graphs are fixed when this program is compiled. Copper's log of
+/// messages is off.
 pub fn for_load(load: Load) -> anyhow::Result<Option<Box<dyn Contestant>>> {
     Ok(match load.modules {
         1 => Some(Box::new(hop::Copper::new(load)?)),
@@ -18,9 +17,10 @@ pub fn for_load(load: Load) -> anyhow::Result<Option<Box<dyn Contestant>>> {
     })
 }
 
-/// What the sinks have added up when they stop.
+/// The total of the sinks when they stop.
 static TOTAL: AtomicU64 = AtomicU64::new(0);
-/// How many messages a trial has: a task learns nothing from outside but its part of the file.
+/// The number of messages of a trial; a static, because a task receives only its part of the configuration
+/// file.
 static MESSAGES: AtomicU64 = AtomicU64::new(1);
 
 fn failed(load: Load, error: &dyn std::fmt::Debug) -> anyhow::Error {
@@ -51,7 +51,7 @@ macro_rules! graph {
                 }
 
                 fn process(&mut self, _: &CuContext, output: &mut Self::Output<'_>) -> CuResult<()> {
-                    // As large as a `Reading`, of which a payload would need traits of Copper's.
+                    // As large as a `Reading`, which would need traits of Copper to be a payload.
                     self.next = self.next % self.messages + 1;
                     output.set_payload([self.next, 1, 2, 3]);
                     Ok(())
@@ -113,7 +113,7 @@ macro_rules! graph {
             impl Contestant for Copper {
                 fn trial(&mut self) {
                     for _ in 0..self.messages {
-                        // What is lost by an error would show in the sum.
+                        // Messages lost by an error show in the sum.
                         let _ = self.app.run_one_iteration();
                     }
                 }

@@ -7,7 +7,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 
-/// A [`Reading`] that may lie in shared memory.
+/// A [`Reading`] in a form that is valid in shared memory.
 #[derive(Clone, Copy, Debug, ZeroCopySend)]
 #[repr(C)]
 struct SharedReading {
@@ -30,7 +30,7 @@ impl From<&SharedReading> for Reading {
     }
 }
 
-/// One publish-subscribe service of the process-local kind, with room for a batch in each subscriber's buffer.
+/// One process-local publish-subscribe service, with buffers of one batch for each subscriber.
 pub struct Iceoryx {
     load: Load,
     publisher: Publisher<local::Service, SharedReading, ()>,
@@ -72,7 +72,7 @@ impl Contestant for Iceoryx {
     fn trial(&mut self) {
         for batch in self.load.batches() {
             for number in batch {
-                // What is lost by an error would show in the sum.
+                // Messages lost by an error show in the sum.
                 if let Ok(sample) = self.publisher.loan_uninit() {
                     let _ = sample.write_payload(Reading::new(number).into()).send();
                 }

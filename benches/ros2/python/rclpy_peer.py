@@ -40,7 +40,7 @@ def echo(node, options):
 
 
 def count(node, options):
-    """Prints how many messages it has received, once nothing more is sent."""
+    """Prints the number of received messages, once nothing more is sent."""
     heard = set()
     reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
     take = lambda message: heard.add(message.data[:8].tobytes())

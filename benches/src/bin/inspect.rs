@@ -1,4 +1,4 @@
-//! Says what taking the times of runs and cycles costs: the same robot with and without, turn by turn.
+//! Measures the cost of measuring runs and cycles: the same robot with and without, in turns.
 
 use std::io::Write as _;
 use std::time::Duration;

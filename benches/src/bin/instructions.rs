@@ -1,7 +1,7 @@
-//! Counts the instructions of a cycle, which repeat exactly where times do not.
+//! Counts the instructions of a cycle, which are reproducible although times are not.
 //!
-//! Each scenario runs in Valgrind's Callgrind with two numbers of trials; the difference is that of the trials alone,
-//! without what sets them up.
+//! Each scenario runs in Valgrind's Callgrind with two numbers of trials. The difference is the cost of the
+//! trials alone, without setup.
 
 use std::num::NonZeroU64;
 use std::process::Command;
@@ -11,7 +11,7 @@ use benches::contestants::{Contestant, Downbeat, Limit};
 use benches::launchers::LAUNCHERS;
 use benches::{Calls, Football, Load, Relay};
 
-/// A name, what a trial is, how many cycles it has, and how to make it.
+/// The name, the description of a trial, its number of cycles, and the constructor.
 type Scenario = (&'static str, &'static str, u64, fn() -> anyhow::Result<Box<dyn Contestant>>);
 
 const TEN_BY_HUNDRED: Load = Load { modules: 10, messages: 100, batch: NonZeroU64::new(1000).unwrap() };
@@ -54,7 +54,7 @@ fn run(name: &str, trials: u64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What Callgrind counts in this program with that scenario.
+/// The instructions that Callgrind counts in this program with this scenario.
 fn instructions(name: &str, trials: u64) -> anyhow::Result<u64> {
     let program = std::env::current_exe()?;
     let output = Command::new("valgrind")

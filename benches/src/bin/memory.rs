@@ -1,6 +1,6 @@
-//! Says how much memory a core with 1000 modules and 100 topics takes.
-// Counting allocations takes an allocator, and its trait is unsafe to implement. It only counts and passes on to
-// the system's.
+//! Measures the memory of a core with 1000 modules and 100 topics.
+// Counting allocations requires an allocator, whose trait is unsafe to implement. This one only counts, and
+// forwards to the system's allocator.
 #![allow(unsafe_code)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -13,10 +13,10 @@ use downbeat_executor::{Context, Core, ManualClock, Module, Publication, Receive
 
 struct Counting;
 
-/// Bytes that were allocated and not freed.
+/// The bytes that are allocated and not freed.
 static LIVE: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: every request goes to the system's allocator as it came.
+// SAFETY: every request is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LIVE.fetch_add(layout.size(), Ordering::Relaxed);
@@ -39,7 +39,7 @@ const TOPICS: usize = 100;
 const MESSAGES_PER_CYCLE: u64 = 10;
 const PERIOD: Duration = Duration::from_millis(1);
 
-/// Every tenth of them publishes on a topic of its own; each hears one topic.
+/// Every tenth module publishes on a separate topic; each subscribes to one topic.
 struct Part {
     tells: Option<String>,
     hears: String,

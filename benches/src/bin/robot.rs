@@ -1,7 +1,7 @@
-//! Compares the cycles of a robot that runs as `downbeat run` does with those of its modules in a core without a node.
+//! Compares the cycles of a robot under `downbeat run` with those of its modules in a core without a node.
 //!
-//! Both have the same pace and sleep between cycles. They take turns, and the times are those that the core's own inspector
-//! measures.
+//! Both have the same pace and sleep between cycles. They run in turns, and the times are measured by the
+//! core's inspector.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -18,10 +18,10 @@ struct Arguments {
     /// The robot file
     #[arg(default_value = "robots/darwin_op.toml")]
     robot: PathBuf,
-    /// How long each turn lasts
+    /// The duration of each turn
     #[arg(long, value_name = "SECONDS", default_value_t = 5)]
     seconds: u64,
-    /// How many turns each has
+    /// The number of turns
     #[arg(long, value_name = "NUMBER", default_value_t = 3)]
     rounds: u32,
 }

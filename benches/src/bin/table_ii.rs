@@ -1,4 +1,5 @@
-//! Measures the grid of the published platform's Table II: ours, its design, and the limit, in one run.
+//! Measures the grid of the published platform's Table II in one run: downbeat, the published design, and the
+//! lower limit.
 
 use std::io::{IsTerminal, Write as _};
 use std::num::NonZeroU64;
@@ -8,14 +9,14 @@ use benches::measure::Effort;
 use benches::table_ii::{CellResult, Row, goals, grid, measure, table};
 use clap::Parser;
 
-/// One publisher sends messages to modules. Each delivery calls a callback that adds a field of the message to the
-/// state of the module.
+/// One publisher sends messages to modules. Each delivery calls a callback that adds a field of the message
+/// to the state of the module.
 ///
-/// Measured from the first publish to the last delivery; setting up is not. A trial publishes its messages in batches,
-/// one per cycle, for all contestants alike.
-/// ratio_to_limit is our time by that of a plain loop over the callbacks; ratio_to_queue_design and
-/// ratio_to_published are the time of the published design, measured here in its faster form, and its published time,
-/// by ours.
+/// Measured from the first publish to the last delivery, without setup. A trial publishes its messages in
+/// batches, one per cycle, for all contestants alike. ratio_to_limit is the time of downbeat divided by that
+/// of a plain loop over the callbacks; ratio_to_queue_design and ratio_to_published are the time of the
+/// published design, measured here in its faster form, and its published time, each divided by that of
+/// downbeat.
 #[derive(Parser)]
 #[command(verbatim_doc_comment)]
 struct Arguments {
@@ -25,18 +26,18 @@ struct Arguments {
     /// Measure for seconds instead of minutes, with more noise
     #[arg(long)]
     quick: bool,
-    /// The most messages that are published in one cycle
+    /// The largest number of messages per cycle
     #[arg(long, value_name = "NUMBER", default_value_t = BATCH)]
     batch: NonZeroU64,
-    /// Measure only cells with so many modules
+    /// Measure only cells with this number of modules
     #[arg(long, value_name = "NUMBER")]
     modules: Option<u64>,
-    /// Measure only cells with so many messages
+    /// Measure only cells with this number of messages
     #[arg(long, value_name = "NUMBER")]
     messages: Option<u64>,
 }
 
-/// Bounds the memory of the queues: their entries for 1000 modules take some 20 MB.
+/// Bounds the memory of the queues: their entries for 1000 modules take about 20 MB.
 const BATCH: NonZeroU64 = NonZeroU64::new(1000).unwrap();
 
 const FULL: Effort = Effort { rounds: 9, turn: Duration::from_millis(20), budget: Duration::from_secs(30) };

@@ -1,7 +1,7 @@
-//! Measures what viewers cost a robot: its processor time and its cycles, without viewers and with some that subscribe to every topic,
-//! in turns.
+//! Measures the cost of viewers to a robot: processor time and cycles, without viewers and with viewers that
+//! subscribe to every topic, in turns.
 //!
-//! The viewers run in another process and read all that they are sent, so that only the robot's side is counted.
+//! The viewers run in another process and read everything, so that only the robot's side is counted.
 
 use std::io::{BufRead as _, BufReader};
 use std::net::TcpStream;
@@ -22,25 +22,25 @@ struct Arguments {
     /// The robot file
     #[arg(default_value = "robots/darwin_op.toml")]
     robot: PathBuf,
-    /// How many viewers
+    /// The number of viewers
     #[arg(long, value_name = "NUMBER", default_value_t = 10)]
     viewers: usize,
-    /// How long each turn lasts
+    /// The duration of each turn
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     seconds: u64,
-    /// How many turns each has
+    /// The number of turns
     #[arg(long, value_name = "NUMBER", default_value_t = 3)]
     rounds: u32,
-    /// Be the viewers of a robot at this URL instead
+    /// Run the viewers of a robot at this URL instead
     #[arg(long, hide = true)]
     watch: Option<String>,
 }
 
 struct Turn {
-    /// Processor time of the robot's process by time.
+    /// The processor time of the robot's process, divided by the elapsed time.
     load: f64,
     cycle: TimeStatistics,
-    /// How late cycles for timers began is in the period of the hardware.
+    /// The intervals between cycles of the hardware; they show how late cycles begin.
     period: TimeStatistics,
 }
 
@@ -134,7 +134,7 @@ fn subscribe_to_all(socket: &mut WebSocket<TcpStream>) -> anyhow::Result<()> {
     }
 }
 
-/// The processor time of this process, of which the kernel counts hundredths of a second.
+/// The processor time of this process, which the kernel counts in hundredths of a second.
 fn processor_time() -> anyhow::Result<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat")?;
     let fields = stat.rsplit_once(')').context("/proc/self/stat")?.1;

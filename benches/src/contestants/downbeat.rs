@@ -1,4 +1,4 @@
-//! Ours.
+//! The executor of downbeat.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -23,10 +23,10 @@ pub struct Downbeat {
 }
 
 impl Downbeat {
-    /// Makes the core and its modules and starts them, which is not part of a trial.
+    /// Creates the core and its modules and starts them, which is not part of a trial.
     ///
     /// # Errors
-    /// If the launcher gets no threads.
+    /// If the launcher cannot start its threads.
     pub fn new(load: Load, launcher: &LauncherUnderTest) -> anyhow::Result<Self> {
         let clock = ManualClock::new(Time::ZERO);
         let mut core = (launcher.launch)(Core::new().with_clock(clock.clone()))
@@ -38,7 +38,7 @@ impl Downbeat {
             core.add(&format!("subscriber {number}"), subscriber)?;
         }
         core.cycle()?;
-        // A message is received in the cycle after that in which it was published.
+        // A message is received in the cycle after the one in which it is published.
         let cycles = load.batches().count() as u64 + 1;
         Ok(Self { core, clock, cycles, total })
     }
@@ -48,7 +48,7 @@ impl Contestant for Downbeat {
     fn trial(&mut self) {
         for _ in 0..self.cycles {
             self.clock.advance(PERIOD);
-            // Fails only while it starts, and it has started. What is lost would show in the sum.
+            // Fails only at the start, and the core has started. Lost messages show in the sum.
             let _ = self.core.cycle();
         }
     }
@@ -59,7 +59,7 @@ impl Contestant for Downbeat {
     }
 }
 
-/// Publishes one batch each cycle. After the last one of a trial it lets one cycle pass.
+/// Publishes one batch per cycle, and skips one cycle after the last batch of a trial.
 struct Publisher {
     batches: Vec<Range<u64>>,
     next: usize,

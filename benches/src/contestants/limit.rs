@@ -1,4 +1,4 @@
-//! What must be done at least, on one thread and on two.
+//! The lower limit: the minimal work, on one thread and on two.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use super::Contestant;
 use crate::{Load, Reading, Sum};
 
-/// A plain loop over the subscribers, one indirect call each per batch. The batch is stored once.
+/// A plain loop over the subscribers with one indirect call each per batch. The batch is stored once.
 pub struct Limit {
     load: Load,
     batch: Vec<Reading>,
@@ -36,19 +36,19 @@ impl Contestant for Limit {
     }
 }
 
-/// The same loop with half of the subscribers on a second thread, which waits for each batch as the threads of a pool
-/// do: for a moment without sleeping.
+/// The same loop with half of the subscribers on a second thread, which spins for a moment and then parks
+/// while it waits for a batch, as the threads of a pool do.
 pub struct LimitOnTwoThreads {
     load: Load,
     shared: Arc<Shared>,
-    /// There until the end.
+    /// `None` after the end.
     helper: Option<JoinHandle<()>>,
 }
 
 struct Shared {
     batch: RwLock<Vec<Reading>>,
     halves: [Mutex<Vec<Box<dyn Subscriber>>>; 2],
-    /// The number of the batch that is to be delivered; [`END`] when no more come.
+    /// The number of the batch to be delivered; [`END`] after the last one.
     published: AtomicU64,
     /// The number of the last batch that the helper has delivered.
     delivered: AtomicU64,

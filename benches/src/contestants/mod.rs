@@ -1,4 +1,4 @@
-//! The designs that are compared.
+//! The compared designs.
 
 mod downbeat;
 mod limit;
@@ -8,12 +8,13 @@ pub use downbeat::Downbeat;
 pub use limit::{Limit, LimitOnTwoThreads};
 pub use queues::{LockFree, Locked, Queue, Queues};
 
-/// A design, made ready for one [`Load`](crate::Load).
+/// A design, prepared for one [`Load`](crate::Load).
 pub trait Contestant {
-    /// From the first publish of a trial to its last delivery.
+    /// Runs a trial, from its first publish to its last delivery.
     fn trial(&mut self);
 
-    /// Ends it. Returns the sum over all subscribers and trials, which tells whether every message arrived.
+    /// Ends the contestant. Returns the sum over all subscribers and trials, which shows whether every
+    /// message arrived.
     fn finish(self: Box<Self>) -> u64;
 }
 

@@ -1,4 +1,4 @@
-//! The design of the published platform: a queue per module, and an entry in it per delivery.
+//! The design of the published platform: a queue per module, with one entry per delivery.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,11 +8,11 @@ use crossbeam::queue::SegQueue;
 use super::Contestant;
 use crate::{Load, Reading, Sum};
 
-/// A queue that may be used from any thread, as that of a module is in this design.
+/// A queue that may be used from any thread, as required of a module's queue in this design.
 pub trait Queue: Default {
-    /// Puts an entry at the end.
+    /// Appends an entry.
     fn push(&self, entry: Arc<Reading>);
-    /// Takes the entry at the front.
+    /// Removes and returns the first entry.
     fn pop(&self) -> Option<Arc<Reading>>;
 }
 
@@ -44,8 +44,8 @@ impl Queue for Locked {
     }
 }
 
-/// Publishing puts a shared pointer into the queue of each subscriber; then each subscriber empties its queue and
-/// calls its callback, which the queue does not know, for each entry. One thread does all.
+/// Publishing puts a shared pointer into the queue of each subscriber. Then each subscriber empties its queue
+/// and makes one indirect call of its callback per entry, all on one thread.
 pub struct Queues<Q> {
     load: Load,
     modules: Vec<(Q, Box<dyn Subscriber>)>,

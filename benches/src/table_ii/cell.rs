@@ -14,46 +14,47 @@ use crate::measure::{Effort, best_of_rounds, ratio};
 /// The times of one trial of each contestant.
 #[derive(Clone, Debug)]
 pub struct CellResult {
-    /// What a trial was.
+    /// The load of a trial.
     pub load: Load,
-    /// Ours under each launcher, by its name.
+    /// The time of downbeat under each launcher, by the launcher's name.
     pub ours: Vec<(&'static str, Duration)>,
-    /// The plain loop.
+    /// The time of the plain loop.
     pub limit: Duration,
-    /// The plain loop on two threads.
+    /// The time of the plain loop on two threads.
     pub limit_on_two_threads: Duration,
-    /// The published design with lock-free queues.
+    /// The time of the published design with lock-free queues.
     pub lock_free_queues: Duration,
-    /// The published design with queues behind locks.
+    /// The time of the published design with queues behind locks.
     pub locked_queues: Duration,
 }
 
-/// Ours under one launcher, beside the others.
+/// downbeat under one launcher, compared with the others.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// How many modules subscribe.
+    /// The number of subscribing modules.
     pub modules: u64,
-    /// How many messages are published.
+    /// The number of messages.
     pub messages: u64,
-    /// How the process phase runs.
+    /// The launcher of the process phase.
     pub launcher: &'static str,
     /// From the first publish to the last delivery.
     pub ms: f64,
-    /// The same by the number of callbacks.
+    /// The time divided by the number of deliveries.
     pub ns_per_delivery: f64,
-    /// How many times the limit's time ours takes.
+    /// The time divided by that of the limit.
     pub ratio_to_limit: f64,
-    /// How many times ours is faster than the faster form of the published design.
+    /// The time of the faster form of the published design, divided by ours.
     pub ratio_to_queue_design: f64,
-    /// How many times ours is faster than what is published, where we know it. Where that is "less than", this is
-    /// an upper bound.
+    /// The published time divided by ours, if a time is published. If the published time is "less than", this
+    /// is an upper bound.
     pub ratio_to_published: Option<f64>,
 }
 
 /// Runs the trials of a cell.
 ///
 /// # Errors
-/// If a launcher gets no threads, or if a contestant did not deliver each message to each subscriber.
+/// If a launcher cannot start its threads, or if a contestant did not deliver each message to each
+/// subscriber.
 pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
     let mut contestants: Vec<Box<dyn Contestant>> = vec![
         Box::new(Limit::new(load)),
@@ -70,7 +71,8 @@ pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
     let ours = LAUNCHERS.iter().map(|launcher| launcher.name).zip(times[4..].iter().copied()).collect();
     for contestant in contestants {
         let (sum, of_a_trial) = (contestant.finish(), load.expected_sum());
-        // The sums of a trial stay below 2^44, and a trial is repeated 2^20 times at most in each of few turns.
+        // The sum of a trial stays below 2^44, and a trial is repeated at most 2^20 times in each of a few
+        // turns.
         let is_whole = sum > 0 && sum.is_multiple_of(of_a_trial);
         ensure!(
             is_whole,
@@ -81,7 +83,7 @@ pub fn measure(load: Load, effort: Effort) -> anyhow::Result<CellResult> {
 }
 
 impl CellResult {
-    /// How many times Pool(2) gains of what the limit gains on two threads, each beside one thread of its own.
+    /// The gain of Pool(2) over one thread, divided by the gain of the limit on two threads over one.
     #[must_use]
     pub fn gain_of_pool(&self) -> Option<f64> {
         let time_of = |name| self.ours.iter().find(|(known, _)| *known == name).map(|&(_, time)| time);
@@ -95,7 +97,7 @@ impl CellResult {
         self.lock_free_queues.min(self.locked_queues)
     }
 
-    /// Ours, one row per launcher.
+    /// The results of downbeat, one row per launcher.
     pub fn rows(&self) -> impl Iterator<Item = Row> {
         self.ours.iter().map(|&(launcher, time)| Row {
             modules: self.load.modules,

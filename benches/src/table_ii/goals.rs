@@ -1,4 +1,4 @@
-//! What is to be reached, and whether it was.
+//! Goals, and the check whether they are reached.
 
 use std::time::Duration;
 
@@ -8,15 +8,15 @@ use crate::launchers::{LINEAR, POOL_2};
 /// A goal and the measured value.
 #[derive(Clone, Debug)]
 pub struct Goal {
-    /// What has to hold.
+    /// The condition.
     pub claim: &'static str,
-    /// What was measured, with its unit; nothing if the cell was not measured.
+    /// The measured value with its unit; `None` if the cell was not measured.
     pub measured: Option<String>,
-    /// Whether it holds.
+    /// True if the condition holds.
     pub is_reached: bool,
 }
 
-/// Each goal, compared with the results.
+/// Compares each goal with the results.
 #[must_use]
 pub fn goals(results: &[CellResult]) -> Vec<Goal> {
     let (largest, smallest) = ((1000, 100_000), (10, 100));
@@ -44,7 +44,7 @@ pub fn goals(results: &[CellResult]) -> Vec<Goal> {
         ),
         at_least(
             0.9,
-            "1000 x 100000, Pool(2): at least 0.9 of what two threads gain the limit",
+            "1000 x 100000, Pool(2): at least 0.9 of the limit's gain with two threads",
             gain_of_pool,
         ),
         at_most(1.3, "x", "10 x 100, Linear: at most 1.3 times the limit", smallest_to_limit),

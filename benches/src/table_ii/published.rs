@@ -1,20 +1,20 @@
-//! What the platform's authors report.
+//! The times reported by the platform's authors.
 
 use std::time::Duration;
 
 use crate::Load;
 
-/// A figure of the published table.
+/// A time of the published table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Published {
-    /// It took this long.
+    /// The exact time.
     Took(Duration),
-    /// It took less than this, the resolution of the table.
+    /// An upper bound, which is the resolution of the table.
     TookLessThan(Duration),
 }
 
 impl Published {
-    /// The time, or what it is less than.
+    /// The time, or its upper bound.
     #[must_use]
     pub fn bound(self) -> Duration {
         match self {
@@ -23,7 +23,7 @@ impl Published {
     }
 }
 
-/// The published time of a cell, as far as we know it. It was measured on another machine.
+/// The published time of a cell, if known. It was measured on another machine.
 #[must_use]
 pub fn published(load: Load) -> Option<Published> {
     match (load.modules, load.messages) {

@@ -1,4 +1,4 @@
-//! The results as a table for people.
+//! Formats the results as a table.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::{CellResult, Goal, Published, Row, published};
 use crate::launchers::LINEAR;
 
-/// All cells, ours under each launcher beside the others, then the goals.
+/// All cells, with downbeat under each launcher next to the other contestants, then the goals.
 #[must_use]
 pub fn table(results: &[CellResult], goals: &[Goal]) -> String {
     let mut text = String::new();
@@ -50,14 +50,15 @@ pub fn table(results: &[CellResult], goals: &[Goal]) -> String {
     for load in results.iter().filter(|result| is_too_noisy(result)).map(|result| result.load) {
         let _ = writeln!(
             text,
-            "Read no ratio of {} x {}: one thread came out faster than the limit, so the machine was too busy.",
+            "Ignore the ratios of {} x {}: one thread was faster than the limit, so the machine was too busy.",
             load.modules, load.messages
         );
     }
     text
 }
 
-/// One thread has at least the limit's work to do, so a time well below it tells of the machine, not of us.
+/// One thread has at least the work of the limit, so a time well below the limit shows that the machine was
+/// too busy.
 fn is_too_noisy(result: &CellResult) -> bool {
     result.rows().any(|row| row.launcher == LINEAR && row.ratio_to_limit < 0.9)
 }

@@ -1,4 +1,4 @@
-//! How a core is made and configured.
+//! Construction and configuration of a core.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,52 +26,52 @@ impl Core {
         core
     }
 
-    /// The same core with another launcher.
+    /// Replaces the launcher.
     #[must_use]
     pub fn with_launcher(mut self, launcher: impl Launcher + 'static) -> Self {
         self.set_launcher(launcher);
         self
     }
 
-    /// The same core with another clock.
+    /// Replaces the clock.
     ///
     /// # Panics
-    /// If the core has modules or outlets: they were set up for the clock it had.
+    /// If the core has modules or outlets, since these were set up for the previous clock.
     #[must_use]
     pub fn with_clock(mut self, clock: impl Clock + 'static) -> Self {
         let has_outlets = self.mechanisms.get::<Messages>(MESSAGES).is_some_and(Messages::has_outlets);
         let is_empty = self.state.members.is_empty() && !has_outlets;
-        assert!(is_empty, "give a core its clock before its modules and outlets");
+        assert!(is_empty, "call `with_clock` before modules and outlets are added");
         self.state.clock = Arc::new(clock);
         self
     }
 
-    /// The clock from which modules have their time; for a thread beside the core that has to keep the same.
+    /// The clock of the modules; for threads outside the core that need the same time.
     #[must_use]
     pub fn clock(&self) -> Arc<dyn Clock> {
         Arc::clone(&self.state.clock)
     }
 
-    /// The same core, which does not take the times of cycles and runs unless a [trace](CoreHandle::trace) is asked for.
-    /// It counts all the same. Saves less than a hundredth of the time a cycle takes, and 15 KiB per module.
+    /// Turns off the measurement of cycles and runs, except during a requested [trace](CoreHandle::trace).
+    /// Counters stay active. Saves less than one percent of a cycle's time, and 15 KiB per module.
     ///
     /// # Panics
-    /// If the core has modules: they were made to be measured.
+    /// If the core has modules, since these were set up for measurement.
     #[must_use]
     pub fn without_times(mut self) -> Self {
-        assert!(self.state.members.is_empty(), "tell a core what to measure before its modules");
+        assert!(self.state.members.is_empty(), "call `without_times` before modules are added");
         self.state.inspector = self.state.inspector.turned_off();
         self
     }
 
-    /// The same core, with another way to wait.
+    /// Replaces the behaviour while nothing is due.
     #[must_use]
     pub fn with_idle(mut self, idle: Idle) -> Self {
         self.idle = idle;
         self
     }
 
-    /// The same core with a deadline for each cycle: one that takes longer is reported while it still goes on.
+    /// Sets a deadline for each cycle; a cycle that exceeds it is reported while it is still running.
     ///
     /// # Errors
     /// If the watchdog's thread cannot be started.
@@ -83,18 +83,17 @@ impl Core {
         Ok(self)
     }
 
-    /// Reports runs and cycles that exceed their deadline to `report` instead of the log. It is called on the watchdog's
-    /// thread while they are running, and on their own thread when they have ended; repeated overruns are reported less
-    /// and less often.
+    /// Reports runs and cycles that exceed their deadline to `report` instead of the log. `report` is called
+    /// on the watchdog's thread while the run lasts, and on the run's own thread when it has ended. Repeated
+    /// overruns are reported at growing intervals.
     ///
-    /// A thread cannot be ended from outside. What can be done is to bring the hardware to a safe state, and to ask the
+    /// A thread cannot be ended from outside. The report can bring the hardware to a safe state, and ask the
     /// core to stop.
     pub fn on_overrun(&mut self, report: impl Fn(&Overrun) + Send + Sync + 'static) {
         self.state.watchdog.report_to(Arc::new(report));
     }
 
-    /// The same core with one more way for modules to interact; it takes part in each sync phase after those there
-    /// are.
+    /// Adds a mechanism. It runs in each sync phase, after those added before.
     #[must_use]
     pub fn with_mechanism<M: Mechanism>(mut self, mechanism: M) -> Self {
         self.mechanisms.add(mechanism, &mut self.stage.exclusive().views);
@@ -106,7 +105,7 @@ impl Core {
         self.at_end.push(Box::new(then));
     }
 
-    /// A way to stop the core and to change it from other threads.
+    /// A handle to stop and change the core from other threads.
     #[must_use]
     pub fn handle(&self) -> CoreHandle {
         CoreHandle { link: Arc::clone(&self.state.link) }
@@ -117,7 +116,7 @@ impl Core {
         self.mechanisms.offers().iter().map(|offer| (offer.name, offer.version))
     }
 
-    /// Which modules publish, subscribe, serve and call what.
+    /// The graph of modules with their publications, subscriptions, servers and clients.
     #[must_use]
     pub fn graph(&self) -> Graph {
         Graph::of(&self.stage, &self.state, &self.mechanisms)

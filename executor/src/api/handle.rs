@@ -1,11 +1,11 @@
-//! What other threads can ask of a running core as a whole.
+//! Requests of other threads to a running core as a whole.
 
 use crate::cycle::Pause;
 use crate::threads::receipt;
 use crate::{CoreHandle, CycleTrace, Graph, LifeEvent, Listening, Receipt, Snapshot, Timing};
 
 impl CoreHandle {
-    /// Asks the core to stop after the current cycle. Safe to call from a signal-handling thread, and more
+    /// Asks the core to stop after the current cycle. May be called from a signal-handling thread, and more
     /// than once.
     pub fn stop(&self) {
         self.link.request_stop();
@@ -17,8 +17,8 @@ impl CoreHandle {
         self.link.stop_is_requested()
     }
 
-    /// Has the core and its detached modules look at their clock: where time comes from somebody else, who has just
-    /// moved it. Otherwise they may sleep for as long as it would have taken the machine's clock.
+    /// Makes the core and its detached modules read their clock again, after an external source has moved it.
+    /// Otherwise they may sleep as long as the machine's clock would have taken to reach the next event.
     ///
     /// ```
     /// use downbeat_executor::{Clock, Core, Module, Setup, SetupError, Time};
@@ -72,18 +72,18 @@ impl CoreHandle {
         self.link.announce_clock();
     }
 
-    /// Holds the whole core, detached modules too: no cycle runs until it is resumed. Time goes on, and timers
-    /// skip what they miss. Only [`Core::run`](crate::Core::run) heeds it.
+    /// Pauses the whole core, including detached modules: no cycle runs until it is resumed. Time goes on,
+    /// and timers skip the ticks that they miss. Only [`Core::run`](crate::Core::run) obeys it.
     pub fn pause(&self) {
         self.set_pause(Pause::Paused { steps: 0 });
     }
 
-    /// Lets a core go on that was paused.
+    /// Resumes a paused core.
     pub fn resume(&self) {
         self.set_pause(Pause::Running);
     }
 
-    /// Has a paused core run one cycle; detached modules stay where they are.
+    /// Makes a paused core run one cycle; detached modules stay paused.
     pub fn step(&self) {
         self.look(|phase| {
             if let Pause::Paused { steps } = &mut phase.state.pause {
@@ -98,9 +98,9 @@ impl CoreHandle {
         self.ask(|phase| phase.state.pause != Pause::Running)
     }
 
-    /// Calls `listener` for each step in the life of each module until the returned value is dropped. It
-    /// is called while the module runs, on its thread, so it must hand over and return; what it does must not come back to
-    /// the modules otherwise than as a message, a request or a setting.
+    /// Calls `listener` for each lifecycle step of each module until the returned value is dropped. The
+    /// listener runs on the thread of the module, so it must hand over the event and return. Its effects must
+    /// reach modules only as messages, requests or settings.
     ///
     /// ```
     /// use downbeat_executor::{Core, LifeStep, LifecycleState, ManualClock, Module, Setup, SetupError, Time, Transition};
@@ -131,13 +131,13 @@ impl CoreHandle {
         self.link.listeners.add(listener)
     }
 
-    /// What the core counted and measured, between two cycles.
+    /// The counters and measurements of the core, taken between two cycles.
     #[must_use = "the answer is in the receipt"]
     pub fn snapshot(&self) -> Receipt<Snapshot> {
         self.ask(Snapshot::of)
     }
 
-    /// What runs in the next cycles, at least one. The answer comes when they have run; see
+    /// Traces the next cycles, at least one. The receipt is answered when they have run; see
     /// [`finish_trace`](Self::finish_trace).
     #[must_use = "the answer is in the receipt"]
     pub fn trace(&self, cycles: u32) -> Receipt<CycleTrace> {
@@ -146,19 +146,19 @@ impl CoreHandle {
         trace
     }
 
-    /// Has a trace answered with what there is: for a core in which no more cycles may come soon.
+    /// Ends a trace early, with the cycles so far; for a core that may run no further cycle soon.
     pub fn finish_trace(&self) {
         self.look(|phase| phase.state.inspector.finish_trace());
     }
 
-    /// Which modules publish, subscribe, serve and call what.
+    /// The graph of modules with their publications, subscriptions, servers and clients.
     #[must_use = "the answer is in the receipt"]
     pub fn graph(&self) -> Receipt<Graph> {
         self.ask(|phase| Graph::of(phase.stage, phase.state, phase.mechanisms))
     }
 
-    /// How long cycles have taken so far and how regular detached modules are. It neither waits for the core nor wakes it, and
-    /// can be read when the core has stopped.
+    /// The durations of cycles so far, and the regularity of detached modules. Neither waits for the core nor
+    /// wakes it, and also works after the core has stopped.
     ///
     /// ```
     /// use downbeat_executor::{Core, ManualClock, Time};

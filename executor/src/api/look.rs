@@ -1,4 +1,4 @@
-//! What a core shows of itself between two cycles.
+//! Views of a core between two cycles: modules, graph, snapshot.
 
 use std::collections::HashMap;
 use std::sync::Arc;

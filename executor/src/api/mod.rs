@@ -1,4 +1,4 @@
-//! The core and its handle as users meet them.
+//! The user's interface of the core and its handle.
 
 mod core;
 mod handle;

@@ -1,4 +1,4 @@
-//! Which modules run in the next cycle.
+//! The schedule of modules: which of them run in the next cycle, and when others are due.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -9,33 +9,34 @@ use crate::module::{Asked, Causes};
 /// A module of the next cycle.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ready {
-    /// The module's place in the order of registration; never given twice.
+    /// The module's position in the order of registration; never reused.
     pub(crate) order: u64,
-    /// Where it is kept.
+    /// The slot of the module's cell.
     pub(crate) slot: usize,
-    /// Why it runs.
+    /// The reasons of the run.
     pub(crate) causes: Causes,
 }
 
-/// A module that asked for something in this cycle.
+/// A module that has made requests in this cycle.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Asker {
     pub(crate) order: u64,
     pub(crate) slot: usize,
-    /// The mechanisms.
+    /// The mechanisms that received its requests.
     pub(crate) asked: Asked,
 }
 
-/// The modules that have something to do now, and when others will have.
+/// The modules that are ready now, and the due times of the others.
 #[derive(Default)]
 pub(crate) struct Agenda {
     ready: Vec<Ready>,
-    /// The least order with which `ready` goes on in order.
+    /// The smallest order that can be appended without breaking the order of `ready`.
     next_order: u64,
     is_out_of_order: bool,
     /// By slot.
     entries: Vec<Entry>,
-    /// Entries that no longer hold what `entries` says are skipped when they come up.
+    /// A heap of due times. Entries that differ from `entries` are outdated and are skipped when they reach
+    /// the top.
     due: BinaryHeap<Reverse<(Time, usize)>>,
     every_cycle: Vec<usize>,
 }
@@ -44,12 +45,12 @@ pub(crate) struct Agenda {
 struct Entry {
     order: u64,
     due: Time,
-    /// Why it runs in the next cycle; none if it does not.
+    /// The reasons to run in the next cycle; none if the module does not run.
     causes: Causes,
 }
 
 impl Agenda {
-    /// Makes room for a module and has it run in the next cycle.
+    /// Adds a module, which runs in the next cycle.
     pub(crate) fn enter(&mut self, slot: usize, order: u64) {
         let entry = Entry { order, due: Time::MAX, causes: Causes::NONE };
         if slot == self.entries.len() {
@@ -71,7 +72,7 @@ impl Agenda {
         self.every_cycle.retain(|&every| every != slot);
     }
 
-    /// The module runs in the next cycle.
+    /// Schedules the module for the next cycle.
     #[inline]
     pub(crate) fn wake(&mut self, slot: usize, causes: Causes) {
         let entry = &mut self.entries[slot];
@@ -83,7 +84,7 @@ impl Agenda {
         entry.causes.add(causes);
     }
 
-    /// The module runs in the first cycle at or after `due`.
+    /// Schedules the module for the first cycle at or after `due`.
     pub(crate) fn wake_at(&mut self, slot: usize, due: Time) {
         if self.entries[slot].due == due {
             return;
@@ -99,7 +100,7 @@ impl Agenda {
         !self.ready.is_empty()
     }
 
-    /// The earliest time for which a module asked.
+    /// The earliest due time of all modules.
     pub(crate) fn earliest_due(&mut self) -> Time {
         while let Some(&Reverse((due, slot))) = self.due.peek() {
             if self.entries[slot].due == due {
@@ -137,7 +138,7 @@ impl Agenda {
         (self.next_order, self.is_out_of_order) = (0, false);
     }
 
-    /// Forgets entries that were replaced by others: a module may postpone a far due time again and again.
+    /// Removes outdated entries: a module may postpone a distant due time any number of times.
     fn compact(&mut self) {
         if self.due.len() > 64 + 4 * self.entries.len() {
             let Self { due, entries, .. } = self;

@@ -16,40 +16,40 @@ use crate::observe::{CycleInfo, Measuring, spans_are_on};
 use crate::threads::{Watch, end_of, reason};
 use crate::{Role, ThreadError, Time, TraceCause};
 
-/// Why a core cannot run.
+/// Errors of [`Core::run`] and [`Core::cycle`].
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The clock has to be moved by hand.
-    #[error("this clock does not go on by itself; set it and call `cycle`, or use a clock that does")]
+    /// The clock advances only when it is set.
+    #[error("this clock does not run by itself; set it and call `cycle`, or use a clock that runs")]
     ClockStandsStill,
     /// The core was stopped.
-    #[error("this core has stopped, and a stopped core does not start again; make a new one")]
+    #[error("this core has stopped and cannot be restarted; create a new one")]
     Stopped,
-    /// The core's own thread, or one of its launcher, cannot run as configured.
+    /// The core's thread, or a thread of its launcher, cannot run as configured.
     #[error(transparent)]
     Launcher(#[from] ThreadError),
-    /// The thread of a detached module cannot start, or not run as configured.
+    /// The thread of a detached module cannot start, or cannot run as configured.
     #[error("detached module \"{module}\": {source}")]
     Thread {
         /// The module.
         module: String,
-        /// What the system said.
+        /// The error of the system.
         source: ThreadError,
     },
 }
 
-/// What [`Core::run`] does while nothing is due.
+/// How [`Core::run`] waits while nothing is due.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Idle {
-    /// Its thread sleeps until something is.
+    /// The thread sleeps until the next event.
     #[default]
     Park,
-    /// Its thread looks again and again: it reacts a few microseconds sooner and keeps a processor busy.
+    /// The thread polls. It reacts a few microseconds sooner, and keeps a processor busy.
     Spin,
 }
 
-/// Owns the modules of a robot and runs them in cycles: a process phase, in which modules run, and a sync
-/// phase, in which what they asked for takes effect.
+/// Owns the modules of a robot and runs them in cycles. A cycle is a process phase, in which modules run, and
+/// a sync phase, in which their requests take effect.
 pub struct Core {
     pub(crate) stage: StageHolder,
     pub(crate) state: CoreState,
@@ -58,9 +58,9 @@ pub struct Core {
     /// True if the launcher runs all modules on the core's thread.
     is_linear: bool,
     pub(crate) idle: Idle,
-    /// Of the whole cycle.
+    /// Measures the whole cycle.
     pub(crate) watch: Option<Watch>,
-    /// What is called when the core has stopped.
+    /// Called when the core has stopped.
     pub(crate) at_end: Vec<Box<dyn FnOnce() + Send>>,
     parker: Parker,
     /// The time of the last cycle.
@@ -69,22 +69,22 @@ pub struct Core {
     has_slept: bool,
 }
 
-/// How fast simulated time may pass.
+/// Limits the speed of simulated time.
 struct Pace {
     speed: f64,
-    /// A time, and when it was reached.
+    /// A simulated time, and the instant at which it was reached.
     reached: Option<(Time, Instant)>,
 }
 
 impl Pace {
-    /// What is later than this by the machine's clock is late for good.
+    /// A cycle later than this does not catch up.
     const LATE: Duration = Duration::from_millis(100);
 
     fn new(speed: f64) -> Self {
         Self { speed, reached: None }
     }
 
-    /// How long it is until this time; `None` if it has come.
+    /// The remaining wait until this time; `None` if it has come.
     fn early(&mut self, at: Time) -> Option<Duration> {
         let now = Instant::now();
         let &mut (from, since) = self.reached.get_or_insert((at, now));
@@ -128,17 +128,17 @@ impl Core {
         self.launcher = Box::new(launcher);
     }
 
-    /// The core as mechanisms see it, between two cycles.
+    /// A view of the core for mechanisms, between two cycles.
     pub(crate) fn between_cycles(&mut self) -> SyncPhase<'_> {
         let stage = self.stage.exclusive();
         SyncPhase::between_cycles(stage, &mut self.state, &mut self.mechanisms, self.last_now)
     }
 
-    /// Runs cycles until [`CoreHandle::stop`](crate::CoreHandle::stop) is called, then stops the modules. Sleeps while
-    /// nothing is due, unless it is to spin.
+    /// Runs cycles until [`CoreHandle::stop`](crate::CoreHandle::stop) is called, then stops the modules.
+    /// Sleeps while nothing is due, unless [`Idle::Spin`] is set.
     ///
     /// # Errors
-    /// If the clock does not go on by itself, a thread cannot be started, or the core was stopped before.
+    /// If the clock does not advance by itself, a thread cannot be started, or the core was stopped before.
     pub fn run(&mut self) -> Result<(), RunError> {
         if !self.state.clock.runs_by_itself() {
             return Err(RunError::ClockStandsStill);
@@ -160,9 +160,9 @@ impl Core {
         Ok(())
     }
 
-    /// Runs as [`Core::run`], in simulated time: `clock`, which is the core's, stands still while modules run, and is then set to
-    /// the time of the next event, so that time passes as fast as the work is done. The same input gives the same run. Ends before
-    /// the first event at or after `end`.
+    /// Runs as [`Core::run`], in simulated time. `clock`, which must be the core's clock, stands still while
+    /// modules run, and is then set to the time of the next event, so that time passes as fast as the work is
+    /// done. The same input gives the same run. Ends before the first event at or after `end`.
     ///
     /// ```
     /// use std::time::Duration;
@@ -187,7 +187,7 @@ impl Core {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
-    /// A core that is [stopped](CoreHandle::stop) earlier leaves the clock where it is:
+    /// A core that is [stopped](CoreHandle::stop) earlier leaves the clock at the time of the stop:
     ///
     /// ```
     /// # use downbeat_executor::{Clock, Core, ManualClock, Module, Setup, SetupError, Time};
@@ -213,11 +213,11 @@ impl Core {
         self.run_simulated_at(clock, end, None)
     }
 
-    /// Runs as [`Core::run_simulated`], but not faster than at this speed: 1 is that of real time, 2 is twice as fast. What is
-    /// computed is the same. Where the machine is too slow, time that is lost is not made up for.
+    /// Runs as [`Core::run_simulated`], but not faster than at this speed: 1 is real time, 2 is twice as
+    /// fast. The results are the same. Time that is lost because the machine is too slow is not made up for.
     ///
     /// # Errors
-    /// As of [`Core::run_simulated`].
+    /// As for [`Core::run_simulated`].
     pub fn run_simulated_at(
         &mut self,
         clock: &crate::ManualClock,
@@ -264,7 +264,7 @@ impl Core {
         Ok(())
     }
 
-    /// Runs one cycle at the time the clock shows. The first one starts the modules.
+    /// Runs one cycle at the current time of the clock. The first cycle starts the modules.
     ///
     /// # Errors
     /// If a thread of a detached module cannot be started, or the core was stopped.
@@ -315,7 +315,7 @@ impl Core {
         }
     }
 
-    /// When the core has something to do next: now, at a timer's time, or never by itself.
+    /// The time of the next event: now, the time of a timer, or `None` if the core only waits for input.
     #[must_use]
     pub fn next_event(&mut self) -> Option<Time> {
         let has_to_start = self.state.life == CoreLife::New && !self.state.members.is_empty();
@@ -333,7 +333,7 @@ impl Core {
         if self.state.life == CoreLife::Stopped {
             return Err(RunError::Stopped);
         }
-        // A core that cannot start as a whole does not start later with what is left of it.
+        // A core that fails to start stays stopped, since some of its threads may be missing.
         let started = self.start_threads();
         self.state.life = if started.is_ok() { CoreLife::Running } else { CoreLife::Stopped };
         started
@@ -349,11 +349,12 @@ impl Core {
         })
     }
 
-    /// The clock is that of somebody else, and has gone back. Detached modules notice it themselves.
+    /// Restarts the timers after an external clock has gone back. Detached modules notice the change
+    /// themselves.
     #[cold]
     fn go_back(&mut self, now: Time) {
         let by = self.last_now.saturating_since(now).as_secs_f64();
-        tracing::warn!("the clock went back by {by} s to {now}: timers start again from there");
+        tracing::warn!("the clock went back by {by} s to {now}: timers restart from there");
         let stage = self.stage.exclusive();
         for slot in 0..stage.cells.slots() {
             if let Some(cell) = stage.cells.get(slot) {
@@ -363,14 +364,15 @@ impl Core {
         }
     }
 
-    /// `fresh` has the topics that carried messages to modules in a traced cycle, by the slots of these.
+    /// `fresh` lists the topics that carried messages in a traced cycle, by the slots of the receiving
+    /// modules.
     fn take_readings(&mut self, info: CycleInfo, fresh: &[(usize, Arc<str>)]) {
         let stage = self.stage.exclusive();
         stage.measuring = Measuring::Nothing;
         self.state.inspector.synced();
         for nth in 0..stage.runnable.len() {
             let Ready { slot, causes, .. } = stage.runnable[nth];
-            // A module that was removed in this cycle is not there any more.
+            // A module that was removed in this cycle has no cell any more.
             if let Some(cell) = stage.cells.get(slot)
                 && let Some(span) = cell.span.take()
             {
@@ -444,7 +446,7 @@ impl Core {
         self.state.freed_slots.drain(..).for_each(|slot| self.launcher.slot_freed(slot));
     }
 
-    /// While the core is paused: lets others look at it, and waits.
+    /// Serves requests while the core is paused, and waits for the next one.
     fn attend(&mut self) {
         let is_paused = self.state.pause;
         self.between_cycles().attend();
@@ -475,30 +477,30 @@ impl Core {
         }
     }
 
-    /// True if the next cycle has something to do whatever the time is.
+    /// True if the next cycle has something to do at any time.
     fn has_work(&self) -> bool {
         self.state.agenda.has_ready() || self.mechanisms.has_work() || !self.state.link.is_empty()
     }
 
-    /// The earliest time for which somebody asked.
+    /// The earliest due time of mechanisms and modules.
     fn earliest_due(&mut self) -> Time {
         self.mechanisms.earliest_due().min(self.state.agenda.earliest_due())
     }
 
-    /// Runs the modules' last callbacks: parts in the reverse order of registration, then observers in the
-    /// order of registration. What each publishes last is delivered before the next one stops; what had come
-    /// before is delivered before the first one does.
+    /// Runs the `shutdown` of all modules: parts in the reverse order of registration, then observers in the
+    /// order of registration. Messages sent before the stop are delivered before the first module stops; the
+    /// last messages of each module are delivered before the next one stops.
     ///
-    /// Outlets come after all of them: their sinks take what waits, and are dropped.
+    /// Outlets end after all modules: their sinks receive the waiting messages, and are dropped.
     ///
-    /// It waits for sinks, and for detached modules that are in a callback, and logs which. A stopped core does not start
-    /// again.
+    /// Waits for sinks, and for detached modules that are in a callback, and logs their names. A stopped core
+    /// does not start again.
     pub fn stop(&mut self) {
         if self.state.life != CoreLife::Running {
             self.state.life = CoreLife::Stopped;
             return self.end();
         }
-        // Nobody would take what came from now on.
+        // Requests from now on would never be taken.
         self.state.link.close();
         self.state.link.request_stop();
         self.settle();
@@ -518,25 +520,25 @@ impl Core {
             self.settle();
         }
         self.state.life = CoreLife::Stopped;
-        // Mechanisms answer those outside who still wait.
+        // Mechanisms answer the remaining callers outside the core.
         self.between_cycles().ask_all();
         self.sync(self.state.clock.now());
         self.end();
     }
 
-    /// Ends what modules outlive: outlets take what waits for them.
+    /// Ends mechanisms and link after the modules: outlets pass on their waiting messages.
     fn end(&mut self) {
         self.mechanisms.each().for_each(|mechanism| mechanism.stopped());
         self.state.link.end();
         for then in std::mem::take(&mut self.at_end) {
             if let Err(panic) = catch_unwind(AssertUnwindSafe(then)) {
-                tracing::error!("panicked when the core had stopped: {}", end_of(panic));
+                tracing::error!("a closure of Core::on_stop panicked: {}", end_of(panic));
             }
         }
     }
 
-    /// A cycle at whose end the module runs its last callback. It and the others receive what was on its way before:
-    /// a sync phase alone would make that stale.
+    /// Runs a cycle with the module's `shutdown` at its end. A sync phase alone would not do: messages that
+    /// are on their way would become stale before modules receive them.
     fn shut_down(&mut self, order: u64, slot: usize) {
         let now = self.state.clock.now();
         self.process(now);
@@ -552,7 +554,7 @@ impl Core {
         self.sync(now);
     }
 
-    /// One cycle takes the last messages over, the next delivers them.
+    /// Runs two cycles: the first takes the last messages, the second delivers them.
     fn settle(&mut self) {
         for _ in 0..2 {
             let now = self.state.clock.now();
@@ -563,22 +565,21 @@ impl Core {
 }
 
 impl Drop for Core {
-    /// Stops a core that still runs.
+    /// Stops a running core.
     fn drop(&mut self) {
         if self.state.life == CoreLife::Running
             && let Err(panic) = catch_unwind(AssertUnwindSafe(|| self.stop()))
         {
-            tracing::error!("panicked while it was stopped: {}", reason(&*panic));
+            tracing::error!("the core panicked while it was stopping: {}", reason(&*panic));
         }
         self.state.link.request_stop();
         self.state.link.end();
     }
 }
 
-/// Asks a running core for something from any thread; from [`Core::handle`](crate::Core::handle).
+/// Sends requests to a running core from any thread; from [`Core::handle`](crate::Core::handle).
 ///
-/// What it asks for takes effect in the next sync phase. The receipt reports the result; it may be dropped by
-/// callers who do not need that.
+/// A request takes effect in the next sync phase. The receipt carries the result, and may be dropped.
 ///
 /// ```
 /// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};

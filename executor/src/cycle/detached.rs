@@ -1,4 +1,4 @@
-//! Modules on a thread and at a pace of their own.
+//! Detached modules, each with a separate thread and its own timing.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -15,19 +15,19 @@ use crate::{
     Clock, Inbox, LifecycleState, ModuleId, ModuleOptions, Role, Synchrony, ThreadError, ThreadOptions, Time,
 };
 
-/// A detached module as the core sees it.
+/// The core's side of a detached module.
 pub(crate) struct DetachedModule {
     pub(crate) id: ModuleId,
     pub(crate) name: Arc<str>,
-    /// As its last run left it.
+    /// The state after the module's last run.
     pub(crate) state: LifecycleState,
     pub(crate) is_paused: bool,
     pub(crate) meter: ModuleMeter,
     role: Role,
-    /// Until the thread starts.
+    /// The cell until the thread starts.
     cell: Option<(ModuleCell, Parker)>,
     mailbox: Arc<Mailbox>,
-    /// What this sync phase has for it so far.
+    /// Batches of this sync phase that are not delivered yet.
     outgoing: Vec<Delivery>,
     thread: Option<Thread>,
     options: ThreadOptions,
@@ -35,14 +35,14 @@ pub(crate) struct DetachedModule {
 
 struct Thread {
     handle: JoinHandle<()>,
-    /// Disconnected when the thread is about to end.
+    /// Disconnected shortly before the thread ends.
     ended: Receiver<()>,
 }
 
-/// The interval of warnings while the core's end waits for a module.
+/// The interval of warnings while the shutdown of the core waits for a module.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// What the core has sent to the thread of a detached module.
+/// The input of a detached module's thread from the core.
 struct Mailbox {
     contents: Mutex<Contents>,
     owner: Unparker,
@@ -52,7 +52,7 @@ struct Mailbox {
 #[derive(Default)]
 struct Contents {
     deliveries: VecDeque<Delivery>,
-    /// By topic, how many messages were dropped.
+    /// The number of dropped messages by topic.
     skipped: Vec<(usize, u32)>,
     parcels: Vec<Parcel>,
     /// True while the whole core is paused.
@@ -60,11 +60,11 @@ struct Contents {
     stop: bool,
 }
 
-/// What a mechanism has for a module on another thread: a change of the module's cell.
+/// A change that a mechanism makes to the cell of a module on another thread.
 pub(crate) struct Parcel {
-    /// For what the module has to run because of it.
+    /// The reasons for the module to run.
     pub(crate) causes: Causes,
-    /// How many events of the topic `executor/events` it stands for.
+    /// The number of events of the topic `executor/events` that the change stands for.
     pub(crate) events: u32,
     pub(crate) apply: Box<dyn FnOnce(&mut ModuleCell) + Send>,
 }
@@ -118,12 +118,12 @@ impl DetachedModule {
         Ok(())
     }
 
-    /// Has the batch delivered with the next [`dispatch`](Self::dispatch).
+    /// Queues the batch for the next [`dispatch`](Self::dispatch).
     pub(crate) fn deliver(&mut self, delivery: Delivery) {
         self.outgoing.push(delivery);
     }
 
-    /// Delivers all batches of a sync phase at once: the module wakes for all of them, and runs, and joins, once.
+    /// Delivers all batches of a sync phase at once, so that the module wakes, runs and joins only once.
     pub(crate) fn dispatch(&mut self) {
         if self.outgoing.is_empty() {
             return;
@@ -144,30 +144,30 @@ impl DetachedModule {
         self.mailbox.owner.unpark();
     }
 
-    /// Has the module look at its clock.
+    /// Makes the module read its clock.
     pub(crate) fn wake(&self) {
         self.mailbox.owner.unpark();
     }
 
-    /// Keeps the module from running while the whole core is paused.
+    /// Pauses or resumes the module together with the whole core.
     pub(crate) fn hold(&self, is_held: bool) {
         self.mailbox.lock().is_held = is_held;
         self.mailbox.owner.unpark();
     }
 
-    /// Messages that wait for it.
+    /// The number of waiting messages.
     pub(crate) fn waiting(&self) -> u64 {
         self.mailbox.lock().deliveries.iter().map(|delivery| u64::from(delivery.messages)).sum()
     }
 
-    /// Has the module run its last callback, without waiting for it.
+    /// Asks the module to run its last callback, without waiting for it.
     pub(crate) fn request_stop(&self) {
         self.mailbox.lock().stop = true;
         self.mailbox.owner.unpark();
     }
 
-    /// Waits for the current run and for the module's last callback, however long they take: a thread cannot
-    /// be ended from outside. Names the module in the log while it waits.
+    /// Waits for the current run and for the module's last callback, however long they take, since a thread
+    /// cannot be ended from outside. Logs the module's name while it waits.
     pub(crate) fn stop(&mut self) {
         self.request_stop();
         let Some(Thread { handle, ended }) = self.thread.take() else { return };
@@ -198,7 +198,8 @@ impl Mailbox {
 }
 
 impl Contents {
-    /// Drops the oldest batch of the topic if `limit` of them wait. Returns how many messages the next one misses.
+    /// Drops the oldest batch of the topic if `limit` of them wait. Returns the number of messages missed
+    /// before the next batch.
     fn make_room(&mut self, topic: usize, limit: usize) -> u32 {
         let mut waiting = (0..self.deliveries.len()).filter(|&index| self.deliveries[index].topic == topic);
         let (oldest, others) = (waiting.next(), waiting.count());
@@ -224,7 +225,7 @@ impl Contents {
     }
 }
 
-/// The thread's side.
+/// The thread's side of a detached module.
 struct Runner {
     role: Role,
     cell: ModuleCell,
@@ -233,11 +234,11 @@ struct Runner {
     clock: Arc<dyn Clock>,
     link: Arc<Link>,
     step: u64,
-    /// When it looked at the clock last.
+    /// The last reading of the clock.
     last: Time,
-    /// Events that were taken out of the mailbox since the last run.
+    /// Events taken out of the mailbox since the last run.
     taken: u32,
-    /// The last field, so that it is dropped after the module.
+    /// Declared last, so that it is dropped after the module.
     _alive: Sender<()>,
 }
 
@@ -264,13 +265,14 @@ impl Runner {
             if !contents.deliveries.is_empty() {
                 causes.add(Causes::MESSAGES);
             }
-            // A setting that was changed is reported even if the module is paused.
+            // A changed setting is reported even if the module is paused.
             let has_to_report = !self.cell.io.asked.is_empty();
             if self.cell.has_work(parcel_causes) || has_to_report || !causes.is_empty() {
                 self.step(causes, contents.deliveries, contents.skipped, now);
             }
             if contents.stop {
-                // Not a later time: what would be due at that has not run, and in a replay it would.
+                // Uses `now` and no later time: work that is due by a later time has not run, but in a replay
+                // it would.
                 self.cell.shutdown(Input::Batches(&[]), now);
                 self.send(now, Vec::new(), Run::Last);
                 return;
@@ -279,7 +281,7 @@ impl Runner {
         }
     }
 
-    /// `None` while the core is paused, after it has waited for a change.
+    /// The contents of the mailbox; `None` while the core is paused, after waiting for a change.
     fn take_contents(&self) -> Option<Contents> {
         let mut contents = self.mailbox.lock();
         if contents.is_held && !contents.stop {
@@ -300,14 +302,14 @@ impl Runner {
     ) {
         let is_paused = self.cell.is_paused();
         let inputs = inputs_of(&deliveries, skipped);
-        // A run on a thread of its own costs far more than two readings of the clock.
+        // A run on a separate thread costs far more than two readings of the clock.
         let before = processor_time();
         let mut stopwatch = Stopwatch::start(Measuring::Trace);
         self.cell.run_detached(causes, deliveries.make_contiguous(), self.role, now);
         let span = stopwatch.lap().filter(|_| !is_paused);
         let processor = processor_time().zip(before).map(|(after, before)| after.saturating_sub(before));
         let span = span.map(|span| Span { processor, ..span });
-        // Frees the batches for the cycles to come.
+        // Frees the batches for reuse in later cycles.
         drop_guarded("a message", || drop(deliveries));
         self.send(now, inputs, Run::Step { span, was_due: causes.has(Causes::DUE) && causes != Causes::ALL });
     }
@@ -356,7 +358,7 @@ enum Run {
         span: Option<Span>,
         was_due: bool,
     },
-    /// The module's last callback.
+    /// The module's `shutdown`.
     Last,
 }
 

@@ -1,8 +1,8 @@
 //! Mechanisms: the ways in which modules interact.
 //!
-//! In the process phase modules only *ask* something of a mechanism; in the sync phase it applies what they
-//! asked for. Messaging, services, settings, timers, jobs and the management of modules are mechanisms; see
-//! [`Mechanism`] for adding one's own.
+//! In the process phase, modules only *queue* requests to a mechanism; in the sync phase, the mechanism
+//! applies them. Messaging, services, settings, timers, jobs and the management of modules are mechanisms;
+//! see [`Mechanism`] for user-defined ones.
 
 use std::any::{Any, TypeId};
 use std::marker::PhantomData;
@@ -10,14 +10,16 @@ use std::marker::PhantomData;
 use crate::module::{Asked, Host, Input, Offer, Views};
 use crate::{Context, Module, ModuleId, Port, Setup, SetupError, SyncPhase, Time, Version};
 
-/// A way for modules to interact, run by the core in each sync phase.
+/// A way for modules to interact, run by the core in the sync phase.
 ///
-/// The core's own mechanisms are implementations of this trait, and so are a user's: added with
-/// [`Core::with_mechanism`](crate::Core::with_mechanism), used by modules through
-/// [`Setup::mechanism`](crate::Setup::mechanism). `examples/executor_alone/src/bin/blackboard.rs` is a whole one.
+/// The core's own mechanisms implement this trait. A user-defined one is added with
+/// [`Core::with_mechanism`](crate::Core::with_mechanism) and used by modules through
+/// [`Setup::mechanism`](crate::Setup::mechanism). `examples/executor_alone/src/bin/blackboard.rs` is a
+/// complete example.
 ///
-/// In the process phase all modules see the same [`View`](Self::View), and each has a [`Port`](Self::Port) of its own;
-/// in the sync phase only the mechanism touches them. So no lock is needed, and the result does not depend on threads.
+/// In the process phase, all modules read the same [`View`](Self::View), and each writes to its
+/// [`Port`](Self::Port). In the sync phase, only the mechanism accesses them. So no lock is needed, and the
+/// result does not depend on threads.
 ///
 /// ```
 /// use downbeat_executor::{Core, ManualClock, Mechanism, Module, Setup, SetupError, SyncPhase, Time, Version};
@@ -84,27 +86,27 @@ use crate::{Context, Module, ModuleId, Port, Setup, SetupError, SyncPhase, Time,
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait Mechanism: Send + 'static {
-    /// What modules can read in the process phase.
+    /// The data that modules can read in the process phase.
     type View: Send + Sync + 'static;
-    /// A module's part of the mechanism: `Vec<Request>` where modules only ask for something.
+    /// The requests of one module: `Vec<Request>` in the simplest case.
     type Port: Port + Default;
 
-    /// The name by which it is known in messages and to [`Setup::require`].
+    /// The name used in messages and by [`Setup::require`].
     const NAME: &'static str;
-    /// The version that is offered.
+    /// The offered version.
     const VERSION: Version;
 
-    /// What modules see in the first cycle.
+    /// The view of the first cycle.
     fn view(&self) -> Self::View;
 
-    /// Applies what modules asked for in this cycle. Called once in each sync phase: the core's mechanisms
-    /// first, then those that were added, in the order in which they were added.
+    /// Applies the requests of modules of this cycle. Called once in each sync phase: the core's mechanisms
+    /// first, then added ones in the order in which they were added.
     fn sync(&mut self, phase: &mut SyncPhase<'_>);
 
-    /// Forgets what belongs to a module that is gone.
+    /// Removes the data of a removed module.
     fn module_left(&mut self, _module: ModuleId, _phase: &mut SyncPhase<'_>) {}
 
-    /// Takes over what the port of a module on another thread [split off](Port::split_off).
+    /// Takes the part that [`Port::split_off`] separated from the port of a module on another thread.
     fn join(&mut self, _step: Step, _part: Box<dyn Any + Send>) {}
 
     /// Called before the process phase if [`SyncPhase::call_before_next`] asked for it.
@@ -113,25 +115,25 @@ pub trait Mechanism: Send + 'static {
     /// Called in place of [`sync`](Self::sync) while the whole core is paused.
     fn paused(&mut self, _phase: &mut SyncPhase<'_>) {}
 
-    /// The core starts: its first cycle comes next.
+    /// Called when the core starts, before its first cycle.
     fn started(&mut self, _phase: &mut SyncPhase<'_>) {}
 
-    /// The core has stopped, and all modules with it.
+    /// Called when the core and all its modules have stopped.
     fn stopped(&mut self) {}
 }
 
-/// A run of a module on a thread of its own.
+/// A run of a detached module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
     /// The module.
     pub module: ModuleId,
-    /// Counts its runs from 0.
+    /// The number of the run, from 0.
     pub number: u64,
-    /// The time it was given.
+    /// The time of the run.
     pub time: Time,
 }
 
-/// A [`Mechanism`] whose types only its users know.
+/// A [`Mechanism`] with its types erased.
 pub(crate) trait AnyMechanism: Any + Send {
     fn sync(&mut self, phase: &mut SyncPhase<'_>);
     fn module_left(&mut self, module: ModuleId, phase: &mut SyncPhase<'_>);
@@ -172,27 +174,27 @@ impl<M: Mechanism> AnyMechanism for M {
     }
 }
 
-/// The mechanisms of a core, and which of them take part in the next sync phase.
+/// The mechanisms of a core, and the set of those that run in the next sync phase.
 #[derive(Default)]
 pub(crate) struct Mechanisms {
     /// `None` while the mechanism runs.
     list: Vec<Option<Box<dyn AnyMechanism>>>,
     offers: Vec<Offer>,
-    /// Those that take part in each sync phase.
+    /// Mechanisms that run in each sync phase.
     always: Asked,
-    /// Those that have something to do whatever modules ask: a cycle has to run for them.
+    /// Mechanisms that have something to do without requests of modules; they require a cycle.
     pub(crate) posted: Asked,
-    /// Those that take part in the next sync phase, whenever that comes.
+    /// Mechanisms that run in the next sync phase, but do not require a cycle.
     pub(crate) next: Asked,
-    /// Those that are called before the next process phase: a cycle has to run for them.
+    /// Mechanisms that are called before the next process phase; they require a cycle.
     pub(crate) begin: Asked,
-    /// When each has to take part.
+    /// The due time of each mechanism.
     due: Vec<Time>,
     earliest_due: Time,
 }
 
 impl Mechanisms {
-    /// Adds a mechanism, which takes part in each sync phase.
+    /// Adds a mechanism that runs in each sync phase.
     pub(crate) fn add<M: Mechanism>(&mut self, mechanism: M, views: &mut Views) {
         if self.list.len() <= Asked::SHARED {
             self.always.add(Asked::of(self.list.len()));
@@ -200,7 +202,7 @@ impl Mechanisms {
         self.add_idle(mechanism, views);
     }
 
-    /// Adds a mechanism that takes part where somebody asks something of it.
+    /// Adds a mechanism that runs only if it has requests.
     pub(crate) fn add_idle<M: Mechanism>(&mut self, mechanism: M, views: &mut Views) {
         views.add(mechanism.view());
         self.offers.push(Offer { name: M::NAME, version: M::VERSION, mechanism: TypeId::of::<M>() });
@@ -217,13 +219,13 @@ impl Mechanisms {
         self.list.len()
     }
 
-    /// The mechanism of that number and type, unless it is running.
+    /// The mechanism with this number and type, unless it is running.
     pub(crate) fn get<M: Mechanism>(&self, number: usize) -> Option<&M> {
         let mechanism: &dyn Any = &**self.list.get(number)?.as_ref()?;
         mechanism.downcast_ref()
     }
 
-    /// The mechanism of that number and type, unless it is running.
+    /// The mechanism with this number and type, unless it is running.
     pub(crate) fn get_mut<M: Mechanism>(&mut self, number: usize) -> Option<&mut M> {
         self.any(number)?.downcast_mut()
     }
@@ -236,7 +238,7 @@ impl Mechanisms {
         self.list.iter_mut().flatten()
     }
 
-    /// Takes a mechanism out so that it can run; to be [put back](Self::put_back).
+    /// Takes a mechanism out to run it; [`put_back`](Self::put_back) returns it.
     #[inline]
     pub(crate) fn take(&mut self, number: usize) -> Option<Box<dyn AnyMechanism>> {
         self.list.get_mut(number)?.take()
@@ -253,7 +255,7 @@ impl Mechanisms {
         }
     }
 
-    /// Those that take part in the sync phase at `now` though no module asks for it.
+    /// The mechanisms that run in the sync phase at `now` without requests of modules.
     #[inline]
     pub(crate) fn begin_phase(&mut self, now: Time) -> Asked {
         let mut asked = self.always.or(std::mem::take(&mut self.posted)).or(std::mem::take(&mut self.next));
@@ -285,7 +287,7 @@ impl Mechanisms {
         self.earliest_due
     }
 
-    /// True if a cycle has to run for one of them.
+    /// True if a mechanism requires a cycle.
     pub(crate) fn has_work(&self) -> bool {
         !self.posted.is_empty() || !self.begin.is_empty()
     }
@@ -295,7 +297,7 @@ impl Mechanisms {
     }
 }
 
-/// The core as a module finds it in its setup.
+/// The core as seen by a module's setup.
 pub(crate) struct CoreHost<'a> {
     pub(crate) views: &'a mut Views,
     pub(crate) mechanisms: &'a mut Mechanisms,
@@ -343,8 +345,8 @@ impl<M: Module> Setup<'_, M> {
     /// The key to a mechanism that was added to the core, for [`Context::view`] and [`Context::ask`].
     ///
     /// # Errors
-    /// If the core does not offer it, or only at another version; or if this module is detached, since it cannot
-    /// look at a mechanism while others change it.
+    /// If the core does not offer it, or only another version; or if this module is detached, since a
+    /// detached module would read a mechanism while it changes.
     pub fn mechanism<N: Mechanism>(&self, version: Version) -> Result<MechanismKey<N>, SetupError> {
         self.require(N::NAME, version)?;
         if self.is_detached() {
@@ -362,11 +364,11 @@ impl<M: Module> Setup<'_, M> {
 }
 
 impl<P> Context<'_, P> {
-    /// What a mechanism shows in this cycle.
+    /// The view of a mechanism in this cycle.
     ///
     /// # Panics
-    /// In a detached module, which runs outside of cycles; [`Setup::mechanism`](crate::Setup::mechanism) gives it
-    /// no key.
+    /// In a detached module, which runs outside of cycles and receives no key from
+    /// [`Setup::mechanism`](crate::Setup::mechanism).
     #[must_use]
     pub fn view<M: Mechanism>(&self, mechanism: MechanismKey<M>) -> &M::View {
         let view = match self.input() {
@@ -379,7 +381,7 @@ impl<P> Context<'_, P> {
         }
     }
 
-    /// The module's port of a mechanism, which the mechanism looks at in the sync phase.
+    /// The module's port of a mechanism, which the mechanism reads in the sync phase.
     pub fn port<M: Mechanism>(&mut self, mechanism: MechanismKey<M>) -> &mut M::Port {
         let number = mechanism.number as usize;
         self.io().ask(number);
@@ -388,11 +390,11 @@ impl<P> Context<'_, P> {
         }
         match self.io().port(number) {
             Some(port) => port,
-            None => unreachable!("it was opened above"),
+            None => unreachable!("the port was opened above"),
         }
     }
 
-    /// Asks something of a mechanism whose ports are vectors of requests.
+    /// Sends a request to a mechanism whose ports are vectors of requests.
     pub fn ask<M, R>(&mut self, mechanism: MechanismKey<M>, request: R)
     where
         M: Mechanism<Port = Vec<R>>,

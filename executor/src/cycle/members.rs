@@ -8,42 +8,42 @@ use crate::module::{Behaviour, Given, Host, ModuleBehaviour, ModuleIo, Use};
 use crate::observe::ModuleMeter;
 use crate::{LifecycleState, Module, ModuleId, ModuleOptions, Role, Setup, SetupError, Time};
 
-/// What is known of a module, see [`Core::modules`](crate::Core::modules).
+/// A description of a module, see [`Core::modules`](crate::Core::modules).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModuleInfo {
-    /// The name under which it was added.
+    /// The name under which the module was added.
     pub name: Arc<str>,
-    /// Where it is in its life.
+    /// The lifecycle state.
     pub state: LifecycleState,
-    /// Whether it is a part of the robot or an observer.
+    /// Whether the module is a part of the robot or an observer.
     pub role: Role,
-    /// True if it runs on a thread of its own.
+    /// True if the module runs on a separate thread.
     pub is_detached: bool,
-    /// True if it is paused.
+    /// True if the module is paused.
     pub is_paused: bool,
-    /// How often it was started again after a panic.
+    /// The number of restarts after a panic.
     pub restarts: u32,
-    /// What the panic said that ended it, until it is started again.
+    /// The message of the panic that ended the module, until it is restarted.
     pub panic: Option<Arc<str>>,
 }
 
-/// What is known of a module beside its cell.
+/// The data of a module outside its cell.
 pub(crate) struct Member {
     pub(crate) id: ModuleId,
     pub(crate) name: Arc<str>,
     pub(crate) options: ModuleOptions,
     pub(crate) source: Source,
     pub(crate) uses: Vec<Use>,
-    /// How often it was started again after a panic.
+    /// The number of restarts after a panic.
     pub(crate) restarts: u32,
-    /// What the panic said that ended it, until it is started again.
+    /// The message of the panic that ended the module, until it is restarted.
     pub(crate) panic: Option<Arc<str>>,
-    /// Panics in a row, without a time in which it ran well.
+    /// Consecutive panics; reset when the module has run well for some time.
     pub(crate) panics_in_a_row: u32,
     pub(crate) started: Time,
-    /// Of its timers.
+    /// The periods of the module's timers.
     pub(crate) periods: Vec<Duration>,
-    /// What its last life counted, until the next begins.
+    /// The counters of the previous instance, until the module is restarted.
     pub(crate) meter: Option<ModuleMeter>,
 }
 
@@ -53,11 +53,11 @@ impl Member {
     }
 }
 
-/// Where a module comes from.
+/// How a module is constructed.
 pub(crate) enum Source {
-    /// It exists, and cannot be made again.
+    /// A module that was passed to the core, and cannot be constructed again.
     Once(Option<Box<dyn Recruit>>),
-    /// It can be made again after a panic.
+    /// A factory, which constructs the module again after a panic.
     Factory(Box<dyn FnMut() -> Box<dyn Recruit> + Send>),
 }
 
@@ -78,7 +78,7 @@ impl Source {
     }
 }
 
-/// A module of a type that only it knows, before its setup.
+/// A module before its setup, with its type erased.
 pub(crate) trait Recruit: Send {
     fn set_up(
         self: Box<Self>,
@@ -125,7 +125,7 @@ impl Members {
         self.by_order.insert(member.id.order, member);
     }
 
-    /// Keeps a member whose name may be given to another.
+    /// Inserts a member without entering its name, which another module may have.
     pub(crate) fn insert_nameless(&mut self, member: Member) {
         self.by_order.insert(member.id.order, member);
     }
@@ -142,7 +142,7 @@ impl Members {
         self.by_order.get(self.by_name.get(name)?)
     }
 
-    /// True if the module was removed, and runs or waits for its end.
+    /// True if the module was removed, but its last callback has not finished.
     pub(crate) fn is_leaving(&self, order: u64) -> bool {
         self.get(order).is_some_and(|member| self.by_name.get(&member.name) != Some(&order))
     }
@@ -159,7 +159,7 @@ impl Members {
         self.by_order.is_empty()
     }
 
-    /// In the order of registration; those that are leaving are among them.
+    /// All members in the order of registration, including those that are leaving.
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &Member> {
         self.by_order.values()
     }

@@ -1,4 +1,4 @@
-//! Cycles: which modules run when and on what, and how mechanisms take part.
+//! Cycles: the schedule of modules, and the mechanisms of the sync phase.
 
 mod agenda;
 mod core;

@@ -1,4 +1,4 @@
-//! The sync phase, and the core as mechanisms see it.
+//! The sync phase, and the interface of the core for mechanisms.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::observe::{Inspector, ModuleMeter};
 use crate::threads::Watchdog;
 use crate::{Clock, ModuleId, Role, SettingInfo, Time};
 
-/// What the core knows beside its stage and its mechanisms.
+/// The state of the core besides its stage and its mechanisms.
 pub(crate) struct CoreState {
     pub(crate) clock: Arc<dyn Clock>,
     pub(crate) link: Arc<Link>,
@@ -21,17 +21,18 @@ pub(crate) struct CoreState {
     pub(crate) agenda: Agenda,
     /// By slot.
     pub(crate) detached: Vec<Option<DetachedModule>>,
-    /// The modules that asked for something in this cycle, in the order of registration.
+    /// The modules that have made requests in this cycle, in the order of registration.
     pub(crate) askers: Askers,
     /// The runs of detached modules that joined in this sync phase, in the order in which they ended.
     pub(crate) steps: Vec<StepOutcome>,
-    /// Modules whose last callback has run, by their place in the order of registration.
+    /// The modules whose last callback has run, by their position in the order of registration.
     pub(crate) leaving: Vec<u64>,
-    /// When modules start again after a panic, by their place in the order of registration.
+    /// The times of pending restarts after a panic, by the module's position in the order of registration.
     pub(crate) restarts: Vec<(Time, u64)>,
-    /// Modules that are gone and of which the mechanisms do not know yet.
+    /// Removed modules whose removal has not been reported to the mechanisms.
     pub(crate) gone: Vec<ModuleId>,
-    /// True if modules leave or are gone, or detached modules have run: the sync phase has to clear up at its end.
+    /// True if modules leave or are gone, or detached modules have run, so that the sync phase has to clean
+    /// up at its end.
     pub(crate) has_ends: bool,
     /// Slots of the stage that were freed in this sync phase.
     pub(crate) freed_slots: Vec<usize>,
@@ -41,13 +42,13 @@ pub(crate) struct CoreState {
     pub(crate) cycle: u64,
     pub(crate) life: CoreLife,
     pub(crate) pause: Pause,
-    /// Those that the module declared that was refused last.
+    /// The settings that the most recently refused module had declared.
     pub(crate) refused_settings: Vec<SettingInfo>,
-    /// True if what modules ask of themselves is dropped, but for their removal.
+    /// True if modules' commands to themselves are dropped, except for their removal.
     pub(crate) drops_commands_to_self: bool,
 }
 
-/// Where a core is in its life.
+/// The lifecycle of a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CoreLife {
     New,
@@ -55,12 +56,12 @@ pub(crate) enum CoreLife {
     Stopped,
 }
 
-/// Whether the whole core is held.
+/// Whether the whole core is paused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Pause {
     #[default]
     Running,
-    /// Runs so many more cycles.
+    /// Paused, after this number of further cycles.
     Paused { steps: u32 },
 }
 
@@ -96,7 +97,7 @@ impl CoreState {
         })
     }
 
-    /// The last callback of the module has run: it is gone at the end of the sync phase.
+    /// Marks a module whose last callback has run; it is removed at the end of the sync phase.
     pub(crate) fn leave(&mut self, order: u64) {
         self.leaving.push(order);
         self.has_ends = true;
@@ -108,7 +109,7 @@ impl CoreState {
         self.detached.get_mut(slot)?.as_mut().filter(|known| known.id == module)
     }
 
-    /// What is known of the modules, in the order of registration.
+    /// The descriptions of the modules, in the order of registration.
     pub(crate) fn modules(&self, stage: &Stage) -> Vec<ModuleInfo> {
         let describe = |member: &Member| {
             let (state, is_paused) = match member.id.place {
@@ -126,17 +127,17 @@ impl CoreState {
     }
 }
 
-/// The core between two process phases: what a [`Mechanism`] works on. No module runs while it is there.
+/// The core between two process phases, as a [`Mechanism`] accesses it. No module runs meanwhile.
 pub struct SyncPhase<'a> {
     pub(crate) stage: &'a mut Stage,
     pub(crate) state: &'a mut CoreState,
     pub(crate) mechanisms: &'a mut Mechanisms,
     pub(crate) now: Time,
-    /// The mechanisms that have yet to take part.
+    /// The mechanisms that have yet to run.
     asked: Asked,
-    /// The mechanisms before this number have taken part.
+    /// The mechanisms with smaller numbers have run.
     begun: usize,
-    /// Those of them of which other threads said that something waits in queues of theirs.
+    /// Mechanisms whose external queues are not empty.
     announced: Asked,
 }
 
@@ -150,7 +151,7 @@ impl<'a> SyncPhase<'a> {
         Self { stage, state, mechanisms, now, asked: Asked::default(), begun: 0, announced: Asked::default() }
     }
 
-    /// The core when no sync phase runs: what mechanisms are asked waits for the next one.
+    /// A view of the core outside a sync phase: requests to mechanisms wait for the next sync phase.
     pub(crate) fn between_cycles(
         stage: &'a mut Stage,
         state: &'a mut CoreState,
@@ -160,7 +161,7 @@ impl<'a> SyncPhase<'a> {
         Self { begun: usize::MAX, ..Self::new(stage, state, mechanisms, now) }
     }
 
-    /// What was asked for in the process phase takes effect.
+    /// Applies the requests of the process phase.
     #[inline(always)]
     pub(crate) fn run(&mut self) {
         self.state.inspector.processed();
@@ -185,7 +186,7 @@ impl<'a> SyncPhase<'a> {
         self.state.inspector.count_cycles(self.state.cycle);
     }
 
-    /// Those whose bit is not their own take part in each sync phase.
+    /// Runs the mechanisms that share a bit; they run in every sync phase.
     #[cold]
     fn run_shared(&mut self) {
         (Asked::SHARED + 1..self.mechanisms.len()).for_each(|number| self.run_mechanism(number));
@@ -199,8 +200,8 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Gives mechanisms what other threads have posted. What comes while this runs waits for the next cycle, so that a
-    /// busy thread cannot hold this one.
+    /// Passes the posts of other threads to the mechanisms. Posts that arrive meanwhile wait for the next
+    /// cycle, so that a busy thread cannot stall this one.
     #[cold]
     fn join(&mut self, mut running: Option<(usize, &mut dyn Any)>) {
         for _ in 0..self.state.link.len() {
@@ -230,12 +231,14 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Gives mechanisms what other threads have posted since the phase began; the one that runs is that of the number.
+    /// Passes the posts since the begin of the phase to the mechanisms. `running` is the mechanism with this
+    /// number.
     pub(crate) fn join_again(&mut self, number: usize, running: &mut dyn Any) {
         self.join(Some((number, running)));
     }
 
-    /// Gives mechanisms what other threads have posted while the core is paused, and lets them look at it.
+    /// Passes the posts of other threads to the mechanisms while the core is paused, and calls their
+    /// [`Mechanism::paused`].
     pub(crate) fn attend(&mut self) {
         if self.state.link.has_posts() {
             self.join(None);
@@ -252,8 +255,8 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Frees what the modules held that were removed: at the end of the sync phase, when their last messages are on
-    /// their way.
+    /// Frees the resources of removed modules at the end of the sync phase, after their last messages have
+    /// been sent.
     #[cold]
     fn finish(&mut self) {
         self.state.has_ends = false;
@@ -272,7 +275,7 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Ends what the module uses by name: all of it, or what ends at its removal.
+    /// Ends the module's uses of named resources: all of them, or those with this `ends`.
     pub(crate) fn give_back(&mut self, member: &mut Member, ends: Option<UseEnds>) {
         let host = &mut CoreHost { views: &mut self.stage.views, mechanisms: self.mechanisms };
         let ended = member.uses.extract_if(.., |used| ends.is_none_or(|ends| used.ends == ends));
@@ -281,13 +284,13 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Drops the module in the place. Returns what it counted.
+    /// Drops the module in the given place, and returns its counters.
     pub(crate) fn vacate(&mut self, id: ModuleId) -> Option<ModuleMeter> {
         match id.place {
             Place::Attached(slot) => {
                 self.state.agenda.leave(slot);
                 let mut cell = self.stage.cells.take(slot)?;
-                // Those who wait for an answer of it receive an error.
+                // Callers that wait for an answer of this module receive an error.
                 cell.io.asked = Asked::default();
                 cell.refuse_requests();
                 for (number, part) in cell.io.split_off() {
@@ -308,13 +311,13 @@ impl<'a> SyncPhase<'a> {
         self.now
     }
 
-    /// Counts the cycles from 0.
+    /// The number of the cycle, from 0.
     #[must_use]
     pub fn cycle(&self) -> u64 {
         self.state.cycle
     }
 
-    /// What modules see of the mechanism from the next process phase on.
+    /// The view that modules read from the next process phase on.
     ///
     /// # Panics
     /// If the mechanism was not added to this core.
@@ -326,8 +329,8 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Visits the ports of the modules that asked something of the mechanism in this cycle, in the order of registration
-    /// of the modules.
+    /// Visits the ports of the modules with requests to the mechanism in this cycle, in the order of
+    /// registration.
     pub fn each_port<M: Mechanism>(&mut self, mut visit: impl FnMut(ModuleId, &mut M::Port)) {
         if let Some(number) = self.mechanisms.number_of::<M>() {
             self.each_asker(number, |cell, _| {
@@ -339,7 +342,7 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// The port of a module; `None` if it has none, is detached or gone.
+    /// The port of a module; `None` if it has none, or is detached or gone.
     pub fn port<M: Mechanism>(&mut self, module: ModuleId) -> Option<&mut M::Port> {
         let number = self.mechanisms.number_of::<M>()?;
         self.attached(module)?.port(number)
@@ -351,19 +354,20 @@ impl<'a> SyncPhase<'a> {
         self.state.members.get(module.order).map(|member| &*member.name)
     }
 
-    /// Has a module run in the next cycle, as it would for a message. Nothing happens for a detached one.
+    /// Schedules a module for the next cycle, as a message would. Does nothing for a detached module.
     pub fn wake(&mut self, module: ModuleId) {
         self.wake_for(module, Causes::WOKEN);
     }
 
-    /// Has [`Mechanism::process_begins`] called before the next process phase, which does not wait for anything else.
+    /// Requests a call of [`Mechanism::process_begins`] before the next process phase, which then starts at
+    /// once.
     pub fn call_before_next<M: Mechanism>(&mut self) {
         if let Some(number) = self.mechanisms.number_of::<M>() {
             self.mechanisms.begin.add(Asked::of(number));
         }
     }
 
-    /// Has the module run in the next cycle for that cause, unless it is detached or gone.
+    /// Schedules the module for the next cycle, with this cause, unless it is detached or gone.
     pub(crate) fn wake_for(&mut self, module: ModuleId, causes: Causes) {
         if let Place::Attached(slot) = module.place
             && self.stage.cells.get(slot).is_some_and(|cell| cell.io.id == module)
@@ -372,7 +376,7 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Has the mechanism with that number take part in this sync phase, or in the next if it already has.
+    /// Makes the mechanism with this number run in this sync phase, or in the next if it has already run.
     pub(crate) fn ask(&mut self, number: usize) {
         if number < self.begun {
             self.mechanisms.posted.add(Asked::of(number));
@@ -381,23 +385,23 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// Has the mechanism with that number take part in this sync phase, unless it already has.
+    /// Makes the mechanism with this number run in this sync phase, unless it has already run.
     pub(crate) fn take_part(&mut self, number: usize) {
         self.asked.add(Asked::of(number).from(self.begun));
     }
 
-    /// Has all mechanisms take part in the next sync phase.
+    /// Makes all mechanisms run in the next sync phase.
     pub(crate) fn ask_all(&mut self) {
         (0..self.mechanisms.len()).for_each(|number| self.ask(number));
     }
 
-    /// True if another thread announced something to the mechanism with that number before this phase began.
+    /// True if another thread has announced a post to the mechanism with this number before this phase began.
     #[inline]
     pub(crate) fn is_announced(&self, number: usize) -> bool {
         self.announced.has(Asked::of(number))
     }
 
-    /// Visits the modules that asked something of the mechanism with that number, in the order of registration.
+    /// Visits the modules with requests to the mechanism with this number, in the order of registration.
     #[inline]
     pub(crate) fn each_asker(
         &mut self,
@@ -414,7 +418,7 @@ impl<'a> SyncPhase<'a> {
         self.state.askers = askers;
     }
 
-    /// Has the mechanisms look at what a module asked for outside of the process phase.
+    /// Registers requests that a module made outside of the process phase.
     pub(crate) fn note_asker(&mut self, asker: Asker) {
         self.asked.add(asker.asked.from(self.begun));
         let askers = &mut self.state.askers.list;
@@ -430,8 +434,8 @@ impl<'a> SyncPhase<'a> {
         self.stage.cells.get(slot).filter(|cell| cell.io.id == module)
     }
 
-    /// Changes a module where it runs, and has it run for that cause: here, or on its own thread. `events` is the number
-    /// of events that the change stands for.
+    /// Changes a module where it runs, here or on its own thread, and runs it with this cause. `events` is
+    /// the number of events that the change stands for.
     pub(crate) fn change(
         &mut self,
         module: ModuleId,
@@ -442,7 +446,7 @@ impl<'a> SyncPhase<'a> {
         self.change_with(module, causes, events, apply, |cell, apply| apply(cell), |apply| Box::new(apply));
     }
 
-    /// The same with a value that has to be made fit for another thread by `there`.
+    /// As [`change`](Self::change), for a value that `there` converts for use on another thread.
     #[inline]
     pub(crate) fn change_with<T>(
         &mut self,
@@ -468,7 +472,7 @@ impl<'a> SyncPhase<'a> {
         }
     }
 
-    /// True if the module is a part of the robot and not an observer.
+    /// True if the module is a part of the robot, not an observer.
     pub(crate) fn is_part(&self, module: ModuleId) -> bool {
         self.state.members.get(module.order).is_some_and(|member| member.role() == Role::Part)
     }

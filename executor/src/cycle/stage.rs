@@ -1,4 +1,4 @@
-//! The process phase as a launcher sees it.
+//! The launcher's view of the process phase.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -9,11 +9,12 @@ use crate::observe::{Measuring, Stopwatch, spans_are_on};
 use crate::threads::unpoisoned;
 use crate::{ThreadError, Time};
 
-/// Runs the modules of a cycle. Which launcher it is never changes what the modules compute.
+/// Runs the modules of a cycle. The choice of the launcher never changes the results of modules.
 ///
-/// [`Linear`](crate::Linear) runs them on the core's thread, [`Pool`](crate::Pool) on a fixed number of threads,
-/// [`Threads`](crate::Threads) each on its own, and a program can have its own way;
-/// `examples/executor_alone/src/bin/launcher.rs` has one with threads. This one shows that not even the order matters:
+/// [`Linear`](crate::Linear) runs them on the core's thread, [`Pool`](crate::Pool) on a fixed number of
+/// threads, [`Threads`](crate::Threads) each on a separate thread. A program can define another launcher;
+/// `examples/executor_alone/src/bin/launcher.rs` shows one with threads. The following one shows that not
+/// even the order matters:
 ///
 /// ```
 /// use std::sync::Arc;
@@ -33,24 +34,24 @@ pub trait Launcher: Send {
     /// Called on the core's thread when the core starts, before the first cycle.
     ///
     /// # Errors
-    /// If the core's thread cannot run as the launcher was configured; then the core does not start.
+    /// If the core's thread cannot run as configured; the core then does not start.
     fn attach(&mut self) -> Result<(), ThreadError> {
         Ok(())
     }
 
-    /// Runs every runnable module of the stage once: with [`Stage::run_all`], or with [`Stage::run_next`] on as
-    /// many threads as there are, or with [`Stage::run_nth`] where it matters which runs where.
+    /// Runs every runnable module of the stage once: with [`Stage::run_all`], with [`Stage::run_next`] on any
+    /// number of threads, or with [`Stage::run_nth`] if each module needs a certain thread.
     ///
-    /// When it returns, no clone of `stage` may be left: the sync phase changes what it holds.
+    /// No clone of `stage` may be left on return, since the sync phase changes the stage.
     fn process(&mut self, stage: &mut Arc<Stage>);
 
-    /// True if [`process`](Self::process) does no more than [`Stage::run_all`]; the core then calls that itself.
+    /// True if [`process`](Self::process) only calls [`Stage::run_all`]; the core then calls that itself.
     fn is_linear(&self) -> bool {
         false
     }
 
-    /// The module in this [slot](Stage::slot) was removed: what was kept for it can go. Another module may have
-    /// the slot in a later cycle.
+    /// Called when the module in this [slot](Stage::slot) was removed, to free data kept for it. Another
+    /// module may get the slot in a later cycle.
     fn slot_freed(&mut self, slot: usize) {
         let _ = slot;
     }
@@ -74,32 +75,32 @@ impl<L: Launcher + ?Sized> Launcher for Box<L> {
     }
 }
 
-/// The modules that run in this cycle, and the messages they read.
+/// The modules that run in this cycle, and their input.
 ///
-/// During the process phase the messages are only read, and each module is touched by the one thread that
-/// runs it. That is why every way to divide the modules among threads gives the same result.
+/// During the process phase, the messages are only read, and each module is accessed only by the thread that
+/// runs it. Every division of the modules among threads therefore gives the same result.
 #[derive(Default)]
 pub struct Stage {
     pub(crate) now: Time,
     pub(crate) measuring: Measuring,
     pub(crate) views: Views,
     pub(crate) cells: Cells,
-    /// Those that run in this cycle, in the order of registration.
+    /// The modules that run in this cycle, in the order of registration.
     pub(crate) runnable: Vec<Ready>,
-    /// Those of them that asked for something.
+    /// The modules of this cycle that have made requests.
     askers: Mutex<Askers>,
     next: AtomicUsize,
 }
 
 impl Stage {
-    /// How many modules run in this cycle.
+    /// The number of modules that run in this cycle.
     #[must_use]
     pub fn runnable(&self) -> usize {
         self.runnable.len()
     }
 
-    /// The number under which the `nth` module of this cycle is kept: the same in every cycle, and given to another
-    /// module only after this one was removed.
+    /// The slot of the `nth` module of this cycle. A module keeps its slot until it is removed; then another
+    /// module may get it.
     ///
     /// # Panics
     /// If `nth` is not less than [`runnable`](Self::runnable).
@@ -122,7 +123,7 @@ impl Stage {
         self.run_each(|cell| cell.span = stopwatch.lap());
     }
 
-    /// The same as [`run_all`](Self::run_all), without a look at whether the runs are measured.
+    /// As [`run_all`](Self::run_all), without the check whether runs are measured.
     #[inline(always)]
     pub(crate) fn run_each(&mut self, mut has_run: impl FnMut(&mut ModuleCell)) {
         let Self { now, views, cells, runnable, askers, next, .. } = self;
@@ -141,7 +142,7 @@ impl Stage {
         *next.get_mut() = runnable.len();
     }
 
-    /// Runs the next module of this cycle that no thread has taken yet; false if there is none.
+    /// Runs the next module of this cycle that no thread has taken; returns false if there is none.
     pub fn run_next(&self) -> bool {
         let nth = self.next.fetch_add(1, Ordering::Relaxed);
         let is_one = nth < self.runnable.len();
@@ -151,8 +152,8 @@ impl Stage {
         is_one
     }
 
-    /// Runs the `nth` module of this cycle, for launchers that divide the modules themselves: each runs once, and
-    /// none through [`run_next`](Self::run_next).
+    /// Runs the `nth` module of this cycle, for launchers that assign modules to threads themselves. Each
+    /// module must run once, and none through [`run_next`](Self::run_next).
     ///
     /// # Panics
     /// If `nth` is not less than [`runnable`](Self::runnable).
@@ -179,12 +180,12 @@ impl Stage {
         *self.next.get_mut() = 0;
     }
 
-    /// Takes the modules that asked for something in the process phase, in the order of registration.
+    /// Takes the modules with requests of this process phase, in the order of registration.
     #[inline]
     pub(crate) fn swap_askers(&mut self, askers: &mut Askers) {
         askers.clear();
         std::mem::swap(unpoisoned(self.askers.get_mut()), askers);
-        // On one thread they come in order.
+        // With one thread they are already in order.
         if askers.list.len() > 1 && !askers.list.is_sorted_by_key(|asker| asker.order) {
             askers.list.sort_unstable_by_key(|asker| asker.order);
         }
@@ -200,11 +201,11 @@ impl Stage {
     }
 }
 
-/// The modules that asked for something in a cycle.
+/// The modules that have made requests in a cycle.
 #[derive(Default)]
 pub(crate) struct Askers {
     pub(crate) list: Vec<Asker>,
-    /// All mechanisms that they asked.
+    /// The union of the mechanisms that received requests.
     pub(crate) asked: Asked,
 }
 
@@ -222,11 +223,11 @@ impl Askers {
     }
 }
 
-/// The modules that run inside cycles, by slot. A lock is taken only where threads share them.
+/// The modules that run inside cycles, by slot. The locks are needed only if threads share the stage.
 #[derive(Default)]
 pub(crate) struct Cells {
     cells: Vec<Mutex<Option<ModuleCell>>>,
-    /// No slot before it is free.
+    /// No slot with a smaller number is free.
     free_from: usize,
 }
 
@@ -247,7 +248,7 @@ impl Cells {
         self.cells[slot] = Mutex::new(Some(cell));
     }
 
-    /// One more than the greatest slot there was.
+    /// The largest slot so far, plus one.
     pub(crate) fn slots(&self) -> usize {
         self.cells.len()
     }
@@ -262,31 +263,31 @@ impl Cells {
         unpoisoned(self.cells[slot].get_mut()).take()
     }
 
-    /// Looks at a module while nobody runs it.
+    /// Reads a module while no thread runs it.
     pub(crate) fn look<T>(&self, slot: usize, look: impl FnOnce(&ModuleCell) -> T) -> Option<T> {
         unpoisoned(self.cells.get(slot)?.lock()).as_ref().map(look)
     }
 }
 
-/// The stage, shared with the threads of the launcher where there are some. One that the core has for itself costs
-/// nothing to reach, which counts: it is reached in every cycle.
+/// The stage, shared with the threads of the launcher if there are any. An unshared stage is cheaper to
+/// access, which matters because every cycle does so.
 pub(crate) enum StageHolder {
     Own(Box<Stage>),
     Shared(Arc<Stage>),
 }
 
 impl StageHolder {
-    /// The stage between process phases, when nobody else holds it.
+    /// The stage between process phases, when no other thread holds it.
     ///
     /// # Panics
     /// If a launcher has kept a clone of the stage, which its contract forbids.
     #[inline]
     pub(crate) fn exclusive(&mut self) -> &mut Stage {
-        #[expect(clippy::expect_used, reason = "a broken launcher leaves nothing that could go on")]
+        #[expect(clippy::expect_used, reason = "the core cannot continue with a broken launcher")]
         self.get_mut().expect("the launcher kept the stage beyond the process phase")
     }
 
-    /// The stage, unless somebody else holds it.
+    /// The stage, unless a launcher holds a clone of it.
     #[inline]
     pub(crate) fn get_mut(&mut self) -> Option<&mut Stage> {
         match self {
@@ -295,14 +296,14 @@ impl StageHolder {
         }
     }
 
-    /// The stage as launchers take it.
+    /// The stage in the form that launchers take.
     pub(crate) fn shared(&mut self) -> &mut Arc<Stage> {
         if let Self::Own(stage) = self {
             *self = Self::Shared(Arc::new(std::mem::take(&mut **stage)));
         }
         match self {
             Self::Shared(stage) => stage,
-            Self::Own(_) => unreachable!("it was made shared above"),
+            Self::Own(_) => unreachable!("the stage was made shared above"),
         }
     }
 }

@@ -1,105 +1,108 @@
-//! What takes effect in a cycle besides messages and settings, published for those who repeat a run.
+//! Events that take effect in a cycle, other than messages and settings; published for recording and replay.
 
 use std::sync::Arc;
 
 use crate::topics::Report;
 use crate::{CallError, ModuleId, SyncPhase, Time, Transition};
 
-/// Something besides messages and settings that took effect, as published on [`ModuleEvent::TOPIC`] when somebody subscribes to
-/// it: with it a replay makes it take effect again in the same cycle.
+/// An event, other than a message or a setting, that took effect. Published on [`ModuleEvent::TOPIC`] if the
+/// topic has subscribers. A replay uses it to repeat the event in the same cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModuleEvent {
-    /// The time of the cycle in whose sync phase it took effect.
+    /// The time of the cycle whose sync phase applied the event.
     pub time: Time,
     /// The number of that cycle.
     pub cycle: u64,
-    /// What it was.
+    /// The kind of the event.
     pub kind: ModuleEventKind,
 }
 
-/// What took effect.
+/// The kinds of events.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ModuleEventKind {
-    /// A request went to its server.
+    /// A request was delivered to its server.
     Request {
         /// The service.
         service: Arc<str>,
-        /// Who called.
+        /// The caller.
         origin: CallOrigin,
-        /// The request; `None` unless the service has an encoder, see [`Core::encode_service`](crate::Core::encode_service).
+        /// The request; `None` unless the service has an encoder, see
+        /// [`Core::encode_service`](crate::Core::encode_service).
         body: Option<Vec<u8>>,
     },
-    /// An answer went to its client. Calls that time out follow from the clock alone, and are not reported.
+    /// An answer was delivered to its client. Time-outs of calls follow from the clock alone, and are not
+    /// reported.
     Answer {
         /// The service.
         service: Arc<str>,
-        /// The call that it ends.
+        /// The call that the answer ends.
         origin: CallOrigin,
         /// The answer; `None` unless the service has an encoder.
         result: Result<Option<Vec<u8>>, CallError>,
     },
-    /// A module was asked to make a transition, or held, or removed, or started again.
+    /// A module was asked to make a transition, or was paused, resumed, stepped, removed or restarted.
     Command {
         /// The module.
         module: Arc<str>,
-        /// What it was asked for.
+        /// The command.
         command: ModuleCommand,
-        /// The module that asked; `None` for another thread.
+        /// The module that sent the command; `None` for another thread.
         by: Option<Arc<str>>,
     },
-    /// The result of a job went to its module.
+    /// The result of a job was delivered to its module.
     JobResult {
         /// The module.
         module: Arc<str>,
-        /// The position of the job among those that the module declared.
+        /// The index of the job in the order of declaration by the module.
         job: u32,
-        /// Counts what the module asked of that job, from 0.
+        /// The number of the result among those of the job, from 0.
         number: u64,
     },
-    /// A module was made while the core ran, from what its setup [described](crate::Setup::made_from). Its setup may have failed.
+    /// A module was constructed while the core ran, from the description that its setup
+    /// [gave](crate::Setup::made_from). Its setup may have failed.
     Made {
         /// The module.
         module: Arc<str>,
-        /// What it was made from, in a form of its own.
+        /// The description, in a format defined by the module.
         description: Vec<u8>,
     },
-    /// A run of a detached module took over the next `count` of the events that concern the module: requests to it, answers,
-    /// commands and results.
+    /// A run of a detached module took the next `count` events that concern the module: requests to it,
+    /// answers, commands and results.
     Taken {
         /// The module.
         module: Arc<str>,
         /// The number of the run.
         step: u64,
-        /// How many.
+        /// The number of events.
         count: u32,
     },
 }
 
-/// Who made a call.
+/// The origin of a call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CallOrigin {
-    /// The module; `None` for a [`Caller`](crate::Caller).
+    /// The calling module; `None` for a [`Caller`](crate::Caller).
     pub client: Option<Arc<str>>,
-    /// The position of the client among those that the module declared; 0 for a caller.
+    /// The index of the client in the order of declaration by the module; 0 for a caller.
     pub port: u32,
-    /// Counts the calls of that client, or of all callers, from 0.
+    /// The number of the call among those of the client, or of all callers, from 0.
     pub number: u64,
 }
 
-/// What a module can be asked for.
+/// A command to a module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModuleCommand {
-    /// To make this transition.
+    /// Make this transition.
     Transition(Transition),
-    /// To be held.
+    /// Pause.
     Pause,
-    /// To go on.
+    /// Resume.
     Resume,
-    /// To run once.
+    /// Run once.
     Step,
-    /// To be made again after it stopped.
+    /// Construct the module again after it has stopped.
     Restart,
-    /// To leave.
+    /// Remove the module.
     Remove,
 }
 
@@ -113,7 +116,7 @@ impl Report for ModuleEvent {
     const NUMBER: usize = 2;
 }
 
-/// True if somebody receives events.
+/// True if the topic of events has subscribers.
 pub(crate) fn hears_events(phase: &mut SyncPhase<'_>) -> bool {
     phase.topics().hears::<ModuleEvent>()
 }
@@ -123,7 +126,8 @@ pub(crate) fn note_event(phase: &mut SyncPhase<'_>, kind: ModuleEventKind) {
     phase.report(ModuleEvent { time, cycle, kind });
 }
 
-/// Publishes an event of a module, if the module is a part and somebody receives events: an observer is not replayed.
+/// Publishes an event of a module if the module is a part and the topic has subscribers. Observers are not
+/// replayed, so their events are left out.
 pub(crate) fn note_event_of(
     phase: &mut SyncPhase<'_>,
     module: ModuleId,

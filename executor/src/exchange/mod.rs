@@ -1,5 +1,5 @@
-//! The mechanisms of the core, in the order in which the sync phase runs them: each with its state, its part of a module,
-//! its sync step, and what modules, cores and handles can do with it.
+//! The mechanisms of the core, in the order in which the sync phase runs them. Each defines its state, its
+//! port in a module, its sync step, and its functions for modules, cores and handles.
 
 mod events;
 mod jobs;
@@ -22,7 +22,7 @@ pub use timers::Task;
 use crate::cycle::Mechanisms;
 use crate::module::Views;
 
-/// Adds the mechanisms of every core: in the order of the sync phase, which is that of their numbers.
+/// Adds the built-in mechanisms, in the order of the sync phase and of their numbers.
 pub(crate) fn add_built_in(mechanisms: &mut Mechanisms, views: &mut Views) {
     mechanisms.add_idle(modules::Modules::default(), views);
     mechanisms.add_idle(jobs::Jobs::default(), views);

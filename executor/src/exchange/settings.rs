@@ -1,4 +1,4 @@
-//! The mechanism "settings": named, typed values of a module, given at the start and changed in the sync phase.
+//! The mechanism "settings": named, typed values of a module, set at the start and changed in the sync phase.
 
 use std::any::Any;
 use std::collections::HashMap;
@@ -16,15 +16,15 @@ use crate::{
     SettingValue, Setup, SetupError, Step, SyncPhase, Time, Version,
 };
 
-/// Gives settings the values that were asked for, in the order in which they were asked for: by other threads before by
+/// Applies changes of settings in the order of the requests: first those of other threads, then those of
 /// modules.
 #[derive(Default)]
 pub(crate) struct Settings {
-    /// What other threads ask for, each with the module that asked.
+    /// Pending commands, each with the module that sent it; `None` for another thread.
     commands: Vec<(Option<ModuleId>, Command)>,
-    /// The settings of detached modules, as their last runs left them.
+    /// The settings of detached modules, as of their last runs.
     detached: HashMap<ModuleId, Vec<SettingInfo>>,
-    /// What was given to settings of detached modules and is not reported yet.
+    /// Changed settings of detached modules that have not been reported yet.
     given: Vec<(Step, Vec<(String, SettingValue)>)>,
 }
 
@@ -35,10 +35,10 @@ enum Command {
 
 type SetReceipt = Option<ReceiptSender<Result<(), SettingRefused>>>;
 
-/// Why a setting keeps its value.
+/// The reason why a setting keeps its value.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SettingRefused {
-    /// There is no such module.
+    /// The core has no module of this name.
     #[error(transparent)]
     UnknownModule(#[from] UnknownModule),
     /// The setting or its module refuses the value.
@@ -48,7 +48,7 @@ pub enum SettingRefused {
         module: String,
         /// The setting.
         setting: String,
-        /// What is wrong with the value.
+        /// The reason of the refusal.
         reason: String,
     },
 }
@@ -127,7 +127,7 @@ impl Settings {
         }
     }
 
-    /// The settings of a module, those of a detached one with the values after its last run.
+    /// The settings of a module; those of a detached module with the values after its last run.
     fn infos(&self, stage: &Stage, module: ModuleId) -> Vec<SettingInfo> {
         match module.place {
             Place::Attached(slot) => {
@@ -164,7 +164,7 @@ fn set(phase: &mut SyncPhase<'_>, id: ModuleId, setting: String, value: SettingV
     }
 }
 
-/// Gives a setting of the module a value, unless the setting or its module refuses it. Returns what the setting holds now.
+/// Sets a setting of the module, unless the setting or the module refuses the value. Returns the new value.
 fn put(cell: &mut ModuleCell, setting: &str, value: SettingValue) -> Result<SettingValue, String> {
     let none = SettingsPort::default();
     let (index, value) = cell.io.look::<SettingsPort>(SETTINGS).unwrap_or(&none).check(setting, value)?;
@@ -175,7 +175,8 @@ fn put(cell: &mut ModuleCell, setting: &str, value: SettingValue) -> Result<Sett
     Ok(value)
 }
 
-/// Publishes the change, if it is one of a part and somebody receives it: an observer is not replayed.
+/// Publishes the change if the module is a part and the topic has subscribers. Observers are not replayed, so
+/// their changes are left out.
 fn note_change(
     phase: &mut SyncPhase<'_>,
     module: ModuleId,
@@ -201,18 +202,18 @@ fn answer(receipt: SetReceipt, result: Result<(), SettingRefused>) {
     }
 }
 
-/// Settings of a module that got other values while the core ran, as published on [`SettingsChange::TOPIC`] when somebody
-/// subscribes to it: with it a replay changes them again at the same place.
+/// Settings of a module that changed while the core ran, published on [`SettingsChange::TOPIC`] if the topic
+/// has subscribers. A replay uses it to repeat the change at the same point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SettingsChange {
-    /// Of a module inside the cycle the time of the cycle in whose sync phase it got them; of a detached one the time of its
-    /// first run with them.
+    /// For a module inside the cycle, the time of the cycle whose sync phase applied the change; for a
+    /// detached module, the time of its first run with the new values.
     pub time: Time,
     /// The module's name.
     pub module: Arc<str>,
-    /// Of a detached module, the first run with them.
+    /// For a detached module, the number of the first run with the new values.
     pub step: Option<u64>,
-    /// Name and value of each, in the order in which they were given.
+    /// The name and value of each setting, in the order in which they were set.
     pub settings: Vec<(String, SettingValue)>,
 }
 
@@ -246,20 +247,20 @@ impl<T> Clone for Setting<T> {
 
 impl<T> Copy for Setting<T> {}
 
-/// What a setting is, see [`Core::settings`](crate::Core::settings).
+/// A description of a setting, see [`Core::settings`](crate::Core::settings).
 #[derive(Clone, Debug, PartialEq)]
 pub struct SettingInfo {
     /// The name, unique in the module.
     pub name: String,
-    /// Its purpose and unit, for users.
+    /// The purpose and unit, for users.
     pub description: String,
-    /// The value in force.
+    /// The current value.
     pub value: SettingValue,
-    /// The numbers it may have; `None` for no limit.
+    /// The allowed range of numbers; `None` for no limit.
     pub range: Option<RangeInclusive<f64>>,
-    /// The texts it may have; empty for no limit.
+    /// The allowed texts; empty for no limit.
     pub choices: Vec<String>,
-    /// True if it does not change after the start.
+    /// True if the setting cannot change after the start.
     pub is_read_only: bool,
 }
 
@@ -287,13 +288,13 @@ impl SettingInfo {
     }
 }
 
-/// The settings of one module, and what it asks of those of others.
+/// The settings of one module, and its requests to change those of other modules.
 #[derive(Default)]
 pub(crate) struct SettingsPort {
     infos: Vec<SettingInfo>,
-    /// Those whose callbacks have to be called.
+    /// The settings whose callbacks have to be called.
     changed: Vec<usize>,
-    /// Of a module on another thread: what was given to it since its last run.
+    /// The settings changed since the last run; only for a module on another thread.
     given: Vec<(String, SettingValue)>,
     commands: Vec<Command>,
 }
@@ -313,12 +314,12 @@ impl Port for SettingsPort {
     }
 }
 
-/// What a run of a module on another thread brings.
+/// The output of a detached module's run.
 struct Part {
     commands: Vec<Command>,
-    /// The values that were given to its settings before the run, in order.
+    /// The settings changed before the run, in order.
     given: Vec<(String, SettingValue)>,
-    /// All its settings as they are now, if some were given values.
+    /// All settings of the module, if some have changed.
     infos: Vec<SettingInfo>,
 }
 
@@ -327,7 +328,7 @@ impl SettingsPort {
         self.infos.clone()
     }
 
-    /// Adds a setting, with the value it was given or else its default.
+    /// Adds a setting, with the given value or else its default.
     fn declare(
         &mut self,
         module: &str,
@@ -351,7 +352,8 @@ impl SettingsPort {
         self.infos.get(index).map(|info| &info.value)
     }
 
-    /// The place of a setting and the value it would have. Errors say what is wrong with it.
+    /// The index of a setting, and the value converted to its type. The error states why the value is
+    /// refused.
     fn check(&self, name: &str, value: SettingValue) -> Result<(usize, SettingValue), String> {
         let index = self.position(name).ok_or_else(|| {
             let known: Vec<_> = self.infos.iter().map(|info| info.name.as_str()).collect();
@@ -363,7 +365,7 @@ impl SettingsPort {
         Ok((index, self.infos[index].check(value)?))
     }
 
-    /// Changes a value that was checked; the module's callback follows in its next run.
+    /// Sets a checked value; the module's callback runs in its next run.
     fn put(&mut self, index: usize, value: SettingValue) {
         if self.infos[index].value != value {
             self.infos[index].value = value;
@@ -386,7 +388,7 @@ impl<M: Module> Setup<'_, M> {
     /// Declares a setting; the key is for [`Context::get`].
     ///
     /// # Errors
-    /// A name used twice, or a given value of another type.
+    /// If the name is used twice, or the given value has another type.
     pub fn setting<T: SettingType>(
         &mut self,
         name: &str,
@@ -399,7 +401,7 @@ impl<M: Module> Setup<'_, M> {
     /// Declares a setting that must lie in a range.
     ///
     /// # Errors
-    /// A name used twice, or a default or given value of another type or out of range.
+    /// If the name is used twice, or the default or the given value has another type or is out of range.
     pub fn setting_in<T: SettingType>(
         &mut self,
         name: &str,
@@ -411,10 +413,10 @@ impl<M: Module> Setup<'_, M> {
         self.declare_setting(SettingInfo { range, ..SettingInfo::new(name, default, description) })
     }
 
-    /// Declares a setting that is given before the start and does not change after it.
+    /// Declares a setting that is set before the start and cannot change after it.
     ///
     /// # Errors
-    /// A name used twice, or a given value of another type.
+    /// If the name is used twice, or the given value has another type.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -450,10 +452,10 @@ impl<M: Module> Setup<'_, M> {
         })
     }
 
-    /// Declares a text that is one of a few, is given before the start and does not change after it.
+    /// Declares a text setting with fixed choices, which is set before the start and cannot change after it.
     ///
     /// # Errors
-    /// A name used twice, or a default or given value that is not among the choices.
+    /// If the name is used twice, or the default or the given value is not one of the choices.
     ///
     /// ```
     /// # use downbeat_executor::{Core, Module, ModuleOptions, Setup, SetupError};
@@ -497,15 +499,15 @@ impl<M: Module> Setup<'_, M> {
         self.steps.add_chosen(Causes::SETTINGS, next, setting.index, callback);
     }
 
-    /// The value a setting has at the start: for what the module must know before it runs.
+    /// The initial value of a setting, for modules that need it before they run.
     #[must_use]
     pub fn value<T: SettingType>(&self, setting: Setting<T>) -> Option<&T> {
         self.io.look::<SettingsPort>(SETTINGS)?.value(setting.index).and_then(T::from_value)
     }
 
-    /// Has `check` look at each value that a setting is to have while the module runs, before it has it. A value it
-    /// refuses, with the reason in words, changes nothing. It runs in the sync phase, or on the module's thread if it
-    /// is detached.
+    /// Calls `check` with each new value of a setting before it takes effect while the module runs. If
+    /// `check` returns an error text, the value is refused and nothing changes. `check` runs in the sync
+    /// phase, or on the module's thread if the module is detached.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -544,7 +546,7 @@ impl<M: Module> Setup<'_, M> {
         self.steps.checks.push((setting.index, Box::new(check)));
     }
 
-    /// An error with what is wrong with the value that a setting was given.
+    /// An error that refuses the given value of a setting, with a reason.
     #[must_use]
     pub fn refuse_value<T>(&self, setting: Setting<T>, refusal: impl Into<String>) -> SetupError {
         let settings = self.io.look::<SettingsPort>(SETTINGS).map_or(&[][..], |port| &port.infos);
@@ -594,14 +596,14 @@ impl<P> Context<'_, P> {
         }
     }
 
-    /// Changes a setting, of this module or another. What the setting refuses changes nothing and is logged.
+    /// Changes a setting of this module or another. A refused value is logged, and nothing changes.
     pub fn set(&mut self, module: &str, setting: &str, value: impl Into<SettingValue>) {
         let (module, setting, value) = (module.to_owned(), setting.to_owned(), value.into());
         self.set_later(Command::Set { module, setting, value, receipt: None });
     }
 
-    /// Gives `to` the values that the settings of `from` have at the sync phase, for all settings that both have
-    /// and `to` does not refuse: one module takes over where another was.
+    /// Copies the current values of the settings of `from` to `to` in the sync phase, for all settings that
+    /// both have and `to` does not refuse. This is for a module that replaces another.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
@@ -642,14 +644,15 @@ impl<P> Context<'_, P> {
 }
 
 impl Core {
-    /// The settings of a module; nothing if there is no such module.
+    /// The settings of a module; `None` if there is no such module.
     #[must_use]
     pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
         let id = self.state.members.find(module)?.id;
         Some(self.mechanisms.get::<Settings>(SETTINGS)?.infos(&self.stage, id))
     }
 
-    /// The settings that the module declared whose setup failed last: for descriptions of modules that lack a setting.
+    /// The settings declared by the module whose setup failed most recently; for descriptions of modules that
+    /// lack a required setting.
     #[must_use]
     pub fn refused_settings(&self) -> &[SettingInfo] {
         &self.state.refused_settings
@@ -668,14 +671,14 @@ impl CoreHandle {
         self.set_later(|receipt| Command::Set { module, setting, value, receipt })
     }
 
-    /// Gives `to` the values of the settings of `from`, see
+    /// Copies the values of the settings of `from` to `to`, see
     /// [`Context::transfer_settings`](crate::Context::transfer_settings).
     pub fn transfer_settings(&self, from: &str, to: &str) -> Receipt<Result<(), SettingRefused>> {
         let (from, to) = (from.to_owned(), to.to_owned());
         self.set_later(|receipt| Command::Transfer { from, to, receipt })
     }
 
-    /// The settings of a module with their values; nothing if there is no such module.
+    /// The settings of a module with their values; `None` if there is no such module.
     #[must_use = "the answer is in the receipt"]
     pub fn settings(&self, module: &str) -> Receipt<Option<Vec<SettingInfo>>> {
         let module = module.to_owned();

@@ -1,4 +1,4 @@
-//! The mechanism "timers": what a module does at a time.
+//! The mechanism "timers": periodic timers, scheduled tasks and time-outs.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use crate::{
     Context, Core, Mechanism, Module, ModuleChange, Port, Setup, SetupError, SyncPhase, Time, Version,
 };
 
-/// Has modules run when their timers, tasks and time-outs are due.
+/// Schedules the runs of modules for their timers, tasks and time-outs.
 #[derive(Default)]
 pub(crate) struct Timers;
 
@@ -30,7 +30,7 @@ impl Mechanism for Timers {
     }
 }
 
-/// A module's part of the mechanism.
+/// A module's timers and tasks.
 #[derive(Default)]
 pub(crate) struct TimersPort {
     timers: Vec<Timer>,
@@ -62,8 +62,8 @@ impl Port for TimersPort {
     }
 }
 
-/// When a timer fires next. Its due times are multiples of the period after the start, so that a late
-/// cycle does not shift the later ones; due times that were missed are skipped, not made up for.
+/// A periodic timer. Its due times are multiples of the period after the start, so that a late cycle does not
+/// shift later ones. Missed due times are skipped.
 #[derive(Clone, Copy, Debug)]
 struct Timer {
     period: Duration,
@@ -71,7 +71,7 @@ struct Timer {
 }
 
 impl Timer {
-    /// A timer that has not started; `period` is longer than zero.
+    /// A timer that has not started. `period` must not be zero.
     fn new(period: Duration) -> Self {
         Self { period, due: Time::MAX }
     }
@@ -80,8 +80,8 @@ impl Timer {
         self.due = now + self.period;
     }
 
-    /// Time has gone back to `now`. A timer whose last due time lies ahead then would be silent until it has come again: it is
-    /// due after one period, as those of rcl are (`rcl/src/rcl/timer.c`).
+    /// Handles a clock that has gone back to `now`. A due time further ahead than one period would silence
+    /// the timer until then, so the timer is due after one period, as in rcl (`rcl/src/rcl/timer.c`).
     fn go_back(&mut self, now: Time) {
         if self.due < Time::MAX && self.due > now + self.period {
             self.start(now);
@@ -99,8 +99,8 @@ impl Timer {
         }
         self.due = self.due + self.period;
         if self.due <= now {
-            // The periods may be more than a `Duration` can be multiplied with: a clock that is set may
-            // jump by decades.
+            // The number of periods may exceed the factor with which a `Duration` can be multiplied, since
+            // setting a clock may move it by decades.
             let periods = now.saturating_since(self.due).as_nanos() / self.period.as_nanos() + 1;
             let step = periods.saturating_mul(self.period.as_nanos());
             self.due = self.due + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
@@ -116,18 +116,18 @@ pub struct Task {
     index: u32,
 }
 
-/// The times at which the tasks of one module are due.
+/// The scheduled tasks of one module.
 #[derive(Default)]
 struct Tasks {
     declared: u32,
-    /// By time, and by order of scheduling where times are equal.
+    /// By time, and in the order of scheduling for equal times.
     scheduled: VecDeque<Scheduled>,
 }
 
 #[derive(Clone, Copy)]
 struct Scheduled {
     due: Time,
-    /// The run in which it was scheduled.
+    /// The run in which the task was scheduled.
     run: u64,
     task: Task,
 }
@@ -138,7 +138,7 @@ impl Tasks {
         Task { index: self.declared - 1 }
     }
 
-    /// False if the key is not of this module.
+    /// Returns false if the key is not of this module.
     #[must_use]
     fn schedule(&mut self, task: Task, due: Time, run: u64) -> bool {
         if task.index >= self.declared {
@@ -161,8 +161,8 @@ impl Tasks {
         self.scheduled.front().map_or(Time::MAX, |scheduled| scheduled.due)
     }
 
-    /// The next task that is due and was scheduled before this run: one that schedules itself for now runs again
-    /// in the next cycle, not without end in this one.
+    /// Takes the next due task that was scheduled before this run. A task that schedules itself for now
+    /// therefore runs again in the next cycle, and not without end in this one.
     fn take_due(&mut self, now: Time, run: u64) -> Option<Task> {
         let is_due = |scheduled: &Scheduled| scheduled.due <= now && scheduled.run < run;
         let position = self.scheduled.iter().take_while(|scheduled| scheduled.due <= now).position(is_due)?;
@@ -171,11 +171,11 @@ impl Tasks {
 }
 
 impl<M: Module> Setup<'_, M> {
-    /// Calls `callback` every `period`, first one period after the module became active. Due times that were missed
-    /// are skipped.
+    /// Calls `callback` every `period`, for the first time one period after the module became active. Missed
+    /// due times are skipped.
     ///
     /// # Errors
-    /// A period of zero.
+    /// If the period is zero.
     pub fn every<F>(&mut self, period: Duration, mut callback: F) -> Result<(), SetupError>
     where
         F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
@@ -197,8 +197,7 @@ impl<M: Module> Setup<'_, M> {
         Ok(())
     }
 
-    /// Declares something the module does at times it chooses while it runs; the key is for
-    /// [`Context::schedule`].
+    /// Declares a callback that the module can schedule while it runs; the key is for [`Context::schedule`].
     pub fn task<F>(&mut self, callback: F) -> Task
     where
         F: FnMut(&mut M, &mut Context<'_, M::Ports>) + Send + 'static,
@@ -216,8 +215,8 @@ impl<M: Module> Setup<'_, M> {
 }
 
 impl<P> Context<'_, P> {
-    /// Runs a task in the first cycle at or after `time`, but not in this one. A task may be scheduled more than
-    /// once.
+    /// Runs a task in the first cycle at or after `time`, but not in this one. A task may be scheduled
+    /// several times.
     pub fn schedule(&mut self, task: Task, time: Time) {
         let run = self.io().run;
         self.io().ask(TIMERS);
@@ -231,7 +230,7 @@ impl<P> Context<'_, P> {
         self.schedule(task, self.now() + delay);
     }
 
-    /// Takes a task off the schedule, however often it is on it.
+    /// Removes all entries of a task from the schedule.
     pub fn cancel(&mut self, task: Task) {
         self.io().ask(TIMERS);
         self.io().open_own::<TimersPort>(TIMERS).tasks.cancel(task);
@@ -239,7 +238,7 @@ impl<P> Context<'_, P> {
 }
 
 impl Core {
-    /// The periods of a module's timers, in the order of their declaration; nothing if there is no such module.
+    /// The periods of a module's timers, in the order of declaration; `None` if there is no such module.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -285,10 +284,10 @@ mod tests {
     fn a_timer_is_due_after_one_period_when_time_has_gone_back() {
         let mut timer = Timer::new(Duration::from_nanos(10));
         timer.go_back(Time::ZERO);
-        assert_eq!(timer.due, Time::MAX, "it has not started");
+        assert_eq!(timer.due, Time::MAX, "the timer has not started");
         timer.start(Time::from_nanos(100));
         timer.go_back(Time::from_nanos(105));
-        assert_eq!(timer.due, Time::from_nanos(110), "not further than to its last due time");
+        assert_eq!(timer.due, Time::from_nanos(110), "the last due time is not exceeded");
         timer.go_back(Time::from_nanos(3));
         assert_eq!(timer.due, Time::from_nanos(13));
     }

@@ -1,4 +1,4 @@
-//! Launchers: on which threads the process phase runs.
+//! Launchers: the threads on which the process phase runs.
 
 mod pool;
 mod threads;
@@ -12,8 +12,9 @@ pub use threads::Threads;
 use crate::threads::{drop_guarded, reason};
 use crate::{Launcher, Stage, ThreadError, ThreadOptions};
 
-/// Runs the modules one after another on the thread of the core. The fastest where the work of a cycle is
-/// less than the cost of waking a thread. [`Scheduled`](crate::Scheduled) gives that thread CPUs and a priority.
+/// Runs the modules one after another on the thread of the core. It is the fastest launcher if the work of a
+/// cycle costs less than waking a thread. [`Scheduled`](crate::Scheduled) sets the CPUs and the priority of
+/// that thread.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Linear;
 
@@ -30,7 +31,7 @@ impl Launcher for Linear {
     }
 }
 
-/// A launcher whose core has its thread on the CPUs, and at the priority, that options say.
+/// A launcher that sets the CPUs and the priority of the core's thread.
 ///
 /// ```
 /// use downbeat_executor::{Core, Linear, Scheduled, ThreadOptions};
@@ -39,7 +40,7 @@ impl Launcher for Linear {
 /// let core = Core::new().with_launcher(Scheduled::new(Linear, options));
 /// ```
 ///
-/// The thread that runs the core keeps them when the core has stopped.
+/// The thread keeps these options after the core has stopped.
 #[derive(Clone, Debug)]
 pub struct Scheduled<L> {
     launcher: L,
@@ -47,7 +48,7 @@ pub struct Scheduled<L> {
 }
 
 impl<L: Launcher> Scheduled<L> {
-    /// The launcher, with options for the core's thread alone.
+    /// Wraps a launcher, with options that apply only to the core's thread.
     pub fn new(launcher: L, options: ThreadOptions) -> Self {
         Self { launcher, options }
     }
@@ -72,11 +73,11 @@ impl<L: Launcher> Launcher for Scheduled<L> {
     }
 }
 
-/// Runs a stage's modules on a worker's thread. Panics of modules do not come here; should there be one all the
-/// same, it neither ends the worker nor holds up the cycle.
+/// Runs a stage's modules on a worker's thread. Panics of modules are caught earlier; any other panic is
+/// caught here, and neither ends the worker nor delays the cycle.
 fn run_guarded(run: impl FnOnce()) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(run)) {
-        tracing::error!("a thread of the launcher panicked and goes on: {}", reason(&*panic));
-        drop_guarded("what a panic carried", || drop(panic));
+        tracing::error!("a thread of the launcher panicked and continues: {}", reason(&*panic));
+        drop_guarded("the payload of a panic", || drop(panic));
     }
 }

@@ -11,41 +11,41 @@ use crate::threads::Spinner;
 use crate::threads::gate::{Gate, Seat};
 use crate::{Launcher, Spin, Stage, ThreadError, ThreadOptions};
 
-/// Why a pool could not be made.
+/// Errors of the construction of a pool.
 #[derive(Debug, thiserror::Error)]
 pub enum PoolError {
-    /// Not even the core's own thread would be left.
+    /// The pool has 0 threads, not even the core's own.
     #[error(
         "a pool of 0 threads cannot run modules: give it at least 1, the core's own \
          (this machine runs {} at once)",
         available()
     )]
     NoThreads,
-    /// Threads that never park would take the CPU from those they wait for.
+    /// Threads that never park would take the CPU from the threads for which they wait.
     #[error(
-        "the {threads} threads of a pool cannot all spin always: each needs a CPU of its own, and {sharing} of them \
+        "the {threads} threads of a pool cannot all spin always: each needs a separate CPU, and {sharing} of them \
          have to share {cpus}; use fewer threads, give them more CPUs, or let them spin for a time"
     )]
     TooFewCpus {
-        /// How many were asked for.
+        /// The number of requested threads.
         threads: usize,
-        /// How many of them may run on the same CPUs only.
+        /// How many of them are restricted to the same CPUs.
         sharing: usize,
         /// The number of these CPUs.
         cpus: usize,
     },
-    /// A thread could not be started, or cannot run as its options say.
+    /// A thread could not be started, or its options could not be applied.
     #[error("cannot make a pool of {threads} threads: {source}")]
     Thread {
-        /// How many were asked for.
+        /// The number of requested threads.
         threads: usize,
-        /// What went wrong with one of them.
+        /// The error of one of them.
         source: ThreadError,
     },
 }
 
-/// Divides the modules of a cycle among `n` threads, that of the core among them. Each takes the next
-/// module that none has taken, so a long one does not hold up the rest.
+/// Divides the modules of a cycle among `n` threads, including that of the core. Each thread takes the next
+/// module that is not taken, so a long run does not delay the rest.
 ///
 /// ```
 /// use downbeat_executor::{Core, Pool};
@@ -54,47 +54,47 @@ pub enum PoolError {
 /// # Ok::<(), downbeat_executor::PoolError>(())
 /// ```
 ///
-/// A cycle wakes no more threads than it has modules beyond the first. What a woken thread has not begun when
-/// the core's thread is through, it never gets: cheap modules do not wait for it.
+/// A cycle wakes at most one thread per module beyond the first. Work that a woken thread has not begun when
+/// the core's thread has finished is withdrawn, so cheap modules do not wait for a wake-up.
 pub struct Pool {
     workers: Vec<Worker>,
     gate: Arc<Gate>,
     spinner: Spinner,
-    /// Of the core's thread.
+    /// The options of the core's thread.
     core: ThreadOptions,
 }
 
 struct Worker {
     seat: Arc<Seat<Arc<Stage>>>,
-    /// There until the drop.
+    /// `None` only during the drop.
     thread: Option<JoinHandle<()>>,
 }
 
 impl Pool {
-    /// A pool of `threads` threads, the core's included. The others spin for a moment after a cycle, so that
-    /// cycles in quick succession need not wake them.
+    /// A pool of `threads` threads, including the core's. The others spin for a moment after a cycle, so that
+    /// they need no wake-up between cycles in quick succession.
     ///
     /// # Errors
-    /// If there are to be none, or the system refuses one.
+    /// If `threads` is 0, or the system refuses a thread.
     pub fn new(threads: usize) -> Result<Self, PoolError> {
         Self::with_options(threads, ThreadOptions::default())
     }
 
-    /// A pool of `threads` threads, the core's included, that all run as the options say.
+    /// A pool of `threads` threads, including the core's, all with the same options.
     ///
     /// # Errors
-    /// If there are to be none, or the system refuses one, or does not allow what the options say.
+    /// If `threads` is 0, or the system refuses a thread or the options.
     pub fn with_options(threads: usize, options: ThreadOptions) -> Result<Self, PoolError> {
         Self::with_each(vec![options; threads])
     }
 
-    /// A pool with a thread for each of the options. The first are for the core's thread.
+    /// A pool with one thread for each of the options. The first options apply to the core's thread.
     ///
     /// # Errors
-    /// If there are none, or the system refuses a thread, or does not allow what its options say.
+    /// If `options` is empty, or the system refuses a thread or its options.
     pub fn with_each(options: Vec<ThreadOptions>) -> Result<Self, PoolError> {
         let threads = options.len();
-        // Threads that take CPUs from each other make nothing faster by spinning.
+        // Spinning gains nothing if threads take CPUs from each other.
         let spin = match shared_cpus(&options) {
             Some((sharing, cpus)) if options.iter().any(|options| options.spin == Spin::Always) => {
                 return Err(PoolError::TooFewCpus { threads, sharing, cpus });
@@ -114,14 +114,14 @@ impl Pool {
     }
 }
 
-/// More than the pause between two cycles in a row, and of little weight beside a period of milliseconds.
+/// Longer than the pause between two cycles in a row, and short compared with a period of milliseconds.
 const USUAL_SPIN: Duration = Duration::from_micros(20);
 
 fn available() -> usize {
     std::thread::available_parallelism().map_or(1, NonZeroUsize::get)
 }
 
-/// How many threads have to share how many CPUs, if there are not enough for one each.
+/// How many threads share how many CPUs, if there are fewer CPUs than threads.
 fn shared_cpus(options: &[ThreadOptions]) -> Option<(usize, usize)> {
     let is_within = |inner: &ThreadOptions, outer: &ThreadOptions| {
         outer.cpus.is_empty()
@@ -140,7 +140,7 @@ impl Launcher for Pool {
     }
 
     fn process(&mut self, stage: &mut Arc<Stage>) {
-        // A helper for each module beyond the first: fewer wake-ups in a cycle where little is due.
+        // One helper for each module beyond the first, which saves wake-ups in a cycle with little work.
         let helpers = stage.runnable().saturating_sub(1).min(self.workers.len());
         if helpers == 0
             && let Some(stage) = Arc::get_mut(stage)
@@ -180,7 +180,7 @@ impl Worker {
     }
 }
 
-/// The end of a process phase, also of one that panics: no helper has the stage any longer.
+/// Waits at the end of a process phase until no helper holds the stage, also if the phase panics.
 struct Meeting<'a> {
     helpers: &'a [Worker],
     gate: &'a Gate,

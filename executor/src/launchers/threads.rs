@@ -1,4 +1,4 @@
-//! The launcher with a thread for each module.
+//! The launcher with one thread per module.
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -8,7 +8,7 @@ use crate::threads::Spinner;
 use crate::threads::gate::{Gate, Seat};
 use crate::{Launcher, Spin, Stage, ThreadError, ThreadOptions};
 
-/// Runs each module on a thread of its own, which lives as long as the module.
+/// Runs each module on a separate thread, which lives as long as the module.
 ///
 /// ```
 /// use downbeat_executor::{Core, Threads};
@@ -16,9 +16,10 @@ use crate::{Launcher, Spin, Stage, ThreadError, ThreadOptions};
 /// let core = Core::new().with_launcher(Threads::new());
 /// ```
 ///
-/// Every run of a module wakes its thread, which takes the system some microseconds: the launcher for few modules
-/// with much to do, or with libraries that want to be called from always the same thread. A module's thread starts
-/// when the module first runs. Should the system refuse it, that is logged, and the core's thread runs the module.
+/// Every run of a module wakes its thread, which takes the system some microseconds. This launcher suits few
+/// modules with long runs, or libraries that require calls from always the same thread. A module's thread
+/// starts when the module first runs. If the system refuses the thread, the launcher logs an error, and the
+/// core's thread runs the module.
 #[derive(Debug)]
 pub struct Threads {
     /// By slot.
@@ -31,11 +32,11 @@ pub struct Threads {
 
 struct ModuleThread {
     seat: Arc<Seat<Run>>,
-    /// There until the drop.
+    /// `None` only during the drop.
     thread: Option<JoinHandle<()>>,
 }
 
-/// The run of a module.
+/// One run of a module.
 struct Run {
     stage: Arc<Stage>,
     nth: usize,
@@ -48,16 +49,17 @@ impl Default for Threads {
 }
 
 impl Threads {
-    /// No threads yet. They park between cycles.
+    /// A launcher whose threads park between cycles. The threads start later.
     #[must_use]
     pub fn new() -> Self {
         Self::with_checked(ThreadOptions::default())
     }
 
-    /// Threads that run as the options say. The core's own does not, see [`Scheduled`](crate::Scheduled) for that.
+    /// A launcher whose threads run with these options. They do not apply to the core's thread; see
+    /// [`Scheduled`](crate::Scheduled).
     ///
     /// # Errors
-    /// If the system does not allow what the options say, or they let all threads spin always at a priority.
+    /// If the system does not allow the options, or they combine [`Spin::Always`] with a priority.
     pub fn with_options(options: ThreadOptions) -> Result<Self, ThreadError> {
         let thread = name(&options, 0);
         if let (Spin::Always, Some(priority)) = (options.spin, options.fifo_priority) {
@@ -84,7 +86,7 @@ impl Threads {
                     Ok(thread) => self.threads[slot] = Some(thread),
                     Err(error) if !self.has_been_refused => {
                         self.has_been_refused = true;
-                        tracing::error!("{error}; the core's thread runs the modules that have none");
+                        tracing::error!("{error}; modules without a thread run on the core's thread");
                     }
                     Err(_) => {}
                 }
@@ -146,7 +148,7 @@ impl Drop for ModuleThread {
     }
 }
 
-/// The end of a process phase, also of one that panics: no thread has the stage any longer.
+/// Waits at the end of a process phase until no thread holds the stage, also if the phase panics.
 struct Meeting<'a> {
     gate: &'a Gate,
     spinner: &'a mut Spinner,

@@ -1,17 +1,17 @@
-//! A module with its callbacks, as the executor runs it without knowing its type.
+//! A module and its callbacks behind a trait object.
 
 use super::causes::Causes;
 use super::port::ModuleIo;
 use crate::{Context, Module, SettingValue, Time, Transition, TransitionError};
 
-/// A module whose type only its callbacks know.
+/// A module with its type erased.
 pub(crate) trait Behaviour: Send {
     fn transition(&mut self, transition: Transition, ctx: &mut Context<'_>) -> Result<(), TransitionError>;
     /// Calls the callbacks of these kinds.
     fn run(&mut self, causes: Causes, ctx: &mut Context<'_>);
-    /// The kinds that are called in each run.
+    /// The kinds of callbacks that every run calls.
     fn always(&self) -> Causes;
-    /// Checks the value that a setting is to have.
+    /// Checks a new value of a setting.
     fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String>;
 }
 
@@ -28,7 +28,7 @@ pub(crate) struct Steps<M: Module> {
 }
 
 struct Kind<M: Module> {
-    /// `None` if all are called, and decide themselves whether there is something to do.
+    /// `None` if all callbacks are called, and each checks itself whether it has something to do.
     choose: Option<Choose>,
     callbacks: Vec<(usize, Callback<M>)>,
 }
@@ -41,7 +41,7 @@ impl<M: Module> Default for Steps<M> {
 }
 
 impl<M: Module> Steps<M> {
-    /// Adds a callback that is called whenever the module runs for that cause.
+    /// Adds a callback that is called whenever the module runs for this cause.
     pub(crate) fn add(
         &mut self,
         cause: Causes,

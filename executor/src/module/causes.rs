@@ -1,16 +1,16 @@
-//! Why a module runs, and of which mechanisms it has asked something: sets of small numbers.
+//! The causes of a run, and sets of mechanisms, as bit sets.
 
 use crate::TraceCause;
 
-// The numbers of the core's mechanisms, in the order of the sync phase; those of users follow.
+// The numbers of the core's mechanisms, in the order of the sync phase. User-defined mechanisms follow.
 
-/// Adds, removes and pauses modules, and learns of their panics.
+/// Adds, removes and pauses modules, and handles their panics.
 pub(crate) const MODULES: usize = 0;
-/// Runs work beside the cycle.
+/// Runs work outside the cycle.
 pub(crate) const JOBS: usize = 1;
 /// Named values of modules.
 pub(crate) const SETTINGS: usize = 2;
-/// Topics. Modules have its port, and see its view, in fields of their own, because they use them most.
+/// Topics. Their port and view have separate fields in a module, because they are used most.
 pub(crate) const MESSAGES: usize = 3;
 /// Requests and responses.
 pub(crate) const SERVICES: usize = 4;
@@ -31,14 +31,14 @@ impl Causes {
     pub(crate) const TASKS: Self = Self(1 << 5);
     pub(crate) const TIMERS: Self = Self(1 << 6);
     pub(crate) const EACH_RUN: Self = Self(1 << 7);
-    /// Of no kind: a transition, the end of a pause, or every cycle.
+    /// No kind of callback: a transition, the end of a pause, or a run in every cycle.
     pub(crate) const WOKEN: Self = Self(1 << 8);
-    /// Those that the time alone can bring.
+    /// Causes that follow from time alone.
     pub(crate) const DUE: Self = Self::REPLIES.and(Self::TASKS).and(Self::TIMERS);
-    /// Those of a first run, which finds out for itself what there is.
+    /// The causes of a first run, in which every callback checks for input.
     pub(crate) const ALL: Self = Self(0x17f);
 
-    /// How many kinds of callbacks there are.
+    /// The number of kinds of callbacks.
     pub(crate) const KINDS: usize = 8;
 
     pub(crate) const fn and(self, other: Self) -> Self {
@@ -59,7 +59,7 @@ impl Causes {
         Self(self.0 & !other.0)
     }
 
-    /// Those whose callbacks are called before the ones of `other`.
+    /// The causes whose callbacks are called before those of `other`.
     pub(crate) fn before(self, other: Self) -> Self {
         Self(self.0 & (other.0 - 1))
     }
@@ -69,7 +69,7 @@ impl Causes {
         self.0 == 0
     }
 
-    /// Those other than messages, for a trace.
+    /// The causes except messages, for a trace.
     pub(crate) fn traced(self) -> Vec<TraceCause> {
         if self == Self::ALL {
             return vec![TraceCause::Start];
@@ -77,7 +77,7 @@ impl Causes {
         let mut causes = self;
         let mut found = Vec::new();
         if causes.0 & Self::DUE.0 == Self::DUE.0 {
-            // The time alone does not tell which of the three it brought.
+            // A due time does not distinguish between the three kinds.
             found.push(TraceCause::Time);
             causes = causes.without(Self::DUE);
         }
@@ -98,12 +98,12 @@ impl Causes {
         found
     }
 
-    /// The place of the kind in the order of a run.
+    /// The position of the kind in the order of a run.
     pub(crate) fn kind(self) -> usize {
         self.0.trailing_zeros() as usize
     }
 
-    /// Takes out the kind that is called first.
+    /// Removes and returns the kind that is called first.
     #[inline]
     pub(crate) fn take_kind(&mut self) -> Option<usize> {
         let kind = self.0.trailing_zeros() as usize;
@@ -115,15 +115,15 @@ impl Causes {
     }
 }
 
-/// Mechanisms, by their numbers.
+/// A set of mechanisms, by number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Asked(u64);
 
 impl Asked {
-    /// The mechanisms from this number on share a bit, and so look more often than they have to.
+    /// Mechanisms from this number on share a bit, and therefore run more often than necessary.
     pub(crate) const SHARED: usize = 63;
 
-    /// The mechanism of that number.
+    /// The set with this one mechanism.
     #[inline]
     pub(crate) const fn of(mechanism: usize) -> Self {
         Self(1 << if mechanism < Self::SHARED { mechanism } else { Self::SHARED })
@@ -164,12 +164,12 @@ impl Asked {
         self.0 == 0
     }
 
-    /// Those from that number on.
+    /// The mechanisms from this number on.
     pub(crate) fn from(self, number: usize) -> Self {
         Self(self.0 & u64::MAX.checked_shl(number as u32).unwrap_or(0))
     }
 
-    /// Takes out the first one.
+    /// Removes and returns the first mechanism.
     #[inline]
     pub(crate) fn take_first(&mut self) -> Option<usize> {
         let first = (self.0 != 0).then(|| self.0.trailing_zeros() as usize);

@@ -1,4 +1,4 @@
-//! A module as the core keeps it: its runs and its life.
+//! The core's container of a module: its runs and its lifecycle.
 
 use std::any::Any;
 use std::collections::VecDeque;
@@ -17,11 +17,11 @@ pub(crate) struct ModuleCell {
     pub(crate) io: ModuleIo,
     /// `Some` until the cell is dropped.
     behaviour: Option<Box<dyn Behaviour>>,
-    /// True if it is active and nothing has to be done before its callbacks.
+    /// True if the module is active and its callbacks can run without preparation.
     is_plain: bool,
     /// The kinds of callbacks that every run calls.
     always: Causes,
-    /// For what it will run once it is active and not paused.
+    /// The causes of the next run, collected while the module is inactive or paused.
     waiting: Causes,
     state: LifecycleState,
     hold: Hold,
@@ -29,10 +29,10 @@ pub(crate) struct ModuleCell {
     watch: Option<Watch>,
     badge: Badge,
     panic: Option<String>,
-    /// What the panic said in a sentence.
+    /// The message of the panic in one sentence.
     failure: Option<Arc<str>>,
     pub(crate) meter: ModuleMeter,
-    /// The last run, in a cycle that is measured.
+    /// The last run in a measured cycle.
     pub(crate) span: Option<Span>,
 }
 
@@ -43,21 +43,21 @@ type TransitionReceipt = Option<ReceiptSender<Result<LifecycleState, TransitionR
 pub(crate) enum Hold {
     Free,
     Held,
-    /// Held after its next run.
+    /// Paused after the next run.
     Step,
 }
 
-/// What a run reads.
+/// The input of a run.
 #[derive(Clone, Copy)]
 pub(crate) enum Input<'a> {
-    /// Inside a cycle: what the mechanisms show.
+    /// Inside a cycle: the views of the mechanisms.
     Views(&'a Views),
-    /// On a thread of its own: batches of earlier cycles.
+    /// On a separate thread: batches of earlier cycles.
     Batches(&'a [Delivery]),
 }
 
 impl ModuleCell {
-    /// A module on its way to `initial`.
+    /// A new module, with transitions to `initial`.
     pub(crate) fn new(
         io: ModuleIo,
         behaviour: Box<dyn Behaviour>,
@@ -103,12 +103,12 @@ impl ModuleCell {
         self.state
     }
 
-    /// True after the last callback, or after a panic.
+    /// True after the last callback or a panic.
     pub(crate) fn has_ended(&self) -> bool {
         self.state == LifecycleState::Finalized
     }
 
-    /// What the panic said that ended the module; given once.
+    /// Takes the message of the panic that ended the module.
     pub(crate) fn take_panic(&mut self) -> Option<String> {
         self.panic.take()
     }
@@ -122,7 +122,7 @@ impl ModuleCell {
         self.hold != Hold::Free
     }
 
-    /// Checks the value that a setting is to have, by the closures of the module.
+    /// Checks a new value of a setting with the module's closures.
     pub(crate) fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String> {
         let Some(behaviour) = &mut self.behaviour else { return Ok(()) };
         let check = AssertUnwindSafe(|| behaviour.accept_setting(setting, value));
@@ -130,7 +130,7 @@ impl ModuleCell {
             .unwrap_or_else(|panic| Err(format!("the module's check of it panicked: {}", end_of(panic))))
     }
 
-    /// Keeps what it has to run for. True if it has to run whatever the time is.
+    /// Adds causes of a run. Returns true if the module has to run now, regardless of due times.
     pub(crate) fn has_work(&mut self, causes: Causes) -> bool {
         if !causes.is_empty() {
             self.waiting.add(causes);
@@ -140,7 +140,7 @@ impl ModuleCell {
             Hold::Held => false,
             Hold::Step => true,
             Hold::Free => {
-                // A module that is not active answers no requests, but has to refuse them.
+                // A module that is not active has to refuse its requests.
                 let is_active = self.state == LifecycleState::Active;
                 let has_cause =
                     if is_active { !self.waiting.is_empty() } else { self.waiting.has(Causes::REQUESTS) };
@@ -149,13 +149,13 @@ impl ModuleCell {
         }
     }
 
-    /// Time has gone back to `now`.
+    /// Adjusts the timers after the clock has gone back to `now`.
     #[cold]
     pub(crate) fn go_back(&mut self, now: Time) {
         self.io.changed(ModuleChange::ClockWentBack(now));
     }
 
-    /// When the next timer fires, the next task is due, or the next call times out.
+    /// The earliest time at which a timer fires, a task is due or a call times out.
     pub(crate) fn next_due(&self) -> Time {
         if self.state != LifecycleState::Active || self.hold == Hold::Held {
             return Time::MAX;
@@ -163,14 +163,14 @@ impl ModuleCell {
         self.io.due()
     }
 
-    /// The same as [`run`](Self::run), in a span of `tracing`.
+    /// As [`run`](Self::run), in a span of `tracing`.
     #[cold]
     pub(crate) fn run_in_span(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
         let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
         self.run(causes, views, now)
     }
 
-    /// Runs inside a cycle. Returns the mechanisms of which it asked something.
+    /// Runs the module inside a cycle. Returns the mechanisms that received requests.
     #[inline(always)]
     pub(crate) fn run(&mut self, causes: Causes, views: &Views, now: Time) -> Asked {
         self.io.received = 0;
@@ -179,17 +179,17 @@ impl ModuleCell {
         self.take_asked()
     }
 
-    /// What the module asked for since this was called last.
+    /// The mechanisms that received requests since the last call.
     #[inline]
     pub(crate) fn take_asked(&mut self) -> Asked {
         std::mem::take(&mut self.io.asked)
     }
 
-    /// Runs outside a cycle, on batches that were shared when it was.
+    /// Runs the module outside of a cycle, on shared batches.
     ///
-    /// Batches of several cycles may have come together. A part receives them by order of subscription, as
-    /// it would if they had come in one cycle: that is how replay gives them to it again. An observer, which
-    /// is not replayed but may write down what it sees, receives them in the order of the cycles.
+    /// Batches of several cycles may arrive together. A part receives them in the order of subscription, as
+    /// if they belonged to one cycle, because a replay delivers them in this order. An observer, which is not
+    /// replayed but may record its input, receives them in the order of the cycles.
     pub(crate) fn run_detached(&mut self, causes: Causes, deliveries: &[Delivery], role: Role, now: Time) {
         let _span = tracing::trace_span!("run", module = &*self.io.name).entered();
         self.run_with(causes, Input::Batches(deliveries), now, |behaviour, causes, ctx| {
@@ -254,7 +254,7 @@ impl ModuleCell {
         let transition = Transition::Shutdown;
         self.report(LifeStep::Begins { transition, from: self.state });
         self.guarded(transition, input, now, |behaviour, ctx| {
-            // Has no way to fail.
+            // A shutdown cannot fail.
             let _ = behaviour.transition(transition, ctx);
         });
         if !self.has_ended() {
@@ -263,10 +263,10 @@ impl ModuleCell {
         }
     }
 
-    /// What comes before the callbacks of a run, where there is something. `None` if no callback may run.
+    /// Prepares a run that is not plain. Returns `None` if no callback may run.
     #[cold]
     fn prepare(&mut self, causes: Causes, input: Input<'_>, now: Time) -> Option<Causes> {
-        // Messages pass a module by that is paused or not active.
+        // Messages to a paused or inactive module are dropped.
         self.waiting.add(causes.without(Causes::MESSAGES));
         match self.hold {
             Hold::Free => {}
@@ -293,7 +293,7 @@ impl ModuleCell {
             let outcome = self.make_transition(transition, input, now);
             if let Err(refused) = &outcome {
                 tracing::error!("{refused}");
-                // Those that follow cannot be made either; only those with a receipt have to be answered.
+                // Later transitions are impossible too; only those with a receipt need an answer.
                 self.transitions.retain(|(_, receipt)| receipt.is_some());
             }
             if let Some(receipt) = receipt {
@@ -338,7 +338,8 @@ impl ModuleCell {
         Ok(target)
     }
 
-    /// A panic ends the module, and only it: what it asked for in this run is discarded.
+    /// Runs a callback and catches its panic. A panic ends only this module, and discards the requests of the
+    /// run.
     fn guarded(
         &mut self,
         transition: Transition,
@@ -393,7 +394,7 @@ impl ModuleCell {
         }
     }
 
-    /// Those who wait for an answer of this module receive an error.
+    /// Answers the open requests to this module with an error.
     pub(crate) fn refuse_requests(&mut self) {
         let name = Arc::clone(&self.io.name);
         self.is_plain = false;
@@ -402,7 +403,7 @@ impl ModuleCell {
 }
 
 impl Drop for ModuleCell {
-    /// A module that panics while it is dropped takes neither the others nor the core with it.
+    /// Catches a panic in the module's destructor, which must not affect other modules or the core.
     fn drop(&mut self) {
         let behaviour = self.behaviour.take();
         if let Err(panic) = catch_unwind(AssertUnwindSafe(|| drop(behaviour))) {

@@ -1,4 +1,4 @@
-//! What a callback can do.
+//! The context of a callback.
 
 use super::cell::Input;
 use super::link::Link;
@@ -7,14 +7,14 @@ use crate::Time;
 use std::fmt;
 use std::sync::Arc;
 
-/// A callback's access to the executor. Everything it asks for takes effect in the sync phase.
+/// A callback's access to the executor. All its requests take effect in the sync phase.
 ///
-/// Keys belong to the module whose setup made them. A method that is given a key of another module panics, which
-/// stops the module; keys of two modules with the same number and type cannot be distinguished.
+/// Keys belong to the module whose setup made them. A method panics on a key of another module, which stops
+/// the module; keys of two modules with the same number and type cannot be distinguished.
 ///
-/// A function that is called by modules of several types takes a `&mut Context<'_, P>` for any `P`.
+/// A function for modules of several types takes a `&mut Context<'_, P>` for any `P`.
 pub struct Context<'a, P = ()> {
-    /// What the module's [`setup`](crate::Module::setup) returned: as a rule its keys.
+    /// The value returned by the module's [`setup`](crate::Module::setup), usually its keys.
     pub ports: &'a P,
     io: &'a mut ModuleIo,
     now: Time,
@@ -33,7 +33,7 @@ impl<'a> Context<'a> {
         Context { ports, io: self.io, now: self.now, input: self.input }
     }
 
-    /// The same with something else to read.
+    /// The same context with another input.
     pub(crate) fn with_input<'b>(&'b mut self, input: Input<'b>) -> Context<'b> {
         Context { ports: self.ports, io: self.io, now: self.now, input }
     }
@@ -50,13 +50,13 @@ impl<'a, P> Context<'a, P> {
         self.input
     }
 
-    /// The module's port of a mechanism, for somebody who only looks.
+    /// The module's port of a mechanism, for reading.
     #[inline]
     pub(crate) fn look<Q: Port>(&self, mechanism: usize) -> Option<&Q> {
         self.io.look(mechanism)
     }
 
-    /// The time of this cycle: the same for every callback in it.
+    /// The time of this cycle, the same for all callbacks in it.
     #[must_use]
     pub fn now(&self) -> Time {
         self.now
@@ -68,9 +68,11 @@ impl<'a, P> Context<'a, P> {
         &self.io.name
     }
 
-    /// Whether the core is asked to stop, for a callback that computes for long: it may give up what nothing will use any more.
+    /// A handle that reports whether the core is asked to stop. A long callback can use it to abandon work
+    /// whose result is no longer needed.
     ///
-    /// A request comes at any time, so messages must not depend on it, except those of a callback that would end too late.
+    /// A stop can be requested at any time, so messages must not depend on it, except those of a callback
+    /// that would otherwise end too late.
     #[must_use]
     pub fn stop_request(&self) -> StopRequest {
         StopRequest { link: Arc::clone(&self.io.link) }

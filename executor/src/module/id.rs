@@ -1,40 +1,40 @@
-//! Which module, and what it uses.
+//! Identities of modules, and their uses of named resources.
 
 use super::setup::Host;
 
-/// Identifies a module of a core; never given twice, not even to a module that was restarted.
+/// Identifies a module of a core. Identifiers are never reused, not even for a restarted module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ModuleId {
-    /// Its place in the order of registration.
+    /// The position in the order of registration.
     pub(crate) order: u64,
-    /// Counts the restarts: what was meant for the module before it panicked does not reach it after.
+    /// The number of restarts. Requests addressed to an earlier instance do not reach the next one.
     pub(crate) life: u32,
     pub(crate) place: Place,
 }
 
-/// Where a module is kept.
+/// Where the core keeps a module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Place {
     /// In the stage, by slot.
     Attached(usize),
-    /// On a thread of its own, by slot.
+    /// On a separate thread, by slot.
     Detached(usize),
 }
 
-/// A use that a module makes of something a mechanism keeps by name, to be given back when the module is gone.
+/// A module's use of a named resource of a mechanism, which ends with the module.
 #[derive(Clone, Copy)]
 pub(crate) struct Use {
     /// The number of the mechanism.
     pub(crate) of: usize,
     pub(crate) direction: Direction,
-    /// The number of what is used among those of the mechanism.
+    /// The index of the resource in the mechanism.
     pub(crate) index: usize,
     pub(crate) ends: UseEnds,
     /// Ends the use.
     pub(crate) give_back: fn(&mut dyn Host, ModuleId, Use),
 }
 
-/// Whether something comes to the module or goes out from it.
+/// The direction of data, seen from the module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Direction {
     /// A subscription, or a service that the module serves.

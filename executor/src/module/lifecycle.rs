@@ -1,4 +1,4 @@
-//! The life of a module: the states and transitions of ROS 2 managed nodes.
+//! The lifecycle of modules: states and transitions as of ROS 2 managed nodes.
 
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,14 +11,14 @@ use crate::threads::unpoisoned;
 /// (<https://design.ros2.org/articles/node_lifecycle.html>).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum LifecycleState {
-    /// Set up, not yet configured. Runs nothing but transitions.
+    /// Set up, not yet configured. Only transitions run.
     Unconfigured,
-    /// Configured. Runs nothing but transitions: messages pass it by, requests are refused.
+    /// Configured. Only transitions run; messages are dropped, requests are refused.
     Inactive,
-    /// Runs.
+    /// Running.
     #[default]
     Active,
-    /// At its end: shut down, or stopped by a panic.
+    /// Ended by a shutdown or a panic.
     Finalized,
 }
 
@@ -33,7 +33,7 @@ impl fmt::Display for LifecycleState {
     }
 }
 
-/// A step from one state to another; each has a callback in [`Module`](crate::Module).
+/// A transition between states; each has a callback in [`Module`](crate::Module).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Transition {
     /// Unconfigured to inactive.
@@ -49,7 +49,7 @@ pub enum Transition {
 }
 
 impl Transition {
-    /// The state it leads to, or nothing if it does not begin in `from`.
+    /// The target state, or `None` if the transition does not begin in `from`.
     #[must_use]
     pub fn from(self, from: LifecycleState) -> Option<LifecycleState> {
         use LifecycleState as State;
@@ -77,14 +77,14 @@ impl fmt::Display for Transition {
     }
 }
 
-/// Why a module does not make a transition; it stays in the state it was in.
+/// The error of a transition callback. The module stays in its state.
 ///
-/// Every error becomes one, so that `?` works in the callbacks.
+/// Every error type converts into it, so that `?` works in the callbacks.
 #[derive(Debug)]
 pub struct TransitionError(String);
 
 impl TransitionError {
-    /// A reason in words.
+    /// An error with this text.
     #[must_use]
     pub fn new(reason: impl Into<String>) -> Self {
         Self(reason.into())
@@ -103,7 +103,7 @@ impl<E: std::error::Error> From<E> for TransitionError {
     }
 }
 
-/// Why a module did not make a transition.
+/// The reason why a module did not make a transition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TransitionRefused {
     /// The transition does not begin in the module's state.
@@ -113,19 +113,19 @@ pub enum TransitionRefused {
         module: Arc<str>,
         /// The transition.
         transition: Transition,
-        /// The state the module is in.
+        /// The current state of the module.
         state: LifecycleState,
     },
-    /// The module's callback said no.
+    /// The module's callback returned an error.
     #[error("module \"{module}\" stays {state}: {transition} failed: {reason}")]
     ByModule {
         /// The module.
         module: Arc<str>,
         /// The transition.
         transition: Transition,
-        /// The state the module is in.
+        /// The current state of the module.
         state: LifecycleState,
-        /// What the module said.
+        /// The error text of the module.
         reason: String,
     },
     /// The module's callback panicked.
@@ -136,65 +136,67 @@ pub enum TransitionRefused {
         /// The transition.
         transition: Transition,
     },
-    /// There is no such module.
+    /// The core has no module of this name.
     #[error("there is no module \"{module}\"")]
     UnknownModule {
-        /// The name that was given.
+        /// The given name.
         module: Arc<str>,
     },
 }
 
-/// What happens in the life of a module, see [`CoreHandle::on_transition`](crate::CoreHandle::on_transition).
+/// An event in the lifecycle of a module, see
+/// [`CoreHandle::on_transition`](crate::CoreHandle::on_transition).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LifeEvent {
     /// The module.
     pub module: Arc<str>,
-    /// What happens.
+    /// The kind of the event.
     pub step: LifeStep,
 }
 
-/// A step in the life of a module.
+/// A step in the lifecycle of a module.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LifeStep {
-    /// A transition begins; its callback runs next. After a restart the first of them is from unconfigured.
+    /// A transition begins; its callback runs next. The first transition after a restart begins in the
+    /// unconfigured state.
     Begins {
         /// The transition.
         transition: Transition,
-        /// The state it begins in.
+        /// The state before the transition.
         from: LifecycleState,
     },
     /// A transition was made.
     Made {
         /// The transition.
         transition: Transition,
-        /// The state the module is in now.
+        /// The new state of the module.
         to: LifecycleState,
     },
-    /// The module's callback said no.
+    /// The module's callback returned an error.
     Failed {
         /// The transition.
         transition: Transition,
-        /// The state the module has stayed in.
+        /// The state in which the module stays.
         state: LifecycleState,
     },
-    /// A panic has ended the module, which is finalized now.
+    /// A panic has ended the module, whose state is now finalized.
     Panicked {
-        /// The transition in whose callback it was, if it was in one.
+        /// The transition whose callback panicked; `None` for another callback.
         transition: Option<Transition>,
-        /// The state the module was in.
+        /// The previous state of the module.
         from: LifecycleState,
     },
 }
 
 type Listener = dyn Fn(&LifeEvent) + Send + Sync;
 
-/// A listener of transitions, until it is dropped.
-#[must_use = "it stops listening when it is dropped"]
+/// Registration of a listener of transitions, which ends when this is dropped.
+#[must_use = "the listener is removed when this is dropped"]
 pub struct Listening {
     _listener: Arc<Listener>,
 }
 
-/// In the order in which they came.
+/// The listeners, in the order of registration.
 #[derive(Default)]
 pub(crate) struct Listeners {
     are_some: AtomicBool,
@@ -220,7 +222,7 @@ impl Listeners {
         };
         let event = LifeEvent { module: Arc::clone(module), step };
         for listener in listeners {
-            // A listener is no part of the module that is being run, and cannot end it.
+            // A panic of a listener does not end the module, since the listener is not part of it.
             if catch_unwind(AssertUnwindSafe(|| listener(&event))).is_err() {
                 tracing::error!(module = &**module, "a listener of its transitions panicked");
             }

@@ -1,4 +1,4 @@
-//! What other threads send to the core: posts to mechanisms, and what detached modules bring back.
+//! Input of the core from other threads: posts to mechanisms, and results of detached modules.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -13,12 +13,12 @@ use crate::observe::{SharedTiming, Span};
 use crate::threads::drop_guarded;
 use crate::{LifecycleState, ModuleId, Time};
 
-/// The way of other threads to the core. The sync phase takes posts in the order in which they came.
+/// The queue from other threads to the core. The sync phase takes posts in the order of arrival.
 pub(crate) struct Link {
     posts: SegQueue<Post>,
-    /// The mechanisms in whose own queues something waits.
+    /// The mechanisms whose external queues are not empty.
     announced: AtomicU64,
-    /// True if the clock was moved.
+    /// True if the clock was moved since the core last read it.
     clock: AtomicBool,
     core: Unparker,
     pub(crate) timing: Arc<SharedTiming>,
@@ -29,37 +29,37 @@ pub(crate) struct Link {
 }
 
 pub(crate) enum Post {
-    /// To the mechanism with this number: a change of its state.
+    /// A change of the state of the mechanism with this number.
     To(usize, PostedChange),
-    /// A detached module has run.
+    /// A run of a detached module has ended.
     Step(Box<StepOutcome>),
 }
 
 pub(crate) type PostedChange = Box<dyn FnOnce(&mut dyn Any) + Send>;
 
-/// What a run of a detached module brings to the next sync phase.
+/// The result of a detached module's run for the next sync phase.
 pub(crate) struct StepOutcome {
     pub(crate) module: ModuleId,
     pub(crate) time: Time,
-    /// Counts the runs of the module.
+    /// The number of the run.
     pub(crate) number: u64,
     pub(crate) is_stop: bool,
     pub(crate) inputs: Vec<TopicInput>,
-    /// Requests, answers, results and commands that the run took over.
+    /// The number of requests, answers, results and commands that the run took.
     pub(crate) taken: u32,
-    /// What the module asks of mechanisms, by their numbers.
+    /// The module's requests to mechanisms, by their numbers.
     pub(crate) parts: Vec<(usize, Box<dyn Any + Send>)>,
-    /// `None` if the module was paused.
+    /// The measured time; `None` if the module was paused.
     pub(crate) span: Option<Span>,
-    /// True if the run began because a time was due.
+    /// True if the run began because of a due time.
     pub(crate) was_due: bool,
-    /// Runs that took longer than the deadline.
+    /// The number of runs that exceeded the deadline.
     pub(crate) overruns: u64,
     pub(crate) state: LifecycleState,
     pub(crate) panic: Option<String>,
 }
 
-/// How many messages of a topic a run was given.
+/// The number of messages of a topic in the input of a run.
 #[derive(Clone, Copy)]
 pub(crate) struct TopicInput {
     pub(crate) topic: usize,
@@ -67,12 +67,12 @@ pub(crate) struct TopicInput {
     pub(crate) received: u32,
 }
 
-/// A batch on its way to a module on another thread, for all its subscriptions of the topic.
+/// A batch for a module on another thread, for all its subscriptions of the topic.
 pub(crate) struct Delivery {
     pub(crate) topic: usize,
     pub(crate) batch: Arc<dyn Any + Send + Sync>,
     pub(crate) messages: u32,
-    /// Messages of the topic that the inbox dropped since the delivery before.
+    /// Messages of the topic that the inbox dropped since the previous delivery.
     pub(crate) missed: u32,
 }
 
@@ -91,7 +91,8 @@ impl Link {
         }
     }
 
-    /// Has the mechanism of type `M` and that number changed in the next sync phase, before mechanisms run.
+    /// Posts a change of the mechanism with type `M` and this number, applied at the start of the next sync
+    /// phase.
     pub(crate) fn post<M: 'static>(&self, mechanism: usize, change: impl FnOnce(&mut M) + Send + 'static) {
         let change = move |mechanism: &mut dyn Any| {
             if let Some(mechanism) = mechanism.downcast_mut() {
@@ -104,14 +105,14 @@ impl Link {
     pub(crate) fn push(&self, post: Post) {
         self.posts.push(post);
         self.core.unpark();
-        // Either this sees that the core has ended, or the core's last look sees the post.
+        // Either this thread sees that the core has ended, or the core's last check sees the post.
         fence(Ordering::SeqCst);
         if self.ended.load(Ordering::SeqCst) {
             self.drop_all();
         }
     }
 
-    /// Drops all posts, and from now on those that come: nobody waits in vain for an answer.
+    /// Drops all posts and all later ones, so that no thread waits for an answer in vain.
     pub(crate) fn end(&self) {
         self.close();
         self.ended.store(true, Ordering::SeqCst);
@@ -138,27 +139,27 @@ impl Link {
         !self.posts.is_empty()
     }
 
-    /// True if nothing waits.
+    /// True if the core has no input.
     pub(crate) fn is_empty(&self) -> bool {
         self.posts.is_empty()
             && self.announced.load(Ordering::Acquire) == 0
             && !self.clock.load(Ordering::Acquire)
     }
 
-    /// Has the core look at its clock.
+    /// Makes the core read its clock.
     pub(crate) fn announce_clock(&self) {
         if !self.clock.swap(true, Ordering::AcqRel) {
             self.core.unpark();
         }
     }
 
-    /// True once after the clock was moved; to be called before it is read.
+    /// True once after the clock was moved; must be called before the clock is read.
     #[inline]
     pub(crate) fn take_clock_announcement(&self) -> bool {
         self.clock.load(Ordering::Relaxed) && self.clock.swap(false, Ordering::AcqRel)
     }
 
-    /// To be called after something was put into a queue that the mechanism with that number empties.
+    /// Must be called after a push to a queue that the mechanism with this number empties.
     pub(crate) fn announce(&self, mechanism: usize) {
         let bit = Asked::of(mechanism).bits();
         if self.announced.fetch_or(bit, Ordering::AcqRel) & bit == 0 {
@@ -166,10 +167,10 @@ impl Link {
         }
     }
 
-    /// The mechanisms of which something was announced, each once; to be called before their queues are emptied.
+    /// Takes the set of announced mechanisms; must be called before their queues are emptied.
     #[inline]
     pub(crate) fn take_announcements(&self) -> Asked {
-        // The load alone is cheaper, and nearly always enough.
+        // A plain load is cheaper, and nearly always sufficient.
         match self.announced.load(Ordering::Relaxed) {
             0 => Asked::default(),
             _ => Asked::from_bits(self.announced.swap(0, Ordering::AcqRel)),
@@ -185,7 +186,7 @@ impl Link {
         self.core.unpark();
     }
 
-    /// From now on nobody takes posts of new requests.
+    /// Refuses new requests from now on.
     pub(crate) fn close(&self) {
         self.closed.store(true, Ordering::SeqCst);
     }

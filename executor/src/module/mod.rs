@@ -1,4 +1,4 @@
-//! Modules: what a user writes, what it declares, what its callbacks can do, and how the core keeps it.
+//! Modules: the user's trait, its declarations and context, and the core's container.
 
 mod behaviour;
 mod causes;
@@ -33,8 +33,8 @@ use crate::SetupError;
 
 /// A unit of robot software: state, and callbacks that the executor calls with `&mut self`.
 ///
-/// A module never runs concurrently with itself and knows no other module, only names of topics and
-/// settings. What its callbacks ask for takes effect when the sync phase comes.
+/// A module never runs concurrently with itself, and refers to other modules only through names of topics,
+/// services and settings. Requests of its callbacks take effect in the sync phase.
 ///
 /// ```
 /// use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError};
@@ -66,8 +66,9 @@ use crate::SetupError;
 /// }
 /// ```
 ///
-/// Callbacks are closures or functions that are given the module and a [`Context`], whose [`ports`](Context::ports) are
-/// what `setup` returned. In a small module the closures may capture the keys instead, and its ports are `()`:
+/// Callbacks are closures or functions that receive the module and a [`Context`], whose
+/// [`ports`](Context::ports) are the value returned by `setup`. In a small module, the closures may capture
+/// the keys instead, and the ports are `()`:
 ///
 /// ```
 /// # use downbeat_executor::{Module, Setup, SetupError};
@@ -83,27 +84,27 @@ use crate::SetupError;
 /// }
 /// ```
 pub trait Module: Send + Sized + 'static {
-    /// What callbacks find in [`Context::ports`]: as a rule the keys that the declarations return.
+    /// The type of [`Context::ports`], usually the keys that the declarations return.
     type Ports: Send + 'static;
 
-    /// Declares what the module publishes, receives, does periodically and can be set to.
+    /// Declares the module's publications, subscriptions, services, timers and settings.
     ///
     /// # Errors
-    /// Those of the declarations, and [`Setup::refuse`] for reasons of the module's own.
+    /// Errors of the declarations, and [`Setup::refuse`] for other reasons.
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Self::Ports, SetupError>;
 
-    /// From unconfigured to inactive: gets what the module needs, such as a port or a map.
+    /// From unconfigured to inactive: acquires the resources of the module, such as a port or a map.
     ///
     /// # Errors
-    /// A reason why it cannot; the module stays unconfigured, and that is logged.
+    /// If the transition is impossible; the module then stays unconfigured, and the error is logged.
     fn configure(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
-    /// From inactive to active, before every other callback.
+    /// From inactive to active, before all other callbacks.
     ///
     /// # Errors
-    /// A reason why it cannot; the module stays inactive, and that is logged.
+    /// If the transition is impossible; the module then stays inactive, and the error is logged.
     fn activate(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
@@ -111,20 +112,20 @@ pub trait Module: Send + Sized + 'static {
     /// From active to inactive.
     ///
     /// # Errors
-    /// A reason why it cannot; the module stays active, and that is logged.
+    /// If the transition is impossible; the module then stays active, and the error is logged.
     fn deactivate(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
-    /// From inactive to unconfigured: gives back what [`configure`](Self::configure) got.
+    /// From inactive to unconfigured: releases the resources acquired by [`configure`](Self::configure).
     ///
     /// # Errors
-    /// A reason why it cannot; the module stays inactive, and that is logged.
+    /// If the transition is impossible; the module then stays inactive, and the error is logged.
     fn cleanup(&mut self, _ctx: &mut Context<'_, Self::Ports>) -> Result<(), TransitionError> {
         Ok(())
     }
 
-    /// To finalized, from every state: the last callback, when the module is removed or the core stops. It does
-    /// not run after a panic. What it publishes still reaches observers.
+    /// To finalized, from every state: the last callback, when the module is removed or the core stops. Does
+    /// not run after a panic. Messages published here still reach observers.
     fn shutdown(&mut self, _ctx: &mut Context<'_, Self::Ports>) {}
 }

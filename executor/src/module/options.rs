@@ -1,4 +1,4 @@
-//! How a module joins a core.
+//! Options of a module when it is added to a core.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::{LifecycleState, SettingValue, ThreadOptions};
 
-/// When a module runs.
+/// The times at which a module runs.
 ///
 /// ```
 /// use std::num::NonZeroUsize;
@@ -38,41 +38,42 @@ use crate::{LifecycleState, SettingValue, ThreadOptions};
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Synchrony {
-    /// Inside the cycles in which it has something to do: a message, a timer, a changed setting.
+    /// Inside the cycles in which the module has something to do: a message, a timer, a changed setting.
     #[default]
     WhenDue,
-    /// Inside every cycle there is, whatever the cycle is for; see
+    /// Inside every cycle, whatever the reason for the cycle; see
     /// [`Setup::each_run`](crate::Setup::each_run).
     EveryCycle,
-    /// On a thread of its own, whenever it has something to do: it may block without delaying a cycle.
-    /// It receives whole batches, and what it publishes joins at the next sync phase.
+    /// On a separate thread, whenever the module has something to do. It may block without delaying a cycle.
+    /// It receives whole batches, and its messages are sent in the next sync phase.
     Detached(Inbox),
 }
 
-/// How many batches of each topic wait for a detached module that is busy. A topic with many messages does
-/// not push out those of another.
+/// The capacity of the inbox of a detached module, in batches per topic. A topic with many messages does not
+/// displace those of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inbox {
-    /// All, however many.
+    /// All batches, without a limit.
     KeepAll,
-    /// The latest; older ones are dropped and counted in [`StepInput::skipped`](crate::StepInput).
+    /// The latest batches; older ones are dropped and counted in [`StepInput::skipped`](crate::StepInput).
     KeepLast(NonZeroUsize),
 }
 
-/// What a module is for, which decides when it stops.
+/// Whether a module is a part of the robot or an observer; decides the order of stopping.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Role {
     /// A part of the robot. Parts stop in the reverse order of registration.
     #[default]
     Part,
-    /// Watches the others and publishes or serves what it sees, such as a journal; who only receives uses an
-    /// [outlet](crate::Core::outlet). Observers stop after all parts, in the order of registration, so that they see the
-    /// parts' last messages.
+    /// Watches the parts and publishes or serves its observations, such as a journal. Code that only receives
+    /// messages uses an [outlet](crate::Core::outlet) instead. Observers stop after all parts, in the order
+    /// of registration, so that they receive the parts' last messages.
     Observer,
 }
 
-/// What happens to a module that panicked. It is made anew by the closure given to
-/// [`Core::add_restartable`](crate::Core::add_restartable), set up again, and keeps its place in the order.
+/// The restart policy of a module that panicked. A restart constructs the module with the closure given to
+/// [`Core::add_restartable`](crate::Core::add_restartable) and sets it up again. The module keeps its
+/// position in the order.
 ///
 /// ```
 /// use std::time::Duration;
@@ -110,58 +111,58 @@ pub enum Role {
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Restart {
-    /// It stays stopped.
+    /// The module stays stopped.
     #[default]
     Never,
-    /// It is started again that many times; then it stays stopped.
+    /// The module is restarted up to this number of times, and then stays stopped.
     Times {
-        /// How many times.
+        /// The number of restarts.
         limit: u32,
-        /// How long it waits before it starts again, see [`Restart::Always`].
+        /// The delay before a restart, see [`Restart::Always`].
         backoff: Duration,
     },
-    /// It is started again after every panic.
+    /// The module is restarted after every panic.
     Always {
-        /// How long it waits before it starts again: doubled with each panic up to [`Restart::LONGEST_BACKOFF`],
-        /// and set back when it has run for longer than that.
+        /// The delay before a restart. It doubles with each panic up to [`Restart::LONGEST_BACKOFF`], and is
+        /// reset when the module has run for longer than that.
         backoff: Duration,
     },
 }
 
 impl Restart {
-    /// The longest time a module waits before it starts again, unless its back-off is longer by itself.
+    /// The longest delay before a restart, unless the configured back-off is longer.
     pub const LONGEST_BACKOFF: Duration = Duration::from_secs(30);
 }
 
-/// How a module joins a core, see [`Core::add_with`](crate::Core::add_with).
+/// Options of a module when it is added, see [`Core::add_with`](crate::Core::add_with).
 #[derive(Clone, Debug, Default)]
 pub struct ModuleOptions {
-    /// When it runs.
+    /// The times at which the module runs.
     pub synchrony: Synchrony,
-    /// What it is for.
+    /// Whether the module is a part of the robot or an observer.
     pub role: Role,
-    /// Values of its settings that differ from the defaults.
+    /// Values of the module's settings that differ from the defaults.
     pub settings: BTreeMap<String, SettingValue>,
     /// Names in [`Self::settings`] that are ignored if the module does not declare them.
     pub optional_settings: BTreeSet<String>,
-    /// Other names for its topics and services: from the module's name to the one to use.
+    /// Names that replace those of the module's topics and services: from the module's name to the new one.
     pub remaps: BTreeMap<String, String>,
-    /// What comes before the names of its topics and services, such as `blue_1`; see [`ModuleOptions::resolved`]. Empty for
-    /// nothing.
+    /// The prefix of the names of its topics and services, such as `blue_1`; empty for none. See
+    /// [`ModuleOptions::resolved`].
     pub namespace: String,
-    /// The state to which it is brought when it has joined.
+    /// The state to which the module is brought when it is added.
     pub initial_state: LifecycleState,
-    /// What happens when it panicked.
+    /// The restart policy after a panic.
     pub restart: Restart,
-    /// How long one run may take. A run that takes longer is reported while it is still going on.
+    /// The longest allowed duration of a run. A run that exceeds it is reported while it is still running.
     pub deadline: Option<Duration>,
-    /// Where its thread runs, if it is detached.
+    /// The options of the module's thread if it is detached.
     pub thread: ThreadOptions,
 }
 
 impl ModuleOptions {
-    /// The name in the core that stands for one of the module's own: remapped, then in the namespace. Names that are absolute, as
-    /// `/clock`, or that begin with the namespace stay as they are.
+    /// The name in the core for one of the module's names: first remapped, then prefixed with the namespace.
+    /// Absolute names such as `/clock`, and names that begin with the namespace, stay as they are.
     ///
     /// ```
     /// use downbeat_executor::ModuleOptions;

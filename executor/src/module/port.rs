@@ -1,4 +1,4 @@
-//! A module's part of each mechanism.
+//! Ports: the module's side of each mechanism.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -10,41 +10,42 @@ use crate::threads::drop_guarded;
 use crate::topics::{Outboxes, Topics};
 use crate::{ModuleId, Time};
 
-/// A module's part of a [`Mechanism`](crate::Mechanism): what the module asks of the mechanism and what the mechanism has
-/// for the module. Only the module touches it in the process phase, only the mechanism in the sync phase.
+/// A module's side of a [`Mechanism`](crate::Mechanism): the requests of the module to the mechanism, and the
+/// data of the mechanism for the module. Only the module accesses it in the process phase, and only the
+/// mechanism in the sync phase.
 ///
-/// A vector of requests is one.
+/// A vector of requests is a port.
 pub trait Port: Any + Send {
-    /// Reports what happened to the module. Returns true if the mechanism has to look at the port because of it.
+    /// Handles a change of the module. Returns true if the mechanism has to process the port because of it.
     fn changed(&mut self, change: ModuleChange<'_>) -> bool;
 
-    /// When the module has to run for this port, whatever else happens; [`Time::MAX`] for never.
+    /// The time at which the module has to run for this port at the latest; [`Time::MAX`] for never.
     fn due(&self) -> Time {
         Time::MAX
     }
 
-    /// Takes out what the module asks, for a module on a thread of its own: the mechanism receives it in
+    /// Takes the requests out of the port of a detached module. The mechanism receives them in
     /// [`Mechanism::join`](crate::Mechanism::join).
     fn split_off(&mut self) -> Option<Box<dyn Any + Send>> {
         None
     }
 }
 
-/// What happens to a module, as its ports see it.
+/// A change of a module, as reported to its ports.
 #[derive(Clone, Copy, Debug)]
 pub enum ModuleChange<'a> {
-    /// It is active from now on.
+    /// The module has become active.
     Activated(Time),
-    /// It is no longer active.
+    /// The module is no longer active.
     Deactivated,
-    /// It was to run and is not active: nobody answers what it has been asked.
+    /// The module should run but is not active, so its open requests will not be answered.
     Inactive {
-        /// Its name.
+        /// The name of the module.
         module: &'a Arc<str>,
-        /// What its panic said, if that is why.
+        /// The message of the panic that ended the module, if any.
         failure: Option<&'a Arc<str>>,
     },
-    /// Its run panicked: what it asked in that run is void.
+    /// A run of the module panicked, so its requests are void.
     Panicked,
     /// The clock went back to this time.
     ClockWentBack(Time),
@@ -59,24 +60,24 @@ impl<T: Send + 'static> Port for Vec<T> {
     }
 }
 
-/// What a module owns beside its state.
+/// The data of a module besides the user's state.
 pub(crate) struct ModuleIo {
     pub(crate) name: Arc<str>,
     pub(crate) id: ModuleId,
     pub(crate) link: Arc<Link>,
-    /// The mechanisms that have to look at a port of this module.
+    /// The mechanisms that have to process a port of this module.
     pub(crate) asked: Asked,
-    /// Messages that this run received.
+    /// The number of messages received in this run.
     pub(crate) received: usize,
-    /// Counts the runs.
+    /// The number of runs.
     pub(crate) run: u64,
-    /// The lines of its log that are not written each time.
+    /// The state of rate-limited log lines.
     pub(crate) log_limits: LogLimits,
-    /// What its setup says of where the module comes from, see [`Setup::made_from`](crate::Setup::made_from).
+    /// The description given in the setup with [`Setup::made_from`](crate::Setup::made_from).
     pub(crate) made_from: Option<Vec<u8>>,
-    /// The port of messages.
+    /// The port of messaging.
     pub(crate) outboxes: Outboxes,
-    /// Those of the other mechanisms, by their numbers.
+    /// The ports of the other mechanisms, by their numbers.
     ports: Vec<Option<Box<dyn Port>>>,
 }
 
@@ -87,7 +88,7 @@ impl ModuleIo {
         Self { name, id, link, asked, received: 0, run: 0, log_limits, made_from: None, outboxes, ports }
     }
 
-    /// The module's port of the mechanism with that number, if it has one.
+    /// The module's port of the mechanism with this number, if it has one.
     #[inline]
     pub(crate) fn port<P: Port>(&mut self, mechanism: usize) -> Option<&mut P> {
         if mechanism == MESSAGES {
@@ -97,14 +98,14 @@ impl ModuleIo {
         port.downcast_mut()
     }
 
-    /// The same for somebody who only looks.
+    /// As [`port`](Self::port), for reading.
     pub(crate) fn look<P: Port>(&self, mechanism: usize) -> Option<&P> {
         let port: &dyn Any = &**self.ports.get(mechanism)?.as_ref()?;
         port.downcast_ref()
     }
 
-    /// The module's port of the mechanism with that number, which is made if the module has none; `None` if that is of
-    /// another type.
+    /// The module's port of the mechanism with this number; creates the port if the module has none. `None`
+    /// if an existing port has another type.
     pub(crate) fn open<P: Port + Default>(&mut self, mechanism: usize) -> Option<&mut P> {
         if mechanism == MESSAGES {
             return self.port(mechanism);
@@ -116,15 +117,15 @@ impl ModuleIo {
         port.downcast_mut()
     }
 
-    /// The same for a mechanism of the core, whose port is known to be of that type.
+    /// As [`open`](Self::open), for a mechanism of the core, whose port type is known.
     pub(crate) fn open_own<P: Port + Default>(&mut self, mechanism: usize) -> &mut P {
         match self.open(mechanism) {
             Some(port) => port,
-            None => unreachable!("each mechanism of the core has a number of its own"),
+            None => unreachable!("the mechanisms of the core have distinct numbers"),
         }
     }
 
-    /// Has the mechanism look at the module's port.
+    /// Marks the module's port for processing by the mechanism.
     #[inline]
     pub(crate) fn ask(&mut self, mechanism: usize) {
         self.asked.add(Asked::of(mechanism));
@@ -135,7 +136,7 @@ impl ModuleIo {
         let mut asked = Asked::default();
         for (mechanism, port) in self.each_port() {
             let mut is_asked = false;
-            drop_guarded("what a module was asked or asks", || is_asked = port.changed(change));
+            drop_guarded("a request", || is_asked = port.changed(change));
             if is_asked {
                 asked.add(Asked::of(mechanism));
             }
@@ -150,12 +151,12 @@ impl ModuleIo {
         std::iter::once((MESSAGES, &mut self.outboxes as &mut dyn Port)).chain(others)
     }
 
-    /// When the module has to run for one of its ports.
+    /// The earliest time at which the module has to run for one of its ports.
     pub(crate) fn due(&self) -> Time {
         self.ports.iter().flatten().fold(Time::MAX, |due, port| due.min(port.due()))
     }
 
-    /// Takes out what the module asks of mechanisms, by their numbers.
+    /// Takes the module's requests out of its ports, by the numbers of the mechanisms.
     pub(crate) fn split_off(&mut self) -> Vec<(usize, Box<dyn Any + Send>)> {
         let asked = std::mem::take(&mut self.asked);
         let ports = self.each_port().filter(|(mechanism, _)| asked.has(Asked::of(*mechanism)));
@@ -163,12 +164,12 @@ impl ModuleIo {
     }
 }
 
-/// What the mechanisms show to all modules in the process phase.
+/// The views of the mechanisms, which all modules read in the process phase.
 #[derive(Default)]
 pub(crate) struct Views {
-    /// The view of messages.
+    /// The view of messaging.
     pub(crate) topics: Topics,
-    /// Those of all mechanisms, by their numbers; that of messages is empty.
+    /// The views of all mechanisms, by their numbers; that of messaging is empty.
     views: Vec<Box<dyn Any + Send + Sync>>,
 }
 

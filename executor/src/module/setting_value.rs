@@ -2,20 +2,20 @@
 
 use std::fmt;
 
-/// A value of a setting. The kinds are those of ROS 2 parameters.
+/// A value of a setting. The kinds match the types of ROS 2 parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SettingValue {
     /// True or false.
     Bool(bool),
     /// A whole number.
     Integer(i64),
-    /// A number; whole numbers are taken too.
+    /// A number; whole numbers are converted.
     Double(f64),
     /// Text.
     Text(String),
-    /// Truth values.
+    /// Booleans.
     Bools(Vec<bool>),
-    /// Bytes; whole numbers from 0 to 255 are taken too.
+    /// Bytes; whole numbers from 0 to 255 are converted.
     Bytes(Vec<u8>),
     /// Whole numbers.
     Integers(Vec<i64>),
@@ -40,7 +40,7 @@ impl SettingValue {
         }
     }
 
-    /// The numbers in it; none in what holds no numbers.
+    /// All numbers of the value; empty if its kind has none.
     pub(crate) fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Integer(value) => vec![*value as f64],
@@ -63,10 +63,10 @@ impl SettingValue {
         }
     }
 
-    /// Converts the value to the kind of `pattern`, as it happens when a setting is given a value.
+    /// Converts the value to the kind of `pattern`, as in an assignment to a setting.
     ///
     /// # Errors
-    /// If something would be lost by it, in words.
+    /// If the conversion would lose information; the error is a text.
     pub fn into_kind_of(self, pattern: &Self) -> Result<Self, String> {
         Ok(match (self, pattern) {
             (Self::Integer(value), Self::Double(_)) => Self::Double(value as f64),
@@ -78,7 +78,7 @@ impl SettingValue {
                 Self::Bytes(values.into_iter().map(byte).collect::<Result<_, _>>()?)
             }
             (value, pattern) if value.kind() == pattern.kind() => value,
-            // An empty list in a file has no kind of its own, and tools of ROS 2 choose one.
+            // An empty list in a file has no element type, and ROS 2 tools choose one.
             (value, Self::Bools(_)) if value.is_empty_list() => Self::Bools(Vec::new()),
             (value, Self::Bytes(_)) if value.is_empty_list() => Self::Bytes(Vec::new()),
             (value, Self::Integers(_)) if value.is_empty_list() => Self::Integers(Vec::new()),
@@ -107,15 +107,15 @@ impl fmt::Display for SettingValue {
     }
 }
 
-/// A Rust type that a setting can have.
+/// A Rust type of settings.
 pub trait SettingType: Clone + Send + 'static {
-    /// The value as a setting holds it.
+    /// Converts to the value of a setting.
     fn into_value(self) -> SettingValue;
-    /// The value as the module reads it; nothing if the setting is of another kind.
+    /// The value in this type; `None` if the setting has another kind.
     fn from_value(value: &SettingValue) -> Option<&Self>;
 }
 
-/// For settings whose kind is known at run time only: that of the default.
+/// For settings whose kind is known only at run time, from the default value.
 impl SettingType for SettingValue {
     fn into_value(self) -> SettingValue {
         self

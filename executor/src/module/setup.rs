@@ -1,4 +1,4 @@
-//! What a module declares when it joins a core.
+//! Declarations of a module when it is added to a core.
 
 use std::any::{Any, TypeId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -10,8 +10,8 @@ use super::options;
 use super::port::ModuleIo;
 use crate::{Context, Module, SettingValue, SetupError, Version};
 
-/// Passed to [`Module::setup`](crate::Module::setup): what the module publishes, receives, serves, calls, does at
-/// a time and can be set to is declared here.
+/// Passed to [`Module::setup`](crate::Module::setup) for the declaration of the module's publications,
+/// subscriptions, services, timers and settings.
 pub struct Setup<'a, M: Module> {
     pub(crate) io: &'a mut ModuleIo,
     pub(crate) host: &'a mut dyn Host,
@@ -23,13 +23,13 @@ pub struct Setup<'a, M: Module> {
     setting_names: Vec<String>,
 }
 
-/// The core as a module finds it when it is set up.
+/// The core as seen by a module's setup.
 pub(crate) trait Host {
-    /// The mechanism with that number.
+    /// The mechanism with this number.
     fn mechanism(&mut self, number: usize) -> Option<&mut dyn Any>;
-    /// What modules see of the mechanism with that number.
+    /// The view of the mechanism with this number.
     fn view(&mut self, number: usize) -> Option<&mut dyn Any>;
-    /// The same for somebody who only looks.
+    /// As [`view`](Self::view), for reading.
     fn look(&self, number: usize) -> Option<&dyn Any>;
     /// All mechanisms, by their numbers.
     fn offers(&self) -> &[Offer];
@@ -42,7 +42,7 @@ pub(crate) struct Offer {
     pub(crate) mechanism: TypeId,
 }
 
-/// What a module is given by name.
+/// The named options given to a module.
 #[derive(Default)]
 pub(crate) struct Given {
     pub(crate) settings: BTreeMap<String, SettingValue>,
@@ -63,7 +63,7 @@ impl<'a, M: Module> Setup<'a, M> {
         Self { io, host, uses, steps: Steps::default(), is_detached, given, own_names, setting_names }
     }
 
-    /// Checks that nothing was given that the module did not ask for.
+    /// Checks that all given settings and remaps were declared.
     pub(crate) fn finish(self) -> Result<Steps<M>, SetupError> {
         let module = self.io.name.to_string();
         let Given { settings, optional_settings, remaps, .. } = self.given;
@@ -87,30 +87,32 @@ impl<'a, M: Module> Setup<'a, M> {
         &self.io.name
     }
 
-    /// What stands for a name of the module's own where it was added, by its [remaps and namespace](crate::ModuleOptions::resolved):
-    /// for code that makes several names of one. Topics and services are remapped by themselves.
+    /// The resolved form of one of the module's names, after its
+    /// [remaps and namespace](crate::ModuleOptions::resolved); for code that derives several names from one.
+    /// Names of topics and services are resolved automatically.
     pub fn remapped(&mut self, name: &str) -> String {
         self.own_names.push(name.strip_prefix('/').unwrap_or(name).to_owned());
         options::resolved(name, &self.given.remaps, &self.given.namespace)
     }
 
-    /// Describes what the module was made from, such as the version of a source file. The event
-    /// [`ModuleEventKind::Made`](crate::ModuleEventKind) carries it, so that a replay can use the same again.
+    /// Describes the source of the module, such as the version of a source file. The event
+    /// [`ModuleEventKind::Made`](crate::ModuleEventKind) carries the description, so that a replay can use
+    /// the same source.
     pub fn made_from(&mut self, description: Vec<u8>) {
         self.io.made_from = Some(description);
     }
 
-    /// An error with a reason of the module's own.
+    /// An error with a reason given by the module.
     #[must_use]
     pub fn refuse(&self, reason: impl Into<String>) -> SetupError {
         SetupError::Refused { module: self.io.name.to_string(), reason: reason.into() }
     }
 
-    /// Asks for one of the core's mechanisms by name ("messaging", "services", "settings", "timers", "modules",
-    /// "jobs"), at a version or a compatible later one.
+    /// Requires one of the core's mechanisms by name ("messaging", "services", "settings", "timers",
+    /// "modules", "jobs"), at this version or a compatible later one.
     ///
     /// # Errors
-    /// If the core does not offer it, or only at another version.
+    /// If the core does not offer the mechanism, or only another version.
     ///
     /// ```
     /// # use downbeat_executor::{Core, Module, Setup, SetupError, Version};
@@ -143,19 +145,19 @@ impl<'a, M: Module> Setup<'a, M> {
         })
     }
 
-    /// True if the module is to run on a thread of its own where the clock allows it.
+    /// True if the module is to run on a separate thread, provided that the clock allows it.
     pub(crate) fn is_detached(&self) -> bool {
         self.is_detached
     }
 
-    /// The value that a setting was given, if any. The setting is declared from now on.
+    /// Takes the given value of a setting, if any, and marks the setting as declared.
     pub(crate) fn take_given_setting(&mut self, name: &str) -> Option<SettingValue> {
         self.setting_names.push(name.to_owned());
         self.given.settings.remove(name)
     }
 
-    /// Calls `callback` at the end of each run of the module, after its messages, requests, answers and timers: in
-    /// every cycle, if its synchrony is [`Synchrony::EveryCycle`](crate::Synchrony::EveryCycle).
+    /// Calls `callback` at the end of each run of the module, after its messages, requests, answers and
+    /// timers. With [`Synchrony::EveryCycle`](crate::Synchrony::EveryCycle), that is in every cycle.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};

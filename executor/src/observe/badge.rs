@@ -1,4 +1,4 @@
-//! Whose callback a thread runs, for logs.
+//! The module whose callback a thread is running; for logs.
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,13 +7,13 @@ use std::sync::{Arc, RwLock};
 use crate::threads::unpoisoned;
 
 thread_local! {
-    // A number and no name, so that to set it is one store and nothing has to be dropped.
+    // A number and not a name, so that setting it is a single store and needs no destructor.
     static WORN: Cell<u32> = const { Cell::new(NOBODY) };
 }
 
 const NOBODY: u32 = u32::MAX;
 
-/// The modules there are, by the numbers on their badges.
+/// The names of existing modules, by the numbers of their badges.
 static NAMES: RwLock<Names> = RwLock::new(Names { by_number: Vec::new(), free: Vec::new() });
 
 struct Names {
@@ -23,14 +23,15 @@ struct Names {
 
 struct Named {
     name: Arc<str>,
-    /// Whether a callback of the module runs.
+    /// True while a callback of the module runs.
     is_running: Arc<AtomicBool>,
 }
 
-/// The name of the module whose callback runs on this thread; nothing outside of callbacks, in jobs, and on threads that
-/// a module started itself.
+/// The name of the module whose callback runs on this thread; `None` outside of callbacks, in jobs, and on
+/// threads that a module started itself.
 ///
-/// For subscribers of `tracing` that show which module wrote a line. What a module computes must not depend on it.
+/// For subscribers of `tracing` that show the module of a log line. The results of a module must not depend
+/// on it.
 ///
 /// ```
 /// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time, running_module};
@@ -54,7 +55,7 @@ struct Named {
 /// ```
 #[must_use]
 pub fn running_module() -> Option<Arc<str>> {
-    // While a thread ends there may be nothing left to look at.
+    // The thread-local may have been destroyed while the thread ends.
     let number = WORN.try_with(Cell::get).unwrap_or(NOBODY);
     if number == NOBODY {
         return None;
@@ -63,8 +64,8 @@ pub fn running_module() -> Option<Arc<str>> {
     Some(Arc::clone(&names.by_number.get(number as usize)?.as_ref()?.name))
 }
 
-/// The names of all modules of this process whose callbacks run at this moment, on any thread: for reports on a core that does not
-/// answer.
+/// The names of all modules of this process whose callbacks run at this moment on any thread; for reports
+/// about a core that does not respond.
 ///
 /// ```
 /// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time, running_modules};
@@ -98,7 +99,7 @@ pub fn running_modules() -> Vec<Arc<str>> {
         .collect()
 }
 
-/// A module's number, until it is dropped.
+/// The registered number of a module; freed when dropped.
 pub(crate) struct Badge {
     number: u32,
     is_running: Arc<AtomicBool>,
@@ -126,7 +127,7 @@ impl Badge {
         Worn
     }
 
-    /// The callback has ended. What is dropped and logged afterwards is still done with the badge.
+    /// Marks the end of the callback. Destructors and log lines after it still run under the badge.
     #[inline]
     pub(crate) fn end(&self) {
         self.is_running.store(false, Ordering::Relaxed);
@@ -143,7 +144,7 @@ impl Drop for Badge {
     }
 }
 
-/// While this is there, a module runs on the thread.
+/// Marks the thread as running a module until it is dropped.
 pub(crate) struct Worn;
 
 impl Drop for Worn {
@@ -172,7 +173,7 @@ mod tests {
     #[test]
     fn numbers_of_modules_that_are_gone_are_given_again() {
         let most = (0..1000).map(|_| Badge::new("passing".into()).number).max();
-        // Others take numbers in the same process meanwhile, but not hundreds.
+        // Tests in the same process may take numbers meanwhile, but not hundreds.
         assert!(most < Some(500));
     }
 }

@@ -1,4 +1,4 @@
-//! What is counted for each module and each topic.
+//! Counters of modules and topics.
 
 use std::time::Duration;
 
@@ -6,8 +6,8 @@ use super::histogram::TimeHistogram;
 use super::{ModuleState, ModuleStatistics, TimeStatistics, TopicStatistics};
 use crate::Time;
 
-/// Counts what a module does. Belongs to the module's cell, or to the core's side of a detached module, so that
-/// nothing is shared between threads.
+/// Counts the activity of a module. It belongs to the module's cell, or to the core's side of a detached
+/// module, so that it is not shared between threads.
 #[derive(Default)]
 pub(crate) struct ModuleMeter {
     runs: u64,
@@ -23,12 +23,12 @@ pub(crate) struct ModuleMeter {
 }
 
 impl ModuleMeter {
-    /// A meter that can take times: 15 KiB of memory, where [`default`](Self::default) only counts.
+    /// A meter that also measures times, which needs 15 KiB of memory.
     pub(crate) fn with_times() -> Self {
         Self { run_time: Some(Box::new(TimeHistogram::new())), ..Self::default() }
     }
 
-    /// The module has run, and was given that many messages.
+    /// Counts a run with this number of received messages.
     #[inline]
     pub(crate) fn ran(&mut self, received: usize) {
         self.runs += 1;
@@ -40,7 +40,7 @@ impl ModuleMeter {
         self.published += messages as u64;
     }
 
-    /// A run was measured.
+    /// Records the duration of a measured run.
     #[inline]
     pub(crate) fn took(&mut self, time: Duration) {
         if let Some(run_time) = &mut self.run_time {
@@ -48,7 +48,7 @@ impl ModuleMeter {
         }
     }
 
-    /// A run spent that much of its time on a processor.
+    /// Records the processor time of a run.
     pub(crate) fn was_on_processor(&mut self, time: Option<Duration>) {
         if let Some(time) = time {
             let time_ns = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
@@ -60,12 +60,12 @@ impl ModuleMeter {
         self.overruns += runs;
     }
 
-    /// The overruns so far, which are then another meter's.
+    /// Takes the overruns so far, to move them to another meter.
     pub(crate) fn take_overruns(&mut self) -> u64 {
         std::mem::take(&mut self.overruns)
     }
 
-    /// True if it panicked and was not started again since.
+    /// True if the module panicked and has not been restarted since.
     pub(crate) fn has_failed(&self) -> bool {
         self.panics > self.restarts
     }
@@ -78,12 +78,12 @@ impl ModuleMeter {
         self.restarts += 1;
     }
 
-    /// Messages that were dropped from its inbox since the last report.
+    /// Adds messages that were dropped from the inbox since the last report.
     pub(crate) fn dropped(&mut self, messages: u64) {
         self.dropped += messages;
     }
 
-    /// Messages that wait in its inbox now.
+    /// Sets the number of messages in the inbox.
     pub(crate) fn inbox(&mut self, messages: u64) {
         self.inbox = messages;
     }
@@ -110,7 +110,7 @@ impl ModuleMeter {
     }
 }
 
-/// Counts what a topic carries.
+/// Counts the messages of a topic.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TopicMeter {
     dropped: u64,
@@ -121,7 +121,7 @@ pub(crate) struct TopicMeter {
 }
 
 impl TopicMeter {
-    /// The first messages of a cycle come at `now`.
+    /// Counts the first messages of the cycle at `now`.
     #[inline]
     pub(crate) fn begin_batch(&mut self, messages: usize, now: Time) {
         self.batches += 1;
@@ -130,14 +130,14 @@ impl TopicMeter {
         self.carried(messages);
     }
 
-    /// Messages are added to the cycle's batch.
+    /// Counts further messages of the cycle's batch.
     #[inline]
     pub(crate) fn carried(&mut self, messages: usize) {
         self.last_batch += messages as u64;
         self.largest_batch = self.largest_batch.max(self.last_batch);
     }
 
-    /// Messages that a bounded queue dropped since the last report.
+    /// Adds messages that a bounded queue dropped since the last report.
     pub(crate) fn dropped(&mut self, messages: u64) {
         self.dropped += messages;
     }

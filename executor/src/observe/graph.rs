@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::markup::{dot_string, mermaid_string, short_type};
 
-/// Which modules publish and subscribe to which topics, and serve and call which services.
+/// The connections of modules, topics, services and outlets.
 ///
 /// ```
 /// use downbeat_executor::{Graph, GraphEdge, GraphModule, GraphTopic};
@@ -31,7 +31,7 @@ pub struct Graph {
     /// The inboxes of outlets, in the order in which they were first used.
     #[cfg_attr(feature = "serde", serde(default))]
     pub outlets: Vec<GraphOutlet>,
-    /// How they hang together.
+    /// The connections.
     pub edges: Vec<GraphEdge>,
 }
 
@@ -41,7 +41,7 @@ pub struct Graph {
 pub struct GraphModule {
     /// The name.
     pub name: String,
-    /// True if it runs on a thread and at a pace of its own.
+    /// True if the module runs on a separate thread.
     pub is_detached: bool,
 }
 
@@ -63,7 +63,7 @@ pub struct GraphService {
     pub name: String,
     /// The Rust path of the request type.
     pub request_type: String,
-    /// The Rust path of the answer's type.
+    /// The Rust path of the answer type.
     pub response_type: String,
 }
 
@@ -71,7 +71,7 @@ pub struct GraphService {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct GraphOutlet {
-    /// The name of the inbox; that of the topic where an outlet has an inbox of its own.
+    /// The name of the inbox; the name of the topic if the inbox belongs to a single outlet.
     pub name: String,
 }
 
@@ -117,8 +117,8 @@ pub enum GraphEdge {
 }
 
 impl Graph {
-    /// The graph in the DOT language, for Graphviz. Modules are boxes, double ones if they are detached; topics are
-    /// ellipses, services hexagons, outlets tags. Calls are dashed lines.
+    /// The graph in the DOT language, for Graphviz. Modules are boxes, with double borders if detached;
+    /// topics are ellipses, services hexagons, outlets tags. Calls are dashed lines.
     #[must_use]
     pub fn to_dot(&self) -> String {
         let mut dot = String::from("digraph robot {\n    rankdir=LR;\n    node [fontname=\"sans-serif\"];\n");
@@ -189,7 +189,8 @@ impl Graph {
         chart
     }
 
-    /// Sorted, and each once, so that the text depends on what is connected and not on how that was found out.
+    /// The edges, sorted and without duplicates, so that the text does not depend on the order of their
+    /// collection.
     fn sorted_edges(&self) -> Vec<GraphEdge> {
         let mut edges = self.edges.clone();
         edges.sort_unstable();

@@ -1,4 +1,4 @@
-//! How long something took, as a distribution.
+//! Distributions of durations.
 
 use std::time::Duration;
 
@@ -6,12 +6,12 @@ use hdrhistogram::Histogram;
 
 use super::TimeStatistics;
 
-/// The longest time that is distinguished; longer ones count as this long.
+/// The longest distinguished time; longer ones count as this.
 const LONGEST: Duration = Duration::from_secs(60);
 
 /// A distribution of times from 1 ns to 60 s with two significant digits, in 15 KiB of memory.
 ///
-/// All memory is taken when it is made; recording allocates nothing.
+/// All memory is allocated at construction; recording allocates nothing.
 pub(crate) struct TimeHistogram {
     counts: Histogram<u32>,
     count: u64,
@@ -30,8 +30,8 @@ impl TimeHistogram {
     pub(crate) fn record(&mut self, time: Duration) {
         let time_ns = nanoseconds(time);
         if self.counts.len() == u64::from(u32::MAX) {
-            // A slot could overflow from here on. Begins anew rather than being wrong: the percentiles are then
-            // those of the times since.
+            // A counter could overflow from here on, so the distribution starts again. Percentiles then cover
+            // the times since.
             self.counts.reset();
         }
         self.counts.saturating_record(time_ns.max(1));
@@ -40,7 +40,7 @@ impl TimeHistogram {
         self.max_ns = self.max_ns.max(time_ns);
     }
 
-    /// Takes a few hundred nanoseconds: it walks through the distribution.
+    /// Takes a few hundred nanoseconds, since it iterates over the distribution.
     pub(crate) fn statistics(&self) -> TimeStatistics {
         TimeStatistics {
             count: self.count,
@@ -51,7 +51,7 @@ impl TimeHistogram {
         }
     }
 
-    /// The upper end of the range in which the quantile lies, but never more than the maximum.
+    /// The upper end of the bucket that contains the quantile, but at most the maximum.
     fn quantile(&self, quantile: f64) -> u64 {
         if self.counts.is_empty() {
             return 0;

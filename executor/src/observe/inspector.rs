@@ -10,20 +10,20 @@ use super::{CycleStatistics, CycleTrace, Measuring, ModuleMeter, SharedTiming, S
 use crate::Time;
 use crate::threads::ReceiptSender;
 
-/// What the core knows of a cycle beside its times.
+/// Facts about a cycle besides its times.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct CycleInfo {
-    /// Counts the cycles from 0.
+    /// The number of the cycle, from 0.
     pub(crate) cycle: u64,
-    /// How long it began after the timer it began for; nothing if it began for another reason.
+    /// The delay after the timer for which the cycle began; `None` if the cycle had another reason.
     pub(crate) lateness: Option<Duration>,
-    /// True if the core slept before it.
+    /// True if the core slept before the cycle.
     pub(crate) has_slept: bool,
 }
 
-/// Decides what is measured in a cycle and takes the readings in, in this order: [`begin`](Self::begin), the process
-/// phase, [`processed`](Self::processed), the sync phase, [`synced`](Self::synced), [`ran`](Self::ran) for each run,
-/// [`end`](Self::end).
+/// Decides what is measured in a cycle, and collects the readings. The calls come in this order:
+/// [`begin`](Self::begin), the process phase, [`processed`](Self::processed), the sync phase,
+/// [`synced`](Self::synced), [`ran`](Self::ran) for each run, [`end`](Self::end).
 pub(crate) struct Inspector {
     is_on: bool,
     timing: Arc<SharedTiming>,
@@ -58,12 +58,12 @@ struct Tracing {
 }
 
 impl Inspector {
-    /// One that measures what the sampler chooses.
+    /// An inspector that measures the cycles chosen by the sampler.
     pub(crate) fn new(timing: Arc<SharedTiming>) -> Self {
         Self { is_on: true, clock_reading_time: clock_reading_time(), ..Self::off(timing) }
     }
 
-    /// One that measures nothing unless a trace is asked for.
+    /// An inspector that measures only requested traces.
     pub(crate) fn off(timing: Arc<SharedTiming>) -> Self {
         let now = Instant::now();
         Self {
@@ -89,7 +89,7 @@ impl Inspector {
         if self.is_on { ModuleMeter::with_times() } else { ModuleMeter::default() }
     }
 
-    /// A cycle begins. Says what is to be taken down in it.
+    /// Begins a cycle; returns what is to be measured in it.
     #[inline]
     pub(crate) fn begin(&mut self) -> Measuring {
         self.measuring = match &mut self.trace {
@@ -107,7 +107,7 @@ impl Inspector {
         self.measuring
     }
 
-    /// The process phase has ended.
+    /// Marks the end of the process phase.
     #[inline]
     pub(crate) fn processed(&mut self) {
         if self.measuring.is_on() {
@@ -115,7 +115,7 @@ impl Inspector {
         }
     }
 
-    /// The sync phase has ended.
+    /// Marks the end of the sync phase.
     #[inline]
     pub(crate) fn synced(&mut self) {
         if self.measuring.is_on() {
@@ -123,7 +123,7 @@ impl Inspector {
         }
     }
 
-    /// A module ran in the cycle. Told after the sync phase, and only where something is measured.
+    /// Records the run of a module; called after the sync phase of a measured cycle.
     pub(crate) fn ran(
         &mut self,
         meter: &mut ModuleMeter,
@@ -139,7 +139,8 @@ impl Inspector {
         }
     }
 
-    /// A detached module ran, at `due` if a time was due for it; its outputs joined in `cycle`.
+    /// Records a run of a detached module, with the time `due` if there was one. The run's messages were sent
+    /// in `cycle`.
     pub(crate) fn stepped(
         &mut self,
         meter: &mut ModuleMeter,
@@ -159,7 +160,7 @@ impl Inspector {
         }
     }
 
-    /// The cycle has ended.
+    /// Ends the cycle.
     #[inline]
     pub(crate) fn end(&mut self, info: CycleInfo) {
         if self.measuring.is_on() {
@@ -172,32 +173,33 @@ impl Inspector {
         }
     }
 
-    /// Traces the next cycles, at least one, and then answers. A trace that was requested before and is not complete is answered as it is.
+    /// Traces the next cycles, at least one, and then answers. An incomplete earlier trace is answered with
+    /// its cycles so far.
     pub(crate) fn trace(&mut self, cycles: u32, answer: ReceiptSender<CycleTrace>) {
         self.finish_trace();
         let trace = CycleTrace::new(self.started);
         self.trace = Some(Tracing { cycles_left: cycles.max(1), trace, answer });
     }
 
-    /// Answers with what there is of a trace: no more cycles will come soon.
+    /// Ends a trace early with its cycles so far, if no more cycles will run soon.
     pub(crate) fn finish_trace(&mut self) {
         if let Some(Tracing { trace, answer, .. }) = self.trace.take() {
             answer.send(trace.finish());
         }
     }
 
-    /// So many cycles have run.
+    /// Counts cycles.
     #[inline]
     pub(crate) fn count_cycles(&self, cycles: u64) {
         self.timing.count_cycles(cycles);
     }
 
-    /// The same inspector, which measures nothing unless a trace is asked for.
+    /// A copy of the inspector that measures only requested traces.
     pub(crate) fn turned_off(&self) -> Self {
         Self::off(Arc::clone(&self.timing))
     }
 
-    /// Steady time since this was made.
+    /// The steady time since construction.
     pub(crate) fn uptime(&self) -> Duration {
         self.started.elapsed()
     }
@@ -227,12 +229,13 @@ impl Inspector {
             let sync = Span { begin: processed, end: synced, thread, processor: None };
             self.add_to_trace(TraceEventKind::Sync, None, info.cycle, &sync, Vec::new());
         }
-        // Inside the cycle the clock was read for each run and for each phase; taking the readings in is measured.
+        // The clock was read for each run and each phase inside the cycle. The time to collect the readings
+        // is measured.
         let inside = self.clock_reading_time * (runs + 2);
         let cost = inside + self.clock_reading_time * 2 + synced.elapsed();
         self.meter.cost += cost;
         if self.measuring == Measuring::Times {
-            // A cycle cannot have taken less than a tenth of its time, whatever the clock's readings took.
+            // A lower limit on the cycle's duration, in case the readings of the clock are overestimated.
             let busy = (synced - begin).saturating_sub(inside).max((synced - begin) / 10);
             self.sampler.measured(busy, cost, info.has_slept);
         }
@@ -259,7 +262,7 @@ mod tests {
     use super::*;
     use crate::threads::receipt;
 
-    /// A cycle with one run; returns whether it was measured.
+    /// Runs a cycle with one run; returns whether it was measured.
     fn cycle(inspector: &mut Inspector, meter: &mut ModuleMeter, number: u64) -> bool {
         let measuring = inspector.begin();
         let mut stopwatch = Stopwatch::start(measuring);

@@ -1,4 +1,4 @@
-//! Names inside other languages.
+//! Escaping of names for JSON, DOT and Mermaid.
 
 use std::fmt::Write;
 
@@ -20,7 +20,8 @@ pub(crate) fn json_string(text: &str) -> String {
     json
 }
 
-/// Lines as a string of the DOT language, with its quotation marks. A line break in a name is a space.
+/// The lines as a string of the DOT language, with its quotation marks. Control characters in names become
+/// spaces.
 pub(crate) fn dot_string<'a>(lines: impl IntoIterator<Item = &'a str>) -> String {
     let escape = |line: &str| {
         let line = line.replace('\\', "\\\\").replace('"', "\\\"");
@@ -30,7 +31,8 @@ pub(crate) fn dot_string<'a>(lines: impl IntoIterator<Item = &'a str>) -> String
     format!("\"{}\"", lines.join("\\n"))
 }
 
-/// Lines as a string of Mermaid, with its quotation marks: what could be read as markup is written as entity codes.
+/// The lines as a string of Mermaid, with its quotation marks. Characters with a meaning in markup become
+/// entity codes.
 pub(crate) fn mermaid_string<'a>(lines: impl IntoIterator<Item = &'a str>) -> String {
     let escape = |line: &str| {
         let mut text = String::with_capacity(line.len());

@@ -1,8 +1,8 @@
-//! Seeing inside a core while it runs: counters, times, a trace of a few cycles, the graph.
+//! Observation of a running core: counters, times, traces and the graph.
 //!
-//! Counters are exact. Times are of *sampled* cycles: reading a clock twice can take longer than a small module's
-//! run, so a [`Sampler`](sampler::Sampler) has as many cycles measured as cost half a hundredth of what they do. A
-//! core whose modules take microseconds is measured in every cycle.
+//! Counters are exact. Times come from *sampled* cycles: reading a clock twice can take longer than a small
+//! module's run, so a [`Sampler`](sampler::Sampler) limits the cost of measuring to 0.5 % of the cycles'
+//! time. In a core whose modules take microseconds, every cycle is measured.
 
 mod badge;
 mod counters;

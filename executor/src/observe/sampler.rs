@@ -1,30 +1,31 @@
-//! Which cycles are measured.
+//! Selects the cycles that are measured.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use super::histogram::nanoseconds;
 
-/// What measuring may cost, as a share of what the core does anyway.
+/// The cost of measuring as a share of the core's busy time.
 pub(crate) const SHARE: f64 = 0.005;
 
-/// What the sleep before a cycle costs the machine at least: two switches of context.
+/// The minimum cost of a sleep before a cycle, for two context switches.
 const SLEEP_NS: f64 = 2_000.0;
 
-/// How many measured cycles the means go back to, about.
+/// The approximate number of measured cycles in the running means.
 const MEMORY: f64 = 32.0;
 
-/// At least one cycle in so many is measured.
+/// At least one of this number of cycles is measured.
 const LONGEST_INTERVAL: f64 = 4096.0;
 
-/// Decides which cycles are measured, so that measuring costs at most one part in 200 of the time the core is busy.
+/// Selects the cycles that are measured, so that measuring costs at most one part in 200 of the core's busy
+/// time.
 ///
-/// Both what a cycle takes and what measuring it costs are averaged over the cycles that were measured; from that
-/// comes how many cycles there are from one measured cycle to the next. The number varies at random about that mean:
-/// modules are periodic, and with a fixed one some of them might never run in a measured cycle. What a cycle does has
-/// no influence on whether it is measured, so percentiles of the measured cycles stand for all.
+/// The duration of a cycle and the cost of measuring it are averaged over the measured cycles; they determine
+/// the mean interval between measured cycles. The interval varies at random around this mean, because modules
+/// are periodic and might never run in a measured cycle at a fixed interval. The content of a cycle has no
+/// influence on its selection, so the percentiles of measured cycles represent all cycles.
 pub(crate) struct Sampler {
-    /// Cycles that are not measured until the next that is.
+    /// The number of cycles until the next measured one.
     skip: u32,
     cost_ns: f64,
     busy_ns: f64,
@@ -36,7 +37,7 @@ impl Sampler {
         Self { skip: 0, cost_ns: 0.0, busy_ns: 0.0, random: 0x9E37_79B9_7F4A_7C15 }
     }
 
-    /// True if the cycle that begins is to be measured.
+    /// True if the beginning cycle is to be measured.
     #[inline]
     pub(crate) fn takes_next(&mut self) -> bool {
         if self.skip == 0 {
@@ -46,7 +47,8 @@ impl Sampler {
         false
     }
 
-    /// A cycle took `busy`, without the `cost` of measuring it. Before it the core slept, or did not.
+    /// Records a measured cycle that took `busy` without the `cost` of measuring it. `has_slept` is true if
+    /// the core slept before it.
     pub(crate) fn measured(&mut self, busy: Duration, cost: Duration, has_slept: bool) {
         let busy_ns = nanoseconds(busy) as f64 + if has_slept { SLEEP_NS } else { 0.0 };
         let cost_ns = nanoseconds(cost) as f64;
@@ -70,8 +72,8 @@ impl Sampler {
     }
 }
 
-/// How long this machine takes to read the steady clock: 20 to 50 ns where the processor's counter can be used, a
-/// microsecond where it cannot.
+/// The time that this machine takes to read the steady clock: 20 to 50 ns with the processor's counter, about
+/// a microsecond without.
 pub(crate) fn clock_reading_time() -> Duration {
     const READINGS: u32 = 64;
     let mut shortest = Duration::MAX;
@@ -89,7 +91,8 @@ pub(crate) fn clock_reading_time() -> Duration {
 mod tests {
     use super::*;
 
-    /// Runs cycles of the given length; gives the share of the time that measuring took, and the number measured.
+    /// Simulates cycles of the given durations; returns the share of time spent on measuring, and the number
+    /// of measured cycles.
     fn share(cycles: u32, cost_ns: u64, has_slept: bool, busy_ns: impl Fn(u32) -> u64) -> (f64, u32) {
         let mut sampler = Sampler::new();
         let (mut cost, mut busy, mut measured) = (0, 0, 0);

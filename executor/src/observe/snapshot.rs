@@ -1,10 +1,10 @@
-//! What a look at a running core shows.
+//! Snapshots of a running core.
 
 use crate::Time;
 
-/// The state of a core between two cycles: plain numbers, counted since its start.
+/// The state of a core between two cycles, as plain numbers counted since its start.
 ///
-/// Rates come from two snapshots: the difference of two counts over the difference of
+/// Rates follow from two snapshots: the difference of two counters divided by the difference of
 /// [`uptime_ns`](Self::uptime_ns).
 ///
 /// ```
@@ -22,17 +22,17 @@ use crate::Time;
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Snapshot {
-    /// The core's time in the last cycle; nanoseconds where it is serialised.
+    /// The core's time in the last cycle; serialised as nanoseconds.
     #[cfg_attr(feature = "serde", serde(rename = "time_ns", with = "time_ns"))]
     pub time: Time,
-    /// Nanoseconds of steady time since the core's start, to compute rates with. Where the clock is moved by hand,
-    /// this goes on by itself all the same.
+    /// Nanoseconds of steady time since the core's start, for the computation of rates. It also advances
+    /// under a clock that is moved by hand.
     pub uptime_ns: u64,
-    /// How many cycles there have been.
+    /// The number of cycles so far.
     pub cycle: u64,
-    /// True while no cycles run because somebody asked for that.
+    /// True while the core is paused by a request.
     pub is_paused: bool,
-    /// What the cycles took.
+    /// Durations of the cycles.
     pub cycles: CycleStatistics,
     /// The modules, in the order of registration.
     pub modules: Vec<ModuleStatistics>,
@@ -43,31 +43,31 @@ pub struct Snapshot {
     pub outlets: Vec<OutletStatistics>,
 }
 
-/// Times of the measured part of many runs or cycles. All zero where nothing was measured.
+/// Durations of the measured runs or cycles. All values are zero if nothing was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TimeStatistics {
-    /// How many were measured.
+    /// The number of measurements.
     pub count: u64,
     /// Their sum, in nanoseconds.
     pub sum_ns: u64,
-    /// The median of those measured, in nanoseconds, with two significant digits.
+    /// The median in nanoseconds, with two significant digits.
     pub p50_ns: u64,
-    /// The 99th percentile of those measured, in nanoseconds, with two significant digits.
+    /// The 99th percentile in nanoseconds, with two significant digits.
     pub p99_ns: u64,
-    /// The longest of those measured, in nanoseconds, exactly.
+    /// The exact maximum in nanoseconds.
     pub max_ns: u64,
 }
 
 impl TimeStatistics {
-    /// The mean of those measured, in nanoseconds; 0 where nothing was.
+    /// The mean in nanoseconds; 0 without measurements.
     #[must_use]
     pub fn mean_ns(&self) -> f64 {
         if self.count == 0 { 0.0 } else { self.sum_ns as f64 / self.count as f64 }
     }
 }
 
-/// What the cycles took.
+/// Durations of the cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct CycleStatistics {
@@ -77,13 +77,13 @@ pub struct CycleStatistics {
     pub sync: TimeStatistics,
     /// Both phases together.
     pub total: TimeStatistics,
-    /// How long cycles that were begun for a timer began after its time.
+    /// The delay of cycles after the timers for which they began.
     pub lateness: TimeStatistics,
-    /// What measuring itself has cost, in nanoseconds.
+    /// The cost of measuring, in nanoseconds.
     pub measuring_ns: u64,
 }
 
-/// Whether a module runs, and if not, why.
+/// The state of a module, with the reason if it does not run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum ModuleState {
@@ -91,16 +91,16 @@ pub enum ModuleState {
     Unconfigured,
     /// Configured, not active.
     Inactive,
-    /// Runs.
+    /// Running.
     #[default]
     Active,
-    /// Held by a request to pause it.
+    /// Paused by a request.
     Paused,
-    /// It panicked and waits for the time at which it is started again.
+    /// Panicked, and waiting for its restart.
     Restarting,
-    /// It panicked and stays stopped.
+    /// Panicked, and stays stopped.
     Failed,
-    /// At its end.
+    /// Ended by a shutdown.
     Finalized,
 }
 
@@ -118,49 +118,50 @@ impl std::fmt::Display for ModuleState {
     }
 }
 
-/// What a module has done.
+/// The counters of a module.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ModuleStatistics {
     /// The name.
     pub name: String,
-    /// Whether it runs.
+    /// The state of the module.
     pub state: ModuleState,
-    /// True if it runs on a thread and at a pace of its own.
+    /// True if the module runs on a separate thread.
     pub is_detached: bool,
-    /// How often it ran.
+    /// The number of runs.
     pub runs: u64,
-    /// Messages it was given.
+    /// Messages received.
     pub received: u64,
-    /// Messages it published.
+    /// Messages published.
     pub published: u64,
-    /// Runs that took longer than its deadline.
+    /// Runs that exceeded the deadline.
     pub overruns: u64,
-    /// How often it panicked.
+    /// The number of panics.
     pub panics: u64,
-    /// How often it was started again after a panic.
+    /// The number of restarts after a panic.
     pub restarts: u64,
-    /// Messages that wait for it now, where it is detached.
+    /// Messages in the inbox of a detached module.
     pub inbox: u64,
-    /// Messages that its bounded inbox dropped.
+    /// Messages dropped from a bounded inbox.
     pub dropped: u64,
-    /// How much time its runs spent on a processor, where it is detached and the system tells: the rest of the time of its runs
-    /// it waited, for a device for example.
+    /// Processor time of the runs, in nanoseconds; only for a detached module, and if the system reports it.
+    /// The module spent the rest of its runs' time waiting, for example for a device.
     #[cfg_attr(feature = "serde", serde(default))]
     pub processor_ns: Option<u64>,
-    /// How long its measured runs took.
+    /// Durations of the measured runs.
     pub run_time: TimeStatistics,
 }
 
 impl ModuleStatistics {
-    /// How long all its runs took together, in nanoseconds: the measured ones, and the same mean for the others.
+    /// The estimated total duration of all runs in nanoseconds: unmeasured runs count with the mean of the
+    /// measured ones.
     #[must_use]
     pub fn busy_ns(&self) -> f64 {
         self.run_time.mean_ns() * self.runs as f64
     }
 }
 
-/// What a topic has carried.
+/// The counters of a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct TopicStatistics {
@@ -168,35 +169,35 @@ pub struct TopicStatistics {
     pub name: String,
     /// The Rust path of the message type.
     pub message_type: String,
-    /// How many modules and outlets subscribe to it.
+    /// The number of modules and outlets that subscribe to the topic.
     pub subscribers: u64,
-    /// Messages it has carried.
+    /// Messages carried.
     pub messages: u64,
-    /// Messages that bounded queues of inlets, outlets and detached modules dropped before they were delivered.
+    /// Messages dropped by bounded queues of inlets, outlets and detached modules before delivery.
     pub dropped: u64,
-    /// The cycles in which it carried messages.
+    /// The number of cycles in which the topic carried messages.
     pub batches: u64,
-    /// Messages of the last cycle in which there were any.
+    /// The number of messages in the last such cycle.
     pub last_batch: u64,
-    /// The most messages of one cycle.
+    /// The largest number of messages in one cycle.
     pub largest_batch: u64,
-    /// The core's time when it last carried a message, in nanoseconds; nothing if it never did.
+    /// The core's time of the last message in nanoseconds; `None` if there was none.
     pub last_time_ns: Option<i64>,
 }
 
-/// What the outlets of one inbox have taken.
+/// The counters of the outlets of one inbox.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct OutletStatistics {
-    /// The name of the inbox; that of the topic where an outlet has an inbox of its own.
+    /// The name of the inbox; the name of the topic if the inbox belongs to a single outlet.
     pub name: String,
-    /// How many topics are taken from.
+    /// The number of topics.
     pub topics: u64,
-    /// Messages that sinks took.
+    /// Messages that the sinks received.
     pub received: u64,
-    /// Messages that wait now.
+    /// Messages that wait in the inbox.
     pub inbox: u64,
-    /// Messages that the bounded inbox dropped.
+    /// Messages dropped from a bounded inbox.
     pub dropped: u64,
     /// Sinks that panicked.
     pub failed: u64,

@@ -1,19 +1,19 @@
-//! The time a module's run took, taken where it ran.
+//! The time of a module's run, measured where it runs.
 
 use std::thread::Thread;
 use std::time::{Duration, Instant};
 
 use tracing::level_filters::LevelFilter;
 
-/// What is taken down in a cycle.
+/// The level of detail measured in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Measuring {
-    /// Nothing: no clock is read.
+    /// Nothing: the clock is not read.
     #[default]
     Nothing,
-    /// When each run began and ended.
+    /// The begin and end of each run.
     Times,
-    /// That, and on which thread.
+    /// As `Times`, with the thread of each run.
     Trace,
 }
 
@@ -24,7 +24,7 @@ impl Measuring {
     }
 }
 
-/// Whether anybody listens to `tracing` spans of the cycle and its runs. To make and drop one that nobody listens to
+/// Whether a subscriber receives `tracing` spans of cycles and runs. Creating and dropping an unused span
 /// takes as long as a small module's run.
 #[inline]
 pub(crate) fn spans_are_on() -> bool {
@@ -36,9 +36,9 @@ pub(crate) fn spans_are_on() -> bool {
 pub(crate) struct Span {
     pub(crate) begin: Instant,
     pub(crate) end: Instant,
-    /// Where it ran, in a traced cycle.
+    /// The thread of the run, in a traced cycle.
     pub(crate) thread: Option<Thread>,
-    /// How much of it the thread spent on a processor, if that is known: a detached module may wait in its runs.
+    /// The processor time of the run, if known; a detached module may wait in its runs.
     pub(crate) processor: Option<Duration>,
 }
 
@@ -49,8 +49,8 @@ impl Span {
     }
 }
 
-/// Takes the times of runs that follow each other on one thread. The end of one is the beginning of the next, so
-/// each run costs one reading of the clock, and nothing where nothing is measured.
+/// Measures consecutive runs on one thread. The end of one run is the beginning of the next, so that each run
+/// costs one reading of the clock; nothing is read if nothing is measured.
 pub(crate) struct Stopwatch {
     last: Option<Instant>,
     thread: Option<Thread>,

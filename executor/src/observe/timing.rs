@@ -1,4 +1,4 @@
-//! How long cycles take and how regular loops are, for threads that look at a core without waking it.
+//! Durations of cycles and regularity of loops, readable by other threads without waking the core.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -10,30 +10,31 @@ use super::histogram::TimeHistogram;
 use crate::Time;
 use crate::threads::unpoisoned;
 
-/// How long the cycles of a core take and how regular its detached modules are, see
+/// The durations of a core's cycles and the regularity of its detached modules, see
 /// [`CoreHandle::timing`](crate::CoreHandle::timing).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Timing {
-    /// How many cycles there have been.
+    /// The number of cycles so far.
     pub cycles: u64,
-    /// Process and sync phase together, of the cycles that were measured.
+    /// Durations of the measured cycles, with process and sync phase together.
     pub cycle: TimeStatistics,
-    /// The detached modules that run by a timer, by name.
+    /// The detached modules that run at due times, by name.
     pub loops: Vec<LoopTiming>,
 }
 
-/// The runs of a detached module for which a time was due.
+/// The runs of a detached module at due times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LoopTiming {
     /// The module's name.
     pub module: String,
-    /// From one to the next.
+    /// Intervals between consecutive runs.
     pub period: TimeStatistics,
-    /// How long they took.
+    /// Durations of the runs.
     pub busy: TimeStatistics,
 }
 
-/// A [`Timing`] in the making. Its lock is taken in measured cycles only, and for runs of detached modules.
+/// The shared data of a [`Timing`]. Its lock is taken only in measured cycles and for runs of detached
+/// modules.
 pub(crate) struct SharedTiming {
     cycles: AtomicU64,
     measured: Mutex<Measured>,
@@ -61,7 +62,7 @@ impl SharedTiming {
         self.cycles.store(cycles, Ordering::Relaxed);
     }
 
-    /// A cycle was measured.
+    /// Records a measured cycle.
     pub(crate) fn cycle_took(&self, time: Duration) {
         unpoisoned(self.measured.lock()).cycle.record(time);
     }
@@ -70,7 +71,7 @@ impl SharedTiming {
         unpoisoned(self.measured.lock()).cycle.statistics()
     }
 
-    /// A detached module ran at `time`, which was due.
+    /// Records a run of a detached module at the due time `time`.
     pub(crate) fn looped(&self, module: &str, time: Time, busy: Duration) {
         let loops = &mut unpoisoned(self.measured.lock()).loops;
         match loops.get_mut(module) {

@@ -1,4 +1,4 @@
-//! A trace of a few cycles: which module ran when and on which thread.
+//! Traces of a few cycles: which module ran when and on which thread.
 
 use std::cmp::Reverse;
 use std::fmt;
@@ -11,12 +11,12 @@ use super::Span;
 use super::histogram::nanoseconds;
 use super::markup::json_string;
 
-/// More events than this are not kept: a viewer could hardly show them.
+/// The limit of events, beyond which viewers become unusable.
 const MOST_EVENTS: usize = 250_000;
 
-/// What ran in a few cycles, on which thread, from when to when.
+/// The runs and phases of a few cycles, with their threads and times.
 ///
-/// [`write_chrome_json`](Self::write_chrome_json) makes of it a file for <https://ui.perfetto.dev> or
+/// [`write_chrome_json`](Self::write_chrome_json) writes it in a format for <https://ui.perfetto.dev> or
 /// `chrome://tracing`.
 pub struct CycleTrace {
     origin: Instant,
@@ -24,31 +24,31 @@ pub struct CycleTrace {
     events: Vec<TraceEvent>,
 }
 
-/// Something that took time.
+/// A run or a phase of a cycle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct TraceEvent {
-    /// What it was.
+    /// The kind of the event.
     pub kind: TraceEventKind,
-    /// The module that ran; nothing for a phase of the cycle.
+    /// The module that ran; `None` for a phase of the cycle.
     #[cfg_attr(feature = "serde", serde(serialize_with = "optional_text"))]
     pub module: Option<Arc<str>>,
-    /// Where: an index of [`CycleTrace::threads`].
+    /// The thread, as an index of [`CycleTrace::threads`].
     pub thread: usize,
-    /// The cycle in which it ran, or, for a step, in which its outputs joined.
+    /// The cycle of the run, or, for a step, the cycle in which its messages were sent.
     pub cycle: u64,
-    /// When it began, in nanoseconds since the core's start.
+    /// The begin in nanoseconds since the core's start.
     pub begin_ns: u64,
-    /// When it ended, in nanoseconds since the core's start.
+    /// The end in nanoseconds since the core's start.
     pub end_ns: u64,
-    /// Why the module ran; empty for a phase of the cycle.
+    /// The reasons of the run; empty for a phase of the cycle.
     pub causes: Vec<TraceCause>,
 }
 
-/// Why a module ran.
+/// The reason of a module's run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TraceCause {
-    /// It was its first run.
+    /// The first run of the module.
     Start,
     /// Messages of this topic.
     Messages(Arc<str>),
@@ -56,13 +56,13 @@ pub enum TraceCause {
     Time,
     /// A request to one of its services.
     Request,
-    /// A response to a call of its own.
+    /// A response to a call of the module.
     Response,
     /// A setting changed.
     Setting,
     /// The result of a job.
     Result,
-    /// It runs in every cycle, made a transition, or was paused until then.
+    /// A run in every cycle, a transition, or the end of a pause.
     Woken,
 }
 
@@ -88,13 +88,13 @@ fn optional_text<S: serde::Serializer>(text: &Option<Arc<str>>, serializer: S) -
 
 #[cfg(feature = "serde")]
 impl serde::Serialize for TraceCause {
-    /// As its text.
+    /// Serialises the cause as its text.
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
     }
 }
 
-/// What an event of a trace is.
+/// The kind of an event in a trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
 pub enum TraceEventKind {
@@ -160,14 +160,14 @@ impl CycleTrace {
         self.events.len() >= MOST_EVENTS
     }
 
-    /// Puts the events in the order of time, what contains others before them.
+    /// Sorts the events by time, with enclosing events before the enclosed ones.
     pub(crate) fn finish(mut self) -> Self {
         let is_part = |event: &TraceEvent| event.module.is_some();
         self.events.sort_by_key(|event| (event.begin_ns, Reverse(event.end_ns), is_part(event)));
         self
     }
 
-    /// The events in the order in which they began.
+    /// The events, sorted by their begin.
     #[must_use]
     pub fn events(&self) -> &[TraceEvent] {
         &self.events
@@ -178,12 +178,12 @@ impl CycleTrace {
         self.threads.iter().map(|(_, name)| name.as_str())
     }
 
-    /// Writes the trace in the Trace Event Format of Chrome, which Perfetto and `chrome://tracing` open: one complete
-    /// event ("ph": "X") for each of [`events`](Self::events), with times in microseconds, and the names of the threads
-    /// as metadata events ("ph": "M"). There is no line break in it.
+    /// Writes the trace in the Trace Event Format of Chrome, which Perfetto and `chrome://tracing` open: one
+    /// complete event ("ph": "X") for each of [`events`](Self::events), with times in microseconds, and the
+    /// names of the threads as metadata events ("ph": "M"). The output contains no line break.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// Errors of `out`.
     ///
     /// # References
     /// "Trace Event Format", the document of the Catapult project.

@@ -1,4 +1,4 @@
-//! Systems on which threads cannot be scheduled as asked.
+//! Systems without support for CPU affinity and priorities.
 
 use std::time::Duration;
 

@@ -1,8 +1,8 @@
-//! The meeting of the core's thread with its workers, cycle after cycle.
+//! Synchronises the core's thread with its workers in each cycle.
 //!
-//! The core's thread gives work to the *seats* of workers and waits at the *gate* until all have arrived. Each
-//! side looks for the other a short while and then parks; each is unparked by what it waits for, and by nothing
-//! else. A seat's state alone says who may touch its work, so its lock is never contended:
+//! The core's thread gives work to the *seats* of workers and waits at the *gate* until all workers have
+//! arrived. Each side polls for a short while and then parks, and is unparked only by the event for which it
+//! waits. The state of a seat alone decides which thread may access its work, so its lock is never contended:
 //!
 //! ```text
 //!            give                  serve
@@ -12,33 +12,33 @@
 //!    └──► Parked ──────────┘ give, which unparks
 //! ```
 //!
-//! `tests/gate_model.rs` runs this file through all interleavings of a few cycles.
+//! `tests/gate_model.rs` checks this file under all interleavings of a few cycles.
 
 use crossbeam::utils::CachePadded;
 
 use super::sync::{Arc, AtomicU32, AtomicUsize, Mutex, Ordering, Thread, current, park, unpoisoned};
 
-/// How long a thread looks for what it waits for before it parks.
+/// How long a thread polls before it parks.
 pub(crate) trait Patience {
-    /// A wait begins.
+    /// Called when a wait begins.
     fn begin(&mut self);
-    /// Called after each look in vain; false if it is time to park.
+    /// Called after each unsuccessful poll; false if the thread should park.
     fn lasts(&mut self) -> bool;
-    /// What it waited for has come.
+    /// Called when the wait has ended.
     fn end(&mut self);
 }
 
-/// Counts who has still to arrive.
+/// Counts the workers that have yet to arrive.
 #[derive(Debug)]
 pub(crate) struct Gate {
-    /// How many are on their way, and [`WAITING`] if the core's thread is about to park.
+    /// The number of workers that have not arrived, plus [`WAITING`] if the core's thread is about to park.
     missing: CachePadded<AtomicUsize>,
     waiter: Mutex<Option<Thread>>,
 }
 
 const WAITING: usize = 1 << (usize::BITS - 1);
 
-/// The place where one worker gets its work.
+/// The place where one worker receives its work.
 #[derive(Debug)]
 pub(crate) struct Seat<T> {
     place: CachePadded<Place<T>>,
@@ -51,15 +51,15 @@ struct Place<T> {
     work: Mutex<Option<T>>,
 }
 
-/// The worker looks for work.
+/// The worker polls for work.
 const IDLE: u32 = 0;
-/// The worker sleeps, or is about to.
+/// The worker is parked, or about to park.
 const PARKED: u32 = 1;
-/// There is work that the worker has not taken.
+/// Work is available, and the worker has not taken it.
 const READY: u32 = 2;
-/// The worker works.
+/// The worker is running its work.
 const BUSY: u32 = 3;
-/// The worker has ended, or has to.
+/// The worker has ended, or must end.
 const CLOSED: u32 = 4;
 
 impl Gate {
@@ -67,15 +67,16 @@ impl Gate {
         Self { missing: CachePadded::new(AtomicUsize::new(0)), waiter: Mutex::new(None) }
     }
 
-    /// From now on so many have to arrive. Called when nobody is on the way.
+    /// Sets the number of workers that must arrive. Called while none is outstanding.
     pub(crate) fn expect(&self, count: usize) {
         self.missing.store(count, Ordering::Relaxed);
     }
 
-    /// One that was expected is there.
+    /// Reports the arrival of one worker.
     pub(crate) fn arrive(&self) {
         if self.missing.fetch_sub(1, Ordering::AcqRel) == WAITING | 1 {
-            // Left in its place: this may already be the wait of a later cycle, whose last one needs it.
+            // The waiter stays in its place: this may already be the wait of a later cycle, whose last
+            // arrival needs it.
             let waiter = unpoisoned(self.waiter.lock()).clone();
             if let Some(waiter) = waiter {
                 waiter.unpark();
@@ -83,7 +84,7 @@ impl Gate {
         }
     }
 
-    /// Waits until all expected ones are there. What they did before is visible afterwards.
+    /// Waits until all expected workers have arrived. Their writes are visible afterwards.
     pub(crate) fn wait(&self, patience: &mut impl Patience) {
         if self.missing.load(Ordering::Acquire) == 0 {
             return;
@@ -116,16 +117,16 @@ impl<T> Seat<T> {
         Self { place: CachePadded::new(place), gate }
     }
 
-    /// Gives work to the worker, which runs on `thread`. Called when it has none.
+    /// Gives work to the worker, which runs on `thread`. Called only if the worker has none.
     ///
     /// # Errors
-    /// The work, if the worker has ended.
+    /// Returns the work if the worker has ended.
     pub(crate) fn give(&self, work: T, thread: &Thread) -> Result<(), T> {
         self.put(Some(work));
         if self.change(IDLE, READY) {
             return Ok(());
         }
-        // Between cycles the worker may have parked meanwhile, or ended; nothing else.
+        // Between cycles, the worker can only have parked or ended.
         if self.change(PARKED, READY) {
             thread.unpark();
             return Ok(());
@@ -133,19 +134,19 @@ impl<T> Seat<T> {
         self.put(None).map_or(Ok(()), Err)
     }
 
-    /// Takes back what the worker has not begun. The worker will not arrive for it.
+    /// Takes back work that the worker has not begun. The worker will not arrive for it.
     pub(crate) fn take_back(&self) -> Option<T> {
         self.change(READY, IDLE).then(|| self.put(None)).flatten()
     }
 
-    /// Ends the worker, which runs on `thread`, when it is done with what it has begun.
+    /// Ends the worker, which runs on `thread`, after its current work.
     pub(crate) fn close(&self, thread: &Thread) {
         self.place.state.swap(CLOSED, Ordering::AcqRel);
         thread.unpark();
     }
 
-    /// The worker's life: runs what it is given until the seat is closed. Arrives at the gate after each run, when
-    /// `run` has returned and has dropped the work.
+    /// The loop of the worker: runs its work until the seat is closed. Arrives at the gate after each run,
+    /// when `run` has returned and dropped the work.
     pub(crate) fn serve(&self, patience: &mut impl Patience, mut run: impl FnMut(T)) {
         while self.is_taken(patience) {
             let arrival = Arrival(self);
@@ -174,7 +175,8 @@ impl<T> Seat<T> {
                         while self.place.state.load(Ordering::Acquire) == PARKED {
                             park();
                         }
-                        // Woken by work, even if that has been taken back: more may follow soon.
+                        // The worker was woken by work, even if that has been taken back; more work may
+                        // follow soon.
                         patience.end();
                         patience.begin();
                     }
@@ -192,7 +194,7 @@ impl<T> Seat<T> {
     }
 }
 
-/// Arrives whatever happens, so that a panic of a worker holds up nobody.
+/// Arrives at the gate when dropped, so that a panic of a worker does not block the core's thread.
 struct Arrival<'a, T>(&'a Seat<T>);
 
 impl<T> Drop for Arrival<'_, T> {

@@ -1,19 +1,19 @@
-//! Running code of users so that its panics stay where they are.
+//! Runs user code and catches its panics.
 
 use std::any::Any;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{LockResult, PoisonError};
 
-/// What a lock protects, even if a thread panicked while it held the lock: panics of users' code are caught before
-/// they reach one, so what is behind it is whole.
+/// Locks, and ignores poisoning: panics of user code are caught before they reach a lock, so the protected
+/// data are consistent.
 #[inline]
 pub(crate) fn unpoisoned<T>(locked: LockResult<T>) -> T {
     locked.unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Runs what drops messages of a user's type. A panic in it is logged, and nothing else stops.
-/// Returns false if there was one.
+/// Runs code that drops messages of a user's type. A panic in it is logged and caught; returns false in that
+/// case.
 pub(crate) fn drop_guarded(what: &str, run: impl FnOnce()) -> bool {
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(()) => true,
@@ -29,18 +29,18 @@ fn log_panic(what: &str, panic: Box<dyn Any + Send>) {
     tracing::error!("{what} panicked while it was dropped: {}", end_of(panic));
 }
 
-/// What a panic said, which ends here: what it carried may panic in its drop.
+/// Ends a panic and returns its message. The drop of the panic's payload is guarded too.
 pub(crate) fn end_of(panic: Box<dyn Any + Send>) -> String {
     let said = reason(&*panic).to_owned();
     if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(panic))) {
-        tracing::error!("what a panic carried panicked while it was dropped: {}", reason(&*another));
-        // There may be no end to it.
+        tracing::error!("the payload of a panic panicked while it was dropped: {}", reason(&*another));
+        // Leaked, because its drop could panic again, without end.
         std::mem::forget(another);
     }
     said
 }
 
-/// What a panic said, in full.
+/// The full message of a panic.
 pub(crate) fn reason(panic: &(dyn Any + Send)) -> &str {
     match panic.downcast_ref::<Failure>() {
         Some(Failure { report: Some(report), .. }) => report,
@@ -48,7 +48,7 @@ pub(crate) fn reason(panic: &(dyn Any + Send)) -> &str {
     }
 }
 
-/// What a panic said, without the report that a [`Failure`] has.
+/// The message of a panic, without the report of a [`Failure`].
 pub(crate) fn sentence(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
     let text = text.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
@@ -56,17 +56,18 @@ pub(crate) fn sentence(panic: &(dyn Any + Send)) -> &str {
     text.unwrap_or("no reason given")
 }
 
-/// Why a module ends, as what a panic carries, for a module that has more to report than a sentence: the traceback of an exception.
+/// The reason for which a module ends, as the payload of a panic; for modules that have more than a sentence
+/// to report, such as the traceback of an exception.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
-    /// In a sentence. Clients receive it whose requests have no answer because of it.
+    /// The reason in one sentence, which waiting clients of the module receive.
     pub reason: String,
-    /// In full, for the log. `None`: there is no more than the sentence.
+    /// The full report for the log; `None` if there is only the sentence.
     pub report: Option<String>,
 }
 
 impl Failure {
-    /// The report, or the sentence if that is all.
+    /// The report, or the sentence if there is no report.
     #[must_use]
     pub fn into_report(self) -> String {
         self.report.unwrap_or(self.reason)

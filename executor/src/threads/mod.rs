@@ -1,4 +1,4 @@
-//! Threads: where they run, how they wait for each other, and what they may take.
+//! Threads: CPUs, priorities, synchronisation and deadlines.
 
 pub(crate) mod gate;
 mod guard;

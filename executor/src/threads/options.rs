@@ -1,4 +1,4 @@
-//! On which CPUs and at which priority threads run.
+//! CPU affinity and priority of threads.
 
 use std::cell::Cell;
 use std::sync::mpsc::channel;
@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use super::system::{self, Scheduling};
 use crate::Spin;
 
-/// Where and how a thread runs: of a launcher, of a detached module, or the core's own.
+/// The CPUs and the priority of a thread: of a launcher, of a detached module, or of the core.
 ///
 /// ```
 /// use downbeat_executor::{Pool, ThreadOptions};
@@ -18,52 +18,52 @@ use crate::Spin;
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ThreadOptions {
-    /// The numbers of the CPUs on which the thread may run, from 0. Empty: wherever the program may.
+    /// The numbers of the CPUs on which the thread may run, from 0. Empty: all CPUs of the program.
     pub cpus: Vec<usize>,
-    /// From 1 to 99: the thread is scheduled with `SCHED_FIFO` at this priority and yields to no thread of a lower
-    /// one. None: as the program is, `SCHED_OTHER` as a rule.
+    /// 1 to 99: the thread is scheduled with `SCHED_FIFO` at this priority, and no thread of a lower priority
+    /// preempts it. `None`: the scheduling of the program, usually `SCHED_OTHER`.
     pub fifo_priority: Option<u8>,
-    /// What a launcher's thread does between cycles. Without meaning for the thread of a detached module.
+    /// The behaviour of a launcher's thread between cycles. Ignored for the thread of a detached module.
     pub spin: Spin,
-    /// What the names of a launcher's threads begin with. Empty: the launcher's own, "pool" or "module". Linux
-    /// shows the first 15 bytes of a name.
+    /// The prefix of the names of a launcher's threads. Empty: the default of the launcher, "pool" or
+    /// "module". Linux shows the first 15 bytes of a name.
     pub name_prefix: String,
 }
 
-/// Why a thread cannot run as asked.
+/// Errors of starting a thread with options.
 #[derive(Debug, thiserror::Error)]
 pub enum ThreadError {
-    /// The system gave no thread.
+    /// The system refused the thread.
     #[error(
         "cannot start the thread \"{thread}\": {source}; run fewer threads or raise the limit (ulimit -u)"
     )]
     Start {
         /// The thread's name.
         thread: String,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// A CPU that is not there, or not for this program.
+    /// The CPU does not exist, or is not available to this program.
     #[error("cannot run the thread \"{thread}\" on CPU {cpu}: this program can use the CPUs {usable}")]
     NoSuchCpu {
         /// The thread's name.
         thread: String,
-        /// The CPU asked for.
+        /// The requested CPU.
         cpu: usize,
-        /// Those there are, as in "0-3,6".
+        /// The available CPUs, in the form "0-3,6".
         usable: String,
     },
-    /// Other trouble with the CPUs.
+    /// Another error of CPU affinity.
     #[error("cannot run the thread \"{thread}\" on the CPUs {cpus}: {source}")]
     Cpus {
         /// The thread's name.
         thread: String,
-        /// The CPUs asked for, as in "0-3,6".
+        /// The requested CPUs, in the form "0-3,6".
         cpus: String,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// A priority out of range.
+    /// The priority is out of range.
     #[error(
         "cannot give the thread \"{thread}\" the SCHED_FIFO priority {priority}: priorities go from 1, the lowest, \
          to 99"
@@ -71,10 +71,10 @@ pub enum ThreadError {
     PriorityOutOfRange {
         /// The thread's name.
         thread: String,
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
     },
-    /// The user may not use this priority.
+    /// The user has no permission for this priority.
     #[error(
         "the system does not allow the SCHED_FIFO priority {priority} for the thread \"{thread}\": {source}; \
          allow it with the line \"{user} - rtprio {priority}\" in /etc/security/limits.conf and log in again, or \
@@ -83,26 +83,26 @@ pub enum ThreadError {
     PriorityNotAllowed {
         /// The thread's name.
         thread: String,
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
-        /// Who may not.
+        /// The user name.
         user: String,
-        /// The program that runs.
+        /// The path of the running program.
         program: String,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// Other trouble with the priority.
+    /// Another error of the priority.
     #[error("cannot give the thread \"{thread}\" the SCHED_FIFO priority {priority}: {source}")]
     Priority {
         /// The thread's name.
         thread: String,
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// A launcher's threads that never park, at a priority above that of the thread that gives them work.
+    /// The launcher's threads would never park, at a priority above that of the thread that gives them work.
     #[error(
         "the thread \"{thread}\" cannot spin always at the SCHED_FIFO priority {priority}: it would take its CPU from \
          the core; let it spin for a time, or leave the priority out"
@@ -110,10 +110,10 @@ pub enum ThreadError {
     SpinsAtPriority {
         /// The thread's name.
         thread: String,
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
     },
-    /// Only Linux is supported.
+    /// The operation is supported only on Linux.
     #[error(
         "cannot set the {what} of the thread \"{thread}\": not supported on this system, {system}, only on linux"
     )]
@@ -128,16 +128,16 @@ pub enum ThreadError {
 }
 
 thread_local! {
-    /// How this thread was scheduled before options were applied to it. Threads that it starts inherit what the
-    /// options made of it, and begin by undoing that.
+    /// The scheduling of this thread before options were applied to it. Threads started by it inherit the
+    /// changed scheduling, and first restore this one.
     static BEFORE: Cell<Option<Scheduling>> = const { Cell::new(None) };
 }
 
 impl ThreadOptions {
-    /// Makes the calling thread run as the options say, whatever options were applied to it before.
+    /// Applies the options to the calling thread, in place of options applied before.
     ///
     /// # Errors
-    /// If the system does not allow it, or not at all; what was changed before that is undone.
+    /// If the system refuses or does not support the options; changes made until then are undone.
     pub fn apply(&self) -> Result<(), ThreadError> {
         let name = std::thread::current().name().unwrap_or("without a name").to_owned();
         if let Some(before) = BEFORE.take() {
@@ -155,10 +155,11 @@ impl ThreadOptions {
         applied
     }
 
-    /// Starts a thread that runs as the options say. It inherits nothing that options made of the calling thread.
+    /// Starts a thread with these options. It does not inherit options that were applied to the calling
+    /// thread.
     ///
     /// # Errors
-    /// If the system gives no thread, or does not allow what the options say; then `life` does not run.
+    /// If the system refuses the thread or its options; `life` then does not run.
     pub fn spawn(
         &self,
         name: impl Into<String>,
@@ -170,7 +171,7 @@ impl ThreadOptions {
             BEFORE.set(inherited);
             let applied = options.apply();
             let is_applied = applied.is_ok();
-            // The other side waits for it.
+            // The spawning thread waits for this report.
             let _ = report.send(applied);
             if is_applied {
                 life();
@@ -189,13 +190,13 @@ impl ThreadOptions {
         }
     }
 
-    /// Finds out in a thread of its own whether the system allows the options.
+    /// Checks, in a temporary thread, whether the system allows the options.
     pub(crate) fn check(&self, name: &str) -> Result<(), ThreadError> {
         let _ = self.spawn(name, || {})?.join();
         Ok(())
     }
 
-    /// The prefix of the names, or the launcher's own.
+    /// The prefix of the names, or the launcher's default.
     pub(crate) fn prefix<'a>(&'a self, default: &'a str) -> &'a str {
         if self.name_prefix.is_empty() { default } else { &self.name_prefix }
     }

@@ -1,4 +1,4 @@
-//! Answers of the core to requests of other threads.
+//! Receipts: answers of the core to requests of other threads.
 
 use std::any::Any;
 use std::fmt;
@@ -12,8 +12,8 @@ use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 
 use super::guard::unpoisoned;
 
-/// The answer to a request that the next sync phase applies. It is also a future of the answer, which is `None` if the core ends
-/// first. Whoever does not need the answer may drop it.
+/// The answer to a request that the next sync phase applies. It is also a future of the answer, which is
+/// `None` if the core ends first. It may be dropped if the answer is not needed.
 ///
 /// ```
 /// use std::time::Duration;
@@ -39,20 +39,20 @@ pub struct Receipt<T> {
     of: PhantomData<fn() -> T>,
 }
 
-/// Who is polling the receipt.
+/// The waker of the task that polls the receipt.
 type Waiting = Arc<Mutex<Option<Waker>>>;
 
-/// Without its type: a channel is much code, and there are answers of as many types as there are messages.
+/// The answer with its type erased, so that the channel is compiled once and not for each message type.
 type Answer = Box<dyn Any + Send>;
 
 impl<T: 'static> Receipt<T> {
-    /// Waits for the answer, at most for `timeout`; nothing if none came, because the time was up or the core ended.
+    /// Waits for the answer, for at most `timeout`. Returns `None` if the time is up or the core has ended.
     #[must_use]
     pub fn wait(&self, timeout: Duration) -> Option<T> {
         typed(self.answer.recv_timeout(timeout).ok())
     }
 
-    /// The answer if it is there; nothing if not, or if it was taken before.
+    /// The answer if it has come; `None` before that, and after it was taken.
     #[must_use]
     pub fn try_take(&self) -> Option<T> {
         typed(self.answer.try_recv().ok())
@@ -63,7 +63,7 @@ impl<T: 'static> Future for Receipt<T> {
     type Output = Option<T>;
 
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<T>> {
-        // Locked before the look: an answer after the look finds the waker.
+        // Locked before the check: an answer sent after the check finds the waker.
         let mut waiting = unpoisoned(self.waiting.lock());
         match self.answer.try_recv() {
             Ok(answer) => Poll::Ready(typed(Some(answer))),
@@ -84,7 +84,7 @@ impl<T> fmt::Debug for Receipt<T> {
 
 /// The core's side of a [`Receipt`].
 pub(crate) struct ReceiptSender<T> {
-    /// `None` when it was sent or dropped.
+    /// `None` once the answer was sent or dropped.
     answer: Option<Sender<Answer>>,
     waiting: Waiting,
     of: PhantomData<fn(T)>,
@@ -115,6 +115,6 @@ pub(crate) fn receipt<T>() -> (ReceiptSender<T>, Receipt<T>) {
 }
 
 fn typed<T: 'static>(answer: Option<Answer>) -> Option<T> {
-    // What comes is of the type of the sender, which was made with the receipt.
+    // The type matches that of the sender, which was made together with the receipt.
     answer?.downcast().ok().map(|answer| *answer)
 }

@@ -1,26 +1,26 @@
-//! How long the threads of a launcher look for work before they park.
+//! Spinning: how long the threads of a launcher poll for work before they park.
 
 use std::time::{Duration, Instant};
 
 use super::gate::Patience;
 
-/// What a thread of a launcher does between cycles, and the core's thread while others still work.
+/// The behaviour of a launcher's thread between cycles, and of the core's thread while it waits for others.
 ///
-/// A thread that spins answers within a fraction of a microsecond and keeps a CPU busy; one that is parked costs
-/// nothing and takes the system some microseconds to wake.
+/// A spinning thread reacts within a fraction of a microsecond and keeps a CPU busy. A parked thread costs
+/// nothing, but waking it takes the system some microseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Spin {
-    /// As suits the launcher: the threads of a [`Pool`](crate::Pool) spin for 20 µs if each can have a CPU of its
-    /// own; those of [`Threads`](crate::Threads) park at once.
+    /// The default of the launcher: the threads of a [`Pool`](crate::Pool) spin for 20 µs if there is a CPU
+    /// for each; the threads of [`Threads`](crate::Threads) park at once.
     #[default]
     Auto,
     /// Parks at once.
     Never,
-    /// Spins for this time and then parks. After a wait that was much longer it parks at once, until work
-    /// comes quickly again: a robot that runs every 8 ms is not kept busy in between.
+    /// Spins for this time and then parks. After a much longer wait, the thread parks at once until work
+    /// arrives quickly again, so that a robot with a period of 8 ms does not spin in between.
     For(Duration),
-    /// Never parks: the lowest latency, for the price of a whole CPU per thread. With fewer CPUs than threads it
-    /// would be the highest; a pool refuses that.
+    /// Never parks: the lowest latency, at the cost of a whole CPU per thread. With fewer CPUs than threads
+    /// the latency would be the highest, so a pool refuses that.
     Always,
 }
 
@@ -30,7 +30,7 @@ impl Spin {
     }
 }
 
-/// The waits of one thread.
+/// The state of one thread's waits.
 #[derive(Debug)]
 pub(crate) struct Spinner {
     spin: Spin,
@@ -43,7 +43,7 @@ pub(crate) struct Spinner {
 /// Reading the clock costs as much as several looks.
 const LOOKS_PER_READING: u32 = 16;
 
-/// A wait that ended in the system's sleep seems longer than it had to be, by about this.
+/// The approximate time by which a wait appears longer if the thread slept.
 const TIME_TO_WAKE: Duration = Duration::from_micros(50);
 
 impl Spinner {

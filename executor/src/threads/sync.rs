@@ -1,4 +1,4 @@
-//! What the gate is built from. The model in `tests/gate_model.rs` replaces it.
+//! The primitives from which the gate is built. The model in `tests/gate_model.rs` replaces them.
 
 pub(super) use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 pub(super) use std::sync::{Arc, Mutex};

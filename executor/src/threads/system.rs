@@ -14,7 +14,7 @@ use thread_priority::{Error, ThreadPriority, ThreadPriorityValue};
 
 use crate::ThreadError;
 
-/// How a thread is scheduled, as far as it could be read.
+/// The scheduling of a thread, as far as it could be read.
 #[derive(Clone, Copy)]
 pub(super) struct Scheduling {
     cpus: Option<CpuSet>,
@@ -26,12 +26,12 @@ impl Scheduling {
     pub(super) fn of_this_thread() -> Self {
         let policy = thread_schedule_policy_param(thread_native_id()).ok();
         let policy = policy.map(|(policy, parameters)| (policy, ThreadPriority::from_posix(parameters)));
-        // Linux keeps the niceness per thread, and 0 stands for the calling one.
+        // On Linux, niceness is a property of the thread, and 0 denotes the calling thread.
         Self { cpus: sched_getaffinity(None).ok(), policy, niceness: getpriority_process(None).ok() }
     }
 
-    /// Gives the calling thread back what it had. That is no more than its program was started with, which the
-    /// system allows.
+    /// Restores the scheduling of the calling thread. It does not exceed the scheduling with which the
+    /// program was started, so the system allows it.
     pub(super) fn restore(self) {
         if let Some(cpus) = self.cpus {
             let _ = sched_setaffinity(None, &cpus);
@@ -41,8 +41,8 @@ impl Scheduling {
                 let _ = set_thread_priority_and_policy(thread_native_id(), priority, policy);
             }
             Some((policy @ ThreadSchedulePolicy::Normal(_), _)) => {
-                // Sets the policy, and then a niceness that is no exact value. From the least one, if the system
-                // grants it, every other can be reached; if it does not, the thread still has its own.
+                // This sets the policy together with an inexact niceness. From the lowest niceness, if the
+                // system grants it, every other one can be set; if it refuses, the thread keeps its niceness.
                 let _ = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Max, policy);
                 let _ = self.niceness.map(|niceness| setpriority_process(None, niceness));
             }
@@ -59,7 +59,7 @@ pub(crate) fn processor_time() -> Option<Duration> {
 pub(super) fn set_cpus(thread: &str, cpus: &[usize]) -> Result<(), ThreadError> {
     let mut set = CpuSet::new();
     cpus.iter().filter(|&&cpu| cpu < CpuSet::MAX_CPU).for_each(|&cpu| set.set(cpu));
-    // The system silently leaves out CPUs that the program cannot use, and refuses only if none is left.
+    // The system silently drops CPUs that the program cannot use, and fails only if none is left.
     let applied = sched_setaffinity(None, &set).and_then(|()| sched_getaffinity(None));
     let usable = match applied {
         Ok(set) => set,
@@ -101,7 +101,7 @@ fn os_error(error: Error) -> io::Error {
     }
 }
 
-/// Asks for all CPUs: the system leaves those that the program can use.
+/// The CPUs that the program can use; found by asking for all.
 fn usable_cpus() -> String {
     let mut all = CpuSet::new();
     (0..CpuSet::MAX_CPU).for_each(|cpu| all.set(cpu));
@@ -114,7 +114,7 @@ fn contains(set: &CpuSet, cpu: usize) -> bool {
     cpu < CpuSet::MAX_CPU && set.is_set(cpu)
 }
 
-/// As in "0-3,6".
+/// Formats CPU numbers as ranges, as in "0-3,6".
 fn ranges(cpus: impl Iterator<Item = usize>) -> String {
     let mut ranges: Vec<(usize, usize)> = Vec::new();
     for cpu in cpus {

@@ -1,4 +1,4 @@
-//! Deadlines: says what takes too long while it still does.
+//! Deadlines: reports runs and cycles that take too long, while they last.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -8,24 +8,24 @@ use std::time::{Duration, Instant};
 
 use crate::threads::{reason, unpoisoned};
 
-/// Something that takes longer than it may; see [`Core::on_overrun`](crate::Core::on_overrun).
+/// A run or cycle that exceeds its deadline; see [`Core::on_overrun`](crate::Core::on_overrun).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Overrun {
-    /// The module, or "the cycle".
+    /// The name of the module, or "the cycle".
     pub what: Arc<str>,
-    /// How long it may take.
+    /// The longest allowed duration.
     pub deadline: Duration,
-    /// How long it has taken so far.
+    /// The duration so far.
     pub running_for: Duration,
-    /// True if that is all it took.
+    /// True if the run has ended.
     pub has_ended: bool,
-    /// How often it has taken too long, this time included.
+    /// The number of overruns of this module or cycle, including this one.
     pub overruns: u64,
 }
 
 pub(crate) type Report = Arc<dyn Fn(&Overrun) + Send + Sync>;
 
-/// Says it in the log.
+/// Writes the overrun to the log.
 pub(crate) fn log(overrun: &Overrun) {
     let Overrun { what, deadline, running_for, has_ended, overruns } = overrun;
     if *has_ended {
@@ -38,11 +38,11 @@ pub(crate) fn log(overrun: &Overrun) {
     }
 }
 
-/// How long after a report of what still runs the next one comes, at first; doubled each time.
+/// The interval until the second report of a run that still lasts; it doubles with each report.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Looks after what has a deadline, on a thread of its own. It wakes once per shortest deadline while something
-/// runs, and not at all when nothing did for that long.
+/// Checks deadlines on a separate thread. The thread wakes once per shortest deadline while something runs,
+/// and sleeps when nothing has run for that long.
 pub(crate) struct Watchdog {
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -54,14 +54,14 @@ struct Shared {
     watched: Mutex<Vec<Weak<Watched>>>,
     sleeps: AtomicBool,
     is_over: AtomicBool,
-    /// Of the thread, once it is there.
+    /// The watchdog's thread, once it is started.
     thread: Mutex<Option<std::thread::Thread>>,
 }
 
 struct Watched {
     what: Arc<str>,
     deadline: Duration,
-    /// Nanoseconds since the base, plus one; 0 while it does not run.
+    /// Nanoseconds since the base, plus one; 0 while nothing runs.
     begun: AtomicU64,
     overruns: AtomicU64,
 }
@@ -83,8 +83,7 @@ impl Watchdog {
         *unpoisoned(self.shared.report.lock()) = report;
     }
 
-    /// Begins to look after something that must not take longer than `deadline`. Starts the thread where there is
-    /// none yet.
+    /// Watches something with a deadline. Starts the thread if it is not running.
     pub(crate) fn watch(&self, what: Arc<str>, deadline: Duration) -> std::io::Result<Watch> {
         let (begun, overruns) = (AtomicU64::new(0), AtomicU64::new(0));
         let watched = Arc::new(Watched { what, deadline, begun, overruns });
@@ -106,13 +105,13 @@ impl Drop for Watchdog {
         self.shared.is_over.store(true, Ordering::SeqCst);
         self.shared.wake();
         if let Some(thread) = unpoisoned(self.thread.lock()).take() {
-            // It catches the panics of reports, and has none of its own.
+            // The thread catches panics of reports, and does not panic otherwise.
             let _ = thread.join();
         }
     }
 }
 
-/// Something with a deadline.
+/// A watched run or cycle.
 pub(crate) struct Watch {
     shared: Arc<Shared>,
     watched: Arc<Watched>,
@@ -126,7 +125,7 @@ impl Watch {
         }
     }
 
-    /// True if it took too long.
+    /// Ends the measurement; true if the deadline was exceeded.
     pub(crate) fn end(&self) -> bool {
         let begun = self.watched.begun.swap(0, Ordering::SeqCst);
         let running_for = Duration::from_nanos((self.shared.now() + 1).saturating_sub(begun));
@@ -141,7 +140,7 @@ impl Watch {
     }
 }
 
-/// Repeated overruns are reported less and less often, unless they are long.
+/// Repeated overruns are reported at growing intervals, unless they are long.
 fn is_reported(overruns: u64, running_for: Duration) -> bool {
     overruns.is_power_of_two() || running_for >= PATIENCE
 }
@@ -170,9 +169,9 @@ impl Shared {
         }
     }
 
-    /// The life of the thread.
+    /// The loop of the thread.
     fn look_after(&self) {
-        // The run that was reported last: what ran, when it began, and when it is reported again.
+        // The runs that were reported last: what ran, when it began, and when it is reported again.
         let mut reported: Vec<(Weak<Watched>, u64, Duration)> = Vec::new();
         let mut was_idle = false;
         while !self.is_over.load(Ordering::SeqCst) {
@@ -225,10 +224,10 @@ impl Shared {
         look
     }
 
-    /// Waits until something begins to run.
+    /// Sleeps until a run begins.
     fn sleep(&self) {
         self.sleeps.store(true, Ordering::SeqCst);
-        // What began before it could know that this sleeps did not wake it.
+        // A run that began before the sleep flag was set sends no wake-up.
         let runs = |watched: &Weak<Watched>| {
             watched.upgrade().is_some_and(|watched| watched.begun.load(Ordering::SeqCst) != 0)
         };
@@ -243,7 +242,7 @@ impl Shared {
 struct Look {
     /// True if nothing runs.
     is_idle: bool,
-    /// When the next deadline can be over; nothing if there is none.
+    /// The time until the next deadline can pass; `None` if nothing runs.
     next: Option<Duration>,
 }
 
@@ -281,7 +280,7 @@ mod tests {
         let running = reports.recv_timeout(LONG).unwrap();
         assert!(!running.has_ended && running.running_for > SHORT && *running.what == *"slow");
         assert!(watch.end());
-        // There may be more of what still runs before.
+        // The queue may still hold reports from while it was running.
         let ended = reports.iter().find(|overrun| overrun.has_ended).unwrap();
         assert!(ended.running_for >= running.running_for && ended.overruns == 1);
     }
@@ -304,7 +303,7 @@ mod tests {
         let watch = watchdog.watch(Arc::from("rare"), SHORT).unwrap();
         let begin = Instant::now();
         while !watchdog.shared.sleeps.load(Ordering::SeqCst) {
-            assert!(begin.elapsed() < LONG, "it does not go to sleep");
+            assert!(begin.elapsed() < LONG, "the watchdog does not go to sleep");
             std::thread::yield_now();
         }
         watch.begin();

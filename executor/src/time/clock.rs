@@ -1,4 +1,5 @@
-//! Time as an input: the executor reads a [`Clock`] once per cycle, modules ask their context.
+//! Time as an input: the executor reads a [`Clock`] once per cycle, and modules read the time from their
+//! context.
 
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -8,25 +9,26 @@ use crate::threads::unpoisoned;
 
 use crate::Time;
 
-/// Where the executor takes the time from.
+/// The source of the executor's time.
 pub trait Clock: Send + Sync {
-    /// The time now. It may go back only where it is that of somebody else, such as a simulator who starts again: timers
-    /// whose last time lies ahead then are due one period after the new time. Tasks and the time-outs of calls keep
-    /// their times.
+    /// The current time. It may go back only if the time comes from outside, for example from a simulator
+    /// that restarts. Timers whose last time then lies ahead are next due one period after the new time;
+    /// tasks and the time-outs of calls keep their times.
     ///
-    /// Where it moves by other steps than those of the machine's clock, [`CoreHandle::clock_moved`](crate::CoreHandle::clock_moved) announces it.
+    /// If the clock moves by other steps than the machine's clock, its owner calls
+    /// [`CoreHandle::clock_moved`](crate::CoreHandle::clock_moved) after each step.
     fn now(&self) -> Time;
 
-    /// True if this clock goes on by itself. Where it does not, nothing may wait for it, and modules
+    /// True if this clock advances by itself. If it does not, the executor never waits for it, and modules
     /// registered as detached run inside the cycle.
     fn runs_by_itself(&self) -> bool;
 }
 
 /// The machine's clock as one timeline that never goes back.
 ///
-/// It follows the monotonic clock and is drawn towards the system clock by at most one part in a
-/// thousand, so a time server's corrections neither repeat nor swallow timer ticks. Where the system clock
-/// is more than a second ahead (set after boot, or the machine slept) it jumps there.
+/// It follows the monotonic clock and is drawn towards the system clock by at most one part in a thousand, so
+/// that the corrections of a time server neither repeat nor skip timer ticks. If the system clock is more
+/// than a second ahead (it was set after boot, or the machine was suspended), this clock jumps to it.
 pub struct SystemClock {
     last: Mutex<Reading>,
 }
@@ -40,7 +42,7 @@ struct Reading {
 const JUMP_NS: i64 = 1_000_000_000;
 
 impl SystemClock {
-    /// A clock that reads the system time now.
+    /// A clock that starts at the current system time.
     #[must_use]
     pub fn new() -> Self {
         Self { last: Mutex::new(Reading { steady: Instant::now(), time_ns: system_time_ns() }) }
@@ -79,7 +81,7 @@ fn system_time_ns() -> i64 {
     i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
 }
 
-/// A clock that stands still until it is set: for replay and for tests. Clones share the time.
+/// A clock that stands still until it is set, for replay and for tests. Clones share the time.
 #[derive(Clone, Debug, Default)]
 pub struct ManualClock {
     time_ns: Arc<AtomicI64>,
@@ -92,7 +94,7 @@ impl ManualClock {
         Self { time_ns: Arc::new(AtomicI64::new(time.as_nanos())) }
     }
 
-    /// Moves the clock to `time`; an earlier time than it shows is ignored.
+    /// Moves the clock to `time`; an earlier time is ignored.
     pub fn set(&self, time: Time) {
         self.time_ns.fetch_max(time.as_nanos(), Ordering::SeqCst);
     }

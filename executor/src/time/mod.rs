@@ -1,4 +1,4 @@
-//! Time: points in it, and the clocks from which it comes.
+//! Time: points in time, and clocks.
 
 mod clock;
 
@@ -18,7 +18,7 @@ impl Time {
     /// Later than every other time: "never".
     pub const MAX: Self = Self(i64::MAX);
 
-    /// The time that many nanoseconds after the epoch.
+    /// The time `nanoseconds` after the epoch.
     #[must_use]
     pub const fn from_nanos(nanoseconds: i64) -> Self {
         Self(nanoseconds)

@@ -1,4 +1,4 @@
-//! What a subscriber receives: all messages of a topic from one cycle, stored once and shared.
+//! The messages that a topic has carried in one cycle, stored once and shared by all subscribers.
 
 use std::ops::Deref;
 use std::sync::Arc;
@@ -7,8 +7,8 @@ use crate::Time;
 
 /// The messages that were published on one topic in one cycle, one segment per publisher.
 ///
-/// Segments are taken over from outboxes whole, so no message is moved; they keep their capacity when the
-/// batch is used again.
+/// Segments are swapped with the outboxes as a whole, so no message is moved. They keep their capacity when
+/// the batch is reused.
 pub(crate) struct Batch<T> {
     time: Time,
     segments: Vec<Vec<T>>,
@@ -31,14 +31,14 @@ impl<T> Batch<T> {
         self.forget();
     }
 
-    /// Forgets the messages, for those that need not be dropped: their memory is used again.
+    /// Forgets messages that need no drop; their memory is reused.
     #[inline]
     pub(crate) fn forget(&mut self) {
         self.used = 0;
         self.messages = 0;
     }
 
-    /// Takes over the messages and leaves an empty vector, with capacity where there is some to reuse.
+    /// Takes all messages, and leaves an empty vector, with reused capacity if there is any.
     #[inline]
     pub(crate) fn take_over(&mut self, messages: &mut Vec<T>) {
         if self.used == self.segments.len() {
@@ -84,8 +84,8 @@ pub(crate) struct Position {
     pub(crate) index: u32,
 }
 
-/// A message as a callback receives it. It dereferences to the message, so `clone` copies that; see
-/// [`keep`](Self::keep) for keeping it without.
+/// A message as passed to a callback. It dereferences to the message, so `clone` copies the message;
+/// [`keep`](Self::keep) keeps it without a copy.
 pub struct Received<'a, T> {
     message: &'a T,
     batch: &'a Arc<Batch<T>>,
@@ -98,8 +98,8 @@ impl<'a, T> Received<'a, T> {
         Self { message, batch, position, missed }
     }
 
-    /// How many messages of the topic the bounded [`Inbox`](crate::Inbox) of an outlet or a detached module dropped right
-    /// before this one.
+    /// The number of messages of the topic that the bounded [`Inbox`](crate::Inbox) of an outlet or a
+    /// detached module has dropped directly before this one.
     #[must_use]
     pub fn missed(&self) -> u32 {
         self.missed
@@ -111,7 +111,8 @@ impl<'a, T> Received<'a, T> {
         self.batch.time
     }
 
-    /// True if the topic carried no message after this one in the same cycle: for callbacks that need only the latest.
+    /// True if the topic carried no later message in the same cycle; for callbacks that need only the latest
+    /// message.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
@@ -145,14 +146,14 @@ impl<'a, T> Received<'a, T> {
         self.batch.is_last(self.position)
     }
 
-    /// The message, for as long as the callback runs.
+    /// The message, valid while the callback runs.
     #[must_use]
     pub fn get(&self) -> &'a T {
         self.message
     }
 
-    /// Keeps the message beyond the callback without copying it. The messages that the topic carried in
-    /// the same cycle stay in memory with it.
+    /// Keeps the message beyond the callback without copying it. All messages that the topic carried in the
+    /// same cycle stay in memory as long as the kept one.
     #[must_use]
     pub fn keep(&self) -> Kept<T> {
         Kept { batch: Arc::clone(self.batch), position: self.position }
@@ -232,7 +233,8 @@ impl<T> Deref for Kept<T> {
     }
 }
 
-/// Calls `consume` with each message of the batch. The first one says how many were missed before it.
+/// Calls `consume` with each message of the batch. `missed`, the number of messages dropped before the batch,
+/// is reported with the first message.
 #[inline]
 pub(crate) fn for_each_message<T>(
     batch: &Arc<Batch<T>>,

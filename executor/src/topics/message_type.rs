@@ -1,4 +1,4 @@
-//! Messages of a type that is known at run time only.
+//! Messages whose type is known only at run time.
 
 use std::any::Any;
 use std::fmt;
@@ -6,12 +6,13 @@ use std::fmt;
 use super::{AnyOutbox, Batch, Outbox, Topics};
 use crate::{SetupError, Time};
 
-/// A message whose type only its topic knows.
+/// A message whose type is known only to its topic.
 pub type AnyMessage = Box<dyn Any + Send>;
 
-/// A Rust type of messages as a value: for code that takes messages of hundreds of types into a core and out of it, such as a bridge
-/// to a network. [`Core::inlet_of`](crate::Core::inlet_of) and [`Core::outlet_of`](crate::Core::outlet_of) are compiled once,
-/// [`Core::inlet`](crate::Core::inlet) and [`Core::outlet`](crate::Core::outlet) once per type.
+/// A Rust message type as a value, for code that moves messages of hundreds of types into and out of a core,
+/// such as a bridge to a network. [`Core::inlet_of`](crate::Core::inlet_of) and
+/// [`Core::outlet_of`](crate::Core::outlet_of) are compiled once, [`Core::inlet`](crate::Core::inlet) and
+/// [`Core::outlet`](crate::Core::outlet) once per type.
 ///
 /// ```
 /// use downbeat_executor::queue::LockFree;
@@ -53,15 +54,16 @@ impl MessageType {
         }
     }
 
-    /// The same Rust type under a name, for one that carries messages of many types: a topic of named messages takes no messages of
-    /// another name, and [`TopicInfo::message_type`](crate::TopicInfo::message_type) is the name. Who uses the Rust type
-    /// without a name has all of them.
+    /// The same Rust type under a name, for a type that carries messages of many kinds. A topic of named
+    /// messages refuses messages of another name, and
+    /// [`TopicInfo::message_type`](crate::TopicInfo::message_type) is the name. A user of the Rust type
+    /// without a name receives all of them.
     #[must_use]
     pub const fn named(self, name: &'static str) -> Self {
         Self { name: Some(name), ..self }
     }
 
-    /// The index of the topic, which is made where there is none of that name.
+    /// The index of the topic of this name; creates the topic if there is none.
     pub(crate) fn open(self, topics: &mut Topics, topic: &str, module: &str) -> Result<usize, SetupError> {
         let index = (self.open)(topics, topic, module)?;
         match self.name {
@@ -78,10 +80,10 @@ impl fmt::Debug for MessageType {
     }
 }
 
-/// A message as the sink of [`Core::outlet_of`](crate::Core::outlet_of) receives it.
+/// A message as passed to the sink of [`Core::outlet_of`](crate::Core::outlet_of).
 #[derive(Clone, Copy, Debug)]
 pub struct AnyReceived<'a> {
-    /// The message, of the type for which the outlet was made.
+    /// The message, of the type given when the outlet was made.
     pub message: &'a (dyn Any + Send + Sync),
     /// As [`Received::time`](crate::Received::time).
     pub time: Time,

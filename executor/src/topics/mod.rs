@@ -1,4 +1,4 @@
-//! Where messages are stored: the outboxes of publishers, and topics with the batches of subscribers.
+//! Storage of messages: the outboxes of publishers, and topics with the batches for subscribers.
 
 mod batch;
 mod message_type;

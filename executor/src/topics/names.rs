@@ -1,6 +1,6 @@
 //! Names of topics and services.
 
-/// The name without a leading slash, or nothing if it is not a valid topic name.
+/// The name without a leading slash, or `None` if it is not a valid topic name.
 pub(crate) fn canonical_name(name: &str) -> Option<&str> {
     let name = name.strip_prefix('/').unwrap_or(name);
     let is_valid = |part: &str| {

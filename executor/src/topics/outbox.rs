@@ -1,4 +1,5 @@
-//! Where a module's publications wait for the sync phase: private to the module, so a publish is a push.
+//! Queues of a module's publications until the sync phase. They are private to the module, so publishing is a
+//! plain push.
 
 use std::any::Any;
 use std::marker::PhantomData;
@@ -7,7 +8,7 @@ use super::message_type::AnyMessage;
 
 /// A module's key to one of its topics, from [`Setup::publish`](crate::Setup::publish).
 ///
-/// It is a small number, valid only in the module that made it.
+/// The key is a small index, valid only in the module that made it.
 pub struct Publication<T> {
     outbox: u32,
     message: PhantomData<fn(T)>,
@@ -31,27 +32,27 @@ impl<T> Clone for Publication<T> {
 
 impl<T> Copy for Publication<T> {}
 
-/// A module's key to one of its topics whose type of messages is known at run time only, from
+/// A module's key to a topic whose message type is known only at run time, from
 /// [`Setup::publish_of`](crate::Setup::publish_of).
 #[derive(Clone, Copy, Debug)]
 pub struct AnyPublication {
     outbox: u32,
 }
 
-/// The messages of one module for one topic that the sync phase has not seen yet.
+/// The messages of one module for one topic, until the sync phase takes them.
 pub(crate) struct Outbox<T> {
     pub(crate) topic: usize,
     pub(crate) messages: Vec<T>,
 }
 
-/// An [`Outbox`] whose message type is known to its topic only.
+/// An [`Outbox`] whose message type is known only to its topic.
 pub(crate) trait AnyOutbox: Any + Send {
     fn topic(&self) -> usize;
     fn discard(&mut self);
     fn is_empty(&self) -> bool;
-    /// Adds a message of its type; another is discarded, and `false` returned.
+    /// Adds a message of the outbox's type. Discards a message of another type, and returns `false`.
     fn add_any(&mut self, message: AnyMessage) -> bool;
-    /// The messages in an outbox of their own; this one stays, empty.
+    /// Moves the messages into a new outbox, and leaves this one empty.
     fn split_off(&mut self) -> Box<dyn AnyOutbox>;
 }
 
@@ -77,22 +78,23 @@ impl<T: Send + 'static> AnyOutbox for Outbox<T> {
     }
 }
 
-/// The outboxes of one module, and which of them hold messages.
+/// The outboxes of one module, and the indices of those that hold messages.
 #[derive(Default)]
 pub(crate) struct Outboxes {
-    /// Each with its topic.
+    /// The index of the topic, and its outbox.
     boxes: Vec<(usize, Box<dyn AnyOutbox>)>,
     filled: Vec<usize>,
 }
 
 impl Outboxes {
-    /// The key for publishing on a topic; a topic has one outbox per module, so that its order is kept.
+    /// Returns the key for publishing on a topic. A topic has one outbox per module, which keeps the order of
+    /// its messages.
     pub(crate) fn open<T: Send + 'static>(&mut self, topic: usize) -> Publication<T> {
         let make = |topic| Box::new(Outbox::<T> { topic, messages: Vec::new() }) as Box<dyn AnyOutbox>;
         Publication::new(self.open_with(topic, make))
     }
 
-    /// The same for an outbox that `make` creates.
+    /// As [`open`](Self::open), for an outbox that `make` creates.
     pub(crate) fn open_any(&mut self, topic: usize, make: fn(usize) -> Box<dyn AnyOutbox>) -> AnyPublication {
         AnyPublication { outbox: u32::try_from(self.open_with(topic, make)).unwrap_or(u32::MAX) }
     }
@@ -105,7 +107,8 @@ impl Outboxes {
         })
     }
 
-    /// Adds messages to an outbox. Returns whether they are the first ones in it; `None` if the key is not of this module.
+    /// Adds messages to an outbox. Returns whether the outbox was empty before; `None` if the key is not of
+    /// this module.
     #[inline]
     #[must_use]
     pub(crate) fn add<T: Send + 'static>(
@@ -125,7 +128,8 @@ impl Outboxes {
         Some(are_first)
     }
 
-    /// The same for a message whose type only the outbox knows; `None` also if it has another.
+    /// As [`add`](Self::add), for a message whose type is known only to the outbox; also `None` if the type
+    /// differs.
     #[must_use]
     pub(crate) fn add_any(&mut self, publication: AnyPublication, message: AnyMessage) -> Option<bool> {
         let index = publication.outbox as usize;
@@ -140,8 +144,8 @@ impl Outboxes {
         Some(was_empty)
     }
 
-    /// Hands each outbox that holds messages, with its topic, to `consume`, which takes them, in the order in which they were first
-    /// filled.
+    /// Passes each outbox that holds messages, with its topic, to `consume`, which takes the messages. The
+    /// order is that in which the outboxes first received a message.
     #[inline]
     pub(crate) fn drain(&mut self, mut consume: impl FnMut(usize, &mut dyn AnyOutbox)) {
         for &index in &self.filled {

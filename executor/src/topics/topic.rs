@@ -1,4 +1,4 @@
-//! Topics: a name, a message type, the batch of the last cycle, and who receives it.
+//! Topics: a name, a message type, the batch of the last cycle, and the subscribers.
 
 use std::any::{Any, TypeId, type_name};
 use std::collections::HashMap;
@@ -11,7 +11,7 @@ use crate::observe::TopicMeter;
 use crate::threads::drop_guarded;
 use crate::{SetupError, Time, TopicStatistics};
 
-/// What is known of a topic, see [`Core::topics`](crate::Core::topics).
+/// A description of a topic, see [`Core::topics`](crate::Core::topics).
 #[derive(Clone, Debug)]
 pub struct TopicInfo {
     /// The name, without a leading slash.
@@ -26,24 +26,24 @@ pub struct TopicInfo {
     pub counter: TopicCounter,
 }
 
-/// Counts the messages of a topic; clones show the same count.
+/// Counts the messages of a topic; clones share the count.
 #[derive(Clone, Debug, Default)]
 pub struct TopicCounter(Arc<AtomicU64>);
 
 impl TopicCounter {
-    /// How many messages the topic has carried.
+    /// The number of messages that the topic has carried.
     #[must_use]
     pub fn messages(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Who receives a topic's batches.
+/// A receiver of a topic's batches.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Subscriber {
-    /// A module that runs inside the cycle, by its slot: it is woken and looks at the topic itself.
+    /// A module that runs inside the cycle, by its slot. It is woken, and reads the topic itself.
     Attached(usize),
-    /// A detached module, which gets a batch once for all its callbacks.
+    /// A detached module, which receives one batch for all its callbacks.
     Detached(usize),
     /// An outlet, by its slot.
     Outlet(usize),
@@ -54,20 +54,20 @@ pub(crate) struct Topic<T> {
     counter: TopicCounter,
 }
 
-/// A [`Topic`] whose message type is known to its publishers and subscribers only.
+/// A [`Topic`] whose message type is known only to its publishers and subscribers.
 pub(crate) trait AnyTopic: Any + Send + Sync {
-    /// Drops the messages of an earlier cycle, unless somebody keeps them.
+    /// Drops the messages of an earlier cycle, unless the batch is still shared.
     fn retire(&mut self);
-    /// Takes the messages out of an outbox of this topic: the first ones of the cycle replace those of an earlier one.
-    /// Returns how many there are.
+    /// Takes the messages out of an outbox of this topic. The first ones of a cycle replace the messages of
+    /// the earlier cycle. Returns the number of messages taken.
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize;
-    /// The batch, to be taken to another thread, and the number of messages in it.
+    /// The batch, for use on another thread, and the number of messages in it.
     fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
     /// The number of messages in the batch.
     fn messages(&self) -> usize;
 }
 
-/// The batch, empty: the one there is, unless somebody keeps it.
+/// The batch, emptied; a new one if the old one is still shared.
 #[inline(always)]
 fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
     if Arc::strong_count(batch) > 1 {
@@ -77,7 +77,7 @@ fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
     if !std::mem::needs_drop::<T>() {
         batch.forget();
     } else if !drop_guarded("a message", || batch.clear()) {
-        // What is left of it is not touched again: it could panic again.
+        // The remaining messages are leaked, because dropping them could panic again.
         std::mem::forget(std::mem::take(batch));
     }
     Some(batch)
@@ -91,13 +91,13 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize {
         let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
         let batch = if is_first { renewed(&mut self.batch) } else { Arc::get_mut(&mut self.batch) };
-        // Both hold by construction: outboxes are opened through the topic's type check, and nobody shares a batch
-        // before the sync phase has filled it.
+        // Both hold by construction: outboxes are opened through the topic's type check, and a batch is
+        // shared only after the sync phase has filled it.
         let (Some(outbox), Some(batch)) = (outbox, batch) else {
             debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
             return 0;
         };
-        // Only this thread writes it: no need to add atomically.
+        // Only this thread writes the counter, so a read-modify-write operation is not needed.
         let messages = outbox.messages.len();
         let count = self.counter.0.load(Ordering::Relaxed) + messages as u64;
         self.counter.0.store(count, Ordering::Relaxed);
@@ -121,41 +121,41 @@ impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
 pub(crate) struct Topics {
     entries: Vec<Entry>,
     by_name: HashMap<Arc<str>, usize>,
-    /// No entry before it is free.
+    /// No entry with a smaller index is free.
     free_from: usize,
-    /// Counts the sync phases in which messages were looked for.
+    /// Incremented in each sync phase of messages.
     epoch: u64,
     /// True if a topic has messages of this epoch.
     is_any_fresh: bool,
-    /// Those with messages of this epoch for detached modules and outlets, in the order in which the messages came.
+    /// Topics with messages of this epoch for detached modules and outlets, in the order of the messages.
     shared: Vec<usize>,
-    /// Those with messages of this epoch that have to be dropped when nobody reads them any more.
+    /// Topics with messages of this epoch that have a destructor to run in a later sync phase.
     dropping: Vec<usize>,
-    /// The same of the epoch before, while the sync phase goes on.
+    /// `dropping` of the previous epoch, during the sync phase.
     stale: Vec<usize>,
-    /// The topics of the executor itself, by [`Report::NUMBER`].
+    /// The topics that the executor itself publishes, by [`Report::NUMBER`].
     reports: Vec<ReportTopic>,
     has_reports: bool,
 }
 
-/// A message that the executor itself publishes, if somebody subscribes to it.
+/// A message that the executor itself publishes if the topic has subscribers.
 pub(crate) trait Report: Send + Sync + 'static {
     const TOPIC: &'static str;
-    /// Distinguishes these topics.
+    /// The index of the topic among those of the executor.
     const NUMBER: usize;
 }
 
 struct ReportTopic {
-    /// `None` if another type has taken the topic.
+    /// `None` if the topic exists with another type.
     topic: Option<usize>,
     outbox: Box<dyn AnyOutbox + Sync>,
 }
 
 struct Entry {
     topic: Box<dyn AnyTopic>,
-    /// The epoch in which it had messages last; 0 for none.
+    /// The last epoch in which the topic carried messages; 0 for none.
     epoch: u64,
-    /// True if dropping its messages runs code.
+    /// True if the messages have a destructor.
     needs_drop: bool,
     meter: TopicMeter,
     /// The slots of modules that run inside the cycle.
@@ -164,13 +164,13 @@ struct Entry {
     others: Vec<Subscriber>,
     info: TopicInfo,
     publishers: u32,
-    /// Publications, subscriptions and inlets. A topic that nobody uses is forgotten.
+    /// The number of publications, subscriptions and inlets. An unused topic is removed.
     users: u32,
     /// True if `info.message_type` is a name, see [`MessageType::named`](crate::MessageType::named).
     is_named: bool,
 }
 
-/// Stands where a topic was that is forgotten.
+/// Placeholder of a removed topic.
 struct Forgotten;
 
 impl AnyTopic for Forgotten {
@@ -191,7 +191,7 @@ impl AnyTopic for Forgotten {
 }
 
 impl Topics {
-    /// The index of the topic, which is made where there is none of that name.
+    /// The index of the topic of this name; creates the topic if there is none.
     pub(crate) fn open<T: Send + Sync + 'static>(
         &mut self,
         name: &str,
@@ -203,7 +203,7 @@ impl Topics {
         self.open_of((TypeId::of::<T>(), type_name::<T>()), std::mem::needs_drop::<T>(), make, name, module)
     }
 
-    /// Gives the messages of a topic a name, if they have no other.
+    /// Names the messages of a topic, unless they have another name.
     pub(crate) fn name_messages(
         &mut self,
         index: usize,
@@ -223,7 +223,7 @@ impl Topics {
         Ok(())
     }
 
-    /// The same for a type of that identity and name: compiled once, for however many types of messages there are.
+    /// As [`open`](Self::open), for a type given by identity and name; compiled once for all message types.
     fn open_of(
         &mut self,
         (message_type_id, message_type): (TypeId, &'static str),
@@ -321,7 +321,7 @@ impl Topics {
         self.release(topic);
     }
 
-    /// Ends one use of the topic. What one that nobody uses holds is dropped.
+    /// Ends one use of the topic. The last one removes the topic and drops its messages.
     pub(crate) fn release(&mut self, topic: usize) {
         let entry = &mut self.entries[topic];
         entry.users -= 1;
@@ -333,8 +333,8 @@ impl Topics {
         }
     }
 
-    /// Opens the next topic of the executor itself. Others of the same name are of the same type, for its module made
-    /// them; should one not be, nothing is published.
+    /// Opens the next topic of the executor itself. If the topic exists with another type, the executor
+    /// publishes nothing on it.
     pub(crate) fn open_report<R: Report>(&mut self) {
         debug_assert_eq!(self.reports.len(), R::NUMBER);
         let topic = self.open::<R>(R::TOPIC, "executor").ok();
@@ -343,7 +343,7 @@ impl Topics {
         self.reports.push(ReportTopic { topic, outbox: Box::new(outbox) });
     }
 
-    /// True if somebody receives these reports.
+    /// True if these reports have a subscriber.
     #[inline]
     pub(crate) fn hears<R: Report>(&self) -> bool {
         let topic = self.reports.get(R::NUMBER).and_then(|report| report.topic);
@@ -353,7 +353,7 @@ impl Topics {
         })
     }
 
-    /// Publishes a report in the next sync step of messages.
+    /// Publishes a report in the next sync phase.
     pub(crate) fn report<R: Report>(&mut self, report: R) {
         let topic = self.reports.get_mut(R::NUMBER).map(|known| &mut *known.outbox as &mut dyn Any);
         if let Some(outbox) = topic.and_then(|outbox| outbox.downcast_mut::<Outbox<R>>()) {
@@ -367,7 +367,7 @@ impl Topics {
         self.has_reports
     }
 
-    /// Makes the reports messages of this cycle.
+    /// Publishes the waiting reports as messages of this cycle.
     #[cold]
     pub(crate) fn take_reports(&mut self, now: Time, wake: &mut dyn FnMut(usize)) {
         self.has_reports = false;
@@ -387,7 +387,7 @@ impl Topics {
         &mut self.entries[topic].meter
     }
 
-    /// What the topics in use have carried.
+    /// The statistics of all topics in use.
     pub(crate) fn statistics(&self) -> impl Iterator<Item = TopicStatistics> {
         self.entries.iter().filter(|entry| entry.users > 0).map(
             |Entry { info, meter, attached, others, .. }| {
@@ -416,7 +416,8 @@ impl Topics {
         (&*entry.topic as &dyn Any).downcast_ref::<Topic<T>>().map(|topic| &topic.batch)
     }
 
-    /// The same for a type that only the topic knows: a `Batch<T>`, and the number of messages in it.
+    /// As [`batch`](Self::batch), for a type known only to the topic: a `Batch<T>`, and the number of
+    /// messages in it.
     pub(crate) fn batch_of(&self, topic: usize) -> Option<(Arc<dyn Any + Send + Sync>, u32)> {
         (self.entries[topic].epoch == self.epoch).then(|| self.share(topic))
     }
@@ -425,7 +426,7 @@ impl Topics {
         self.entries[topic].topic.share()
     }
 
-    /// First step of the messages' part of the sync phase: the messages of the last cycle are stale.
+    /// The first step of messaging in the sync phase: marks the messages of the last cycle as stale.
     #[inline]
     pub(crate) fn begin(&mut self) {
         self.epoch += 1;
@@ -436,8 +437,8 @@ impl Topics {
         }
     }
 
-    /// Takes the messages out of an outbox, and calls `wake` with the slots of the modules that receive them inside the
-    /// cycle. Returns how many there are.
+    /// Takes the messages out of an outbox, and calls `wake` with the slots of the modules that receive them
+    /// inside the cycle. Returns the number of messages.
     #[inline]
     pub(crate) fn absorb(
         &mut self,
@@ -449,7 +450,7 @@ impl Topics {
         self.absorb_for(index, outbox, now, wake)
     }
 
-    /// The same for an outbox of this topic.
+    /// As [`absorb`](Self::absorb), for an outbox of this topic.
     #[inline]
     pub(crate) fn absorb_for(
         &mut self,
@@ -480,7 +481,7 @@ impl Topics {
         messages
     }
 
-    /// Last step: drops what is still stale.
+    /// The last step: drops the messages that are still stale.
     #[inline]
     pub(crate) fn finish(&mut self) {
         if !self.stale.is_empty() {
@@ -504,12 +505,13 @@ impl Topics {
         self.is_any_fresh
     }
 
-    /// The modules inside the cycle, by slot, that are given messages in the next process phase, and of which topics.
+    /// The modules inside the cycle, by slot, that receive messages in the next process phase, each with the
+    /// topic.
     pub(crate) fn fresh(&self) -> impl Iterator<Item = (usize, &Arc<str>)> {
         self.carrying().flat_map(|entry| entry.attached.iter().map(|&slot| (slot, &entry.info.name)))
     }
 
-    /// The topics with messages of the last sync phase, and how many these are.
+    /// The topics with messages of the last sync phase, and the number of these messages.
     pub(crate) fn carried(&self) -> impl Iterator<Item = (&Arc<str>, usize)> {
         self.carrying().map(|entry| (&entry.info.name, entry.topic.messages()))
     }
@@ -518,8 +520,8 @@ impl Topics {
         self.entries.iter().filter(|entry| entry.users > 0 && entry.epoch == self.epoch)
     }
 
-    /// The topics that carry messages to detached modules and outlets after the last sync phase, in the order in which these
-    /// came.
+    /// The topics with messages of the last sync phase for detached modules and outlets, in the order of the
+    /// messages.
     #[inline]
     pub(crate) fn shared(&self) -> &[usize] {
         &self.shared
@@ -527,7 +529,7 @@ impl Topics {
 }
 
 impl Drop for Topics {
-    /// Drops all messages there are, so that a panic in one of them stays here.
+    /// Drops all messages, guarded against panics in their destructors.
     fn drop(&mut self) {
         self.begin();
         self.finish();

@@ -1,4 +1,4 @@
-//! What the tests of the executor share.
+//! Shared code of the executor's tests.
 #![allow(dead_code, missing_docs)]
 
 use std::sync::{Arc, Mutex};
@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use downbeat_executor::*;
 
-/// Longer than anything a test waits for on the busiest machine.
+/// Longer than any wait of a test on a busy machine.
 pub const WATCHDOG: Duration = Duration::from_secs(30);
 
-/// The step from cycle to cycle.
+/// The time between two cycles.
 pub const STEP: Duration = Duration::from_millis(1);
 
 /// The topics of the executor itself.
@@ -17,7 +17,7 @@ pub const OWN_TOPICS: [&str; 3] = [DetachedStep::TOPIC, SettingsChange::TOPIC, M
 
 type SetUp = Box<dyn FnOnce(&mut Setup<'_, Scripted>) -> Result<(), SetupError> + Send>;
 
-/// A module whose setup is a closure; what its callbacks know they capture.
+/// A module whose setup is a closure; its callbacks capture their data.
 pub struct Scripted {
     set_up: Option<SetUp>,
     log: Log,
@@ -44,7 +44,7 @@ pub fn module(
     Scripted { set_up: Some(Box::new(set_up)), log: Log::default() }
 }
 
-/// A module that tells the log when it ends.
+/// A module that logs its end.
 pub fn module_that_ends(
     log: &Log,
     set_up: impl FnOnce(&mut Setup<'_, Scripted>) -> Result<(), SetupError> + Send + 'static,
@@ -52,7 +52,7 @@ pub fn module_that_ends(
     Scripted { log: log.clone(), ..module(set_up) }
 }
 
-/// What happened, in order.
+/// A log of events in order.
 #[derive(Clone, Default)]
 pub struct Log(Arc<Mutex<Vec<String>>>);
 
@@ -61,7 +61,7 @@ impl Log {
         self.0.lock().unwrap().push(entry.into());
     }
 
-    /// What was noted since it was taken last.
+    /// Takes the entries since the last take.
     pub fn take(&self) -> Vec<String> {
         std::mem::take(&mut *self.0.lock().unwrap())
     }
@@ -72,7 +72,7 @@ pub fn manual_core() -> (Core, ManualClock) {
     (Core::new().with_clock(clock.clone()), clock)
 }
 
-/// Runs cycles a step apart.
+/// Runs cycles, each a step after the previous one.
 pub fn cycles(core: &mut Core, clock: &ManualClock, count: usize) {
     for _ in 0..count {
         core.cycle().unwrap();

@@ -1,5 +1,5 @@
-//! Plays seeded matches, or shots at an empty goal, as fast as it can, and checks what players do: goals, how long anybody who may
-//! move stands still, falls, and how fast penalised players stop.
+//! Plays seeded matches, or shots at an empty goal, as fast as possible, and checks the players: goals, the
+//! longest time a player that may move stands still, falls, and how fast penalised players stop.
 #![allow(missing_docs)]
 
 use clap::Parser;
@@ -30,47 +30,47 @@ struct Arguments {
     /// match or empty_goal
     #[arg(long, default_value = "match")]
     game: String,
-    /// Who plays
+    /// The robots
     #[arg(long, value_delimiter = ',', default_value = "blue_1,blue_2,red_1,red_2")]
     robots: Vec<String>,
     /// The first seed of a match, or of the tries
     #[arg(long, default_value_t = 1)]
     seed: i64,
-    /// How many matches, or tries
+    /// The number of matches, or of tries
     #[arg(long, default_value_t = 1)]
     count: i64,
-    /// The length of a half, in s
+    /// The duration of a half, in s
     #[arg(long, default_value_t = 300.0)]
     half: f64,
-    /// The chart of every player
+    /// The state chart of every player
     #[arg(long, default_value = "robots/football/player.scxml")]
     chart: PathBuf,
-    /// They know the field by what they see, not by the truth with noise
+    /// Use vision and localisation instead of the truth with noise
     #[arg(long)]
     eyes: bool,
-    /// On this many threads
+    /// The number of threads
     #[arg(long, default_value_t = 1)]
     threads: usize,
-    /// Prints where robots and ball are every second
+    /// Print the positions of robots and ball every second
     #[arg(long)]
     trace: bool,
-    /// Prints what was found as a line of JSON for each match, after its events
+    /// Print the results of each match as a line of JSON, after its events
     #[arg(long)]
     json: bool,
 }
 
-/// What is known of a player.
+/// The observations of one player.
 #[derive(Default)]
 struct Watched {
-    /// Where it last was when it had moved, and when.
+    /// The position and time of its last movement.
     moved: Option<(DVec2, f64)>,
     stillness: f64,
     falls: u32,
     get_ups: u32,
     is_down: bool,
-    /// Where it was half a second after it was penalised, and when that was.
+    /// The time of its penalty, and its position half a second later.
     penalised: Option<(f64, Option<DVec2>)>,
-    /// How far a penalised player went after half a second, in m.
+    /// The distance that a penalised player walked after half a second, in m.
     strayed: f64,
 }
 
@@ -82,11 +82,11 @@ struct Watch {
     traced: f64,
     is_over: bool,
     last: MatchState,
-    /// Of the core, at the end.
+    /// The statistics of the core at the end.
     core: Option<Receipt<Snapshot>>,
 }
 
-/// What moves less in this way stands still, in m.
+/// A player that moves less than this stands still, in m.
 const STILL: f64 = 0.05;
 
 fn main() -> anyhow::Result<()> {
@@ -185,7 +185,7 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
     Ok(std::mem::take(&mut *watch.lock()))
 }
 
-/// A player that sees, as `robots/football/seeing_player.toml` has it, where the referee puts it.
+/// Adds a player with vision, as in `robots/football/seeing_player.toml`, at the place given by the referee.
 fn add_eyes(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> anyhow::Result<()> {
     player::add_body(core, ports, name, 0.19)?;
     let mut add = |module: &str, settings: Vec<(&str, SettingValue)>| {
@@ -224,7 +224,7 @@ impl Watch {
             let Watched { stillness, falls, get_ups, strayed, .. } = player;
             json!({ "name": name, "still_s": stillness, "falls": falls, "get_ups": get_ups, "strayed_m": strayed })
         });
-        // It was asked for in the last cycle.
+        // Requested in the last cycle.
         let core = self.core.as_ref().and_then(Receipt::try_take);
         let core = core.unwrap_or_default();
         let stopped =

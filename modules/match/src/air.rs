@@ -1,31 +1,33 @@
-//! What players tell their team on its way through the air: late, and not all of it arrives. Seeded, so that a match repeats.
+//! The simulated radio link of a team: messages arrive late, and some are lost. It is seeded, so that a match
+//! can be repeated.
 
 use downbeat_executor::Time;
 use downbeat_football::football_interfaces::msg::TeamMessage;
 use downbeat_modules::servo_emulator::Random;
 use std::time::Duration;
 
-/// Messages between sending and arrival.
+/// Messages that are being transmitted.
 pub(crate) struct Air {
     random: Random,
     /// The share of messages that are lost.
     loss: f64,
-    /// Robot, arrival, message, in the order in which they were sent.
+    /// Receiving robot, arrival and message, in the order of sending.
     waiting: Vec<(usize, Time, TeamMessage)>,
 }
 
-/// From sending to arrival, in s.
+/// The range of the latency, in s.
 const LATENCY: [f64; 2] = [0.05, 0.15];
-/// The most messages on their way: 22 players that send ten a second each to all of their team within the longest latency are fewer.
+/// The largest number of messages in transmission. 22 players that each send ten messages per second to their
+/// whole team have fewer within the longest latency.
 const MOST: usize = 512;
 
 impl Air {
     pub(crate) fn new(seed: u64, loss: f64) -> Self {
-        // Of a stream of its own: noise of robots has others.
+        // A separate random stream; the noise of the robots uses others.
         Self { random: Random::new(seed, 0xA1), loss, waiting: Vec::new() }
     }
 
-    /// Sends a message to robots, each of which may hear it or not. What is too much is lost.
+    /// Sends a message to robots; each reception may fail. Messages beyond [`MOST`] are lost.
     pub(crate) fn send(&mut self, message: &TeamMessage, to: impl Iterator<Item = usize>, now: Time) {
         for robot in to {
             let [shortest, longest] = LATENCY;
@@ -37,7 +39,7 @@ impl Air {
         }
     }
 
-    /// What arrives until now, in the order in which it was sent.
+    /// The messages that have arrived by `now`, in the order of sending.
     pub(crate) fn arrived(&mut self, now: Time) -> impl Iterator<Item = (usize, TeamMessage)> {
         let arrived = self.waiting.extract_if(.., move |(_, at, _)| *at <= now);
         arrived.map(|(robot, _, message)| (robot, message))

@@ -1,14 +1,14 @@
-//! A field in text.
+//! Draws a field as text.
 
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::MatchState;
 use glam::DVec2;
 
-/// Columns and rows of a drawing, without its border.
+/// The columns and rows of a drawing, without its border.
 const SIZE: [usize; 2] = [60, 20];
 
-/// The field from above, +x to the right, with `o` as the ball, and each player as its number: in lower case letters from `a` for
-/// blue, in upper case ones for red. Lines end with `\n`.
+/// Draws the field from above, with +x to the right. The ball is `o`; each player is a letter for its number,
+/// lower case from `a` for blue, upper case for red. Lines end with `\n`.
 #[must_use]
 pub fn draw(field: &Field, state: &MatchState) -> String {
     let half = DVec2::new(field.length, field.width) / 2.0 + field.margin;
@@ -61,6 +61,6 @@ mod tests {
         let rows: Vec<&str> = drawing.lines().collect();
         assert_eq!((rows.len(), rows[0].len()), (22, 62));
         assert!(rows[1].starts_with("|a") && rows[20].contains('B'), "{drawing}");
-        assert!(drawing.contains("o|"), "what is beyond the carpet is at its edge\n{drawing}");
+        assert!(drawing.contains("o|"), "objects beyond the carpet are drawn at its edge\n{drawing}");
     }
 }

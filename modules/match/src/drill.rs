@@ -1,4 +1,4 @@
-//! Shots at an empty goal, one try after the other.
+//! Shots at an empty goal, one try after another.
 
 use crate::game::{Event, Order, Phase, Team, Truth};
 use downbeat_football::Field;
@@ -8,19 +8,20 @@ use glam::DVec2;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-/// One robot and an empty goal at +x. Each try has a seed of its own: the ball lies within 2 m of the goal, the robot stands within
-/// 1.5 m of the ball, with any heading. It has [`Drill::TIME`].
+/// A drill with one robot and an empty goal at +x. Each try has its own seed: the ball lies within 2 m of the
+/// goal, and the robot stands within 1.5 m of the ball, with a random heading. A try lasts up to
+/// [`Drill::TIME`].
 pub struct Drill {
     field: Field,
     seed: u64,
     tries: u32,
-    /// The tries that are over.
+    /// The number of finished tries.
     done: u32,
     goals: u32,
     since: Option<Duration>,
 }
 
-/// Where a try begins.
+/// The initial positions of a try.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// The ball.
@@ -32,16 +33,16 @@ pub struct Placement {
 }
 
 impl Drill {
-    /// The time for a try.
+    /// The time limit of a try.
     pub const TIME: Duration = Duration::from_secs(120);
 
-    /// So many tries with this seed and those that follow it.
+    /// A drill of `tries` tries, with this seed and the following ones.
     #[must_use]
     pub fn new(field: Field, seed: u64, tries: u32) -> Self {
         Self { field, seed, tries, done: 0, goals: 0, since: None }
     }
 
-    /// Where the current try begins.
+    /// The initial positions of the current try.
     #[must_use]
     pub fn placement(&self) -> Placement {
         let mut random = Random::new(self.seed.wrapping_add(self.done.into()), 9);
@@ -59,7 +60,7 @@ impl Drill {
         Placement { ball, robot, heading: random.unit() * TAU }
     }
 
-    /// Goals, and tries that are over.
+    /// The number of goals, and of finished tries.
     #[must_use]
     pub fn score(&self) -> [u32; 2] {
         [self.goals, self.done]

@@ -3,14 +3,15 @@
 use downbeat_football::{BallColour, Field, GoalColour};
 use downbeat_physics::{Ball, Block, WorldFile};
 
-/// The thickness of nets and crossbars that things bounce off, in m.
+/// The thickness of nets and crossbars as obstacles, in m.
 const THICKNESS: f64 = 0.05;
-/// How high nets are, in m: enough for a ball that rolls, low enough to look over.
+/// The height of the nets, in m: enough to stop a rolling ball, low enough for cameras to look over.
 const NET_HEIGHT: f64 = 0.3;
-/// The mass of a ball by its diameter cubed, in kg/m^3: 50 g for 10 cm.
+/// The mass of a ball divided by its diameter cubed, in kg/m^3: 50 g for 10 cm.
 const BALL_DENSITY: f64 = 50.0;
 
-/// The world of a field, with lines, goals with nets, and a ball in the centre. The circle is left out of pictures if the field has none.
+/// The world of a field, with lines, goals with nets, and a ball in the centre. Pictures show a centre circle
+/// only if the field has one.
 #[must_use]
 pub fn world_of(field: &Field) -> WorldFile {
     let diameter = field.ball.diameter;
@@ -48,7 +49,7 @@ pub fn world_of(field: &Field) -> WorldFile {
     }
 }
 
-/// Back, sides and crossbar of both goals.
+/// The back, sides and crossbar of both goals.
 fn nets(field: &Field) -> Vec<Block> {
     let goal = &field.goal;
     let (line, outside) = (field.length / 2.0, goal.width / 2.0 + goal.post_diameter);

@@ -1,4 +1,4 @@
-// A football match from above: who is where, what each robot believes beside it, and the states of its automaton.
+// A football match from above: the robots and the ball, the beliefs of each robot, and the states of its state machine.
 import { h, replace, setText } from '/panel.js';
 
 const PHASES = ['initial', 'ready', 'set', 'playing', 'finished', 'standby'];
@@ -27,7 +27,7 @@ export default {
     const options = { beliefs: true, ...view.get() };
     let field = null;
     let state = null;
-    /** What each robot believes: pose and ball in the frame of its team, with the times of the messages. */
+    /** The beliefs of each robot: pose and ball in the frame of its team, with the times of the messages. */
     const beliefs = new Map();
     const rows = new Map();
 
@@ -35,18 +35,18 @@ export default {
     const canvas = h('canvas', { role: 'img', 'aria-label': 'The field from above', 'data-testid': 'match-field', style: { display: 'block', margin: '0.4rem auto', borderRadius: '0.4rem' } });
     const shows = h('input', { type: 'checkbox', checked: options.beliefs, onchange: () => { options.beliefs = shows.checked; view.set(options); draw(); } });
     const body = h('tbody');
-    const events = h('ol', { 'aria-label': 'What happened', 'data-testid': 'match-events' });
+    const events = h('ol', { 'aria-label': 'Events', 'data-testid': 'match-events' });
     root.append(h('div', { style: { padding: '0.6rem 0.8rem' } },
       score,
       canvas,
-      h('label', null, shows, ' what each robot believes (rings: itself; dots: the ball)'),
+      h('label', null, shows, ' beliefs of the robots (rings: own positions; dots: the ball)'),
       h('div', { style: { overflowX: 'auto' } }, h('table', { 'data-testid': 'match-robots' },
         h('thead', null, h('tr', null, ['Robot', 'Automaton', 'Off by', 'Ball off by', ''].map((title) => h('th', { scope: 'col' }, title)))), body)),
       events,
     ));
     const ink = canvas.getContext('2d');
 
-    /** From the frame of a robot's team to that of the world. */
+    /** Converts from the frame of a robot's team to the frame of the world. */
     const toWorld = (name, { x, y }) => ((teamOf(name) === 'blue') === state.blue_defends_right ? { x: -x, y: -y } : { x, y });
 
     function follow(name) {
@@ -91,7 +91,7 @@ export default {
       const [length, width] = [field.length + 2 * field.margin, field.width + 2 * field.margin];
       const ratio = length / width;
       canvas.style.aspectRatio = String(ratio);
-      // With room for the table below.
+      // Leaves space for the table below.
       canvas.style.width = `min(100%, ${60 * ratio}vh)`;
       const density = globalThis.devicePixelRatio || 1;
       const across = canvas.clientWidth || 600;

@@ -1,10 +1,10 @@
-//! The words of a game: who plays, what the game is in, what happens, and what an official orders.
+//! Terms of the game: teams, phases, events and the orders of an official.
 
 use downbeat_football::football_interfaces::msg::GameState;
 use glam::DVec2;
 use std::fmt;
 
-/// A team: that which defends the left goal, at -x of the world, in the first half, or the other one.
+/// A team: blue defends the left goal, at -x of the world, in the first half.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Team {
     /// On the left in the first half.
@@ -13,16 +13,16 @@ pub enum Team {
     Red,
 }
 
-/// Who plays.
+/// A player's place in the match.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seat {
-    /// Its team.
+    /// The team.
     pub team: Team,
-    /// Its number in the team, from 1; number 1 keeps the goal.
+    /// The number in the team, from 1; number 1 is the goalkeeper.
     pub number: u8,
 }
 
-/// What the game is in.
+/// The phase of the game.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Before the game.
@@ -37,7 +37,7 @@ pub enum Phase {
     Finished,
 }
 
-/// Whose ball it is, and why.
+/// A set play, by its cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SetPlay {
     /// The ball left at a touch line.
@@ -48,64 +48,64 @@ pub enum SetPlay {
     CornerKick,
 }
 
-/// Why a player is off the field.
+/// The reason why a player is off the field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Penalty {
-    /// It lay too long.
+    /// The player lay on the floor for too long.
     Fallen,
-    /// It left the carpet.
+    /// The player left the carpet.
     LeftField,
 }
 
-/// What happened.
+/// An event of the game.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A phase began.
     Phase(Phase),
-    /// A team shot a goal.
+    /// A team scored a goal.
     Goal(Team),
-    /// A set play of a team.
+    /// A set play was awarded to a team.
     SetPlay(SetPlay, Team),
-    /// The ball did not move: it is dropped in the centre.
+    /// The ball did not move, and is dropped in the centre.
     Stuck,
-    /// The time of a try at the empty goal is up.
+    /// The time of a try at the empty goal is over.
     TimeUp,
-    /// A player is off the field.
+    /// A player was taken off the field.
     Penalised(Seat, Penalty),
-    /// It is back.
+    /// A penalised player has returned.
     Returned(Seat),
-    /// A player stood where it must not when *set* began.
+    /// A player was in a forbidden place when *set* began, and was put back.
     PutBack(Seat),
     /// The first half is over.
     HalfTime,
 }
 
-/// What somebody has to do at once.
+/// An order to be carried out at once.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
-    /// Put the ball there, at rest.
+    /// Put the ball at this position, at rest.
     Ball(DVec2),
-    /// Put a robot there, on its feet.
+    /// Put a robot at this position, upright.
     Robot {
-        /// Its index.
+        /// The index of the robot.
         robot: usize,
-        /// Where.
+        /// The position.
         position: DVec2,
-        /// Its heading, in rad.
+        /// The heading, in rad.
         heading: f64,
     },
 }
 
-/// What is true on the field, in the frame of the world.
+/// The true state of the field, in the frame of the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     /// The centre of the ball.
     pub ball: DVec2,
-    /// Its height above the floor.
+    /// The height of the ball above the floor.
     pub ball_height: f64,
-    /// The robot that touched it last.
+    /// The robot that touched the ball last.
     pub last_touch: Option<usize>,
-    /// Where the robots are, and whether they are on their feet.
+    /// The positions of the robots, and whether each is upright.
     pub robots: Vec<(DVec2, bool)>,
 }
 
@@ -123,7 +123,7 @@ impl Team {
         self as usize
     }
 
-    /// As the game controllers number teams.
+    /// The number of the team, as in the game controllers.
     #[must_use]
     pub fn number(self) -> u8 {
         match self {
@@ -132,7 +132,7 @@ impl Team {
         }
     }
 
-    /// As `GameState` numbers what it wears.
+    /// The number of the team's colour, as in `GameState`.
     pub(crate) fn colour(self) -> u8 {
         match self {
             Self::Blue => GameState::COLOUR_BLUE,
@@ -142,7 +142,8 @@ impl Team {
 }
 
 impl Penalty {
-    /// As the humanoid soccer league numbers them in its packets of version 20: *incapable robot* and *leaving the field*.
+    /// The number of the penalty in packets of version 20 of the humanoid soccer league: *incapable robot*
+    /// and *leaving the field*.
     #[must_use]
     pub fn number(self) -> u8 {
         match self {

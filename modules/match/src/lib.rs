@@ -1,9 +1,11 @@
 //! Football matches of simulated robots.
 //!
-//! - [`FootballMatch`] is the module: a field with a ball and robots behind the bytes of their buses, and the referee;
-//! - [`Referee`] decides what the game is: a deterministic state machine over what is true on the field;
+//! - [`FootballMatch`] is the module: a field with a ball, robots behind their simulated buses, and the
+//!   referee;
+//! - [`Referee`] decides the state of the game: a deterministic state machine over the true state of the
+//!   field;
 //! - [`Drill`] lets one robot shoot at an empty goal;
-//! - [`player`] adds the modules of a robot that can walk, kick and get up to a core.
+//! - [`player`] adds the modules of a player that can walk, kick and get up to a core.
 //!
 //! `docs/football.md` explains matches and players.
 

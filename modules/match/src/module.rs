@@ -1,4 +1,4 @@
-//! The match as a module.
+//! The module of a match.
 
 use crate::air::Air;
 use crate::drill::Drill;
@@ -32,35 +32,36 @@ use std::time::Duration;
 
 /// A football field with a ball, robots and a referee. All data is simulated.
 ///
-/// Each robot is behind the bytes of a bus of its own, at the port `memory:NAME`; its modules are in the namespace of its name. They
-/// share one world and one clock. With `downbeat run --fast`, or `downbeat match`, the same file gives the same match.
+/// Each robot is behind a simulated bus at the port `memory:NAME`; its modules are in the namespace of its
+/// name. All robots share one world and one clock. With `downbeat run --fast`, or `downbeat match`, the same
+/// file gives the same match.
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
-/// | `match/state` | football_interfaces/MatchState | ten times a second: score, time, where everybody is |
+/// | `match/state` | football_interfaces/MatchState | ten times a second: score, time and positions |
 /// | `match/field` | std_msgs/String | the field as JSON, once every 2 s |
-/// | `match/event` | std_msgs/String | when something happened: time of the match, score, what |
-/// | `NAME/game_state` | football_interfaces/GameState | what a robot hears of the referee: when something happens, and twice a second |
-/// | `NAME/ground_truth/odom` | nav_msgs/Odometry | its pose in `map`, in which its own goal is at -x; 50 times a second |
-/// | `NAME/ground_truth/ball` | geometry_msgs/PoseStamped | the same of the ball |
-/// | `NAME/ground_truth/robots` | soccer_model_msgs/RobotArray | the same of the other robots; 10 times a second |
-/// | `NAME/camera/image_raw`, `NAME/camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0; 30 ms after the exposure, which the stamp tells |
-/// | `NAME/team_status` (in), `NAME/team_messages` | football_interfaces/TeamMessage | what a player tells its team; each mate receives it after 50 to 150 ms, or loses it; penalised players neither send nor receive |
+/// | `match/event` | std_msgs/String | at each event: time of the match, score and event |
+/// | `NAME/game_state` | football_interfaces/GameState | the state of the game for this robot: at each event, and twice a second |
+/// | `NAME/ground_truth/odom` | nav_msgs/Odometry | the pose in `map`, in which the own goal is at -x; 50 times a second |
+/// | `NAME/ground_truth/ball` | geometry_msgs/PoseStamped | the ball in the same frame |
+/// | `NAME/ground_truth/robots` | soccer_model_msgs/RobotArray | the other robots in the same frame; 10 times a second |
+/// | `NAME/camera/image_raw`, `NAME/camera/camera_info` | sensor_msgs/Image, CameraInfo | if `camera_hz` is not 0; published 30 ms after the exposure, with the exposure time as stamp |
+/// | `NAME/team_status` (in), `NAME/team_messages` | football_interfaces/TeamMessage | the messages of a player to its team; each mate receives a message after 50 to 150 ms, unless it is lost; penalised players neither send nor receive |
 ///
-/// | `match/place_ball` (in) | geometry_msgs/PointStamped | puts the ball there, in the frame of the world |
+/// | `match/place_ball` (in) | geometry_msgs/PointStamped | places the ball, in the frame of the world |
 ///
 /// | setting | |
 /// | --- | --- |
-/// | `robots` | their names, such as `blue_1`: the team, blue or red, and the number; number 1 keeps the goal |
+/// | `robots` | their names, such as `blue_1`: the team, blue or red, and the number; number 1 is the goalkeeper |
 /// | `game` | `match`, or `empty_goal`: one robot shoots at an empty goal, in `tries` tries |
 /// | `field` | a built-in field, or a file |
-/// | `half_s`, `ready_s` | how long a half takes while the ball is in play, and how long players have for their positions, in s |
-/// | `seed` | of all noise, of how robots differ from their description, and of the tries |
-/// | `team_loss` | the share of team messages that do not arrive |
+/// | `half_s`, `ready_s` | the duration of a half while the ball is in play, and the time for players to take their positions, in s |
+/// | `seed` | of all noise, of the robots' deviations from their description, and of the tries |
+/// | `team_loss` | the share of team messages that are lost |
 /// | `camera_hz` | pictures per second; 0 for none |
-/// | `ports` | a folder for ports of robots that are other processes; empty: in memory |
+/// | `ports` | a folder for the ports of robots in other processes; empty: in memory |
 ///
-/// A replay leaves it out, as its messages are in the bag; with `--simulators` it runs again.
+/// A replay leaves the module out, because its messages are in the bag; with `--simulators` it runs again.
 pub struct FootballMatch {
     memory: MemoryPorts,
     game: Option<Game>,
@@ -75,7 +76,7 @@ struct Game {
     began: Option<Time>,
     tell_at: Time,
     air: Air,
-    /// Pictures that nobody has yet, in the order of their times: robot, time, pixels.
+    /// Pictures that have not been delivered, in the order of their times: robot, time, pixels.
     pictures: VecDeque<(usize, Time, Vec<u8>)>,
     reported_left_out: Duration,
 }
@@ -98,16 +99,16 @@ struct RobotPorts {
     camera: Option<(Publication<Image>, Publication<CameraInfo>)>,
 }
 
-/// How often the world of robots in other processes moves.
+/// The period in which the world advances for robots in other processes.
 const MOVE: Duration = Duration::from_millis(4);
-/// The time that may be left out before it is reported.
+/// The skipped time after which a warning is logged.
 const LEFT_OUT: Duration = Duration::from_secs(1);
-/// How often the referee looks.
+/// The period of the referee.
 const LOOK: Duration = Duration::from_millis(100);
-/// How often players hear the referee at least.
+/// The longest interval between states of the game sent to players.
 const TELL: Duration = Duration::from_millis(500);
 const TRUTH: Duration = Duration::from_millis(20);
-/// From exposure until the robot has the picture, as in a camera on USB.
+/// The delay from exposure to delivery, as of a USB camera.
 const LATENCY: Duration = Duration::from_millis(30);
 const DELIVER: Duration = Duration::from_millis(10);
 const FIELD: Duration = Duration::from_secs(2);
@@ -141,7 +142,7 @@ impl FootballMatch {
             ctx.publish(ctx.ports.event, Text { data: format!("{time:.1} s  {blue}:{red}  {event}") });
         }
         let header = header(now, "map");
-        // In real time, it does not look at exact times.
+        // In real time, the timer is not exact.
         if !events.is_empty() || now + LOOK / 2 >= game.tell_at {
             game.tell_at = now + TELL;
             for robot in 0..game.seats.len() {
@@ -166,7 +167,7 @@ impl FootballMatch {
         ctx.publish(ctx.ports.state, state);
     }
 
-    /// Robots in other processes see the world between the times at which somebody here looks.
+    /// Advances the world between the referee's steps, for robots in other processes.
     fn follow_the_clock(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(game) = &mut self.game else { return };
         game.arena.advance_to(ctx.now());
@@ -206,7 +207,7 @@ impl FootballMatch {
         if x.abs() <= game.field.length && y.abs() <= game.field.length {
             game.arena.place_ball([x, y]);
         } else {
-            tracing::warn!("the ball is not placed at {x}, {y}: that is not on the field");
+            tracing::warn!("the ball cannot be placed at {x}, {y}: the place is not on the field");
         }
     }
 
@@ -215,7 +216,7 @@ impl FootballMatch {
         ctx.publish(ctx.ports.field, Text { data: field_json(&game.field) });
     }
 
-    /// Everybody who plays in the team may hear it, under the number of who speaks.
+    /// Sends a message to the playing members of the team, under the number of the sender.
     fn relay(&mut self, robot: usize, message: &TeamMessage, ctx: &Context<'_, Ports>) {
         let Some(game) = &mut self.game else { return };
         let elapsed = ctx.now().saturating_since(game.began.unwrap_or(ctx.now()));
@@ -275,7 +276,7 @@ impl FootballMatch {
 }
 
 impl Game {
-    /// The other robots in the frame of this one's team.
+    /// The other robots, in the frame of this robot's team.
     fn others_of(&self, robot: usize, snapshot: &ArenaSnapshot) -> Vec<OtherRobot> {
         let own = self.seats[robot].team;
         let defends_right = self.official.defends_right(own);
@@ -316,7 +317,9 @@ impl Module for FootballMatch {
         let seed = value(setup, settings.seed).cast_unsigned();
         let official = match value(setup, settings.game).as_str() {
             "empty_goal" if seats.len() != 1 => {
-                return Err(setup.refuse_value(settings.robots, "one robot shoots at an empty goal"));
+                return Err(
+                    setup.refuse_value(settings.robots, "the game empty_goal needs exactly one robot")
+                );
             }
             "empty_goal" => {
                 let tries = u32::try_from(value(setup, settings.tries)).ok();
@@ -350,7 +353,8 @@ impl Module for FootballMatch {
         options.world = world_of(&field);
         let arena = Arena::new(options).map_err(|error| setup.refuse(error.to_string()))?;
         if folder.is_empty() {
-            // Here and not when it is activated: the hardware modules may look for it in the same cycle.
+            // Offered here and not in the activation, because hardware modules may open the port in the same
+            // cycle.
             for (name, emulator) in names.iter().zip(arena.emulators()) {
                 let offered = self.memory.offer(&format!("memory:{name}"), emulator);
                 offered.map_err(|error| setup.refuse_value(settings.robots, error.to_string()))?;
@@ -451,7 +455,7 @@ impl Settings {
                 "kid_size_2013".to_owned(),
                 "a built-in field, or a file",
             )?,
-            half_s: setup.read_only_setting("half_s", 300.0, "s, 1 to 36000; of a half, in play")?,
+            half_s: setup.read_only_setting("half_s", 300.0, "s, 1 to 36000; duration of a half, in play")?,
             ready_s: setup.read_only_setting(
                 "ready_s",
                 30.0,
@@ -477,7 +481,7 @@ fn value<T: SettingType + Clone + Default>(setup: &Setup<'_, FootballMatch>, set
     setup.value(setting).cloned().unwrap_or_default()
 }
 
-/// A number in this range.
+/// The value of a setting, if it is within this range.
 fn within(
     setup: &Setup<'_, FootballMatch>,
     setting: Setting<f64>,
@@ -490,10 +494,10 @@ fn within(
     Err(setup.refuse_value(setting, format!("it has to be {low} to {high}")))
 }
 
-/// Who the names of robots stand for, as in the setting `robots`.
+/// The players denoted by the names of robots, as in the setting `robots`.
 ///
 /// # Errors
-/// What is wrong with a name, in words.
+/// A text that describes the invalid name.
 pub fn seats(names: &[String]) -> Result<Vec<Seat>, String> {
     if names.is_empty() || names.len() > MOST_ROBOTS {
         return Err(format!("{} robots; 1 to {MOST_ROBOTS} can play", names.len()));
@@ -509,9 +513,7 @@ pub fn seats(names: &[String]) -> Result<Vec<Seat>, String> {
             Some(Seat { team, number: number.parse().ok().filter(|number| (1..=11).contains(number))? })
         });
         let seat = parts.ok_or_else(|| {
-            format!(
-                "\"{name}\" does not say which player it is; names are blue_1 to blue_11 and red_1 to red_11"
-            )
+            format!("\"{name}\" is not the name of a player; names are blue_1 to blue_11 and red_1 to red_11")
         })?;
         if seats.contains(&seat) {
             return Err(format!("\"{name}\" is there twice"));
@@ -521,7 +523,7 @@ pub fn seats(names: &[String]) -> Result<Vec<Seat>, String> {
     Ok(seats)
 }
 
-/// The measures, lines and posts of a field, in m.
+/// The dimensions, lines and posts of a field, in m.
 fn field_json(field: &Field) -> String {
     let lines: Vec<_> = field.lines().iter().map(|line| [line.from.to_array(), line.to.to_array()]).collect();
     let posts = field.posts().map(|post| post.to_array());
@@ -549,7 +551,7 @@ fn is_upright(truth: &RobotTruth) -> bool {
     (truth.root.world_from_body.rotation * DVec3::Z).z > 0.5
 }
 
-/// In the frame in which the own goal is at -x.
+/// A pose in the frame in which the own goal is at -x.
 fn seen_by_team(motion: &Motion, defends_right: bool) -> Pose {
     let turn = DQuat::from_rotation_z(if defends_right { PI } else { 0.0 });
     let Isometry { translation, rotation } = motion.world_from_body;

@@ -1,4 +1,4 @@
-//! Who decides what the game is.
+//! The official that decides the state of the game.
 
 use crate::drill::Drill;
 use crate::game::{Event, Order, Phase, Seat, Team, Truth};
@@ -7,16 +7,16 @@ use downbeat_football::football_interfaces::msg::{GameState, MatchState};
 use glam::DVec2;
 use std::time::Duration;
 
-/// The referee of a match, or who counts shots at an empty goal.
+/// The referee of a match, or the official of shots at an empty goal.
 pub enum Official {
-    /// Of a match.
+    /// The referee of a match.
     Referee(Box<Referee>),
-    /// Of shots at an empty goal.
+    /// The official of shots at an empty goal.
     Drill(Box<Drill>),
 }
 
 impl Official {
-    /// Where a robot starts: position and heading in the world.
+    /// The initial place of a robot: position and heading in the world.
     #[must_use]
     pub fn place_of(&self, robot: usize) -> (DVec2, f64) {
         match self {
@@ -28,7 +28,7 @@ impl Official {
         }
     }
 
-    /// Sees what is true at this time since the start, and returns what happened and what has to be done.
+    /// Takes the true state at this time since the start, and returns events and orders.
     pub fn step(&mut self, now: Duration, truth: &Truth) -> (Vec<Event>, Vec<Order>) {
         match self {
             Self::Referee(referee) => referee.step(now, truth),
@@ -36,7 +36,7 @@ impl Official {
         }
     }
 
-    /// What the game is in.
+    /// The phase of the game.
     #[must_use]
     pub fn phase(&self) -> Phase {
         match self {
@@ -45,7 +45,7 @@ impl Official {
         }
     }
 
-    /// What a player may know of the game. The header is empty.
+    /// The state of the game for one player. The header is empty.
     #[must_use]
     pub fn game_state(&self, robot: usize, now: Duration) -> GameState {
         match self {
@@ -54,7 +54,7 @@ impl Official {
         }
     }
 
-    /// Whether a team defends the goal at +x now.
+    /// True if a team currently defends the goal at +x.
     #[must_use]
     pub fn defends_right(&self, team: Team) -> bool {
         match self {
@@ -63,10 +63,10 @@ impl Official {
         }
     }
 
-    /// What watchers see, without the header, the robots and the ball.
+    /// The state of the match for spectators, without the header, the robots and the ball.
     #[must_use]
     pub fn match_state(&self, seats: &[Seat], now: Duration) -> MatchState {
-        // The game as the first player of blue knows it, or of red from the other side.
+        // From the view of the first blue player, or of red with the sides exchanged.
         let blue = seats.iter().position(|seat| seat.team == Team::Blue);
         let state = self.game_state(blue.unwrap_or_default(), now);
         let (own, opponent) = (state.own_score, state.opponent_score);

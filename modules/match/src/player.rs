@@ -1,4 +1,4 @@
-//! The modules of a football player: a robot that walks, kicks, gets up, turns its head and knows where it is.
+//! The modules of a football player: a robot that walks, kicks, gets up, turns its head and localises itself.
 
 use downbeat_executor::{Core, Module, ModuleOptions, SettingValue, SetupError};
 use downbeat_modules::darwin_op::DarwinOp;
@@ -13,21 +13,23 @@ use downbeat_player::team::Team;
 use downbeat_player::truth::TruthBeliefs;
 use downbeat_player::walk_to::WalkTo;
 
-/// Topics of joint commands, those with precedence first.
+/// The topics of joint commands, in the order of precedence.
 const SOURCES: [&str; 4] =
     ["falls/joint_commands", "motions/joint_commands", "gait/joint_commands", "head/joint_commands"];
 
-/// How high `base_link` of a simulated Darwin OP is, in m: the setting of `head` in the robot files.
+/// The height of `base_link` of a simulated Darwin OP, in m: the setting of `head` in the robot files.
 const HEIGHT: f64 = 0.29;
 
-/// For how long a servo rests that has switched itself off, in s: the setting of `hardware` in the robot files.
+/// How long a servo that has switched itself off rests, in s: the setting of `hardware` in the robot files.
 const SHUTDOWN_REST_S: f64 = 2.0;
 
-/// Where the goal posts of the field `kid_size_2013` are, in m: the setting of `walk_to` in the robot files.
+/// The positions of the goal posts of the field `kid_size_2013`, in m: the setting of `walk_to` in the robot
+/// files.
 const POSTS: [f64; 8] = [3.0, 0.8, 3.0, -0.8, -3.0, 0.8, -3.0, -0.8];
 
-/// Adds the modules of a player with all skills, without what decides: as `robots/football/player.toml` does, in the namespace of its
-/// name, at the port `memory:NAME`. The seed is that of the noise of what it believes.
+/// Adds the modules of a player with all skills, without the decision-making, as in
+/// `robots/football/player.toml`: in the namespace of its name, at the port `memory:NAME`. The seed is that
+/// of the noise of its beliefs.
 ///
 /// # Errors
 /// If a module cannot join.
@@ -36,7 +38,7 @@ pub fn add_skills(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -
     Player { core, name }.add("beliefs", TruthBeliefs::default(), [("seed", seed.into())])
 }
 
-/// The same without `pose`, `ball` and `robots`: for a player that sees.
+/// As [`add_skills`], without `pose`, `ball` and `robots`, for a player with vision.
 ///
 /// # Errors
 /// If a module cannot join.
@@ -56,7 +58,7 @@ pub fn add_body(
     player.add("motions", MotionPlayer::default(), [])?;
     player.add("falls", Falls::default(), [])?;
     player.add("team", Team::default(), [])?;
-    // They follow what the team sees.
+    // Both follow the ball of the team.
     let joint = |topic: &str| (topic.to_owned(), format!("team/{topic}"));
     let head = player.options([("height", head_height.into())]);
     player.add_with("head", Head::default(), ModuleOptions { remaps: [joint("ball")].into(), ..head })?;

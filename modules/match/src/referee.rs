@@ -1,4 +1,4 @@
-//! A deterministic state machine over what is true on the field.
+//! The referee of a match: a deterministic state machine over the true state of the field.
 
 use crate::game::{Event, Order, Penalty, Phase, Seat, SetPlay, Team, Truth};
 use downbeat_football::Field;
@@ -7,60 +7,60 @@ use glam::DVec2;
 use std::f64::consts::FRAC_PI_2;
 use std::time::Duration;
 
-/// How long things take.
+/// The durations of the rules.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rules {
-    /// A half, while the ball is in play.
+    /// The duration of a half, while the ball is in play.
     pub half: Duration,
-    /// For players to walk to their positions.
+    /// The time for players to walk to their positions.
     pub ready: Duration,
-    /// For players to stand.
+    /// The time for which players stand before the game continues.
     pub set: Duration,
-    /// A set play.
+    /// The longest duration of a set play.
     pub set_play: Duration,
-    /// How long a player may lie.
+    /// The longest time a player may lie.
     pub fallen: Duration,
-    /// How long a player is off the field.
+    /// The time a penalised player is off the field.
     pub penalty: Duration,
-    /// How long the ball may lie.
+    /// The longest time the ball may lie.
     pub stuck: Duration,
 }
 
-/// A referee that sees the truth.
+/// A referee that sees the true state of the field.
 ///
 /// # Rules
-/// - A half begins, and goes on after a goal, with *ready* (players walk to their positions), *set* (they stand) and *playing*. The ball
-///   lies in the centre; who did not shoot the goal kicks off.
-/// - A goal counts when the ball is behind the goal line as a whole, between the posts and below the crossbar.
-/// - Behind a touch line, the ball comes back to where it left, as a throw-in for the other team; behind a goal line, as a goal kick at
-///   the corner of the goal area or as a corner kick. Play goes on at once; a set play ends when its team touches the ball, or after
-///   [`Rules::set_play`].
-/// - When *set* begins, whoever is not in its own half, or whose team does not kick off and is within the circle, is put back to its
-///   place there.
-/// - A ball that hardly moves for [`Rules::stuck`] is dropped: *ready* begins again without a goal.
-/// - Who lies for longer than [`Rules::fallen`] or leaves the carpet is *picked up*: it is beside the field for [`Rules::penalty`], and
-///   comes back on its feet at the touch line of its own half.
+/// - A half begins, and is resumed after a goal, with *ready* (players walk to their positions), *set*
+///   (players stand) and *playing*. The ball lies in the centre; the team that did not score kicks off.
+/// - A goal counts if the whole ball is behind the goal line, between the posts and below the crossbar.
+/// - If the ball crosses a touch line, it is put back where it left, as a throw-in for the other team. If it
+///   crosses a goal line, the set play is a goal kick at the corner of the goal area or a corner kick. Play
+///   continues at once; a set play ends when its team touches the ball, or after [`Rules::set_play`].
+/// - When *set* begins, a player outside its own half is put back to its place there, and so is a player
+///   within the circle if its team does not kick off.
+/// - If the ball hardly moves for [`Rules::stuck`], it is dropped: *ready* begins again without a goal.
+/// - A player that lies for longer than [`Rules::fallen`] or leaves the carpet is *picked up*: it is taken
+///   off the field for [`Rules::penalty`], and returns upright at the touch line of its own half.
 /// - The game has two halves; sides change in between, and the other team kicks off.
 ///
-/// Not ruled: pushing, hands, and how far others stay away from a set play.
+/// Not implemented: pushing, handling the ball, and the distance to a set play.
 ///
-/// What happens depends only on the times and truths of the calls of [`Referee::step`].
+/// The result depends only on the times and states passed to [`Referee::step`].
 pub struct Referee {
     field: Field,
     rules: Rules,
     seats: Vec<Seat>,
     players: Vec<Player>,
     phase: Phase,
-    /// When it began.
+    /// The time at which the phase began.
     since: Duration,
-    /// Of the current half, in play.
+    /// The time in play of the current half.
     played: Duration,
     last_step: Option<Duration>,
     is_first_half: bool,
     score: [u8; 2],
     kick_off: Team,
     set_play: Option<(SetPlay, Team, Duration)>,
-    /// Where the ball was when it last moved, and when.
+    /// The position and time of the ball's last movement.
     lay_at: (DVec2, Duration),
     last_touch: Option<usize>,
 }
@@ -71,15 +71,15 @@ struct Player {
     penalty: Option<(Penalty, Duration)>,
 }
 
-/// A ball that stays within this distance lies, in m.
+/// A ball that moves less than this counts as lying, in m.
 const STUCK_DISTANCE: f64 = 0.1;
-/// How far from the touch line penalised players stand, in m.
+/// The distance of penalised players from the touch line, in m.
 const BESIDE: f64 = 0.4;
-/// How far from the touch line a throw-in is, in m: the ball is on the field.
+/// The distance of a throw-in from the touch line, in m, inside the field.
 const INSIDE: f64 = 0.1;
 
 impl Default for Rules {
-    /// Halves of ten minutes.
+    /// Rules with halves of ten minutes.
     fn default() -> Self {
         Self {
             half: Duration::from_secs(600),
@@ -115,43 +115,43 @@ impl Referee {
         }
     }
 
-    /// What the game is in.
+    /// The phase of the game.
     #[must_use]
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Goals of blue and red.
+    /// The goals of blue and red.
     #[must_use]
     pub fn score(&self) -> [u8; 2] {
         self.score
     }
 
-    /// The time that the ball was in play in this half.
+    /// The time in play of this half.
     #[must_use]
     pub fn played(&self) -> Duration {
         self.played
     }
 
-    /// Whether this is the first half.
+    /// True in the first half.
     #[must_use]
     pub fn is_first_half(&self) -> bool {
         self.is_first_half
     }
 
-    /// Whether a team defends the goal at +x now.
+    /// True if a team currently defends the goal at +x.
     #[must_use]
     pub fn defends_right(&self, team: Team) -> bool {
         (team == Team::Red) == self.is_first_half
     }
 
-    /// Whether a player is off the field.
+    /// True if a player is off the field.
     #[must_use]
     pub fn is_penalised(&self, robot: usize) -> bool {
         self.players.get(robot).is_some_and(|player| player.penalty.is_some())
     }
 
-    /// Where a player starts and is put back to: position and heading in the world.
+    /// The place where a player starts and to which it is put back: position and heading in the world.
     #[must_use]
     pub fn place_of(&self, robot: usize) -> (DVec2, f64) {
         let Some(seat) = self.seats.get(robot) else { return (DVec2::ZERO, 0.0) };
@@ -169,7 +169,7 @@ impl Referee {
         if self.defends_right(seat.team) { (-place, std::f64::consts::PI) } else { (place, 0.0) }
     }
 
-    /// Sees what is true at this time since the start, and returns what happened and what has to be done.
+    /// Takes the true state at this time since the start, and returns events and orders.
     pub fn step(&mut self, now: Duration, truth: &Truth) -> (Vec<Event>, Vec<Order>) {
         let (mut events, mut orders) = (Vec::new(), Vec::new());
         let elapsed = now.saturating_sub(self.last_step.replace(now).unwrap_or(now));
@@ -228,7 +228,7 @@ impl Referee {
         self.begin_ready(now, events, orders);
     }
 
-    /// Puts players who stand where they must not back to their places.
+    /// Puts players in forbidden places back to their places.
     fn put_back(&mut self, truth: &Truth, events: &mut Vec<Event>, orders: &mut Vec<Order>) {
         for (robot, seat) in self.seats.iter().enumerate() {
             let Some(&(position, _)) = truth.robots.get(robot) else { continue };
@@ -339,17 +339,17 @@ impl Referee {
         }
     }
 
-    /// At this distance from the touch line of the own half, with the face to the field.
+    /// The place at this distance from the touch line of the own half, facing the field.
     fn beside_the_field(&self, robot: usize, distance: f64) -> (DVec2, f64) {
         let seat = self.seats[robot];
         let x = -self.field.length / 4.0 - 0.4 * f64::from(seat.number - 1);
-        // Each team on its own side, so that nobody is put into somebody.
+        // Each team has its own side, so that no robot is put onto another.
         let (sign, own) = if self.defends_right(seat.team) { (1.0, -x) } else { (-1.0, x) };
         let y = (self.field.width / 2.0 + distance) * sign;
         (DVec2::new(own, y), -FRAC_PI_2 * sign)
     }
 
-    /// What a player may know of the game. The header is empty.
+    /// The state of the game for one player. The header is empty.
     #[must_use]
     pub fn game_state(&self, robot: usize, now: Duration) -> GameState {
         let Some(seat) = self.seats.get(robot) else { return GameState::default() };
@@ -417,7 +417,7 @@ mod tests {
     }
 
     impl Game {
-        /// Two against two on the default field, each at its place.
+        /// A match of two against two on the default field, with each player at its place.
         fn new(half: u64) -> Self {
             let seats = [(Team::Blue, 1), (Team::Blue, 2), (Team::Red, 1), (Team::Red, 2)];
             let seats = seats.map(|(team, number)| seat(team, number)).to_vec();
@@ -428,7 +428,7 @@ mod tests {
             Self { referee, now: Duration::ZERO, truth, events: Vec::new() }
         }
 
-        /// Runs and obeys orders.
+        /// Runs the referee and carries out its orders.
         fn run(&mut self, seconds: f64) {
             for _ in 0..(seconds * 10.0).round() as u32 {
                 let (events, orders) = self.referee.step(self.now, &self.truth);
@@ -536,7 +536,7 @@ mod tests {
         assert!(game.events.contains(&Event::HalfTime));
         assert!(game.referee.defends_right(Team::Blue) && game.truth.robots[0].0.x > 4.0);
         assert_eq!(game.referee.game_state(2, game.now).kick_team, GameState::OWN);
-        // A ball in the goal on the right is one for red now.
+        // A ball in the goal on the right is now a goal for red.
         game.run(36.0);
         game.truth.ball = DVec2::new(4.7, 0.0);
         game.run(0.1);

@@ -1,4 +1,4 @@
-//! Players on a field with a referee.
+//! Matches of players with a referee.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_executor::{
@@ -49,7 +49,7 @@ impl Game {
         Self { core, clock, states, events }
     }
 
-    /// Runs all that is due in this time.
+    /// Runs all events of this time.
     fn run(&mut self, seconds: u64) {
         let end = START + (self.clock.now().saturating_since(START) + Duration::from_secs(seconds));
         while let Some(next) = self.core.next_event().filter(|next| *next < end) {
@@ -59,7 +59,7 @@ impl Game {
         self.clock.set(end);
     }
 
-    /// The end of a match: outlets are drained when the core is dropped.
+    /// Ends the match; dropping the core drains the outlets.
     fn end(self) -> (Vec<MatchState>, Vec<String>) {
         let Self { core, states, events, .. } = self;
         drop(core);
@@ -131,10 +131,10 @@ fn mates_hear_each_other_late_and_not_always_and_opponents_do_not() {
     };
     let robots = ["blue_1", "blue_2", "red_2"];
     let linear = heard(Box::new(move |seed| Game::of(&robots, seed, Linear)), 1);
-    assert!(linear.iter().all(|(name, ..)| *name != "red_2"), "it has no mate");
+    assert!(linear.iter().all(|(name, ..)| *name != "red_2"), "red_2 has no mate");
     for name in ["blue_1", "blue_2"] {
         let messages: Vec<_> = linear.iter().filter(|(of, ..)| *of == name).collect();
-        // Five times a second, and one of twenty lost.
+        // Five messages a second, of which one in twenty is lost.
         assert!((38..50).contains(&messages.len()), "{}", messages.len());
         let player = if name == "blue_1" { 2 } else { 1 };
         for (_, late, message) in messages {
@@ -159,7 +159,7 @@ fn penalised_players_are_not_heard() {
     game.core.outlet("blue_1/team_messages", Inbox::KeepAll, hear).unwrap().keep();
     let state = game.core.inlet("blue_2/walk_to/pose").unwrap();
     game.run(9);
-    // Far off the field.
+    // Far outside the field.
     let mut goal = PoseStamped::default();
     goal.header.frame_id = "map".to_owned();
     (goal.pose.position.y, goal.pose.orientation.w) = (9.0, 1.0);

@@ -1,4 +1,4 @@
-//! What a player believes: where it is and where the ball is.
+//! The beliefs of a player: its place, the ball and the other robots.
 
 use downbeat_executor::Time;
 use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
@@ -8,14 +8,14 @@ use downbeat_msgs::geometry_msgs::msg::{PoseWithCovarianceStamped, Quaternion};
 use glam::DVec2;
 use std::time::Duration;
 
-/// A place on the field and a heading, in m and rad.
+/// A position on the field and a heading, in m and rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Place {
     pub(crate) position: DVec2,
     pub(crate) heading: f64,
 }
 
-/// The last messages, as long as they are fresh.
+/// The latest messages; they are used only while fresh.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Beliefs {
     place: Option<(Time, Place)>,
@@ -27,29 +27,29 @@ pub(crate) struct Beliefs {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Other {
     pub(crate) position: DVec2,
-    /// Whether it lies.
+    /// True if the robot lies on the floor.
     pub(crate) is_fallen: bool,
 }
 
-/// Beyond this age a belief does not count.
+/// The age beyond which a belief is ignored.
 const FRESH: Duration = Duration::from_secs(1);
-/// More are not considered.
+/// The largest number of robots; further ones are ignored.
 const MOST_ROBOTS: usize = 32;
 
 impl Place {
-    /// As it is seen from another place.
+    /// This place, relative to another one.
     pub(crate) fn seen_from(self, from: Self) -> Self {
         Self { position: from.point(self.position), heading: wrapped(self.heading - from.heading) }
     }
 
-    /// A point on the field as it is seen from here: ahead, to the left.
+    /// A point on the field, relative to this place: ahead, to the left.
     pub(crate) fn point(self, on_field: DVec2) -> DVec2 {
         DVec2::from_angle(-self.heading).rotate(on_field - self.position)
     }
 }
 
 impl Beliefs {
-    /// Takes a pose in `map`; one that is not finite is ignored.
+    /// Takes a pose in `map`, and ignores it if it is not finite.
     pub(crate) fn take_pose(&mut self, pose: &PoseWithCovarianceStamped, now: Time) {
         let pose = &pose.pose.pose;
         let position = DVec2::new(pose.position.x, pose.position.y);
@@ -59,7 +59,7 @@ impl Beliefs {
         }
     }
 
-    /// Takes a ball in `map`; one that is not finite is ignored.
+    /// Takes a ball in `map`, and ignores it if it is not finite.
     pub(crate) fn take_ball(&mut self, ball: &Ball, now: Time) {
         let position = DVec2::new(ball.point.point.x, ball.point.point.y);
         if position.is_finite() {
@@ -67,7 +67,7 @@ impl Beliefs {
         }
     }
 
-    /// Takes the other robots in `map`; those that are nowhere finite are ignored.
+    /// Takes the other robots in `map`, except those whose position is not finite.
     pub(crate) fn take_robots(&mut self, robots: &RobotArray, now: Time) {
         let others = robots.robots.iter().map(|robot| {
             let at = &robot.pose.pose.position;
@@ -78,7 +78,7 @@ impl Beliefs {
         self.robots = Some((now, others.take(MOST_ROBOTS).collect()));
     }
 
-    /// The other robots on the field.
+    /// The other robots on the field; empty if the belief is not fresh.
     pub(crate) fn robots(&self, now: Time) -> &[Other] {
         let fresh = self.robots.as_ref().filter(|(at, _)| now.saturating_since(*at) <= FRESH);
         fresh.map_or(&[], |(_, robots)| robots)
@@ -88,7 +88,7 @@ impl Beliefs {
         self.place.filter(|(at, _)| now.saturating_since(*at) <= FRESH).map(|(_, place)| place)
     }
 
-    /// On the field.
+    /// The position of the ball on the field.
     pub(crate) fn ball(&self, now: Time) -> Option<DVec2> {
         self.ball.filter(|(at, _)| now.saturating_since(*at) <= FRESH).map(|(_, ball)| ball)
     }

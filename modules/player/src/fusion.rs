@@ -1,7 +1,8 @@
-//! What a team knows together: its ball, and the robots on the field.
+//! The shared knowledge of a team: the ball, and the robots on the field.
 //!
-//! Estimates at one place are one thing; they are averaged with the inverse of their variances as weights. What is old is less certain: a
-//! ball may have been kicked, and a robot has walked.
+//! Estimates close to each other belong to one object; they are averaged with the inverse of their variances
+//! as weights. Older estimates are less certain, because a ball may have been kicked and a robot may have
+//! walked.
 
 use downbeat_executor::Time;
 use downbeat_football::football_interfaces::msg::TeamMessage;
@@ -11,18 +12,18 @@ use std::time::Duration;
 
 use crate::mates::sent_at;
 
-/// Where a ball is, as somebody says.
+/// An estimate of the ball by one player.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BallEstimate {
     pub(crate) position: DVec2,
     pub(crate) velocity: DVec2,
     /// In m².
     pub(crate) variance: f64,
-    /// Since it was seen.
+    /// The time since the ball was seen.
     pub(crate) age: Duration,
 }
 
-/// Another robot.
+/// An estimate of another robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RobotEstimate {
     pub(crate) position: DVec2,
@@ -32,22 +33,23 @@ pub(crate) struct RobotEstimate {
     pub(crate) attributes: Attributes,
 }
 
-/// The least variance of anything, in m².
+/// The lower limit of variances, in m².
 const LEAST: f64 = 1e-4;
-/// How fast a ball may have gone elsewhere, and a robot, in m/s.
+/// The possible speed of an unobserved ball and of an unobserved robot, in m/s.
 const BALL_DRIFT: f64 = 0.3;
 const ROBOT_DRIFT: f64 = 0.15;
-/// The share of its velocity that a ball loses, per s.
+/// The share of its velocity that a rolling ball loses per second.
 const ROLL_OUT: f64 = 0.4;
-/// Balls farther apart are two, in m.
+/// Estimates farther apart belong to different balls, in m.
 const SAME_BALL: f64 = 1.0;
-/// Robots farther apart are two, in m; and if one of them says itself where it is.
+/// Estimates farther apart belong to different robots, in m; the second value applies if one of them is a
+/// mate's own position.
 const SAME_ROBOT: f64 = 0.4;
 const SAME_MATE: f64 = 0.6;
-/// The most robots.
+/// The largest number of robots.
 const MOST: usize = 22;
 
-/// The ball of the team: what most of the weight agrees on.
+/// The ball of the team: the position on which most of the weight agrees.
 pub(crate) fn ball_of_team(
     own: Option<BallEstimate>,
     mates: &[&TeamMessage],
@@ -78,7 +80,8 @@ pub(crate) fn ball_of_team(
     })
 }
 
-/// All other robots: mates where they say they are, opponents as anybody sees them. Who speaks is the player itself at `own`.
+/// All other robots: mates at their reported positions, opponents as seen by any player. `own` is the
+/// position of this player.
 pub(crate) fn robots_of_team(
     own: Option<DVec2>,
     seen: &[RobotEstimate],
@@ -88,7 +91,7 @@ pub(crate) fn robots_of_team(
     let mut robots: Vec<RobotEstimate> = mates.iter().map(|message| mate(message, now)).collect();
     let known = robots.len();
     for one in seen {
-        // Who says its number, or else the nearest of those that it can be.
+        // Matches by the player number, or else the nearest candidate.
         let by_number = robots[..known].iter().position(|mate| {
             one.attributes.team == Attributes::TEAM_OWN
                 && one.attributes.player_number != 0
@@ -142,7 +145,7 @@ fn mate(message: &TeamMessage, now: Time) -> RobotEstimate {
     }
 }
 
-/// The nearest of the robots that this can be; the first ones are mates who say where they are.
+/// The nearest robot that may be the same; the first `mates` robots are mates with reported positions.
 fn same_as(one: &RobotEstimate, robots: &[RobotEstimate], mates: usize) -> Option<usize> {
     let is_one_team = |other: &RobotEstimate| {
         let [one, other] = [one, other].map(|robot| robot.attributes.team);
@@ -173,7 +176,7 @@ impl BallEstimate {
 }
 
 impl RobotEstimate {
-    /// Takes another estimate of the same robot.
+    /// Merges another estimate of the same robot.
     fn merge(&mut self, other: &Self) {
         let [one, two] = [self.variance, other.variance].map(|variance| 1.0 / (LEAST + variance));
         self.position = (self.position * one + other.position * two) / (one + two);
@@ -236,7 +239,7 @@ mod tests {
         let new = message(4, [0.0, 0.0], Some([1.5, 0.0]));
         let ball = ball_of_team(None, &[&old, &new], NOW).unwrap();
         assert!((ball.position.x - 1.5).abs() < 0.02, "{ball:?}");
-        // Of two balls that are apart, the more certain one counts.
+        // If two balls are far apart, the more certain one counts.
         let mut vague = message(5, [0.0, 0.0], Some([-2.0, 0.0]));
         vague.ball_variance = 1.0;
         assert_eq!(ball_of_team(None, &[&vague, &new], NOW).unwrap().position, DVec2::new(1.5, 0.0));
@@ -264,7 +267,7 @@ mod tests {
         let seen = [
             robot(-1.8, 0.1, Attributes::TEAM_OWN),
             robot(0.1, 1.1, Attributes::TEAM_UNKNOWN),
-            // An opponent beside a mate stays one.
+            // An opponent close to a mate remains an opponent.
             robot(0.3, 1.0, Attributes::TEAM_OPPONENT),
         ];
         let robots = robots_of_team(None, &seen, &mates, NOW);

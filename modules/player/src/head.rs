@@ -1,4 +1,4 @@
-//! Looks for the ball, follows it, or looks ahead.
+//! Head control: searches for the ball, follows it, or looks ahead.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
@@ -7,8 +7,9 @@
 //! | `ball` (in) | `soccer_model_msgs/Ball` | in `map` |
 //! | `head/joint_commands` | `sensor_msgs/JointState` | `head_pan` and `head_tilt`, every 40 ms |
 //!
-//! The search sweeps from side to side, far away first and then near the feet. With `track`, the head follows the ball as long as it
-//! and the pose are younger than a second, and searches otherwise. Give `joint_command_mux` the topic among its `sources`.
+//! The search sweeps from side to side, first far away and then near the feet. With `track`, the head follows
+//! the ball as long as ball and pose are younger than a second, and searches otherwise. The topic must be
+//! among the `sources` of `joint_command_mux`.
 //!
 //! | setting | |
 //! | --- | --- |
@@ -29,14 +30,14 @@ use glam::DVec2;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-/// Turns the head; see the [module page](self).
+/// Controls the head; see the [module page](self).
 #[derive(Default)]
 pub struct Head {
     mode: Mode,
     beliefs: Beliefs,
     /// Pan and tilt, in rad.
     angles: DVec2,
-    /// For how long it has searched, in s.
+    /// The duration of the current search, in s.
     searched: f64,
 }
 
@@ -58,11 +59,11 @@ enum Mode {
 }
 
 const PERIOD: Duration = Duration::from_millis(40);
-/// Of the search, in rad: the camera looks 40 degrees down at 0.
+/// The tilts of the search, in rad; at 0 the camera looks down by 40 degrees.
 const TILTS: [f64; 2] = [0.45, 0.0];
-/// With a view over the field.
+/// The tilt with a view over the field, in rad.
 const AHEAD_TILT: f64 = 0.5;
-/// The trunk leans forward by this while the robot stands or walks, in rad.
+/// The forward lean of the trunk while the robot stands or walks, in rad.
 const LEAN: f64 = 0.2;
 /// Half the diameter of a ball, in m.
 const BALL_HEIGHT: f64 = 0.05;
@@ -110,7 +111,7 @@ impl Module for Head {
                 "track" => Mode::Track,
                 "ahead" => Mode::Ahead,
                 other => {
-                    return tracing::warn!("{other:?} is no mode of the head: use search, track or ahead");
+                    return tracing::warn!("{other:?} is not a mode of the head: use search, track or ahead");
                 }
             };
             if head.mode != mode {

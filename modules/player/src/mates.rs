@@ -1,4 +1,4 @@
-//! What team mates say: the latest message of each, if it can be believed.
+//! The messages of team mates: the latest valid message of each.
 
 use downbeat_executor::Time;
 use downbeat_football::football_interfaces::msg::TeamMessage;
@@ -6,44 +6,44 @@ use downbeat_msgs::geometry_msgs::msg::Point;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// The latest messages of team mates, by their numbers.
+/// The latest message of each team mate, by its number.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Mates {
     latest: BTreeMap<u8, TeamMessage>,
-    /// How many messages were refused, by the reason.
+    /// The number of refused messages by reason.
     refused: BTreeMap<Refusal, u64>,
 }
 
-/// Why a message is not believed.
+/// The reason why a message is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Refusal {
-    /// Of another team, of this player itself, or of a number that nobody has.
+    /// It comes from another team or from this player, or its player number is invalid.
     Foreign,
-    /// Sent too long ago, earlier than the latest message of this mate, or in the future.
+    /// Sent too long ago, before the latest message of this mate, or in the future.
     Old,
-    /// A number is none.
+    /// A number is not finite.
     NotFinite,
-    /// Places beside the field, variances or times below 0.
+    /// A position is off the field, or a variance or a time is negative.
     Absurd,
-    /// More players speak than a team has.
+    /// There are more senders than a team has players.
     TooMany,
 }
 
-/// The most mates.
+/// The largest number of mates.
 const MOST: usize = 10;
-/// The highest number of a player.
+/// The largest valid player number.
 const HIGHEST: u8 = 20;
-/// How far from the centre anything of a game is, in m.
+/// The largest distance of any object from the centre, in m.
 const FARTHEST: f64 = 20.0;
-/// The fastest ball, in m/s.
+/// The largest valid speed of a ball, in m/s.
 const FASTEST: f64 = 20.0;
-/// The largest variance that says anything, in m².
+/// The largest valid variance, in m².
 const VAGUEST: f64 = 100.0;
-/// How far clocks differ.
+/// The largest valid clock difference.
 const AHEAD: Duration = Duration::from_millis(200);
 
 impl Refusal {
-    /// As a key of diagnostics.
+    /// The key in diagnostics.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Foreign => "foreign",
@@ -56,7 +56,7 @@ impl Refusal {
 }
 
 impl Mates {
-    /// Takes a message to the player `player` of `team`; 0 if that is not known yet.
+    /// Takes a message for the player `player` of `team`; both are 0 if unknown.
     pub(crate) fn take(
         &mut self,
         message: &TeamMessage,
@@ -97,7 +97,7 @@ impl Mates {
         })
     }
 
-    /// Forgets what is too old, and so players that are silent.
+    /// Removes outdated messages, and with them silent players.
     pub(crate) fn forget_after(&mut self, now: Time, timeout: Duration) {
         self.latest.retain(|_, message| now.saturating_since(sent_at(message)) <= timeout);
     }
@@ -107,18 +107,18 @@ impl Mates {
         self.latest.values()
     }
 
-    /// How many messages were refused, by the reason.
+    /// The number of refused messages by reason.
     pub(crate) fn refused(&self) -> &BTreeMap<Refusal, u64> {
         &self.refused
     }
 }
 
-/// When a message was sent.
+/// The time at which a message was sent.
 pub(crate) fn sent_at(message: &TeamMessage) -> Time {
     Time::from_nanos(message.header.stamp.as_nanos())
 }
 
-/// What is wrong with the numbers of a message.
+/// The first invalid value of a message, if any.
 fn problem_of(message: &TeamMessage) -> Option<Refusal> {
     let pose = &message.pose.pose;
     let q = &pose.orientation;
@@ -131,7 +131,7 @@ fn problem_of(message: &TeamMessage) -> Option<Refusal> {
         numbers.extend(of_ball);
     }
     numbers.extend(message.others.iter().flat_map(|other| [other.x, other.y, other.variance].map(f64::from)));
-    // An infinite time is that of a player who cannot kick.
+    // An infinite time is valid: it means that the player cannot kick.
     if message.time_to_ball.is_nan() || numbers.iter().any(|number| !number.is_finite()) {
         return Some(Refusal::NotFinite);
     }
@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(with(&|message| message.pose.pose.position.x = 50.0), Some(Refusal::Absurd));
         assert_eq!(with(&|message| message.time_to_ball = -1.0), Some(Refusal::Absurd));
         assert_eq!(with(&|message| message.pose.pose.orientation.w = 0.0), Some(Refusal::Absurd));
-        // Nothing of the ball counts where it is not seen.
+        // If the ball is not seen, its fields are ignored.
         assert_eq!(with(&|message| message.ball.x = 1e9), None);
         let ball = |message: &mut TeamMessage| (message.sees_ball, message.ball.x) = (true, 1e9);
         assert_eq!(with(&ball), Some(Refusal::Absurd));
@@ -219,7 +219,7 @@ mod tests {
         take(&mut mates, 3, 800, 2.0);
         take(&mut mates, 4, 1500, 3.0);
         let places = |mates: &Mates| mates.messages().map(|of| of.pose.pose.position.x).collect::<Vec<_>>();
-        assert_eq!(places(&mates), [1.0, 3.0], "one that was overtaken does not count");
+        assert_eq!(places(&mates), [1.0, 3.0], "an overtaken message does not count");
         assert_eq!(mates.refused().get(&Refusal::Old), Some(&1));
         mates.forget_after(NOW + Duration::from_secs(1), TIMEOUT);
         assert_eq!(places(&mates), [1.0]);

@@ -1,30 +1,32 @@
-//! Plays in a team: tells mates what the player knows, and joins what they say with what the player sees itself.
+//! Team play: sends the player's knowledge to its mates, and merges their messages with the player's own
+//! perception.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
-//! | `pose`, `ball`, `robots` (in) | as localisation publishes them | what the player believes itself, in `map` |
-//! | `game_state` (in) | `football_interfaces/GameState` | which player it is, and how many messages the team has left |
-//! | `robot_state` (in) | `std_msgs/String` | of `falls`: whether it is `upright` |
-//! | `team/role` (in) | `std_msgs/UInt8` | the role that the automaton chose, as TeamMessage numbers it |
-//! | `team_messages` (in) | `football_interfaces/TeamMessage` | what mates say, of the radio or of a simulated match |
-//! | `team_status` | `football_interfaces/TeamMessage` | what this player says, `rate` times a second, as far as the budget allows |
-//! | `team/ball` | `soccer_model_msgs/Ball` | in `map`: the own ball at once while it is certain; otherwise the ball that the team sees, ten times a second |
-//! | `team/robots` | `soccer_model_msgs/RobotArray` | in `map`: mates with their numbers where they say they are, and all whom anybody sees; with each `robots`, and without any five times a second |
-//! | `team/report` | `football_interfaces/TeamReport` | the own message and the latest of each mate, five times a second: for those who choose roles |
-//! | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | how many messages were sent, and refused for which reason; once a second if that changed |
+//! | `pose`, `ball`, `robots` (in) | as localisation publishes them | the player's own beliefs, in `map` |
+//! | `game_state` (in) | `football_interfaces/GameState` | the identity of the player, and the remaining message budget of the team |
+//! | `robot_state` (in) | `std_msgs/String` | from `falls`: `upright`, or another state |
+//! | `team/role` (in) | `std_msgs/UInt8` | the role chosen by the state machine, numbered as in TeamMessage |
+//! | `team_messages` (in) | `football_interfaces/TeamMessage` | messages of mates, from the radio or a simulated match |
+//! | `team_status` | `football_interfaces/TeamMessage` | messages of this player, `rate` times a second, within the budget |
+//! | `team/ball` | `soccer_model_msgs/Ball` | in `map`: the player's own ball at once while it is certain; otherwise the ball of the team, ten times a second |
+//! | `team/robots` | `soccer_model_msgs/RobotArray` | in `map`: mates with their numbers at their reported positions, and all robots seen by any player; for each message on `robots`, and without such messages every 0.4 s |
+//! | `team/report` | `football_interfaces/TeamReport` | the player's own message and the latest of each mate, five times a second; for the choice of roles |
+//! | `diagnostics` | `diagnostic_msgs/DiagnosticArray` | the numbers of sent messages, and of refused ones by reason; at most once a second, after a change |
 //!
-//! The module refuses messages of another team or of the player itself, messages older than `timeout` or than the latest of the same mate,
-//! and messages whose numbers are not finite or whose places are beside any field. A ball is certain if its deviation is below 0.5 m. Messages of a counted budget are spread over
-//! the rest of the half, and over all who speak. The time to the ball is estimated for walking around it to its side away from the
-//! opponents' goal.
+//! The module refuses messages of another team or of the player itself, messages older than `timeout` or than
+//! the latest of the same mate, and messages with numbers that are not finite or places that are off any
+//! field. A ball is certain if its standard deviation is below 0.5 m. If the message budget is counted,
+//! messages are spread over the rest of the half and over all players that send. The time to the ball
+//! includes the walk around it, to the side away from the opponents' goal.
 //!
 //! | setting | |
 //! | --- | --- |
-//! | `rate` | the most messages in a second |
-//! | `reserve` | the rest of a counted budget that is not used |
-//! | `timeout` | after which a message of a mate is forgotten, s |
-//! | `ball_timeout` | since the team has seen the ball, s |
-//! | `walk`, `turn` | how fast it walks and turns, m/s and rad/s |
+//! | `rate` | largest number of messages per second |
+//! | `reserve` | the part of a counted budget that is kept unused |
+//! | `timeout` | age after which a message of a mate is discarded, s |
+//! | `ball_timeout` | how long the team's ball is published after it was last seen, s |
+//! | `walk`, `turn` | speeds of walking and turning, m/s and rad/s |
 
 use crate::beliefs::{Beliefs, Place};
 use crate::fusion::{BallEstimate, RobotEstimate, ball_of_team, robots_of_team};
@@ -40,7 +42,7 @@ use downbeat_msgs::std_msgs::msg::{Header, String as Text, UInt8};
 use glam::DVec2;
 use std::time::Duration;
 
-/// Plays in a team; see the [module page](self).
+/// Team play; see the [module page](self).
 #[derive(Default)]
 pub struct Team {
     beliefs: Beliefs,
@@ -71,33 +73,33 @@ pub struct Ports {
     turn: Setting<f64>,
 }
 
-/// What was said.
+/// The messages sent so far.
 #[derive(Default)]
 struct Sent {
     at: Option<Time>,
     count: u64,
-    /// Since the referee last told the budget of the team.
+    /// The number since the last budget from the referee.
     since_told: u16,
 }
 
 const PERIOD: Duration = Duration::from_millis(100);
 const REPORT: Duration = Duration::from_millis(200);
 const DIAGNOSE: Duration = Duration::from_secs(1);
-/// Without robots of its own for this long, the player publishes those of the team.
+/// After this time without robots seen by the player itself, those of the team are published.
 const SILENCE: Duration = Duration::from_millis(300);
-/// Beyond this age nothing of the player itself counts.
+/// The age beyond which the player's own beliefs are ignored.
 const FRESH: Duration = Duration::from_secs(1);
 /// The largest variance of a ball that is certain, in m².
 const CERTAIN: f64 = 0.25;
-/// How far around the ball a player walks, in m.
+/// The distance from the ball at which a player walks around it, in m.
 const AROUND: f64 = 0.3;
-/// How long it takes to get up, in s.
+/// The time to get up, in s.
 const GET_UP: f64 = 10.0;
-/// A budget that is not counted.
+/// The budget value that means that messages are not counted.
 const UNCOUNTED: u16 = u16::MAX;
-/// The most robots of a message.
+/// The largest number of robots in a message.
 const MOST_OTHERS: usize = 8;
-/// The most mates of a report, and robots of the player itself.
+/// The largest number of mates in a report, and of robots that the player itself sees.
 const MOST_MATES: usize = 10;
 const MOST_ROBOTS: usize = 32;
 
@@ -172,7 +174,7 @@ impl Team {
         ctx.publish(ctx.ports.report, TeamReport { header: header(ctx.now()), own, mates });
     }
 
-    /// The ball of the team, if anybody has seen it not too long ago.
+    /// The ball of the team, if any player has seen it recently.
     fn joint_ball(&self, ctx: &Context<'_, Ports>) -> Option<BallEstimate> {
         let (now, timeout) = (ctx.now(), Duration::from_secs_f64(*ctx.get(ctx.ports.ball_timeout)));
         let own = self.ball.map(|(at, ball)| BallEstimate { age: now.saturating_since(at), ..ball });
@@ -195,7 +197,7 @@ impl Team {
         ctx.publish(ctx.ports.robots, RobotArray { header: header(now), robots });
     }
 
-    /// What the player says, if it knows who and where it is.
+    /// The message of this player, if it knows its identity and place.
     fn status(&self, joint: Option<BallEstimate>, ctx: &Context<'_, Ports>) -> Option<TeamMessage> {
         let now = ctx.now();
         let game = self.game.as_ref().filter(|game| game.own_team != 0 && game.player != 0)?;
@@ -231,7 +233,7 @@ impl Team {
         Some(message)
     }
 
-    /// The robots that the player sees itself, the nearest first.
+    /// The robots seen by the player itself, the nearest first.
     fn others(&self, here: DVec2, now: Time) -> Vec<SeenRobot> {
         let fresh = self.robots.as_ref().filter(|(at, _)| now.saturating_since(*at) <= FRESH);
         let mut robots: Vec<&RobotEstimate> = fresh.map_or(&[][..], |(_, robots)| robots).iter().collect();
@@ -248,7 +250,7 @@ impl Team {
         seen.collect()
     }
 
-    /// Whether it is time for a message, and the team has one left.
+    /// True if a message is due and the budget of the team allows it.
     fn may_send(&self, ctx: &Context<'_, Ports>) -> bool {
         let Some(game) = &self.game else { return false };
         let mut period = 1.0 / *ctx.get(ctx.ports.rate);
@@ -264,7 +266,7 @@ impl Team {
                 period = period.max(remaining * speakers / left as f64);
             }
         }
-        // Ticks are rarer than times at which it is due.
+        // Rounded to the nearest tick, because messages are rarely due exactly at a tick.
         let early = PERIOD.as_secs_f64() / 2.0;
         self.sent.at.is_none_or(|at| ctx.now().saturating_since(at).as_secs_f64() + early >= period)
     }
@@ -283,7 +285,7 @@ impl Team {
             .chain(refused)
             .map(|(key, count)| KeyValue { key, value: count.to_string() })
             .collect();
-        // The number of sent messages changes all the time.
+        // The number of sent messages changes all the time, and is no reason for a report.
         let is_news = |value: &&KeyValue| value.key != "sent";
         let before = self.reported.as_ref().map(|(_, values)| values);
         let has_changed =
@@ -328,32 +330,32 @@ impl Module for Team {
             robots: setup.publish("team/robots")?,
             report: setup.publish("team/report")?,
             diagnostics: setup.publish("diagnostics")?,
-            rate: setup.setting_in("rate", 5.0, 0.1..=10.0, "Hz; the most messages it sends")?,
+            rate: setup.setting_in("rate", 5.0, 0.1..=10.0, "Hz; largest rate of messages")?,
             reserve: setup.setting_in(
                 "reserve",
                 100_i64,
                 0.0..=65535.0,
-                "the rest of a counted message budget that it does not use",
+                "the part of a counted message budget that is kept unused",
             )?,
             timeout: setup.setting_in(
                 "timeout",
                 2.0,
                 0.1..=60.0,
-                "s; after which a message of a mate is forgotten",
+                "s; age after which a message of a mate is discarded",
             )?,
             ball_timeout: setup.setting_in(
                 "ball_timeout",
                 3.0,
                 0.1..=60.0,
-                "s; since anybody of the team has seen the ball",
+                "s; how long the ball is published after the team last saw it",
             )?,
-            walk: setup.setting_in("walk", 0.1, 0.01..=2.0, "m/s; how fast it walks")?,
-            turn: setup.setting_in("turn", 0.5, 0.05..=6.0, "rad/s; how fast it turns")?,
+            walk: setup.setting_in("walk", 0.1, 0.01..=2.0, "m/s; speed of walking")?,
+            turn: setup.setting_in("turn", 0.5, 0.05..=6.0, "rad/s; speed of turning")?,
         })
     }
 }
 
-/// In s: turning to the ball, and walking to the side of it from which it can be pushed towards +x.
+/// The time in s to turn to the ball, and to walk to the side from which it can be pushed towards +x.
 fn time_to_ball(place: Place, ball: DVec2, walk: f64, turn: f64) -> f64 {
     let way = ball - place.position;
     let bearing = wrapped(way.to_angle() - place.heading).abs();

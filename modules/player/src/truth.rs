@@ -1,20 +1,20 @@
-//! Pose and ball from the truth of a simulation, with noise: stands in for vision and localisation.
+//! Publishes the pose and the ball from a simulation's truth with noise, in place of vision and localisation.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
-//! | `ground_truth/odom` (in) | `nav_msgs/Odometry` | of the root link on the field |
-//! | `ground_truth/ball` (in) | `geometry_msgs/PoseStamped` | on the field |
-//! | `ground_truth/robots` (in) | `soccer_model_msgs/RobotArray` | the others on the field |
-//! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | in `map`, for each truth |
+//! | `ground_truth/odom` (in) | `nav_msgs/Odometry` | pose of the root link on the field |
+//! | `ground_truth/ball` (in) | `geometry_msgs/PoseStamped` | position on the field |
+//! | `ground_truth/robots` (in) | `soccer_model_msgs/RobotArray` | the other robots on the field |
+//! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | in `map`, for each true pose |
 //! | `ball` | `soccer_model_msgs/Ball` | in `map`, if it is within `range` |
-//! | `robots` | `soccer_model_msgs/RobotArray` | in `map`, those within `range` |
+//! | `robots` | `soccer_model_msgs/RobotArray` | in `map`, the robots within `range` |
 //!
 //! | setting | |
 //! | --- | --- |
 //! | `seed` | same seed, same noise |
 //! | `position_noise`, `heading_noise` | standard deviations, m and rad; errors change within a second |
 //! | `ball_noise` | standard deviation of ball and robots as a share of the distance |
-//! | `range` | within which they are seen, m |
+//! | `range` | largest distance at which they are seen, m |
 
 use crate::beliefs::{Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
@@ -56,7 +56,7 @@ impl TruthBeliefs {
         let place = Place { position, heading: heading_of(&pose.orientation) };
         self.place = Some(place);
         let deviations = [*ctx.get(ctx.ports.position_noise), *ctx.get(ctx.ports.heading_noise)];
-        // An autoregressive error of these deviations.
+        // A first-order autoregressive error with these standard deviations.
         let [far, turned] = deviations.map(|deviation| deviation * (1.0 - KEPT * KEPT).sqrt());
         let drift = DVec2::new(random.normal(far), random.normal(far));
         self.error = Place {
@@ -110,7 +110,8 @@ impl TruthBeliefs {
     }
 }
 
-/// What is at this point of the field, seen from a place where the robot believes to be with an error.
+/// The believed position of an object at this point of the field, seen by a robot that localises itself with
+/// an error.
 fn believed(at: DVec2, place: Place, error: Place, deviation: f64, random: &mut Random) -> DVec2 {
     let seen = place.point(at) + DVec2::new(random.normal(deviation), random.normal(deviation));
     place.position + error.position + DVec2::from_angle(place.heading + error.heading).rotate(seen)

@@ -2,31 +2,31 @@
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
-//! | `walk_to/pose` (in) | `geometry_msgs/PoseStamped` | walk there: in `map`, or with `base_link` as frame from where the robot is now |
+//! | `walk_to/pose` (in) | `geometry_msgs/PoseStamped` | walk to this pose: in `map`, or relative to the current pose with `base_link` as frame |
 //! | `walk_to/kick` (in) | `geometry_msgs/PointStamped` | line up for a kick of the ball towards this point in `map` |
 //! | `walk_to/dribble` (in) | `geometry_msgs/PointStamped` | push the ball towards this point in `map`, walking |
 //! | `walk_to/stop` (in) | `std_msgs/Empty` | stop |
 //! | `pose` (in) | `geometry_msgs/PoseWithCovarianceStamped` | of `base_link` in `map` |
 //! | `ball` (in) | `soccer_model_msgs/Ball` | in `map` |
-//! | `robots` (in) | `soccer_model_msgs/RobotArray` | the others in `map`: it walks around them, and pushes the ball past them |
-//! | `walking` (in) | `std_msgs/Bool` | of the gait |
-//! | `cmd_vel` | `geometry_msgs/Twist` | every 40 ms while there is something to walk to |
+//! | `robots` (in) | `soccer_model_msgs/RobotArray` | the other robots in `map`, as obstacles for the robot and for a pushed ball |
+//! | `walking` (in) | `std_msgs/Bool` | from the gait |
+//! | `cmd_vel` | `geometry_msgs/Twist` | every 40 ms while there is a goal |
 //! | `walk_to/state` | `std_msgs/String` | see below; when it changes and once a second |
 //!
-//! A command holds until the next one. The states are `idle`; `walking`; `there`; `blind`, if a pose or a ball older than a second is
-//! all that is known, in which the robot stands; and `kick_left` or `kick_right`, the motion with which a robot that stands behind
-//! the ball can kick now.
+//! A command holds until the next one. The states are `idle`; `walking`; `there`; `blind`, in which the robot
+//! stands because its pose or the ball has not been seen for a second; and `kick_left` or `kick_right`, the
+//! motion with which the robot, standing behind the ball, can kick now.
 //!
-//! Far from its goal the robot turns to it and walks forward; near it, it steps in all directions. To a ball it comes from behind,
-//! around it if need be.
+//! Far from its goal, the robot turns to the goal and walks forward; near the goal, it steps in all
+//! directions. It approaches the ball from behind, walking around it if necessary.
 //!
 //! | setting | |
 //! | --- | --- |
 //! | `forward`, `side`, `turn` | largest commands, m/s and rad/s |
-//! | `kick_ahead`, `kick_aside` | where the ball is for a kick: ahead of `base_link` and to the side of the foot, m |
-//! | `kick_reach`, `kick_width`, `kick_angle` | how far it may be off, m and rad |
-//! | `there_distance`, `there_angle` | how far the robot may be off at a place, m and rad |
-//! | `posts` | goal posts in `map`, which it walks around: x and y in turn, m |
+//! | `kick_ahead`, `kick_aside` | position of the ball for a kick: ahead of `base_link`, and to the side of the foot, m |
+//! | `kick_reach`, `kick_width`, `kick_angle` | tolerances of the kick, m and rad |
+//! | `there_distance`, `there_angle` | tolerances of a place, m and rad |
+//! | `posts` | goal posts in `map`, as obstacles: x and y in turn, m |
 
 use crate::beliefs::{Beliefs, Other, Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
@@ -42,19 +42,19 @@ use std::time::Duration;
 pub struct WalkTo {
     goal: Goal,
     beliefs: Beliefs,
-    /// Since when it stands; `None` while it walks.
+    /// When the robot came to a stand; `None` while it walks.
     stands_since: Option<Time>,
-    /// Since when it has been stopping for a kick.
+    /// When the robot began to stop for a kick.
     stops_since: Option<Time>,
     /// The foot of the next kick: 1 for the left one, -1 for the right one.
     foot: Option<f64>,
-    /// Whether it steps in all directions and does not walk forward.
+    /// True if the robot steps in all directions instead of walking forward.
     steps: bool,
-    /// For how many ticks in a row it has been ahead of its place.
+    /// The number of consecutive ticks in which the robot was ahead of its place.
     ticks_back: u32,
-    /// Whether it is close behind the ball.
+    /// True if the robot is close behind the ball.
     is_closing_in: bool,
-    /// The side on which it pushes the ball past somebody: 1 for the left one, -1 for the right one.
+    /// The side on which the robot pushes the ball past another robot: 1 for left, -1 for right.
     passing: Option<f64>,
     reported: Option<(Time, &'static str)>,
 }
@@ -72,21 +72,21 @@ enum Goal {
     #[default]
     Nothing,
     Place(Place),
-    /// As seen from where the robot is when it is next believed to be somewhere.
+    /// Relative to the robot, until its next pose is known.
     FromHere(Place),
     Kick(DVec2),
     Dribble(DVec2),
 }
 
-/// What it does not walk into, as seen from where it is, in m.
+/// An obstacle, relative to the robot, in m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Obstacle {
     at: DVec2,
-    /// The distance that is kept.
+    /// The distance to keep from it.
     keep: f64,
 }
 
-/// Ahead and to the left, in m/s, and to the left, in rad/s.
+/// Velocities ahead and to the left in m/s, and turn rate to the left in rad/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Velocity {
     linear: DVec2,
@@ -95,39 +95,40 @@ struct Velocity {
 
 const PERIOD: Duration = Duration::from_millis(40);
 const REPORT: Duration = Duration::from_secs(1);
-/// How much wider the window of a kick is for a robot that stands: it swayed while it walked.
+/// The factor by which the window of a kick is wider for a standing robot, which no longer sways.
 const STANDING_WINDOW: f64 = 1.4;
-/// How long it takes at most to stop for a kick.
+/// The longest time to stop for a kick.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How long a robot that has stopped sways.
+/// The time for which a robot sways after it has stopped.
 const REST: Duration = Duration::from_secs(1);
-/// Within this distance the robot begins to step in all directions, in m, and farther than that it turns and walks again.
+/// Within the first distance the robot steps in all directions, in m; beyond the second it turns and walks
+/// again.
 const NEAR: f64 = 0.25;
 const NO_LONGER_NEAR: f64 = 0.35;
-/// A robot that is ahead of its place by more than this, in m, does nothing but step back for a while, unless it first has to turn by
-/// more than that, in rad.
+/// A robot that is ahead of its place by more than the first value, in m, only steps back for a while, unless
+/// it first has to turn by more than the second value, in rad.
 const BACK_FIRST: f64 = -0.03;
 const NOT_TURNED: f64 = 0.5;
 const BACK_FOR: Duration = Duration::from_secs(4);
-/// How far behind the place of a kick the approach ends, in m.
+/// The distance behind the place of a kick at which the approach ends, in m.
 const BEHIND: f64 = 0.1;
-/// How far behind the ball a push begins, in m.
+/// The distance behind the ball at which a push begins, in m.
 const PUSH_FROM: f64 = 0.225;
-/// The distance that the robot keeps from a ball that it goes around, in m.
+/// The distance that the robot keeps from the ball when it walks around it, in m.
 const CLEARANCE: f64 = 0.3;
-/// The distance that the robot keeps from others, from those who lie and need room to get up, and from posts, in m; how fast it backs
-/// off from who is much nearer, in m/s.
+/// The distances that the robot keeps from other robots, from fallen ones, which need room to get up, and
+/// from posts, in m; and the speed at which it backs off from a much nearer obstacle, in m/s.
 const KEEP_OFF: f64 = 0.3;
 const KEEP_OFF_FALLEN: f64 = 0.5;
 const KEEP_OFF_POST: f64 = 0.2;
 const BACK_OFF: f64 = 0.05;
-/// By how much the ball has to be on the other side before the foot changes, in m.
+/// How far the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
-/// By how much the ball is pushed past somebody, in rad.
+/// The angle by which the ball is pushed past another robot, in rad.
 const PAST: f64 = 0.8;
-/// How much farther somebody has to be before the ball is no longer pushed past.
+/// The factor by which another robot has to be farther away before the ball is no longer pushed past it.
 const STILL_PASSING: f64 = 1.3;
-/// Velocity by distance, turn rate by angle, in 1/s.
+/// Proportional gains: velocity by distance, and turn rate by angle, in 1/s.
 const GAIN: f64 = 1.0;
 const TURN_GAIN: f64 = 1.2;
 
@@ -199,7 +200,7 @@ impl WalkTo {
                 None => (None, "blind"),
             },
         };
-        // Who has the ball at its feet does not shrink back from those on its other side.
+        // A player in possession ignores obstacles behind the ball.
         let has_ball = self.is_closing_in && matches!(self.goal, Goal::Kick(_) | Goal::Dribble(_));
         let ball = here.zip(self.beliefs.ball(now)).filter(|_| has_ball).map(|(here, ball)| here.point(ball));
         let is_beyond = |at: DVec2| ball.is_some_and(|ball| ball.dot(at) > ball.length_squared());
@@ -215,14 +216,14 @@ impl WalkTo {
         }
     }
 
-    /// The other robots as seen from here.
+    /// The other robots, relative to this place.
     fn robots_from(&self, here: Place, now: Time) -> Vec<Obstacle> {
         let keep = |robot: &Other| if robot.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
         let robots = self.beliefs.robots(now).iter();
         robots.map(|robot| Obstacle { at: here.point(robot.position), keep: keep(robot) }).collect()
     }
 
-    /// Ball and target as seen from here.
+    /// Lines up for a kick; ball and target are relative to the robot.
     fn line_up(
         &mut self,
         ball: DVec2,
@@ -233,7 +234,7 @@ impl WalkTo {
     ) -> (Option<Velocity>, &'static str) {
         let direction = target - ball;
         let heading = if direction.length() > 1e-3 { direction.to_angle() } else { 0.0 };
-        // The ball as it would be seen with the heading of the kick.
+        // The ball, relative to the robot with the heading of the kick.
         let straight = DVec2::from_angle(-heading).rotate(ball);
         let foot = match self.foot {
             Some(foot) if straight.y * foot > -OTHER_FOOT => foot,
@@ -245,7 +246,8 @@ impl WalkTo {
             off.y.abs() < settings.kick_width * share && heading.abs() < settings.kick_angle * share
         };
         let is_in_window = |share: f64| off.x.abs() < settings.kick_reach * share && is_beside(share);
-        // It kicks from the stand, on which it has to come to rest; where the ball is to its feet shows only then.
+        // The robot kicks while standing, after it has come to rest, because only then the position of the
+        // ball relative to its feet is known.
         let is_at_rest = self.stands_since.is_some_and(|since| since + REST <= now);
         if is_at_rest && is_in_window(STANDING_WINDOW) {
             return (Some(Velocity::default()), if foot > 0.0 { "kick_left" } else { "kick_right" });
@@ -260,7 +262,8 @@ impl WalkTo {
         let is_behind = off.x > -0.05 && off.x < BEHIND + 0.15 && off.y.abs() < limit / 2.0;
         self.is_closing_in = is_behind && heading.abs() < limit;
         let velocity = if self.is_closing_in {
-            // First to the side and around, then ahead: toes that step beside the place of the kick push the ball.
+            // First to the side and around, then ahead: feet that step next to the place of the kick would
+            // push the ball.
             let ahead = if is_beside(0.8) { off.x } else { off.x - BEHIND };
             let step = DVec2::from_angle(heading).rotate(DVec2::new(ahead, off.y));
             self.step(step, heading, settings)
@@ -272,7 +275,8 @@ impl WalkTo {
         (Some(velocity), "walking")
     }
 
-    /// Ball and target as seen from here: behind the ball on the way to the target it walks on, through the ball.
+    /// Dribbles; ball and target are relative to the robot. Behind the ball on the line to the target, the
+    /// robot walks on through the ball.
     fn dribble(
         &mut self,
         ball: DVec2,
@@ -283,7 +287,7 @@ impl WalkTo {
         let direction = target - ball;
         let heading = if direction.length() > 1e-3 { direction.to_angle() } else { 0.0 };
         let straight = DVec2::from_angle(-heading).rotate(ball);
-        // Once it pushes, it goes on until the ball is clearly beside it.
+        // Once the robot pushes the ball, it continues until the ball is clearly to its side.
         let [aside, turned] = if self.is_closing_in { [0.1, 0.5] } else { [0.05, 0.25] };
         let is_ahead = straight.x > 0.0 && straight.x < 2.0 * CLEARANCE;
         self.is_closing_in = is_ahead && straight.y.abs() < aside && heading.abs() < turned;
@@ -297,7 +301,7 @@ impl WalkTo {
         self.step_or_walk(way, heading, obstacles, settings)
     }
 
-    /// A goal as seen from here.
+    /// Walks to a goal relative to the robot.
     fn walk_to_place(
         &mut self,
         goal: Place,
@@ -310,8 +314,8 @@ impl WalkTo {
         (Some(self.step_or_walk(goal.position, goal.heading, obstacles, settings)), "walking")
     }
 
-    /// Steps in all directions; back first, since a gait that also steps aside or turns hardly gets back. Some hardly get back at all:
-    /// after a while it is no longer waited for.
+    /// Steps in all directions, but first back, because a gait that also steps aside or turns hardly moves
+    /// back. Some gaits hardly move back at all, so this ends after a while.
     fn step(&mut self, to: DVec2, heading: f64, settings: &Settings) -> Velocity {
         let limit = DVec2::new(settings.forward / 2.0, settings.side);
         let is_ahead = to.x < BACK_FIRST && heading.abs() < NOT_TURNED;
@@ -323,7 +327,7 @@ impl WalkTo {
         Velocity { linear: (to * GAIN).clamp(-limit, limit), turn }
     }
 
-    /// To a place, with a heading there.
+    /// Steps or walks to a place and a heading there.
     fn step_or_walk(
         &mut self,
         to: DVec2,
@@ -336,7 +340,8 @@ impl WalkTo {
     }
 }
 
-/// Not nearer to those who are near, and away from who is very near: robots that touch fall.
+/// Removes the velocity towards near obstacles and backs off from very near ones, because robots that touch
+/// fall.
 fn keeping_off<'a>(mut velocity: Velocity, obstacles: impl IntoIterator<Item = &'a Obstacle>) -> Velocity {
     for Obstacle { at, keep } in obstacles {
         let distance = at.length();
@@ -352,7 +357,8 @@ fn keeping_off<'a>(mut velocity: Velocity, obstacles: impl IntoIterator<Item = &
     velocity
 }
 
-/// Where to push a ball that is to go to a target: past who stands on its way, on the side on which it already does.
+/// The point towards which to push the ball: past an obstacle on the way to the target, on the current side
+/// if there is one.
 fn past(robots: &[Obstacle], ball: DVec2, target: DVec2, passing: &mut Option<f64>) -> DVec2 {
     let way = target - ball;
     let widened = if passing.is_some() { STILL_PASSING } else { 1.0 };
@@ -369,8 +375,8 @@ fn past(robots: &[Obstacle], ball: DVec2, target: DVec2, passing: &mut Option<f6
         *passing = None;
         return target;
     };
-    // On the side for which it has to turn the ball and to walk around it least; to the right of who comes straight on, who then
-    // has it on the other side.
+    // The side that needs the least turning of the ball and the least walking around it. If the obstacle is
+    // straight ahead, the right side, so that an opponent with the same rule takes the other one.
     let (of_other, of_push) = (way.angle_to(other - ball), way.angle_to(ball));
     let direction = |side: f64| of_other + side * PAST;
     let effort = |side: f64| direction(side).abs() + wrapped(direction(side) - of_push).abs() / 2.0;
@@ -378,13 +384,13 @@ fn past(robots: &[Obstacle], ball: DVec2, target: DVec2, passing: &mut Option<f6
     ball + DVec2::from_angle(direction(*passing.get_or_insert(easier))).rotate(way)
 }
 
-/// Where to go first on the way to a point, so as not to walk into anything.
+/// The next point on the way to `to` that avoids the obstacles.
 fn avoiding(to: DVec2, obstacles: &[Obstacle]) -> DVec2 {
     let in_the_way = obstacles.iter().filter(|obstacle| obstacle.at.distance(to) > CLEARANCE);
     in_the_way.fold(to, |to, obstacle| around(to, obstacle.at))
 }
 
-/// Goal posts as seen from here; `posts` has x and y in turn.
+/// The goal posts relative to this place; `posts` has x and y in turn.
 fn posts_from(here: Place, posts: &[f64]) -> Vec<Obstacle> {
     let posts = posts.as_chunks().0.iter().map(|post: &[f64; 2]| DVec2::from(*post));
     let posts = posts.filter(|post| post.is_finite());
@@ -399,12 +405,12 @@ fn far(to: DVec2, settings: &Settings) -> Velocity {
     Velocity { linear: DVec2::new(settings.forward * share, 0.0), turn }
 }
 
-/// Where to go first on the way to a point, so as not to walk through the ball.
+/// The next point on the way to `to` that does not lead through the ball.
 fn around(to: DVec2, ball: DVec2) -> DVec2 {
     let Some(along) = to.try_normalize() else { return to };
     let passes = ball.dot(along);
     let aside = along.perp().dot(ball);
-    // A place beside the ball is reached without keeping farther off than the place is.
+    // For a place next to the ball, the clearance is limited to the distance of the place.
     let clearance = CLEARANCE.min(0.8 * to.distance(ball));
     if passes <= 0.0 || passes >= to.length() || aside.abs() >= clearance {
         return to;
@@ -421,7 +427,7 @@ impl Module for WalkTo {
             let position = DVec2::new(goal.pose.position.x, goal.pose.position.y);
             let place = Place { position, heading: heading_of(&goal.pose.orientation) };
             if !position.is_finite() || !place.heading.is_finite() {
-                return tracing::warn!("a goal is not finite: it is ignored");
+                return tracing::warn!("a goal that is not finite is ignored");
             }
             match goal.header.frame_id.as_str() {
                 "map" => walk.goal = Goal::Place(place),
@@ -479,8 +485,8 @@ mod tests {
         let ball = DVec2::new(0.5, 0.05);
         let way = around(DVec2::new(1.0, 0.0), ball);
         assert!((way - ball).length() > 0.29 && way.y < 0.0, "{way}");
-        assert_eq!(around(DVec2::new(0.3, 0.0), ball), DVec2::new(0.3, 0.0), "it is not that far");
-        assert_eq!(around(DVec2::new(-1.0, 0.0), ball), DVec2::new(-1.0, 0.0), "it is behind");
+        assert_eq!(around(DVec2::new(0.3, 0.0), ball), DVec2::new(0.3, 0.0), "nearer than the ball");
+        assert_eq!(around(DVec2::new(-1.0, 0.0), ball), DVec2::new(-1.0, 0.0), "behind the robot");
     }
 
     #[test]
@@ -490,7 +496,7 @@ mod tests {
         let state = |walk: &mut WalkTo, ball| walk.line_up(ball, target, &[], Time::ZERO + REST, &settings).1;
         let mut walk = WalkTo { stands_since: Some(Time::ZERO), ..WalkTo::default() };
         assert_eq!(state(&mut walk, DVec2::new(0.1, 0.045)), "kick_left");
-        // It keeps its foot where both would do.
+        // The foot stays the same where both would do.
         assert_eq!(state(&mut walk, DVec2::new(0.1, -0.02)), "walking");
         assert_eq!(state(&mut walk, DVec2::new(0.1, -0.06)), "kick_right");
         walk.stands_since = Some(Time::ZERO + REST / 2);
@@ -506,7 +512,7 @@ mod tests {
         assert_eq!(aside(&[robot(-0.3, 0.0), robot(1.5, 0.0)], &mut None), 0.0);
         let mut passing = None;
         assert!(aside(&[robot(0.6, 0.1)], &mut passing) < -1.0);
-        assert!(aside(&[robot(0.6, -0.1)], &mut passing) < -1.0, "it keeps its side");
+        assert!(aside(&[robot(0.6, -0.1)], &mut passing) < -1.0, "the side is kept");
         assert!(aside(&[robot(0.6, -0.1)], &mut None) > 1.0);
         assert_eq!(aside(&[robot(1.5, 0.0)], &mut passing), 0.0);
         assert_eq!(passing, None);

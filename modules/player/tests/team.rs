@@ -1,4 +1,4 @@
-//! Two players of a team in a core, each of whom sees a part of the field and hears the other.
+//! Two players of a team in a core; each sees a part of the field and receives the messages of the other.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_executor::{Clock as _, Core, Inbox, Inlet, ManualClock, ModuleOptions, Received, Time};
@@ -37,7 +37,7 @@ struct Player {
 }
 
 impl Player {
-    /// Player 2 of team 1, at a place with its face to the opponents' goal.
+    /// Player 2 of team 1, at a place, facing the opponents' goal.
     fn at(x: f64, y: f64) -> Self {
         let clock = ManualClock::new(Time::from_nanos(1_000_000_000));
         let mut core = Core::new().with_clock(clock.clone());
@@ -86,7 +86,7 @@ impl Player {
         self.games.publish(game).unwrap();
     }
 
-    /// Runs for so many tenths of a second, and returns what it published then.
+    /// Runs for this number of tenths of a second, and returns the messages published meanwhile.
     fn run(&mut self, tenths: u32) -> Heard {
         for _ in 0..tenths {
             let mut pose = PoseWithCovarianceStamped::default();
@@ -120,7 +120,7 @@ impl Player {
         self.robots.publish(RobotArray { robots, ..RobotArray::default() }).unwrap();
     }
 
-    /// A message of player 3 at a place, as sent now.
+    /// A message of player 3 at a place, sent now.
     fn message(&self, x: f64, y: f64) -> TeamMessage {
         let mut message = TeamMessage { team: 1, player: 3, time_to_ball: 5.0, ..TeamMessage::default() };
         message.header.stamp = Stamp::from_nanos(self.clock.now().as_nanos());
@@ -144,7 +144,7 @@ fn a_player_tells_where_it_is_what_it_sees_and_when_it_could_have_the_ball() {
         (1, 2, TeamMessage::ACTIVE, TeamMessage::STRIKER)
     );
     assert_eq!((last.pose.pose.position.x, last.sees_ball), (-1.0, true));
-    // One metre straight ahead.
+    // The ball is one metre straight ahead.
     assert!((9.0..11.0).contains(&last.time_to_ball), "{}", last.time_to_ball);
     let others: Vec<(f32, u8)> = told[0].others.iter().map(|other| (other.x, other.team)).collect();
     assert_eq!(others, [(0.0, 1), (2.0, 2)], "the nearest first");
@@ -165,16 +165,16 @@ fn the_own_ball_goes_on_at_once_and_that_of_a_mate_stands_in() {
     player.sees_ball(0.5, 0.0, 0.01);
     let balls = player.run(1).balls;
     assert_eq!((balls.len(), balls[0].point.point.x), (1, 0.5));
-    assert!(player.run(35).balls.len() > 5, "for a while it is known where it was");
+    assert!(player.run(35).balls.len() > 5, "the ball stays known for a while");
     assert!(player.run(5).balls.is_empty());
-    // It sees nothing; a mate does.
+    // The player sees no ball, but a mate does.
     let mut message = player.message(0.0, 1.0);
     (message.sees_ball, message.ball.x, message.ball.y, message.ball_variance) = (true, 1.5, 1.0, 0.02);
     player.messages.publish(message).unwrap();
     let balls = player.run(5).balls;
     let last = &balls.last().unwrap().point;
     assert!((last.point.x - 1.5).abs() < 1e-6 && last.covariance[0] > 0.02, "{last:?}");
-    // What it sees itself, and certainly, is worth more.
+    // A certain ball of the player itself takes precedence.
     player.sees_ball(0.6, 0.0, 0.01);
     assert_eq!(player.run(2).balls.last().unwrap().point.point.x, 0.6);
 }
@@ -217,7 +217,7 @@ fn mates_are_where_they_say_and_opponents_where_anybody_sees_them() {
         .collect();
     who.sort_by(|one, other| one.partial_cmp(other).unwrap());
     assert_eq!(who, [(1, 3, 0.0), (2, 0, 1.0), (2, 0, 2.0)]);
-    // The mate is silent: it is forgotten, and so is what it saw.
+    // The mate is silent, so its position and its observations are discarded.
     let robots = player.run(25).robots.pop().unwrap().robots;
     assert!(robots.is_empty(), "{robots:?}");
 }

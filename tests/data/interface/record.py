@@ -3,7 +3,7 @@
     AMENT_PREFIX_PATH=VENV PYTHONPATH=ROS2CLI/ros2cli:ROS2CLI/ros2interface:ROSIDL_RUNTIME_PY VENV/bin/python record.py
 
 VENV is the Python environment of the tests (target/venv), the others are checkouts of ros2/ros2cli and
-ros2/rosidl_runtime_py, branch jazzy, which are not on PyPI. Writes beside itself:
+ros2/rosidl_runtime_py, branch jazzy, which are not on PyPI. Writes in its own folder:
 
     ros2_interface_show.txt   what it prints for the types of shown_msgs, as it is
     ros2_interface_show.tsv   for each type of the wheels: name, option, SHA-256 of what it prints, leftovers taken away

@@ -4,7 +4,7 @@ use std::fmt::Display;
 
 use crate::{Random, most_in};
 
-/// Values that readers of files have to refuse or to bear.
+/// Values that file readers have to refuse or to tolerate.
 const VALUES: [&str; 18] = [
     "nan",
     "inf",
@@ -26,7 +26,8 @@ const VALUES: [&str; 18] = [
     "\"\"",
 ];
 
-/// Removes, repeats, swaps and damages some lines of a text, and gives keys other values: those above, and `more`.
+/// Removes, repeats, swaps and damages some lines of a text, and replaces values by those of `VALUES` and
+/// `more`.
 pub fn change_lines(text: &str, more: &[&str], random: &mut Random) -> String {
     let values: Vec<&str> = VALUES.iter().chain(more).copied().collect();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
@@ -52,10 +53,11 @@ pub fn change_lines(text: &str, more: &[&str], random: &mut Random) -> String {
     lines.join("\n")
 }
 
-/// Asserts that a text is refused with an error that contains `expected` and is not long, in memory of its size.
+/// Asserts that a text is refused with a short error that contains `expected`, in memory proportional to its
+/// size.
 ///
 /// # Panics
-/// If it is not.
+/// Panics if the text is accepted, or refused in another way.
 pub fn assert_refused<T, E: Display>(text: &str, expected: &str, parse: impl FnOnce(&str) -> Result<T, E>) {
     let (most, error) = most_in(|| parse(text).err().map(|error| error.to_string()));
     let error = error.unwrap_or_default();

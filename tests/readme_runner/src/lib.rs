@@ -54,7 +54,7 @@ impl Readme {
         self
     }
 
-    /// Runs the commands, twice: whoever tries an example tries it again.
+    /// Runs the commands twice, because readers repeat examples.
     ///
     /// # Panics
     /// Panics if a command fails, does not end, or does not print the expected output.

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::page::{Block, Step, is_like};
 
-/// Generous: the machine may be busy.
+/// Long enough for a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(120);
 
 /// Shell code before the commands. It replaces cargo, and lets Ctrl-C reach the program but not the shell.

@@ -1,1 +1,1 @@
-//! Nothing: what matters is `Cargo.toml`.
+//! An empty library; only `Cargo.toml` matters.

@@ -26,7 +26,8 @@ fn turn(options: &Options) -> anyhow::Result<Trips> {
     pong.kill()?;
     pong.wait()?;
     let output = String::from_utf8(ping?.stdout)?;
-    // One line per second with half of a round-trip time: "… mean 35.1us min 28.3us 50% 33.9us 90% 41.2us 99% 60.3us max …".
+    // One line per second with half of a round-trip time: "… mean 35.1us min 28.3us 50% 33.9us 90% 41.2us 99%
+    // 60.3us max …".
     let mut lines = output.lines().filter(|line| line.contains("mean"));
     let line = lines.next_back().with_context(|| format!("ddsperf measured nothing: {output}"))?;
     let figure = |name: &str| {

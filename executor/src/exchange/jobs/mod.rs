@@ -1,4 +1,5 @@
-//! The mechanism "jobs": work beside the cycle. What blocks or waits runs elsewhere, and its result joins at a sync phase.
+//! The mechanism "jobs": work outside the cycle. Work that blocks or waits runs on other threads, and its
+//! result is delivered in a sync phase.
 
 mod workers;
 
@@ -17,15 +18,15 @@ use crate::{
     Version,
 };
 
-/// Starts the work that modules asked for, and brings its results: in the order in which the work ended, before the
+/// Starts the jobs of modules, and delivers their results in the order in which the jobs ended, before the
 /// messages of the cycle.
 #[derive(Default)]
 pub(crate) struct Jobs {
     workers: Workers,
-    /// Work of detached modules.
+    /// Jobs of detached modules.
     work: Vec<Work>,
     results: Vec<JobResult>,
-    /// Where results wait until they are released.
+    /// Results that are held until their release, in a replay.
     held: Option<HeldResults>,
 }
 
@@ -72,10 +73,10 @@ impl Mechanism for Jobs {
     }
 }
 
-/// A module's part of the mechanism.
+/// A module's part of the mechanism "jobs".
 #[derive(Default)]
 pub(crate) struct JobsPort {
-    /// By the order of declaration.
+    /// In the order of declaration.
     jobs: Vec<Box<dyn AnyJob>>,
     work: Vec<Work>,
 }
@@ -105,22 +106,22 @@ impl JobsPort {
 struct JobResult {
     module: ModuleId,
     port: u32,
-    /// Counts what the module asked of the job.
+    /// The number of the result among those of the job.
     number: u64,
     /// An `Option<Result<T, JobError>>`.
     result: Box<dyn Any + Send>,
 }
 
-/// Results that have come and are not released yet, and releases of those that have not come.
+/// Results that have not been released, and releases whose results have not arrived.
 #[derive(Default)]
 struct HeldResults {
     results: Vec<JobResult>,
-    /// By the name of the module, its job and the number of the result.
+    /// Each release gives the name of the module, the job and the number of the result.
     releases: Vec<(Arc<str>, u32, u64)>,
 }
 
 impl HeldResults {
-    /// Takes new results over; returns those that are released, in the order of the releases.
+    /// Adds new results; returns those that are released, in the order of the releases.
     fn release(&mut self, phase: &SyncPhase<'_>, new: Vec<JobResult>) -> Vec<JobResult> {
         self.results.extend(new);
         let Self { results, releases } = self;
@@ -147,8 +148,7 @@ fn deliver(phase: &mut SyncPhase<'_>, JobResult { module, port, number, result }
     });
 }
 
-/// A module's key to a callback for results of work beside the cycle, from
-/// [`Setup::job`](crate::Setup::job).
+/// A module's key to a callback for the results of a job, from [`Setup::job`](crate::Setup::job).
 pub struct Job<T> {
     pub(crate) port: u32,
     result: PhantomData<fn(T)>,
@@ -168,15 +168,15 @@ impl<T> Clone for Job<T> {
 
 impl<T> Copy for Job<T> {}
 
-/// Why a job has no result.
+/// The reason why a job has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum JobError {
-    /// It panicked, or its [`Completion`] was dropped.
+    /// The job panicked, or its [`Completion`] was dropped.
     #[error("the job ended without a result: it panicked or was dropped")]
     Lost,
 }
 
-/// Brings the result of a job back to its module, from any thread or async task; from
+/// Returns the result of a job to its module, from any thread or async task; from
 /// [`Context::completion`](crate::Context::completion).
 ///
 /// Dropping a completion without a result sends [`JobError::Lost`], so that the module does not wait forever.
@@ -194,7 +194,7 @@ impl<T: Send + 'static> Completion<T> {
         Self { link: Some(link), module, port: job.port, number, result: PhantomData }
     }
 
-    /// Hands over the result. It joins at the next sync phase.
+    /// Sends the result, which is delivered in the next sync phase.
     pub fn finish(mut self, result: T) {
         self.send(Ok(result));
     }
@@ -214,23 +214,23 @@ impl<T: Send + 'static> Drop for Completion<T> {
     }
 }
 
-/// Work that a module asked for and that the sync phase starts.
+/// A job that the sync phase starts.
 enum Work {
-    /// May block its thread.
+    /// A closure that may block its thread.
     Blocking(Box<dyn FnOnce() + Send>),
-    /// Never blocks its thread.
+    /// A future, which must not block its thread.
     Async(Pin<Box<dyn Future<Output = ()> + Send>>),
 }
 
-/// The results of one job that the module has not seen yet.
+/// The results of one job that the module has not received yet.
 struct JobState<T> {
     results: Vec<Result<T, JobError>>,
     next: u64,
 }
 
-/// A [`JobState`] whose type only its module knows.
+/// A [`JobState`] with its type erased.
 trait AnyJob: Any + Send {
-    /// The number of the next result that the module asks for.
+    /// The number for the next result of the job.
     fn next_number(&mut self) -> u64;
     /// Takes an `Option<Result<T, JobError>>`.
     fn accept(&mut self, result: Box<dyn Any + Send>);
@@ -251,7 +251,7 @@ impl<T: Send + 'static> AnyJob for JobState<T> {
 }
 
 impl<M: Module> Setup<'_, M> {
-    /// Declares work beside the cycle and what is done with its results; the key is for [`Context::spawn`].
+    /// Declares a job and the callback for its results; the key is for [`Context::spawn`].
     pub fn job<T, F>(&mut self, mut on_result: F) -> Job<T>
     where
         T: Send + 'static,
@@ -271,19 +271,19 @@ impl<M: Module> Setup<'_, M> {
 }
 
 impl<P> Context<'_, P> {
-    /// Runs `work` on another thread, where it may block. Its result comes to the callback of the job.
+    /// Runs `work` on another thread, where it may block. Its result is passed to the callback of the job.
     ///
-    /// Under a clock that does not go on by itself it runs inside the next sync phase instead.
+    /// Under a clock that does not run by itself, `work` runs inside the next sync phase.
     pub fn spawn<T: Send + 'static>(&mut self, job: Job<T>, work: impl FnOnce() -> T + Send + 'static) {
         let completion = self.completion(job);
         self.work(Work::Blocking(Box::new(move || completion.finish(work()))));
     }
 
-    /// Runs `work` beside the cycle, on one thread for the async work of all modules. Its result comes to the
-    /// callback of the job.
+    /// Runs `work` outside the cycle, on one thread for the async jobs of all modules. Its result is passed
+    /// to the callback of the job.
     ///
-    /// Under a clock that does not go on by itself it runs to its end inside the next sync phase instead. Futures
-    /// that need a runtime of their own, such as tokio's, are spawned there and given a
+    /// Under a clock that does not run by itself, `work` runs to its end inside the next sync phase. Futures
+    /// that need a particular runtime, such as tokio's, are spawned on that runtime with a
     /// [`completion`](Self::completion).
     ///
     /// ```
@@ -322,7 +322,7 @@ impl<P> Context<'_, P> {
         self.work(Work::Async(Box::pin(async move { completion.finish(work.await) })));
     }
 
-    /// A handle that brings one result to the callback of the job, from any thread or runtime.
+    /// A handle that passes one result to the callback of the job, from any thread or runtime.
     ///
     /// ```
     /// # use downbeat_executor::{Completion, Core, ManualClock, Module, Setup, SetupError, Time};
@@ -376,8 +376,8 @@ impl<P> Context<'_, P> {
 }
 
 impl Core {
-    /// Holds the results of jobs back until each is released by [`CoreHandle::release_result`]: for a replay, in which the work
-    /// runs again and its result joins in the cycle in which it joined when it was recorded.
+    /// Holds the results of jobs until each is released by [`CoreHandle::release_result`]. This is for a
+    /// replay, in which the jobs run again and their results are delivered in the recorded cycles.
     pub fn hold_results(&mut self) {
         if let Some(jobs) = self.mechanisms.get_mut::<Jobs>(JOBS) {
             jobs.held.get_or_insert_default();
@@ -386,9 +386,9 @@ impl Core {
 }
 
 impl CoreHandle {
-    /// Has the result of a job join in the next sync phase, or when it comes if that is later; see
-    /// [`Core::hold_results`](crate::Core::hold_results). `job` is the position of the job among those that the module declared,
-    /// `number` counts what the module asked of it.
+    /// Delivers the result of a job in the next sync phase, or as soon as it is there; see
+    /// [`Core::hold_results`](crate::Core::hold_results). `job` is the index of the job in the order of
+    /// declaration by the module, `number` the number of the result.
     pub fn release_result(&self, module: &str, job: u32, number: u64) {
         let module = module.into();
         self.link.post(JOBS, move |jobs: &mut Jobs| {

@@ -1,4 +1,4 @@
-//! The threads on which jobs run.
+//! The threads that run jobs.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -13,13 +13,13 @@ use super::Work;
 use crate::threads::end_of;
 use crate::{ThreadError, ThreadOptions};
 
-/// How many threads run blocking work at most.
+/// The largest number of threads for blocking work.
 const MOST_THREADS: usize = 4;
 
-/// Threads for blocking work and one for async work, started when the first job is.
+/// Threads for blocking work and one for async work, started with the first job.
 ///
-/// They are not waited for at the end: a job may block for ever. Dropping the workers ends each thread with its
-/// current job.
+/// The threads are not joined at the end, since a job may block for ever. After the workers are dropped, each
+/// thread ends with its current job.
 pub(super) struct Workers {
     threads: usize,
     work: Sender<Box<dyn FnOnce() + Send>>,
@@ -51,7 +51,7 @@ impl AsyncThread {
 impl Drop for AsyncThread {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::SeqCst);
-        // Wakes the thread, which then sees that it is over.
+        // Wakes the thread, which then reads the flag.
         self.executor.spawn(async {}).detach();
     }
 }
@@ -64,8 +64,8 @@ impl Default for Workers {
 }
 
 impl Workers {
-    /// Starts the work on another thread. Where the system gives none, the work is dropped, and the module that
-    /// waits for it receives an error.
+    /// Starts the work on another thread. If the system refuses a thread, the work is dropped, and the
+    /// waiting module receives an error.
     pub(super) fn start(&mut self, work: Work) {
         let started = match work {
             Work::Blocking(work) => self.start_blocking(work),
@@ -91,7 +91,7 @@ impl Workers {
             ThreadOptions::default().spawn(name, move || waiting.iter().for_each(guarded))?;
             self.threads += 1;
         }
-        // Cannot fail: the receiver lives as long as this.
+        // Cannot fail: the receiver lives as long as `self`.
         let _ = self.work.send(work);
         Ok(())
     }
@@ -111,7 +111,7 @@ fn guarded(work: impl FnOnce()) {
     }
 }
 
-/// A panic in one task must not end the thread of all.
+/// Keeps a panic in one task from ending the thread of all tasks.
 async fn unpanicking(task: impl Future<Output = ()>) {
     if let Err(panic) = AssertUnwindSafe(task).catch_unwind().await {
         tracing::error!("a job panicked: {}", end_of(panic));

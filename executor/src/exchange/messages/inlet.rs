@@ -1,4 +1,4 @@
-//! Messages from threads outside the executor.
+//! Inlets: messages from threads outside the executor.
 
 use std::num::NonZeroUsize;
 use std::sync::Arc;
@@ -10,13 +10,13 @@ use crate::threads::drop_guarded;
 use crate::topics::{AnyMessage, AnyOutbox, MessageType, Outbox, Topics};
 use crate::{Core, CoreHandle, Receipt, SetupError, SyncPhase, Time};
 
-/// Why an [`Inlet`] did not take a message.
+/// Errors of [`Inlet::publish`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InletError {
-    /// The core has not yet taken what was published before.
+    /// The core has not yet taken the earlier messages.
     #[error("the inlet is full: {0} messages wait for the core")]
     Full(usize),
-    /// The core has stopped, or is gone.
+    /// The core has stopped, or was dropped.
     #[error("the core has stopped")]
     Stopped,
 }
@@ -24,8 +24,8 @@ pub enum InletError {
 /// Publishes on a topic from threads outside the executor; from [`Core::inlet`](crate::Core::inlet) or
 /// [`Core::inlet_with`](crate::Core::inlet_with).
 ///
-/// A message joins at the next sync phase: inlets in the order in which they were made, each in the order of its
-/// queue.
+/// A message takes effect in the next sync phase, in the order in which the inlets were made and, within each
+/// inlet, in the order of its queue.
 ///
 /// ```
 /// use downbeat_executor::{Core, InletError, ManualClock, Time};
@@ -53,17 +53,17 @@ impl<T> Clone for Inlet<T> {
 }
 
 impl<T: Send + 'static> Inlet<T> {
-    /// How many messages may wait for the core, where no other queue was asked for.
+    /// The capacity of the default queue, in messages.
     pub const CAPACITY: usize = 65_536;
 
     pub(crate) fn new(messages: Arc<dyn Queue<T>>, link: Arc<Link>) -> Self {
         Self { messages, link }
     }
 
-    /// Hands a message to the core. Never waits.
+    /// Sends a message to the core. Never waits.
     ///
     /// # Errors
-    /// If too many messages wait already and the queue refuses more, or the core has stopped; the message is dropped.
+    /// If the queue is full and refuses the message, or the core has stopped; the message is dropped.
     pub fn publish(&self, message: T) -> Result<(), InletError> {
         if self.link.is_closed() {
             return Err(InletError::Stopped);
@@ -72,7 +72,7 @@ impl<T: Send + 'static> Inlet<T> {
             return Err(InletError::Full(self.messages.len()));
         }
         self.link.announce(MESSAGES);
-        // The core may have taken its last look between the two.
+        // The core may have stopped between the check and the push.
         if self.link.is_closed() { Err(InletError::Stopped) } else { Ok(()) }
     }
 
@@ -83,25 +83,25 @@ impl<T: Send + 'static> Inlet<T> {
     }
 }
 
-/// The queue of inlets that were not given one.
+/// The queue of inlets without a given queue.
 pub(crate) fn default_queue<T: Send + 'static>() -> Locked<T> {
     Locked::bounded(NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1), Overflow::Refuse)
 }
 
 impl Core {
-    /// A way to publish on a topic from threads outside the executor, through a queue that refuses what
-    /// the core does not take in time.
+    /// Opens a topic for publishing from threads outside the executor. The inlet's queue refuses messages if
+    /// the core does not take them in time.
     ///
     /// # Errors
-    /// A name that is not valid, or a topic that carries another type.
+    /// If the name is invalid, or the topic carries another type.
     pub fn inlet<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Inlet<T>, SetupError> {
         self.inlet_with(topic, default_queue())
     }
 
-    /// A way to publish on a topic from threads outside the executor, through a queue of one's choice.
+    /// Opens a topic for publishing from threads outside the executor, through the given queue.
     ///
     /// # Errors
-    /// A name that is not valid, or a topic that carries another type.
+    /// If the name is invalid, or the topic carries another type.
     pub fn inlet_with<T: Send + Sync + 'static>(
         &mut self,
         topic: &str,
@@ -110,11 +110,11 @@ impl Core {
         open_inlet(&mut self.between_cycles(), topic, queue)
     }
 
-    /// As [`inlet_with`](Self::inlet_with), for messages of a type that is a value. A message of another type is logged and
-    /// discarded.
+    /// As [`inlet_with`](Self::inlet_with), for a message type given as a value. A message of another type is
+    /// discarded with an error in the log.
     ///
     /// # Errors
-    /// Those of [`inlet_with`](Self::inlet_with).
+    /// As for [`inlet_with`](Self::inlet_with).
     pub fn inlet_of(
         &mut self,
         message_type: MessageType,
@@ -126,14 +126,15 @@ impl Core {
 }
 
 impl CoreHandle {
-    /// A way to publish on a topic from threads outside the executor, as [`Core::inlet`](crate::Core::inlet).
+    /// Opens a topic for publishing from threads outside the executor, as
+    /// [`Core::inlet`](crate::Core::inlet).
     #[must_use = "the answer is in the receipt"]
     pub fn inlet<T: Send + Sync + 'static>(&self, topic: &str) -> Receipt<Result<Inlet<T>, SetupError>> {
         self.inlet_with(topic, default_queue())
     }
 
-    /// A way to publish on a topic from threads outside the executor, made while the core runs: behind those that were
-    /// made before.
+    /// Opens a topic for publishing from threads outside the executor while the core runs. The new inlet
+    /// comes after the existing ones in the order of inlets.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Time};
@@ -160,7 +161,8 @@ impl CoreHandle {
         self.ask(move |phase| open_inlet(phase, &topic, queue))
     }
 
-    /// As [`inlet_with`](Self::inlet_with), for messages of a type that is a value; see [`Core::inlet_of`](crate::Core::inlet_of).
+    /// As [`inlet_with`](Self::inlet_with), for a message type given as a value; see
+    /// [`Core::inlet_of`](crate::Core::inlet_of).
     #[must_use = "the answer is in the receipt"]
     pub fn inlet_of(
         &self,
@@ -210,7 +212,7 @@ fn add_inlet<T: Send + 'static>(
 struct InletPort<T, O: Filled<T>> {
     messages: Arc<dyn Queue<T>>,
     outbox: O,
-    /// How many of the messages that the queue dropped are counted.
+    /// How many of the queue's dropped messages have been added to the statistics.
     dropped: u64,
 }
 
@@ -239,7 +241,7 @@ impl Filled<AnyMessage> for Box<dyn AnyOutbox> {
     fn fill(&mut self, messages: impl Iterator<Item = AnyMessage>) {
         for message in messages {
             if !self.add_any(message) {
-                tracing::error!("a message of another type than that of its topic is discarded");
+                tracing::error!("a message was discarded: its type is not that of the topic");
             }
         }
     }
@@ -253,13 +255,13 @@ impl Filled<AnyMessage> for Box<dyn AnyOutbox> {
     }
 }
 
-/// An [`InletPort`] whose type only the topic knows.
+/// An [`InletPort`] with its type erased.
 pub(crate) trait AnyInlet: Send {
     fn topic(&self) -> usize;
-    /// Moves what waits now to the topic. What comes while this runs waits for the next cycle, so that a busy thread
-    /// cannot hold this one.
+    /// Moves the waiting messages to the topic. Messages that arrive meanwhile wait for the next cycle, so
+    /// that a busy thread cannot stall this one.
     fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize));
-    /// True if all inlets are gone, and with them whoever could publish.
+    /// True if all clones of the inlet have been dropped, so that no further message can come.
     fn is_orphaned(&self) -> bool;
 }
 

@@ -23,13 +23,13 @@ use crate::{
     Step, SyncPhase, Time, TopicInfo, TraceCause, Version,
 };
 
-/// Messages from outside the cycle come first: those of inlets in the order in which the inlets were made, those of
-/// detached modules in the order in which these ran; then those of the modules, in the order of registration.
+/// The order of messages is: those of inlets, in the order in which the inlets were made; those of detached
+/// modules, in the order of their runs; those of the other modules, in the order of registration.
 #[derive(Default)]
 pub(crate) struct Messages {
     inlets: Vec<Box<dyn AnyInlet>>,
     outlets: Outlets,
-    /// What detached modules have published since the last sync phase.
+    /// Messages of detached modules since the last sync phase.
     joined: VecDeque<(Step, Vec<Box<dyn AnyOutbox>>)>,
 }
 
@@ -74,7 +74,7 @@ impl Mechanism for Messages {
         }
         topics.finish();
         if topics.is_any_fresh() {
-            // What is fresh now is stale then.
+            // The fresh messages must be retired in the next sync phase.
             mechanisms.next.add(messaging);
         }
         if !topics.shared().is_empty() && self.share(topics, state) {
@@ -97,7 +97,7 @@ impl Mechanism for Messages {
     }
 }
 
-/// A module's part of messaging.
+/// A module's part of the mechanism "messaging".
 impl Port for Outboxes {
     fn changed(&mut self, change: ModuleChange<'_>) -> bool {
         if let ModuleChange::Panicked = change {
@@ -128,8 +128,8 @@ impl Messages {
         });
     }
 
-    /// Brings the batches of this cycle to detached modules and outlets. Returns true if sinks have to run in the next
-    /// cycle.
+    /// Passes the batches of this cycle to detached modules and outlets. Returns true if sinks have to run in
+    /// the next cycle.
     #[inline(never)]
     fn share(&mut self, topics: &mut Topics, state: &mut CoreState) -> bool {
         let (mut is_any_detached, mut is_any_outlet) = (false, false);
@@ -200,7 +200,8 @@ impl Messages {
                 state.inspector.stepped(meter, &module, cycle, span, due, causes);
             }
         }
-        // An observer's steps are no input of the robot; and one that records steps would cause its next.
+        // The steps of an observer are no input of the robot, and publishing them would keep an observer that
+        // records steps running without end.
         if role != Role::Part || !topics.hears::<DetachedStep>() {
             return;
         }
@@ -221,7 +222,7 @@ impl Messages {
         topics.take_reports(now, &mut |slot| state.agenda.wake(slot, Causes::MESSAGES));
     }
 
-    /// The inboxes of outlets with the topics that leave through them.
+    /// The inboxes of outlets, each with the topics of its outlets.
     pub(crate) fn connections(&self) -> impl Iterator<Item = (&Arc<str>, impl Iterator<Item = usize>)> {
         self.outlets.connections()
     }
@@ -235,32 +236,32 @@ impl Messages {
     }
 }
 
-/// One run of a detached module, as published on [`DetachedStep::TOPIC`] when somebody subscribes to it:
-/// what replay needs to run the module again on the same inputs at the same times.
+/// One run of a detached module, published on [`DetachedStep::TOPIC`] if the topic has subscribers. A replay
+/// uses it to run the module again on the same inputs at the same times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DetachedStep {
-    /// The time the module was given.
+    /// The time that the module was given.
     pub time: Time,
     /// The module's name.
     pub module: Arc<str>,
-    /// Counts the module's runs from 0.
+    /// The number of the run, from 0.
     pub step: u64,
-    /// The cycle in which its messages joined.
+    /// The cycle in which the messages of the run were published.
     pub cycle: u64,
-    /// True for the module's last callback. The first run is its first callback; neither receives messages.
+    /// True for the module's last callback. Neither the first nor the last run receives messages.
     pub is_stop: bool,
-    /// What it was given, by topic; topics without messages are left out.
+    /// The input by topic; topics without messages are left out.
     pub inputs: Vec<StepInput>,
 }
 
-/// What a detached module was given of one topic.
+/// The messages of one topic in the input of a detached module's run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepInput {
     /// The topic.
     pub topic: Arc<str>,
-    /// Messages that its inbox had dropped before, because there were too many.
+    /// The number of messages that the full inbox had dropped before.
     pub skipped: u32,
-    /// Messages that its callback received, after the skipped ones.
+    /// The number of messages that the callback received, after the skipped ones.
     pub received: u32,
 }
 
@@ -284,7 +285,8 @@ impl SyncPhase<'_> {
         &mut self.stage.views.topics
     }
 
-    /// Publishes a report of the executor with the messages of this cycle, or of the next if those are on their way.
+    /// Publishes a report of the executor with the messages of this cycle, or of the next if this cycle's
+    /// messages have been published.
     pub(crate) fn report<R: Report>(&mut self, report: R) {
         self.topics().report(report);
         self.mechanisms.next.add(Asked::of(MESSAGES));
@@ -307,7 +309,7 @@ fn subscriber(module: ModuleId) -> Subscriber {
 }
 
 impl<M: Module> Setup<'_, M> {
-    /// The topics that modules have declared so far.
+    /// The topics that have been declared so far.
     pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
         let topics = self.host.look(MESSAGES).and_then(|view| view.downcast_ref::<Topics>());
         topics.into_iter().flat_map(Topics::infos)
@@ -317,18 +319,18 @@ impl<M: Module> Setup<'_, M> {
     /// [`Context::publish`].
     ///
     /// # Errors
-    /// A name that is not valid, or a topic that carries another type.
+    /// If the name is invalid, or the topic carries another type.
     pub fn publish<T: Send + Sync + 'static>(&mut self, topic: &str) -> Result<Publication<T>, SetupError> {
         let index = self.open_topic(topic, MessageType::of::<T>())?;
         self.use_to_publish(index);
         Ok(self.io.outboxes.open(index))
     }
 
-    /// The same for a type of messages that is known at run time only: for modules in other languages. The key is for
-    /// [`Context::publish_any`].
+    /// As [`publish`](Self::publish), for a message type known only at run time, as in modules in other
+    /// languages. The key is for [`Context::publish_any`].
     ///
     /// # Errors
-    /// As [`publish`](Self::publish).
+    /// As for [`publish`](Self::publish).
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, MessageType, Module, Setup, SetupError, Time};
@@ -375,7 +377,7 @@ impl<M: Module> Setup<'_, M> {
     /// Calls `callback` with each message of a topic, in the cycle after it was published.
     ///
     /// # Errors
-    /// A name that is not valid, or a topic that carries another type.
+    /// If the name is invalid, or the topic carries another type.
     pub fn subscribe<T, F>(&mut self, topic: &str, mut callback: F) -> Result<(), SetupError>
     where
         T: Send + Sync + 'static,
@@ -401,10 +403,11 @@ impl<M: Module> Setup<'_, M> {
         Ok(())
     }
 
-    /// The same for a type of messages that is known at run time only, see [`publish_of`](Self::publish_of).
+    /// As [`subscribe`](Self::subscribe), for a message type known only at run time; see
+    /// [`publish_of`](Self::publish_of).
     ///
     /// # Errors
-    /// A name that is not valid, or a topic that carries another type.
+    /// If the name is invalid, or the topic carries another type.
     pub fn subscribe_of<F>(
         &mut self,
         message: MessageType,
@@ -461,13 +464,13 @@ impl<M: Module> Setup<'_, M> {
 }
 
 impl<P> Context<'_, P> {
-    /// Publishes a message: subscribers receive it in the next cycle.
+    /// Publishes a message, which subscribers receive in the next cycle.
     #[inline]
     pub fn publish<T: Send + Sync + 'static>(&mut self, publication: Publication<T>, message: T) {
         self.publish_with(publication, |outbox| outbox.push(message));
     }
 
-    /// Publishes messages, as many calls of [`publish`](Self::publish) would, but cheaper.
+    /// Publishes several messages; cheaper than one call of [`publish`](Self::publish) for each.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
@@ -497,10 +500,10 @@ impl<P> Context<'_, P> {
         self.publish_with(publication, |outbox| outbox.extend(messages));
     }
 
-    /// Publishes a message whose type is known at run time only.
+    /// Publishes a message whose type is known only at run time.
     ///
     /// # Panics
-    /// Stops the module if the message is not of the type that the key was made for.
+    /// If the message is not of the type for which the key was made; this stops the module.
     pub fn publish_any(&mut self, publication: AnyPublication, message: AnyMessage) {
         let io = self.io();
         match io.outboxes.add_any(publication, message) {
@@ -510,8 +513,8 @@ impl<P> Context<'_, P> {
         }
     }
 
-    /// The topics that carry messages in this cycle, and how many: those that were published in the cycle before. A detached module
-    /// sees none.
+    /// The topics that carry messages in this cycle (published in the previous one), each with the number of
+    /// messages. Empty in a detached module.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Synchrony, Time};

@@ -1,4 +1,4 @@
-//! How a module joins a core, before the start or while it runs.
+//! Adding a module to a core, before the start or while the core runs.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -14,14 +14,14 @@ use crate::{
     SyncPhase, Synchrony,
 };
 
-/// A module that is to join.
+/// A module to be added.
 pub(super) struct Candidate {
     pub(super) name: String,
     pub(super) source: Source,
     pub(super) options: ModuleOptions,
 }
 
-/// Adds a module. What it declared is undone where its setup fails.
+/// Adds a module. If its setup fails, its declarations are undone.
 pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(), SetupError> {
     let mut member = enlist(phase, candidate)?;
     instate(phase, &mut member)?;
@@ -29,7 +29,7 @@ pub(super) fn admit(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<(
     Ok(())
 }
 
-/// Adds a module as one that has stopped for this reason: it is made when it is started again.
+/// Adds a module in the stopped state, with a reason. It is constructed when it is restarted.
 pub(super) fn admit_stopped(
     phase: &mut SyncPhase<'_>,
     candidate: Candidate,
@@ -42,7 +42,7 @@ pub(super) fn admit_stopped(
     Ok(())
 }
 
-/// Gives a module that is to join its place.
+/// Assigns a place to a new module.
 fn enlist(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<Member, SetupError> {
     if let Some(error) = objection(phase, &candidate) {
         drop_guarded("a module that was refused", || drop(candidate));
@@ -51,7 +51,7 @@ fn enlist(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<Member, Set
     let Candidate { name, source, options } = candidate;
     let SyncPhase { stage, state, .. } = &mut *phase;
     let order = state.members.next_order();
-    // Under a clock that does not go on by itself detached modules run inside the cycle.
+    // Under a clock that does not run by itself, detached modules run inside the cycle.
     let is_detached = matches!(options.synchrony, Synchrony::Detached(_)) && state.clock.runs_by_itself();
     let place = match is_detached {
         true => Place::Detached(state.free_detached_slot()),
@@ -73,7 +73,7 @@ fn enlist(phase: &mut SyncPhase<'_>, candidate: Candidate) -> Result<Member, Set
     })
 }
 
-/// What speaks against a module before it is set up.
+/// The error, if any, that refuses a module before its setup.
 fn objection(phase: &SyncPhase<'_>, candidate: &Candidate) -> Option<SetupError> {
     let Candidate { name, source, options } = candidate;
     if phase.state.life == CoreLife::Stopped {
@@ -86,7 +86,7 @@ fn objection(phase: &SyncPhase<'_>, candidate: &Candidate) -> Option<SetupError>
     (options.restart != Restart::Never && !is_restartable).then(|| SetupError::NotRestartable(name.clone()))
 }
 
-/// Makes the module of a member, anew where it is a restart, and puts it in its place.
+/// Constructs the module of a member and puts it in its place; also used for a restart.
 pub(super) fn instate(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<(), SetupError> {
     let result = set_up(phase, member).and_then(|cell| put(phase, member, cell));
     if result.is_err() {
@@ -95,7 +95,7 @@ pub(super) fn instate(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<
     result
 }
 
-/// In the place of a module that could not be made, until it can.
+/// Placeholder of a module that could not be constructed.
 struct Absent;
 
 impl Module for Absent {
@@ -106,7 +106,7 @@ impl Module for Absent {
     }
 }
 
-/// Keeps the place of a module that could not be made, so that it can be started again.
+/// Keeps the place of a module that could not be constructed, so that it can be restarted.
 pub(super) fn hold_place(phase: &mut SyncPhase<'_>, member: &mut Member) -> Result<(), SetupError> {
     let SyncPhase { stage, state, mechanisms, .. } = phase;
     let mut io = ModuleIo::new(Arc::clone(&member.name), member.id, Arc::clone(&state.link));
@@ -161,7 +161,7 @@ fn make(
         member.options.deadline.map(|deadline| state.watchdog.watch(Arc::clone(&member.name), deadline));
     let watch = watch.transpose().map_err(|error| SetupError::Thread {
         module: member.name.to_string(),
-        reason: format!("that of its watchdog: {error}"),
+        reason: format!("the thread of its watchdog: {error}"),
     })?;
     Ok(ModuleCell::new(io, behaviour, member.options.initial_state, watch, meter))
 }

@@ -1,4 +1,4 @@
-//! What modules and programs do with modules: the functions of [`Context`], [`Core`] and [`CoreHandle`].
+//! The management of modules for modules and programs: functions of [`Context`], [`Core`] and [`CoreHandle`].
 
 use super::admission::{Candidate, admit, admit_stopped};
 use super::{Change, Command, Modules, ModulesPort, RestartRefused, UnknownModule};
@@ -11,17 +11,18 @@ use crate::{
 };
 
 impl<P> Context<'_, P> {
-    /// Adds a module, which runs for the first time in the next cycle. What is wrong with it is logged.
+    /// Adds a module, which runs for the first time in the next cycle. Errors are logged.
     pub fn add<M: Module>(&mut self, name: &str, module: M, options: ModuleOptions) {
         let candidate = Candidate { name: name.to_owned(), source: Source::once(module), options };
         self.command(Command::Add { candidate: Box::new(candidate), fallback: None, receipt: None });
     }
 
-    /// Removes this module and adds the one that `make` makes under its name, in one sync phase: for a new version of the
-    /// same module. If its setup fails, which is logged, one that `fallback` makes is added.
+    /// Removes this module and adds the module constructed by `make` under the same name, in one sync phase;
+    /// for a new version of a module. If the setup of the new module fails, the error is logged and the
+    /// module constructed by `fallback` is added.
     ///
-    /// Both are restartable. The new module is the last in the order of registration. What waits in the inbox of a detached
-    /// module is dropped.
+    /// Both can be restarted. The new module is the last in the order of registration. Messages waiting in
+    /// the inbox of a detached module are dropped.
     ///
     /// ```
     /// # use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
@@ -72,8 +73,8 @@ impl<P> Context<'_, P> {
         self.command(Command::Add { candidate, fallback: Some(fallback), receipt: None });
     }
 
-    /// Removes a module, this one or another: its last callback runs in this cycle's sync phase, and everything it
-    /// held is freed.
+    /// Removes a module, this one or another. Its last callback runs in this cycle's sync phase, and its
+    /// resources are freed.
     pub fn remove(&mut self, module: &str) {
         self.change(module, Change::Remove);
     }
@@ -105,17 +106,19 @@ impl<P> Context<'_, P> {
         self.remove(&name);
     }
 
-    /// Requests a transition of a module in the next cycle. A transition that is invalid in the module's state is logged.
+    /// Requests a transition of a module in the next cycle. A transition that is invalid in the module's
+    /// state is logged.
     pub fn transition(&mut self, module: &str, transition: Transition) {
         self.command(Command::Transition { module: module.to_owned(), transition, receipt: None });
     }
 
-    /// Holds a module: no callback of it runs until it is resumed. Messages pass it by, requests wait.
+    /// Pauses a module: none of its callbacks runs until it is resumed. Messages to it are dropped, requests
+    /// wait.
     pub fn pause(&mut self, module: &str) {
         self.change(module, Change::Hold(Hold::Held));
     }
 
-    /// Lets a module go on that was paused.
+    /// Resumes a paused module.
     pub fn resume(&mut self, module: &str) {
         self.change(module, Change::Hold(Hold::Free));
     }
@@ -141,10 +144,11 @@ impl Core {
 
     /// Adds a module with its settings, remaps and synchrony.
     ///
-    /// Under a clock that does not go on by itself, detached modules run inside the cycle.
+    /// Under a clock that does not run by itself, detached modules run inside the cycle.
     ///
     /// # Errors
-    /// If the name is taken, the module's setup fails, or the options name what the module does not have.
+    /// If the name is taken, the module's setup fails, or the options name a topic or setting that the module
+    /// does not have.
     pub fn add_with<M: Module>(
         &mut self,
         name: &str,
@@ -154,11 +158,11 @@ impl Core {
         self.admit(name, Source::once(module), options)
     }
 
-    /// Adds a module that can be made again after a panic, as its options say; see
+    /// Adds a module that can be restarted after a panic, according to its options; see
     /// [`Restart`](crate::Restart).
     ///
     /// # Errors
-    /// Those of [`add_with`](Self::add_with).
+    /// As for [`add_with`](Self::add_with).
     pub fn add_restartable<M: Module>(
         &mut self,
         name: &str,
@@ -168,7 +172,7 @@ impl Core {
         self.admit(name, Source::factory(make), options)
     }
 
-    /// Adds a module that can be made again, but not now, as one that has stopped for this reason: [`CoreHandle::restart`] makes it.
+    /// Adds a restartable module in the stopped state, with a reason. [`CoreHandle::restart`] constructs it.
     ///
     /// # Errors
     /// If the name is taken, or the core has stopped.
@@ -183,8 +187,9 @@ impl Core {
         admit_stopped(&mut self.between_cycles(), candidate, reason)
     }
 
-    /// Drops what modules ask of themselves but to leave: transitions, pauses and settings. For a replay of a detached module,
-    /// which is given them in the run in which it took them over when it was recorded.
+    /// Drops modules' requests to themselves except for their removal: transitions, pauses and settings. This
+    /// is for a replay of a detached module, which receives the recorded requests in the runs in which they
+    /// took effect.
     pub fn drop_commands_to_self(&mut self) {
         self.state.drops_commands_to_self = true;
     }
@@ -211,7 +216,7 @@ impl CoreHandle {
         self.add_from(name, Source::once(module), options)
     }
 
-    /// Adds a module that can be made again after a panic, see [`Restart`](crate::Restart).
+    /// Adds a module that can be restarted after a panic, see [`Restart`](crate::Restart).
     pub fn add_restartable<M: Module>(
         &self,
         name: &str,
@@ -221,28 +226,30 @@ impl CoreHandle {
         self.add_from(name, Source::factory(make), options)
     }
 
-    /// Removes a module: its last callback runs, and everything it held is freed.
+    /// Removes a module: its last callback runs, and its resources are freed.
     pub fn remove(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
         self.change(module, Change::Remove)
     }
 
-    /// Holds a module: no callback of it runs until it is resumed. Messages pass it by, requests wait.
+    /// Pauses a module: none of its callbacks runs until it is resumed. Messages to it are dropped, requests
+    /// wait.
     pub fn pause_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
         self.change(module, Change::Hold(Hold::Held))
     }
 
-    /// Lets a module go on that was paused.
+    /// Resumes a paused module.
     pub fn resume_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
         self.change(module, Change::Hold(Hold::Free))
     }
 
-    /// Has a module run once, on what the next cycle has for it, and holds it then.
+    /// Runs a module once, with the input of the next cycle, and then pauses it.
     pub fn step_module(&self, module: &str) -> Receipt<Result<(), UnknownModule>> {
         self.change(module, Change::Hold(Hold::Step))
     }
 
-    /// Makes a module again that has stopped by a panic, or is not active, by the closure that it was added with: whatever its
-    /// [restart policy](crate::Restart) is, and without its back-off. If that fails, it stays stopped and can be started again.
+    /// Restarts a module that has panicked or is not active, with the closure with which it was added.
+    /// Ignores its [restart policy](crate::Restart) and back-off. If the restart fails, the module stays
+    /// stopped and can be restarted later.
     ///
     /// ```
     /// # use downbeat_executor::{Core, LifecycleState, ManualClock, Module, ModuleOptions, Setup, SetupError, Time};
@@ -281,7 +288,7 @@ impl CoreHandle {
         self.command(|receipt| Command::Transition { module, transition, receipt })
     }
 
-    /// What is known of the modules, in the order of registration.
+    /// The descriptions of the modules, in the order of registration.
     #[must_use = "the answer is in the receipt"]
     pub fn modules(&self) -> Receipt<Vec<ModuleInfo>> {
         self.ask(|phase| phase.state.modules(phase.stage))
@@ -314,12 +321,12 @@ impl CoreHandle {
         }
     }
 
-    /// Looks at the core in the next sync phase, in the order of the other commands.
+    /// Calls `look` with the core in the next sync phase, in the order of the other commands.
     pub(crate) fn look(&self, look: impl FnOnce(&mut SyncPhase<'_>) + Send + 'static) {
         self.post(Command::Look(Box::new(look)));
     }
 
-    /// The same, with an answer.
+    /// As [`look`](Self::look), with an answer.
     pub(crate) fn ask<T: Send + 'static>(
         &self,
         look: impl FnOnce(&mut SyncPhase<'_>) -> T + Send + 'static,

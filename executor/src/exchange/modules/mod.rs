@@ -1,4 +1,4 @@
-//! The mechanism "modules": adds, removes, pauses and restarts modules, and has them make transitions.
+//! The mechanism "modules": adds, removes, pauses and restarts modules, and starts their transitions.
 
 mod admission;
 mod api;
@@ -19,32 +19,32 @@ use crate::{
     Transition, TransitionRefused, Version,
 };
 
-/// Modules whose back-off is over start again first; then panics are noticed; then modules are removed, and then the
-/// other commands follow: those of other threads before those of modules.
+/// The order of a sync phase is: restarts whose back-off is over; panics; removals; then the other commands,
+/// those of other threads before those of modules.
 #[derive(Default)]
 pub(crate) struct Modules {
-    /// What other threads ask for, each with the module that asked.
+    /// Pending commands, each with the module that sent it; `None` for another thread.
     commands: Vec<(Option<ModuleId>, Command)>,
 }
 
-/// What is asked for. Takes effect in the next sync phase.
+/// A command that takes effect in the next sync phase.
 enum Command {
     Add {
         candidate: Box<Candidate>,
-        /// Who joins if the setup of the candidate fails.
+        /// The module to add if the setup of the candidate fails.
         fallback: Option<Box<Candidate>>,
         receipt: Option<ReceiptSender<Result<(), SetupError>>>,
     },
-    /// To be paused, resumed, stepped or removed.
+    /// Pauses, resumes, steps or removes a module.
     Change { module: String, change: Change, receipt: Option<ReceiptSender<Result<(), UnknownModule>>> },
     Transition {
         module: String,
         transition: Transition,
         receipt: Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>,
     },
-    /// To be made again, after it stopped.
+    /// Constructs a stopped module again.
     Restart { module: String, receipt: Option<ReceiptSender<Result<(), RestartRefused>>> },
-    /// Looks at the core between two cycles.
+    /// Calls a closure with the core between two cycles.
     Look(Look),
 }
 
@@ -56,35 +56,35 @@ enum Change {
 
 type Look = Box<dyn FnOnce(&mut SyncPhase<'_>) + Send>;
 
-/// There is no such module.
+/// The core has no module of this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no module \"{module}\"; there is {known}")]
 pub struct UnknownModule {
-    /// The name that was given.
+    /// The given name.
     pub module: Arc<str>,
-    /// The names there are.
+    /// The existing names.
     pub known: String,
 }
 
-/// Why a module is not started again.
+/// The reason why a module is not restarted.
 #[derive(Debug, thiserror::Error)]
 pub enum RestartRefused {
     /// There is no such module.
     #[error(transparent)]
     UnknownModule(#[from] UnknownModule),
-    /// The module runs.
-    #[error("module \"{module}\" runs; only one that has stopped, or is not active, is started again")]
+    /// The module is running.
+    #[error("module \"{module}\" is running; only a stopped or inactive module can be restarted")]
     Runs {
         /// The module.
         module: String,
     },
-    /// The module cannot be made again, or its setup failed: it stays stopped.
+    /// The module cannot be constructed again, or its setup failed. It stays stopped.
     #[error(transparent)]
     Setup(#[from] SetupError),
 }
 
 impl Command {
-    /// The module that has to do something, unless it is to join or to leave.
+    /// The module that has to carry out the command; `None` for additions, removals and restarts.
     fn target(&self) -> Option<&str> {
         match self {
             Self::Change { module, change: Change::Hold(_), .. } | Self::Transition { module, .. } => {
@@ -100,7 +100,7 @@ impl Command {
 }
 
 impl Change {
-    /// The same in events.
+    /// The command as reported in events.
     fn event(self) -> ModuleCommand {
         match self {
             Self::Remove => ModuleCommand::Remove,
@@ -110,7 +110,7 @@ impl Change {
         }
     }
 
-    /// What is logged if there is no such module.
+    /// The log text if there is no such module.
     fn failure(self) -> &'static str {
         match self {
             Self::Remove => "not removed",
@@ -121,7 +121,7 @@ impl Change {
     }
 }
 
-/// A module's part of the mechanism: what it asks for.
+/// The commands of one module.
 #[derive(Default)]
 pub(crate) struct ModulesPort(Vec<Command>);
 
@@ -148,8 +148,8 @@ impl Mechanism for Modules {
     fn view(&self) {}
 
     fn sync(&mut self, phase: &mut SyncPhase<'_>) {
-        // Before panics are noticed, for a restart clears what the module asked for: what it published before its panic
-        // has yet to join, in this sync phase.
+        // Restarts come before panics are noticed, because a restart clears the module's requests, and the
+        // messages published before a new panic are still to be sent in this sync phase.
         if !phase.state.restarts.is_empty() && !phase.state.link.is_closed() {
             self.restart_due(phase);
         }
@@ -202,7 +202,7 @@ impl Modules {
         panics.into_iter().for_each(|(order, panic)| self.notice_panic(phase, order, &panic));
     }
 
-    /// Takes over what the run of a detached module changed.
+    /// Applies the state changes of a detached module's run.
     fn notice_step(&mut self, phase: &mut SyncPhase<'_>, step: &StepOutcome) {
         let id = step.module;
         if let Some(module) = phase.state.detached(id) {
@@ -219,7 +219,7 @@ impl Modules {
         if let Some(panic) = &step.panic {
             self.notice_panic(phase, id.order, panic);
         }
-        // Those that stay: all, where it is the core that stops, and who was put in its place by a restart.
+        // Other modules stay: all of them while the core stops, and the new instance after a restart.
         let members = &phase.state.members;
         let is_member = members.get(id.order).is_some_and(|member| member.id == id);
         if step.is_stop && is_member && members.is_leaving(id.order) {
@@ -228,7 +228,7 @@ impl Modules {
     }
 
     fn notice_panic(&mut self, phase: &mut SyncPhase<'_>, order: u64, reason: &str) {
-        // A module that was removed does not come back, nor does any while the core stops.
+        // A removed module is not restarted, and no module is restarted while the core stops.
         let is_final = phase.state.link.is_closed() || phase.state.members.is_leaving(order);
         let now = phase.now();
         let Some(member) = phase.state.members.get_mut(order) else { return };
@@ -236,13 +236,13 @@ impl Modules {
         let module = &*member.name;
         let backoff = match member.options.restart {
             _ if is_final => {
-                tracing::error!(module, "panicked at its end: {reason}");
+                tracing::error!(module, "panicked while it was stopping: {reason}");
                 return;
             }
             Restart::Times { limit, backoff } if member.restarts < limit => backoff,
             Restart::Always { backoff } => backoff,
             Restart::Never | Restart::Times { .. } => {
-                tracing::error!(module, "panicked and is stopped, the others go on: {reason}");
+                tracing::error!(module, "panicked and was stopped; the other modules continue: {reason}");
                 return;
             }
         };
@@ -253,7 +253,7 @@ impl Modules {
         member.panics_in_a_row += 1;
         tracing::error!(
             module,
-            "panicked and is stopped, to start again in {pause:?}; the others go on: {reason}"
+            "panicked and will be restarted in {pause:?}; the other modules continue: {reason}"
         );
         phase.state.restarts.push((now + pause, order));
     }
@@ -266,15 +266,15 @@ impl Modules {
         for (_, order) in due {
             match restart(phase, order) {
                 Some((module, Ok(restarts))) => {
-                    tracing::info!(module = &*module, restarts, "starts again after its panic");
+                    tracing::info!(module = &*module, restarts, "restarted after its panic");
                 }
-                Some((_, Err(error))) => tracing::error!("not started again after its panic: {error}"),
+                Some((_, Err(error))) => tracing::error!("its restart after a panic failed: {error}"),
                 None => {}
             }
         }
     }
 
-    /// Starts a module again that has stopped, or is not active.
+    /// Restarts a module that has stopped or is not active.
     fn restart_stopped(
         phase: &mut SyncPhase<'_>,
         by: Option<ModuleId>,
@@ -361,7 +361,8 @@ impl Modules {
                 if let Some(cell) = phase.stage.cells.get(slot) {
                     cell.shutdown(Input::Views(&phase.stage.views), phase.now);
                     if let Some(ModulesPort(commands)) = cell.port(MODULES) {
-                        // In the next cycle: this one's are under way.
+                        // They take effect in the next cycle, since this cycle's commands are already being
+                        // applied.
                         let commands = std::mem::take(commands);
                         self.commands.extend(commands.into_iter().map(|command| (Some(id), command)));
                     }
@@ -393,8 +394,8 @@ fn lengthened(backoff: Duration, doublings: u32) -> Duration {
     backoff.saturating_mul(1_u32.checked_shl(doublings).unwrap_or(u32::MAX)).min(longest)
 }
 
-/// Makes a module again. Returns its name, and how often that has happened to it, or why it stays stopped; `None` if there is no
-/// such module.
+/// Restarts a module. Returns its name, and the number of its restarts or the error that keeps it stopped;
+/// `None` if there is no such module.
 fn restart(phase: &mut SyncPhase<'_>, order: u64) -> Option<(Arc<str>, Result<u32, SetupError>)> {
     let mut member = phase.state.members.take(order)?;
     phase.give_back(&mut member, None);
@@ -411,10 +412,10 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) -> Option<(Arc<str>, Result<u3
     let (module, restarts) = (Arc::clone(&member.name), member.restarts);
     let result = instate(phase, &mut member).map(|()| restarts);
     if let Err(error) = &result {
-        // It keeps its place: what is wrong with it may be mended.
+        // The module keeps its place, because the cause of the error may be fixed later.
         member.panic = Some(error.to_string().into());
         if let Err(error) = hold_place(phase, &mut member) {
-            tracing::error!(module = &*module, "is removed: {error}");
+            tracing::error!(module = &*module, "removed, because its place cannot be kept: {error}");
             if let Place::Attached(slot) = member.id.place {
                 phase.state.freed_slots.push(slot);
             }
@@ -425,7 +426,7 @@ fn restart(phase: &mut SyncPhase<'_>, order: u64) -> Option<(Arc<str>, Result<u3
     Some((module, result))
 }
 
-/// Publishes a command that a module is given as an event.
+/// Publishes a command to a module as an event.
 fn note(phase: &mut SyncPhase<'_>, id: ModuleId, by: Option<ModuleId>, command: ModuleCommand) {
     let asker = by.and_then(|by| phase.state.members.get(by.order));
     let by = asker.map(|member| Arc::clone(&member.name));
@@ -448,7 +449,7 @@ fn set_hold(phase: &mut SyncPhase<'_>, id: ModuleId, hold: Hold) {
     if let Place::Attached(slot) = id.place
         && let Some(cell) = phase.attached(id)
     {
-        // What fell due while it was held was forgotten.
+        // Due times that passed during the pause were discarded.
         let due = cell.next_due();
         phase.state.agenda.wake_at(slot, due);
     }

@@ -1,4 +1,4 @@
-//! What modules and programs do with services: the functions of [`Setup`], [`Context`] and [`Core`].
+//! The use of services by modules and programs: functions of [`Setup`], [`Context`] and [`Core`].
 
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -21,8 +21,8 @@ fn services_of(host: &mut dyn Host) -> &mut Services {
 }
 
 impl<M: Module> Setup<'_, M> {
-    /// Offers a service whose requests are answered at once, with a value or with an error in words. A service has
-    /// one server.
+    /// Offers a service whose requests are answered at once, with a value or an error text. A service has one
+    /// server.
     ///
     /// # Errors
     /// Returns an error if the name is invalid, the service has other types, or it is already served.
@@ -38,7 +38,7 @@ impl<M: Module> Setup<'_, M> {
         })
     }
 
-    /// Offers a service whose requests are answered when the answer is there, with [`Context::reply`].
+    /// Offers a service whose requests are answered later, with [`Context::reply`].
     ///
     /// # Errors
     /// Returns an error if the name is invalid, the service has other types, or it is already served.
@@ -86,7 +86,7 @@ impl<M: Module> Setup<'_, M> {
     /// As [`serve_later`](Self::serve_later), for types with names.
     ///
     /// # Errors
-    /// Those of [`serve_later`](Self::serve_later).
+    /// As for [`serve_later`](Self::serve_later).
     pub fn serve_later_of<Q, R, F>(
         &mut self,
         of: ServiceType<Q, R>,
@@ -101,8 +101,8 @@ impl<M: Module> Setup<'_, M> {
         self.serve_with(of, service, take)
     }
 
-    /// Declares that the module calls a service; the key is for [`Context::call`]. Each call ends with one call of
-    /// `on_reply`: with the answer, or after `timeout` with the error that there is none.
+    /// Declares that the module calls a service; the key is for [`Context::call`]. Each call leads to exactly
+    /// one call of `on_reply`, with the answer or, after `timeout`, with an error.
     ///
     /// # Errors
     /// Returns an error if the name is invalid, or the service has other types.
@@ -123,7 +123,7 @@ impl<M: Module> Setup<'_, M> {
     /// As [`client`](Self::client), for types with names.
     ///
     /// # Errors
-    /// Those of [`client`](Self::client).
+    /// As for [`client`](Self::client).
     pub fn client_of<Q, R, F>(
         &mut self,
         of: ServiceType<Q, R>,
@@ -208,7 +208,7 @@ impl<M: Module> Setup<'_, M> {
 }
 
 impl<P> Context<'_, P> {
-    /// Calls a service. The answer, or the reason why there is none, comes to the callback that was given to
+    /// Calls a service. The answer or an error is passed to the callback given to
     /// [`Setup::client`](crate::Setup::client).
     pub fn call<Q: Send + 'static, R: Send + 'static>(&mut self, client: Client<Q, R>, request: Q) -> CallId {
         let now = self.now();
@@ -221,8 +221,8 @@ impl<P> Context<'_, P> {
         }
     }
 
-    /// Answers a request that was taken by [`Setup::serve_later`](crate::Setup::serve_later): with a value, or with
-    /// an error in words.
+    /// Answers a request taken by [`Setup::serve_later`](crate::Setup::serve_later), with a value or an error
+    /// text.
     ///
     /// `Q` is the type of the service's requests.
     pub fn reply<Q: Send + 'static, R: Send + 'static>(
@@ -240,7 +240,7 @@ impl<P> Context<'_, P> {
 }
 
 impl Core {
-    /// A way to call a service from threads outside the executor.
+    /// Opens a service for calls from threads outside the executor.
     ///
     /// # Errors
     /// Returns an error if the name is invalid, or the service has other types.
@@ -254,7 +254,7 @@ impl Core {
     /// As [`caller`](Self::caller), for types with names.
     ///
     /// # Errors
-    /// Those of [`caller`](Self::caller).
+    /// As for [`caller`](Self::caller).
     pub fn caller_of<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         of: ServiceType<Q, R>,
@@ -266,8 +266,8 @@ impl Core {
         Ok(Caller::new(index, Arc::clone(registry.name(index)), link))
     }
 
-    /// Stands in for the server of a service that is not in this core: until a module serves it, calls of modules wait for what the
-    /// value returned answers.
+    /// Replaces the server of a service that is not in this core. Until a module serves the service, calls of
+    /// modules wait for answers given through the returned value.
     ///
     /// # Errors
     /// Returns an error if the name is invalid, or the service has other types.
@@ -281,7 +281,7 @@ impl Core {
     /// As [`stand_in`](Self::stand_in), for types with names.
     ///
     /// # Errors
-    /// Those of [`stand_in`](Self::stand_in).
+    /// As for [`stand_in`](Self::stand_in).
     pub fn stand_in_of<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         of: ServiceType<Q, R>,
@@ -293,8 +293,8 @@ impl Core {
         Ok(StandIn::new(self.handle()))
     }
 
-    /// Encodes the requests and answers of a service as bytes in each [`ModuleEvent`](crate::ModuleEvent). Both run on the thread
-    /// of the core.
+    /// Sets the functions that encode the requests and answers of a service as bytes in each
+    /// [`ModuleEvent`](crate::ModuleEvent). Both run on the thread of the core.
     ///
     /// # Errors
     /// Returns an error if the name is invalid, or the service has other types.
@@ -310,7 +310,7 @@ impl Core {
     /// As [`encode_service`](Self::encode_service), for types with names.
     ///
     /// # Errors
-    /// Those of [`encode_service`](Self::encode_service).
+    /// As for [`encode_service`](Self::encode_service).
     pub fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         of: ServiceType<Q, R>,
@@ -330,7 +330,7 @@ impl Core {
         services.into_iter().flat_map(|services| services.registry.infos())
     }
 
-    /// The service of that name.
+    /// The service with this name.
     pub fn service(&self, name: &str) -> Option<&ServiceInfo> {
         let services = self.mechanisms.get::<Services>(SERVICES)?;
         services.registry.find(name).map(|service| &service.info)

@@ -1,4 +1,4 @@
-//! Calls as modules and callers see them: keys of services, and the end of a call.
+//! Types of calls: keys of services, replies and errors.
 
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::ModuleId;
 
-/// A module's key to a service it calls, from [`Setup::client`](crate::Setup::client).
+/// A module's key to a service that it calls, from [`Setup::client`](crate::Setup::client).
 pub struct Client<Q, R> {
     pub(crate) port: u32,
     types: PhantomData<fn(Q) -> R>,
@@ -26,19 +26,19 @@ impl<Q, R> Clone for Client<Q, R> {
 
 impl<Q, R> Copy for Client<Q, R> {}
 
-/// Identifies a call of one client; they count from 0.
+/// Identifies a call of one client. Numbers count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CallId(pub(crate) u64);
 
 impl CallId {
-    /// How many calls the client had made before this one.
+    /// The number of calls that the client has made before this one.
     #[must_use]
     pub fn number(self) -> u64 {
         self.0
     }
 }
 
-/// The end of a call: the answer, or why there is none.
+/// The end of a call: the answer, or an error.
 #[derive(Debug)]
 pub struct Reply<R> {
     /// The call, as [`Context::call`](crate::Context::call) returned it.
@@ -47,10 +47,10 @@ pub struct Reply<R> {
     pub result: Result<R, CallError>,
 }
 
-/// Why a call has no answer.
+/// The reason why a call has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CallError {
-    /// No module serves it.
+    /// No module serves the service.
     #[error("service \"{service}\": no module serves it")]
     NoServer {
         /// The service.
@@ -61,7 +61,7 @@ pub enum CallError {
     Refused {
         /// The service.
         service: Arc<str>,
-        /// What the server said.
+        /// The server's error text.
         reason: String,
     },
     /// The server did not answer in time.
@@ -69,7 +69,7 @@ pub enum CallError {
     TimedOut {
         /// The service.
         service: Arc<str>,
-        /// How long the caller waited.
+        /// The time-out of the call.
         timeout: Duration,
     },
     /// The server was not active, or was removed, before it answered.
@@ -77,17 +77,17 @@ pub enum CallError {
     ServerGone {
         /// The service.
         service: Arc<str>,
-        /// The module that served it.
+        /// The module that served the service.
         module: Arc<str>,
     },
-    /// The server panicked before it answered, or does not run since.
+    /// The server panicked before it answered, or has not run since a panic.
     #[error("service \"{service}\": module \"{module}\" has failed: {reason}")]
     ServerFailed {
         /// The service.
         service: Arc<str>,
         /// The module that serves it.
         module: Arc<str>,
-        /// What the panic said.
+        /// The message of the panic.
         reason: Arc<str>,
     },
     /// The core stopped before there was an answer.
@@ -98,9 +98,9 @@ pub enum CallError {
     },
 }
 
-/// Whom a server answers, and which call; see [`Context::reply`](crate::Context::reply).
+/// The address of the answer to one request; see [`Context::reply`](crate::Context::reply).
 ///
-/// A responder that is dropped answers nothing: the caller's time runs out.
+/// A dropped responder sends no answer, and the call ends by its time-out.
 #[must_use = "a call is answered with `Context::reply`"]
 #[derive(Debug)]
 pub struct Responder<Q, R> {

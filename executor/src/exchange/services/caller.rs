@@ -13,7 +13,7 @@ use crate::threads::end_of;
 
 /// Calls a service from a thread outside the executor; from [`Core::caller`](crate::Core::caller).
 ///
-/// A call joins at the next sync phase, behind those that came before it.
+/// A call takes effect in the next sync phase, in the order of arrival.
 ///
 /// ```
 /// use std::sync::mpsc::channel;
@@ -63,8 +63,8 @@ impl<Q: Send + 'static, R: Send + 'static> Caller<Q, R> {
         Self { service, name, link, types: std::marker::PhantomData }
     }
 
-    /// Asks for an answer. `on_reply` is called once, on the thread of the core, and must not block; on this thread if
-    /// the core stops just now. Never waits itself.
+    /// Calls the service. `on_reply` is called once, on the thread of the core, and must not block; it is
+    /// called on this thread if the core stops at this moment. This function never waits.
     ///
     /// # Errors
     /// If the core has stopped; `on_reply` is then not called.
@@ -96,7 +96,7 @@ struct ExternalCall<Q, R> {
 }
 
 impl<Q, R> Drop for ExternalCall<Q, R> {
-    /// A call that nobody takes any more ends as well.
+    /// A call that the core never takes ends with an error.
     fn drop(&mut self) {
         if let Some(on_reply) = self.on_reply.take() {
             let service = Arc::clone(&self.name);
@@ -105,7 +105,7 @@ impl<Q, R> Drop for ExternalCall<Q, R> {
     }
 }
 
-/// A call of a [`Caller`] whose types only the service knows.
+/// A call of a [`Caller`] with its types erased.
 pub(crate) trait AnyCall: Send {
     fn service(&self) -> usize;
     fn timeout(&self) -> Duration;
@@ -153,7 +153,7 @@ impl<Q: Send + 'static, R: Send + 'static> AnyCall for ExternalCall<Q, R> {
     }
 }
 
-/// The calls from outside that wait for an answer.
+/// Calls of [`Caller`](crate::Caller)s that wait for an answer.
 #[derive(Default)]
 pub(crate) struct ExternalCalls {
     next: u64,
@@ -161,7 +161,7 @@ pub(crate) struct ExternalCalls {
 }
 
 impl ExternalCalls {
-    /// Keeps the call until it is answered; returns its number.
+    /// Stages the call under a new number, and keeps it until it is answered.
     pub(crate) fn add(&mut self, mut call: Box<dyn AnyCall>, staged: &mut dyn Any, now: Time) {
         let number = self.next;
         self.next += 1;
@@ -199,7 +199,7 @@ impl ExternalCalls {
     }
 }
 
-/// Runs a caller's closure so that its panic does not reach the core.
+/// Runs a caller's closure, and catches its panic.
 pub(crate) fn guarded(run: impl FnOnce()) {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(run));
     if let Err(panic) = outcome {

@@ -1,4 +1,4 @@
-//! A module's side of the services it calls.
+//! The client's side of services.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use super::call::{CallError, CallId, Reply, ReplyTo};
 use super::server::{AnyReply, Incoming};
 use crate::{ModuleId, Time};
 
-/// The calls of one module to one service: those it has just made, and those that wait for an answer.
+/// The calls of one module to one service: new ones, and those that wait for an answer.
 pub(crate) struct ClientPort<Q, R> {
     service: usize,
     name: Arc<str>,
     timeout: Duration,
     next: u64,
     outgoing: Vec<(u64, Q)>,
-    /// In the order of the deadlines, since all have the same time-out.
+    /// In the order of deadlines, since all have the same time-out.
     waiting: Vec<(u64, Time)>,
     replies: Vec<Reply<R>>,
 }
@@ -45,10 +45,10 @@ impl<Q, R> ClientPort<Q, R> {
         !self.replies.is_empty() || self.waiting.first().is_some_and(|&(_, deadline)| deadline <= now)
     }
 
-    /// The replies that came and those that did not come in time, in place of `empty`.
+    /// Takes the replies that have arrived and those that timed out, and leaves `empty` as the new buffer.
     pub(crate) fn take_replies(&mut self, now: Time, empty: Vec<Reply<R>>) -> Vec<Reply<R>> {
         let mut replies = std::mem::replace(&mut self.replies, empty);
-        // What comes after its time was up has been answered already.
+        // A reply that comes after its time-out has already been replaced by an error.
         replies.retain(|reply| match self.waiting.iter().position(|(call, _)| *call == reply.call.0) {
             Some(position) => {
                 self.waiting.remove(position);
@@ -65,26 +65,26 @@ impl<Q, R> ClientPort<Q, R> {
     }
 }
 
-/// A [`ClientPort`] whose types only the service knows.
+/// A [`ClientPort`] with its types erased.
 pub(crate) trait AnyClient: Any + Send {
     fn service(&self) -> usize;
-    /// The name of the service: the very one that the registry gave.
+    /// The name of the service: the same `Arc` as in the registry, which is compared by pointer.
     fn name(&self) -> &Arc<str>;
-    /// When the first of the calls is given up.
+    /// The earliest time-out of the calls.
     fn due(&self) -> Time;
     fn has_calls(&self) -> bool;
-    /// The numbers of the calls that were not made yet.
+    /// The numbers of the calls that have not been sent yet.
     fn calls(&self) -> Vec<u64>;
     /// Appends the calls to `staged`, a `Vec<Incoming<Q>>`.
     fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn Any);
     /// Answers the calls with an error.
     fn fail_calls(&mut self, error: &CallError);
-    /// The calls in a port of their own, which takes them to the thread of the core.
+    /// Moves the calls to a new port, which takes them to the thread of the core.
     fn split_off(&mut self) -> Box<dyn AnyClient>;
-    /// The answers of calls that failed, for the port the calls were split off.
+    /// Takes the answers of failed calls, for the port from which the calls were split off.
     fn drain_replies(&mut self, deliver: &mut dyn FnMut(&mut dyn AnyReply));
     fn accept_any(&mut self, reply: &mut dyn AnyReply);
-    /// Forgets calls and answers.
+    /// Discards calls and answers.
     fn reset(&mut self);
 }
 

@@ -1,7 +1,7 @@
 //! The mechanism "services": remote procedure calls by name, typed and deferred.
 //!
 //! A call takes effect in the sync phase: the server runs in the next cycle, and its answer reaches the
-//! caller in the one after that. Every call gets exactly one [`Reply`].
+//! caller in the cycle after that. Every call gets exactly one [`Reply`].
 
 mod api;
 mod call;
@@ -30,21 +30,22 @@ use crate::module::{Asked, Causes, ModuleCell, Place, SERVICES};
 use crate::threads::drop_guarded;
 use crate::{Mechanism, ModuleChange, ModuleId, Port, Step, SyncPhase, Time, Version};
 
-/// Requests from outside the cycle come first, in the order in which they came; then those of detached modules, in the
-/// order in which these ran; then those of the modules, in the order of registration. Answers follow in the same order.
+/// The order of requests is: those from outside the cycle, in the order of arrival; those of detached
+/// modules, in the order of their runs; those of the other modules, in the order of registration. Answers
+/// follow in the same order.
 #[derive(Default)]
 pub(crate) struct Services {
     registry: ServiceRegistry,
     external: ExternalCalls,
-    /// Calls of callers that have not been made yet.
+    /// Calls of callers that have not been staged yet.
     calls: Vec<Box<dyn AnyCall>>,
     /// Calls of detached modules, by client port.
     calls_of_detached: Vec<(ModuleId, u32, Box<dyn AnyClient>)>,
-    /// Answers of detached modules, of modules that start again, and of stand-ins.
+    /// Answers of detached modules, of restarting modules, and of stand-ins.
     answers: Vec<Answer>,
 }
 
-/// An answer on its way to its client, with the name of its service.
+/// An answer with its address and the name of its service.
 type Answer = (ReplyTo, Arc<str>, Box<dyn AnyReply>);
 
 impl Mechanism for Services {
@@ -91,14 +92,14 @@ impl Mechanism for Services {
     }
 }
 
-/// A module's part of the mechanism, by the order of declaration.
+/// A module's clients and servers, in the order of declaration.
 #[derive(Default)]
 pub(crate) struct ServicesPort {
     clients: Vec<Box<dyn AnyClient>>,
     servers: Vec<Box<dyn AnyServer>>,
 }
 
-/// What a run of a module on another thread asks for.
+/// The calls and answers of a run of a detached module.
 struct Part {
     /// By client port.
     calls: Vec<(u32, Box<dyn AnyClient>)>,
@@ -157,7 +158,7 @@ impl Services {
         self.registry.infos()
     }
 
-    /// The name of the service with that number.
+    /// The name of the service with this number.
     pub(crate) fn name(&self, service: usize) -> &Arc<str> {
         self.registry.name(service)
     }
@@ -197,7 +198,7 @@ impl Services {
         );
     }
 
-    /// False if there is no server; the calls have failed then.
+    /// Stages the calls; returns false if there is no server, after failing the calls.
     fn stage_calls(
         &mut self,
         phase: &mut SyncPhase<'_>,
@@ -206,7 +207,8 @@ impl Services {
         calls: &mut dyn AnyClient,
     ) -> bool {
         let service = self.registry.get_mut(calls.service());
-        // The place of a service that was forgotten, since its last user is leaving, may be another's by now.
+        // If the last user of the service is leaving, the service may have been removed and its index given
+        // to another one.
         let is_other = !Arc::ptr_eq(&service.info.name, calls.name());
         if is_other || !service.is_served() {
             let error = CallError::NoServer { service: Arc::clone(calls.name()) };
@@ -307,7 +309,7 @@ impl Services {
         note_event(phase, ModuleEventKind::Answer { service, origin, result });
     }
 
-    /// Publishes the requests that go to a server now as events.
+    /// Publishes the requests that are now delivered to a server as events.
     #[cold]
     fn note_requests(&mut self, phase: &mut SyncPhase<'_>, index: usize) {
         let service = self.registry.get_mut(index);
@@ -320,8 +322,8 @@ impl Services {
     }
 }
 
-/// Visits one half of the ports of the modules that asked something of services. It is taken out of the cell meanwhile,
-/// since client and server may be the same module.
+/// Visits one half of the ports of the modules that use services in this cycle. The half is taken out of the
+/// cell meanwhile, since client and server may be the same module.
 fn each_half<T>(
     phase: &mut SyncPhase<'_>,
     half: fn(&mut ServicesPort) -> &mut Vec<T>,
@@ -376,7 +378,7 @@ fn take_reply(cell: &mut ModuleCell, port: u32, reply: &mut dyn AnyReply) {
     }
 }
 
-/// Gives a module the requests in a `Vec<Incoming<Q>>`.
+/// Passes the requests in a `Vec<Incoming<Q>>` to a module.
 fn accept(cell: &mut ModuleCell, port: u32, requests: &mut dyn Any) {
     let ports = cell.port::<ServicesPort>(SERVICES);
     if let Some(server) = ports.and_then(|ports| ports.servers.get_mut(port as usize)) {

@@ -11,33 +11,34 @@ use super::server::Incoming;
 use crate::topics::canonical_name;
 use crate::{ModuleId, SetupError};
 
-/// What is known of a service, see [`Core::services`](crate::Core::services).
+/// A description of a service, see [`Core::services`](crate::Core::services).
 #[derive(Clone, Debug)]
 pub struct ServiceInfo {
     /// The name, without a leading slash.
     pub name: Arc<str>,
     /// The Rust path of the request type, or its name if the [`ServiceType`] has one.
     pub request_type: &'static str,
-    /// The same of the answer's type.
+    /// The Rust path of the answer type, or its name if the [`ServiceType`] has one.
     pub response_type: &'static str,
-    /// The module that serves it, if there is one.
+    /// The module that serves the service, if any.
     pub server: Option<Arc<str>>,
 }
 
-/// The types of the requests and answers of a service. Two of them are the same if their Rust types and their names are.
+/// The request and answer types of a service. Two values are equal if both their Rust types and their names
+/// are.
 pub struct ServiceType<Q, R> {
     names: (&'static str, &'static str),
     types: PhantomData<fn(Q) -> R>,
 }
 
 impl<Q: Send + 'static, R: Send + 'static> ServiceType<Q, R> {
-    /// The types with the names that Rust gives them.
+    /// The types under their Rust names.
     #[must_use]
     pub fn of() -> Self {
         Self { names: (type_name::<Q>(), type_name::<R>()), types: PhantomData }
     }
 
-    /// The types under names of their own, for Rust types that carry the requests and answers of many services.
+    /// The types under given names, for Rust types that carry the requests and answers of many services.
     #[must_use]
     pub const fn named(request: &'static str, response: &'static str) -> Self {
         Self { names: (request, response), types: PhantomData }
@@ -61,12 +62,12 @@ impl<Q, R> fmt::Debug for ServiceType<Q, R> {
 /// Visits a type-erased `Vec<Incoming<Q>>`.
 type EachStaged = fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any));
 
-/// The services that modules offer or call.
+/// The services that modules offer or call, by name.
 #[derive(Default)]
 pub(crate) struct ServiceRegistry {
     services: Vec<Service>,
     by_name: HashMap<Arc<str>, usize>,
-    /// No service before it is free.
+    /// No service with a smaller index is free.
     free_from: usize,
 }
 
@@ -74,24 +75,24 @@ pub(crate) struct Service {
     pub(crate) info: ServiceInfo,
     types: ServiceTypes,
     pub(crate) server: Option<(ModuleId, u32)>,
-    /// How many modules and callers know its index.
+    /// The number of modules and callers that hold the index.
     users: u32,
-    /// A `Vec<Incoming<Q>>`: requests on their way to the server.
+    /// A `Vec<Incoming<Q>>`: requests to be delivered to the server.
     pub(crate) staged: Box<dyn Any + Send>,
     pub(crate) has_staged: bool,
-    /// True if answers come from a [`StandIn`](crate::StandIn) where no module serves it.
+    /// True if a [`StandIn`](crate::StandIn) answers while no module serves the service.
     pub(crate) has_stand_in: bool,
     pub(crate) encoder: Option<Encoder>,
 }
 
-/// What of a service depends on its types `Q` and `R`.
+/// The parts of a service that depend on its types `Q` and `R`.
 #[derive(Clone, Copy)]
 struct ServiceTypes {
     ids: (TypeId, TypeId),
     /// As in [`ServiceInfo`].
     request: &'static str,
     response: &'static str,
-    /// Makes an empty `Vec<Incoming<Q>>`.
+    /// Creates an empty `Vec<Incoming<Q>>`.
     staged: fn() -> Box<dyn Any + Send>,
     each: EachStaged,
     split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
@@ -102,12 +103,12 @@ impl Service {
         self.server.is_some() || self.has_stand_in
     }
 
-    /// Calls `visit` with each request on its way.
+    /// Calls `visit` with each staged request.
     pub(crate) fn each_staged(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
         (self.types.each)(&*self.staged, visit);
     }
 
-    /// The requests on their way, for another thread.
+    /// Takes the staged requests, for another thread.
     pub(crate) fn take_staged(&mut self) -> Box<dyn Any + Send> {
         (self.types.split)(&mut *self.staged)
     }
@@ -124,7 +125,8 @@ fn split<Q: Send + 'static>(staged: &mut dyn Any) -> Box<dyn Any + Send> {
 }
 
 impl ServiceRegistry {
-    /// The index of the service, which is made where there is none of that name. The caller is a user of it.
+    /// The index of the service of this name; creates the service if there is none. The caller becomes a user
+    /// of it.
     pub(crate) fn open<Q: Send + 'static, R: Send + 'static>(
         &mut self,
         of: ServiceType<Q, R>,
@@ -142,7 +144,7 @@ impl ServiceRegistry {
         self.open_of(types, name, module)
     }
 
-    /// The same for types that are values: compiled once, for however many services there are.
+    /// As [`open`](Self::open), for types given as values; compiled once for all services.
     fn open_of(&mut self, types: ServiceTypes, name: &str, module: &str) -> Result<usize, SetupError> {
         let name = canonical_name(name)
             .ok_or_else(|| SetupError::InvalidServiceName { module: module.into(), service: name.into() })?;
@@ -214,7 +216,7 @@ impl ServiceRegistry {
         Ok(())
     }
 
-    /// Ends one use of the service; one that nobody uses is forgotten.
+    /// Ends one use of the service. An unused service is removed.
     pub(crate) fn release(&mut self, index: usize, module: ModuleId) {
         let service = &mut self.services[index];
         if service.server.is_some_and(|(server, _)| server == module) {
@@ -255,7 +257,7 @@ impl ServiceRegistry {
     }
 }
 
-/// Makes bytes of the requests and answers of a service.
+/// Encodes the requests and answers of a service as bytes.
 pub(crate) struct Encoder {
     pub(crate) request: Encode,
     pub(crate) answer: Encode,

@@ -1,21 +1,21 @@
-//! A module's side of the services it offers.
+//! The server's side of services.
 
 use std::any::Any;
 use std::sync::Arc;
 
 use super::call::{CallError, CallId, Reply, ReplyTo};
 
-/// A request on its way to the server.
+/// A request with the address for its answer.
 pub(crate) struct Incoming<Q> {
     pub(crate) to: ReplyTo,
     pub(crate) request: Q,
 }
 
-/// The requests of one service that its module has not seen yet, and its answers.
+/// The requests to one service that its module has not received yet, and its answers.
 pub(crate) struct ServerPort<Q, R> {
     name: Arc<str>,
     requests: Vec<Incoming<Q>>,
-    /// Requests the module has seen and not answered.
+    /// Requests that the module has received and not answered.
     open: Vec<ReplyTo>,
     answers: Vec<(ReplyTo, Reply<R>)>,
 }
@@ -25,7 +25,7 @@ impl<Q, R> ServerPort<Q, R> {
         Self { name, requests: Vec::new(), open: Vec::new(), answers: Vec::new() }
     }
 
-    /// The requests that came, in place of `empty`; all of them are open now.
+    /// Takes the new requests, which become open, and leaves an empty buffer.
     pub(crate) fn take_requests(&mut self) -> Vec<Incoming<Q>> {
         let requests = std::mem::take(&mut self.requests);
         self.open.extend(requests.iter().map(|request| request.to));
@@ -51,11 +51,11 @@ fn reply<R>(to: ReplyTo, result: Result<R, CallError>) -> Reply<R> {
     Reply { call: CallId(call), result }
 }
 
-/// An `Option<Reply<R>>` on its way to the caller, who takes it.
+/// An `Option<Reply<R>>` with its type erased; the receiver takes it.
 pub(crate) trait AnyReply: Any + Send {
-    /// The answer, or why there is none.
+    /// The answer or the error.
     fn look(&self) -> Option<Result<&dyn Any, &CallError>>;
-    /// The same on the heap, for another thread.
+    /// Moves the reply to the heap, for another thread.
     fn take_boxed(&mut self) -> Box<dyn AnyReply>;
 }
 
@@ -69,18 +69,18 @@ impl<R: Send + 'static> AnyReply for Option<Reply<R>> {
     }
 }
 
-/// A [`ServerPort`] whose types only the service knows.
+/// A [`ServerPort`] with its types erased.
 pub(crate) trait AnyServer: Any + Send {
     /// The name of the service.
     fn name(&self) -> &Arc<str>;
     fn has_answers(&self) -> bool;
     /// Takes the requests out of a `Vec<Incoming<Q>>`.
     fn accept(&mut self, staged: &mut dyn Any);
-    /// Hands out the answers.
+    /// Passes each answer to `deliver`.
     fn drain_answers(&mut self, deliver: &mut dyn FnMut(ReplyTo, &mut dyn AnyReply));
-    /// Answers everything that is open with an error.
+    /// Answers all open requests with an error.
     fn abandon(&mut self, module: &Arc<str>, failure: Option<&Arc<str>>);
-    /// Forgets answers: those of a run that panicked.
+    /// Discards the answers of a run that panicked.
     fn discard_answers(&mut self);
 }
 
@@ -125,7 +125,7 @@ impl<Q: Send + 'static, R: Send + 'static> AnyServer for ServerPort<Q, R> {
     }
 
     fn discard_answers(&mut self) {
-        // What was answered and is discarded is open again.
+        // The requests of discarded answers are open again.
         let Self { open, answers, .. } = self;
         open.extend(answers.drain(..).map(|(to, _)| to));
     }

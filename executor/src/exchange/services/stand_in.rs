@@ -1,4 +1,4 @@
-//! Answers in place of a server that is not in the core.
+//! Stand-ins: answers for a server that is not in the core.
 
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -8,8 +8,8 @@ use super::call::{CallError, CallId, Reply, ReplyTo};
 use crate::CoreHandle;
 use crate::module::SERVICES;
 
-/// Answers calls of modules in place of the server, from any thread; from [`Core::stand_in`](crate::Core::stand_in). A replay gives the
-/// recorded answers by it.
+/// Answers calls of modules in place of the server, from any thread; from
+/// [`Core::stand_in`](crate::Core::stand_in). A replay uses it for recorded answers.
 ///
 /// ```
 /// use std::time::Duration;
@@ -50,8 +50,9 @@ impl<R: Send + 'static> StandIn<R> {
         Self { core, answer: PhantomData }
     }
 
-    /// Answers a call in the next sync phase: that of the module `client`, by the position of the client among those that
-    /// it declared and the number of the call. An answer to a call that does not wait for one is dropped.
+    /// Answers a call in the next sync phase. The call is identified by the calling module `client`, the
+    /// index of the client in the order of declaration by that module, and the number of the call. The answer
+    /// is dropped if that call is not waiting for one.
     pub fn answer(&self, client: &str, port: u32, number: u64, result: Result<R, CallError>) {
         let client: Arc<str> = client.into();
         self.core.look(move |phase| {

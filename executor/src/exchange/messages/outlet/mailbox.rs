@@ -1,4 +1,4 @@
-//! The thread on which the sinks of an inbox run.
+//! The thread that runs the sinks of an inbox.
 
 use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
@@ -8,7 +8,7 @@ use super::{Delivery, OutletShared};
 use crate::Inbox;
 use crate::threads::{drop_guarded, unpoisoned};
 
-/// What waits for the sinks of an inbox.
+/// The batches that wait for the sinks of an inbox.
 #[derive(Default)]
 pub(super) struct Mailbox {
     contents: Mutex<Contents>,
@@ -28,8 +28,8 @@ pub(super) struct Addressed {
 }
 
 impl Mailbox {
-    /// Delivers all batches of a sync phase at once. Calls `dropped` with topic and number of messages that had to make
-    /// room.
+    /// Delivers all batches of a sync phase at once. Calls `dropped` with the topic and the number of
+    /// messages of each batch that was dropped to make room.
     pub(super) fn deliver(
         &self,
         batches: &mut Vec<Addressed>,
@@ -55,7 +55,7 @@ impl Mailbox {
         self.lock().deliveries.iter().map(Addressed::messages).sum()
     }
 
-    /// Ends the thread when nothing waits any more.
+    /// Ends the thread when no batch waits any more.
     pub(super) fn stop(&self) {
         self.lock().stop = true;
         self.changed.notify_one();
@@ -90,16 +90,16 @@ impl Addressed {
 
     pub(super) fn hand_over(self) {
         let Self { outlet, delivery, .. } = self;
-        // Guarded: what is freed with the batch may panic in its drop.
+        // Guarded, because destructors of messages in the batch may panic.
         drop_guarded("a message", || outlet.take(delivery));
     }
 }
 
-/// A batch that made room for a newer one.
+/// A batch that was dropped in favour of a newer one.
 struct Gone {
     topic: usize,
     messages: u32,
-    /// What the newer batch has to report, unless an older one that still waits does.
+    /// The number of missed messages to report with the newer batch; 0 if a waiting batch reports them.
     missed: u32,
 }
 

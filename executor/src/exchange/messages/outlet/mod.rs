@@ -1,4 +1,4 @@
-//! Messages for threads outside the executor.
+//! Outlets: messages for threads outside the executor.
 
 mod mailbox;
 mod outlets;
@@ -19,15 +19,16 @@ use crate::threads::{drop_guarded, end_of, unpoisoned};
 use crate::topics::{AnyReceived, Batch, MessageType, Topics, VisitBatch, for_each_message};
 use crate::{Core, CoreHandle, Inbox, Receipt, Received, SetupError, SyncPhase};
 
-/// A subscription of a topic from outside the core, which ends when it is dropped. It is made by [`Core::outlet`](crate::Core::outlet) or
-/// [`CoreHandle::outlet`](crate::CoreHandle::outlet).
+/// A subscription of a topic from outside the core, which ends when it is dropped. Made by
+/// [`Core::outlet`](crate::Core::outlet) or [`CoreHandle::outlet`](crate::CoreHandle::outlet).
 ///
-/// Messages are given to a *sink*, a closure that runs on a thread of its own and may block: it never delays a cycle. Under a
-/// clock that does not go on by itself the sink runs inside the next cycle, before its modules. A sink that panics is logged and not
-/// called again.
+/// Messages are passed to a *sink*, a closure that runs on a separate thread and may block without delaying a
+/// cycle. Under a clock that does not run by itself, the sink runs inside the next cycle, before the modules.
+/// If a sink panics, the panic is logged and the sink is not called again.
 ///
-/// When the core stops, the sink receives the last messages of all modules, and is dropped after that. When the outlet itself is dropped, the sink is dropped at once, or when it returns from the message that it is
-/// taking; messages that wait for it are discarded.
+/// When the core stops, the sink receives the last messages of all modules, and is then dropped. When the
+/// outlet itself is dropped, the sink is dropped at once, or after the message that it is processing; waiting
+/// messages are discarded.
 ///
 /// ```
 /// use downbeat_executor::{Core, Inbox, ManualClock, Received, Time};
@@ -51,7 +52,7 @@ pub struct Outlet {
 }
 
 impl Outlet {
-    /// How many messages the inbox has dropped so far because the sink was too slow.
+    /// The number of messages that the inbox has dropped because the sink was too slow.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.shared.dropped.load(Ordering::Relaxed)
@@ -83,10 +84,10 @@ impl Drop for Outlet {
     }
 }
 
-/// Where messages wait for the sinks of one or more outlets. The sinks of one inbox share a thread and receive batches in
-/// the order in which they were published, across topics.
+/// The queue of messages for the sinks of one or more outlets. The sinks of one inbox share a thread and
+/// receive batches in the order of publishing, across topics.
 ///
-/// An outlet whose inbox nobody else uses is opened with an [`Inbox`] instead, and is named after its topic.
+/// An outlet with an unshared inbox is opened with an [`Inbox`], and its inbox is named after the topic.
 ///
 /// ```
 /// use downbeat_executor::{Core, Inbox, OutletInbox, Received};
@@ -121,8 +122,8 @@ struct Identity {
 }
 
 impl OutletInbox {
-    /// An inbox with the name under which a [`Snapshot`](crate::Snapshot) and a [`Graph`](crate::Graph) show it. The capacity
-    /// applies to each outlet by itself.
+    /// An inbox with the name shown in a [`Snapshot`](crate::Snapshot) and a [`Graph`](crate::Graph). The
+    /// capacity applies to each outlet separately.
     #[must_use]
     pub fn new(name: &str, capacity: Inbox) -> Self {
         Self { identity: Arc::new(Identity { name: Some(name.into()), capacity }) }
@@ -141,13 +142,13 @@ impl From<&OutletInbox> for OutletInbox {
     }
 }
 
-/// What the core, the thread and the [`Outlet`] know of an outlet.
+/// The state of an outlet, shared by the core, the thread and the [`Outlet`].
 pub(crate) struct OutletShared {
     topic: Arc<str>,
     /// `None` once the outlet is closed.
     sink: Mutex<Option<Box<dyn AnySink>>>,
     is_closed: AtomicBool,
-    /// True if the sink closed it.
+    /// True if the sink itself closed the outlet.
     closes_itself: AtomicBool,
     has_failed: AtomicBool,
     received: AtomicU64,
@@ -176,7 +177,7 @@ impl OutletShared {
         self.is_closed.load(Ordering::Acquire)
     }
 
-    /// Drops the sink when it is not running. A sink that closes its own outlet is dropped when it returns.
+    /// Closes the outlet and drops its sink. A sink that closes its own outlet is dropped when it returns.
     fn close(&self) {
         self.is_closed.store(true, Ordering::Release);
         if RUNNING.get() == self.address() {
@@ -186,7 +187,7 @@ impl OutletShared {
         }
     }
 
-    /// Gives a batch to the sink.
+    /// Passes a batch to the sink.
     fn take(&self, delivery: Delivery) {
         let mut sink = self.lock();
         let Some(running) = sink.as_mut().filter(|_| !self.is_closed()) else { return };
@@ -210,7 +211,7 @@ impl OutletShared {
 
     fn drop_sink(&self, mut sink: MutexGuard<'_, Option<Box<dyn AnySink>>>) {
         let taken = sink.take();
-        // It may hold its own outlet.
+        // Unlocked before the drop, because the sink may own its outlet.
         drop(sink);
         drop_guarded("the sink of an outlet", || drop(taken));
     }
@@ -228,11 +229,11 @@ impl OutletShared {
 pub(crate) struct Delivery {
     batch: Arc<dyn Any + Send + Sync>,
     messages: u32,
-    /// Messages that the inbox dropped since the delivery before.
+    /// Messages that the inbox dropped since the previous delivery.
     missed: u32,
 }
 
-/// A sink whose message type only it knows.
+/// A sink with its message type erased.
 pub(crate) trait AnySink: Send {
     /// Takes the messages of a batch until the outlet is closed.
     fn take(&mut self, delivery: Delivery, is_closed: &AtomicBool);
@@ -255,7 +256,7 @@ impl<T: Send + Sync + 'static, F: FnMut(Received<'_, T>) + Send> AnySink for Typ
     }
 }
 
-/// A sink for messages whose type only the topic knows.
+/// A sink for messages whose type is known only to the topic.
 struct AnyTypeSink<F> {
     take: F,
     visit: VisitBatch,
@@ -273,8 +274,8 @@ impl<F: FnMut(AnyReceived<'_>) + Send> AnySink for AnyTypeSink<F> {
     }
 }
 
-/// An outlet to be opened: what of it depends on the type of its messages is behind a pointer, so that the rest is compiled once,
-/// for however many types there are.
+/// An outlet to be opened. The parts that depend on the message type are behind pointers, so that the
+/// remaining code is compiled once for all types.
 struct NewOutlet {
     topic: String,
     message_type: MessageType,
@@ -332,11 +333,11 @@ fn outlets_and_topics<'a>(phase: &'a mut SyncPhase<'_>) -> Option<(&'a mut Outle
 }
 
 impl Core {
-    /// Takes the messages of a topic out of the core: calls `sink` with each, on the thread of the inbox, until the outlet is
-    /// dropped.
+    /// Subscribes to a topic from outside: calls `sink` with each message, on the thread of the inbox, until
+    /// the outlet is dropped.
     ///
     /// # Errors
-    /// A name that is not valid, a topic that carries another type, or a thread that cannot be started.
+    /// If the name is invalid, the topic carries another type, or the thread cannot be started.
     pub fn outlet<T: Send + Sync + 'static>(
         &mut self,
         topic: &str,
@@ -346,10 +347,10 @@ impl Core {
         NewOutlet::new(topic, inbox.into(), sink).open(&mut self.between_cycles())
     }
 
-    /// As [`outlet`](Self::outlet), for messages of a type that is a value.
+    /// As [`outlet`](Self::outlet), for a message type given as a value.
     ///
     /// # Errors
-    /// Those of [`outlet`](Self::outlet).
+    /// As for [`outlet`](Self::outlet).
     pub fn outlet_of(
         &mut self,
         message_type: MessageType,
@@ -362,8 +363,8 @@ impl Core {
 }
 
 impl CoreHandle {
-    /// Takes the messages of a topic out of the core, see [`Core::outlet`](crate::Core::outlet): from the cycle on in whose sync
-    /// phase it is made, that cycle's messages included.
+    /// Subscribes to a topic from outside, see [`Core::outlet`](crate::Core::outlet). The first messages are
+    /// those of the cycle whose sync phase opens the outlet.
     #[must_use = "the answer is in the receipt"]
     pub fn outlet<T: Send + Sync + 'static>(
         &self,
@@ -375,7 +376,7 @@ impl CoreHandle {
         self.ask(move |phase| outlet.open(phase))
     }
 
-    /// As [`outlet`](Self::outlet), for messages of a type that is a value.
+    /// As [`outlet`](Self::outlet), for a message type given as a value.
     #[must_use = "the answer is in the receipt"]
     pub fn outlet_of(
         &self,

@@ -1,4 +1,4 @@
-//! The outlets of a core, as its sync phase sees them.
+//! The outlets of a core, as the sync phase accesses them.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -12,14 +12,14 @@ use super::{Delivery, Identity, OutletInbox, OutletShared};
 use crate::topics::{Subscriber, Topics};
 use crate::{OutletStatistics, SetupError, ThreadOptions};
 
-/// After how long, and how often then, the log names the inbox that the end of the core waits for.
+/// The interval of log lines with the name of the inbox for which the shutdown of the core waits.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
 pub(crate) struct Outlets {
-    /// By slot, which the topics know them by.
+    /// By slot, under which topics refer to outlets.
     ports: Vec<Option<Port>>,
-    /// In the order in which they were first used.
+    /// In the order of their first use.
     inboxes: Vec<InboxPort>,
 }
 
@@ -35,11 +35,11 @@ struct InboxPort {
     identity: Arc<Identity>,
     name: Arc<str>,
     mailbox: Arc<Mailbox>,
-    /// `None` where sinks run inside the cycle.
+    /// `None` if the sinks run inside the cycle.
     thread: Option<Thread>,
-    /// What this sync phase has for it so far; without a thread, until the next process phase.
+    /// The batches of this sync phase; without a thread, kept until the next process phase.
     outgoing: Vec<Addressed>,
-    /// What outlets counted that are closed.
+    /// The counters of closed outlets.
     closed: Counts,
 }
 
@@ -51,7 +51,7 @@ struct Counts {
 
 struct Thread {
     handle: JoinHandle<()>,
-    /// Disconnected when the thread is about to end.
+    /// Disconnected shortly before the thread ends.
     ended: Receiver<()>,
 }
 
@@ -80,7 +80,7 @@ impl Outlets {
         Ok(())
     }
 
-    /// Forgets the outlets that are closed, and the inboxes that nobody uses any more.
+    /// Removes closed outlets, and inboxes without outlets.
     pub(crate) fn prune(&mut self, topics: &mut Topics) {
         for (slot, place) in self.ports.iter_mut().enumerate() {
             let Some(port) = place.take_if(|port| port.shared.is_closed()) else { continue };
@@ -102,7 +102,7 @@ impl Outlets {
         });
     }
 
-    /// Has the topic's batch delivered with the next [`dispatch`](Self::dispatch).
+    /// Queues the topic's batch for the next [`dispatch`](Self::dispatch).
     #[inline(never)]
     pub(crate) fn deliver(&mut self, topics: &Topics, slot: usize) {
         let Some(port) = self.ports.get(slot).and_then(Option::as_ref) else { return };
@@ -117,7 +117,7 @@ impl Outlets {
         }
     }
 
-    /// Runs sinks that have no thread.
+    /// Runs the sinks that have no thread.
     #[cold]
     pub(crate) fn run_waiting(&mut self) {
         for inbox in self.inboxes.iter_mut().filter(|inbox| inbox.thread.is_none()) {
@@ -125,8 +125,8 @@ impl Outlets {
         }
     }
 
-    /// Delivers all batches of a sync phase at once: a thread wakes once for all of them. Returns true if something waits
-    /// for sinks without a thread.
+    /// Delivers all batches of a sync phase at once, so that each thread wakes once. Returns true if batches
+    /// wait for sinks without a thread.
     #[inline(never)]
     pub(crate) fn dispatch(&mut self, topics: &mut Topics) -> bool {
         let mut is_waiting = false;
@@ -141,7 +141,8 @@ impl Outlets {
         is_waiting
     }
 
-    /// Waits until the sinks have taken what waits for them, however long that takes, and drops them.
+    /// Waits until the sinks have processed all waiting batches, however long that takes, and drops the
+    /// sinks.
     pub(crate) fn stop(&mut self) {
         self.run_waiting();
         for inbox in &mut self.inboxes {
@@ -154,7 +155,7 @@ impl Outlets {
         self.inboxes.is_empty()
     }
 
-    /// The inboxes with the topics of their outlets.
+    /// The inboxes, each with the topics of its outlets.
     pub(crate) fn connections(&self) -> impl Iterator<Item = (&Arc<str>, impl Iterator<Item = usize>)> {
         self.inboxes.iter().map(|inbox| (&inbox.name, self.ports_of(inbox).map(|port| port.topic)))
     }
@@ -208,7 +209,7 @@ impl InboxPort {
         })
     }
 
-    /// Ends the thread, whose sinks are all closed, without waiting for it.
+    /// Ends the thread without waiting for it; all its sinks are closed.
     fn retire(&mut self) {
         self.mailbox.stop();
         self.thread = None;
