@@ -373,7 +373,7 @@ impl std::fmt::Display for FieldType {
             Element::String { bound: Some(bound) } => write!(f, "string<={bound}")?,
             Element::WString { bound: None } => f.write_str("wstring")?,
             Element::WString { bound: Some(bound) } => write!(f, "wstring<={bound}")?,
-            Element::Message(name) => f.write_str(&crate::definition_text::in_texts(name))?,
+            Element::Message(name) => f.write_str(&name.in_texts())?,
         }
         match self.shape {
             Shape::Single => Ok(()),

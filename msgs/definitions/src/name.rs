@@ -1,9 +1,6 @@
 //! Names of interfaces: `package/msg/Type`.
 
 use std::fmt;
-use std::str::FromStr;
-
-use crate::Error;
 
 /// The kind of an interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -55,6 +52,11 @@ impl TypeName {
         format!("{}/{}", self.package, self.name)
     }
 
+    /// The name in portable definition texts: [`short`](Self::short) for a message, else the full one.
+    pub(crate) fn in_texts(&self) -> String {
+        if self.kind == Kind::Message { self.short() } else { self.to_string() }
+    }
+
     /// Creates a name from its parts, if they are valid.
     pub(crate) fn checked(package: &str, kind: Kind, name: &str) -> Option<Self> {
         let (stem, part) = name.split_once('_').map_or((name, None), |(stem, part)| (stem, Some(part)));
@@ -84,23 +86,6 @@ impl TypeName {
 impl fmt::Display for TypeName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}/{}", self.package, self.kind.as_str(), self.name)
-    }
-}
-
-impl FromStr for TypeName {
-    type Err = Error;
-
-    fn from_str(text: &str) -> Result<Self, Error> {
-        let mut parts = text.split('/');
-        let (package, kind, name) = (parts.next(), parts.next(), parts.next());
-        let Some(kind) = Kind::ALL.into_iter().find(|of| kind == Some(of.as_str())) else {
-            return Err(Error::Name(text.into()));
-        };
-        let name = match (package, name, parts.next()) {
-            (Some(package), Some(name), None) => Self::checked(package, kind, name),
-            _ => None,
-        };
-        name.ok_or_else(|| Error::Name(text.into()))
     }
 }
 

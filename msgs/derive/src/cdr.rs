@@ -7,8 +7,8 @@ use quote::{format_ident, quote, quote_spanned};
 use syn::{Path, Result};
 
 use crate::definition::Definition;
-use crate::expand::tokens;
 use crate::structure::{StructField, Structure};
+use crate::tokens::tokens;
 
 /// Field by field, as in generated messages without a fixed layout.
 pub(crate) fn implementation(

@@ -9,6 +9,7 @@ use syn::{Error, Path, Result, parse_quote};
 use crate::cdr;
 use crate::definition::{Crate, Definition};
 use crate::structure::{StructField, Structure};
+use crate::tokens::tokens;
 
 /// The implementations for the struct in `input`.
 pub(crate) fn expand(input: TokenStream) -> Result<TokenStream> {
@@ -119,11 +120,6 @@ fn own_text(structure: &Structure, definition: &Definition, runtime: &Path) -> R
     };
     // This also makes cargo recompile the crate when the file changes.
     Ok(quote!(#runtime::description::OwnText::File(::core::include_str!(#path))))
-}
-
-/// Source text as tokens, with the span of the derive.
-pub(crate) fn tokens(source: &str) -> Result<TokenStream> {
-    source.parse().map_err(Error::from)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ mod cdr;
 mod definition;
 mod expand;
 mod structure;
+mod tokens;
 
 /// Makes a struct a ROS 2 message: implements `Cdr` and `Message` with the same bytes, definition text and
 /// hash as a generated one.

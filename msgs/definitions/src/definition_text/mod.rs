@@ -9,7 +9,6 @@ mod idl;
 mod portable;
 mod read;
 
-pub(crate) use portable::in_texts;
 pub use portable::portable_definition_text;
 pub use read::DefinitionEncoding;
 
@@ -74,7 +73,7 @@ impl Catalog {
         while let Some(name) = waiting.pop() {
             if seen.insert(name.clone()) {
                 let message = self.message(name)?;
-                text.push_str(&format!("\n{RULE}\nMSG: {}\n{}", in_texts(name), own_text(message)));
+                text.push_str(&format!("\n{RULE}\nMSG: {}\n{}", name.in_texts(), own_text(message)));
                 waiting.extend(dependencies_backwards(&[message]));
             }
         }
@@ -93,6 +92,12 @@ fn own_text(message: &MessageDefinition) -> Cow<'_, str> {
 /// The line before each header.
 pub(crate) const RULE: &str =
     "================================================================================";
+
+/// Returns whether the line consists of `=` only, usually 80 of them; no line of a definition does.
+fn is_rule(line: &str) -> bool {
+    let line = line.trim_end();
+    line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
+}
 
 fn dependencies_backwards<'a>(of: &[&'a MessageDefinition]) -> Vec<&'a TypeName> {
     let names: BTreeSet<&TypeName> = of

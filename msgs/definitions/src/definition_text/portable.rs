@@ -6,6 +6,7 @@
 
 use std::borrow::Cow;
 
+use super::is_rule;
 use crate::{Kind, TypeName};
 
 /// Returns the definition text `text` of the message `name`, with its dependencies, in the portable form:
@@ -31,7 +32,7 @@ pub fn portable_definition_text<'a>(name: &TypeName, text: &'a str) -> Cow<'a, s
                 Some(("MSG", short)) => {
                     let short = short.trim();
                     let full = full_name(short);
-                    let written = full.as_ref().map(|full| format!("MSG: {}", in_texts(full)));
+                    let written = full.as_ref().map(|full| format!("MSG: {}", full.in_texts()));
                     owner = Cow::Owned(full.unwrap_or_else(|| TypeName::new("", Kind::Message, short)));
                     written.filter(|written| written != content)
                 }
@@ -40,7 +41,7 @@ pub fn portable_definition_text<'a>(name: &TypeName, text: &'a str) -> Cow<'a, s
         } else {
             portable_line(&owner, content)
         };
-        follows_rule = super::read::is_rule(content);
+        follows_rule = is_rule(content);
         if replaced.is_some() || line.ends_with("\r\n") {
             portable.push_str(&text[copied..start]);
             portable.push_str(replaced.as_deref().unwrap_or(content));
@@ -64,12 +65,12 @@ fn portable_line(owner: &TypeName, line: &str) -> Option<String> {
         "uint8".to_owned()
     } else if word.contains('/') {
         let full = full_name(word).filter(|full| full.kind != Kind::Message);
-        full.map(|full| in_texts(&full)).filter(|full| full != word)?
+        full.map(|full| full.in_texts()).filter(|full| full != word)?
     } else {
         let is_misread = owner.kind != Kind::Message || word == "Header";
         let is_type = word.starts_with(|first: char| first.is_ascii_uppercase()) && !owner.package.is_empty();
         let full = Some(word).filter(|_| is_misread && is_type);
-        in_texts(&full.and_then(|word| TypeName::from_short(&owner.package, word))?)
+        full.and_then(|word| TypeName::from_short(&owner.package, word))?.in_texts()
     };
     Some(format!("{}{replaced}{rest}", &line[..start]))
 }
@@ -78,11 +79,6 @@ fn portable_line(owner: &TypeName, line: &str) -> Option<String> {
 fn full_name(text: &str) -> Option<TypeName> {
     let (package, name) = text.split_once('/')?;
     if name.contains('/') { text.parse().ok() } else { TypeName::from_short(package, name) }
-}
-
-/// The name of a type in portable texts.
-pub(crate) fn in_texts(name: &TypeName) -> String {
-    if name.kind == Kind::Message { name.short() } else { name.to_string() }
 }
 
 #[cfg(test)]

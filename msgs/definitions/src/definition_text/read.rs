@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use super::is_rule;
 use crate::definition::MOST_MEMBERS_OF_TEXT;
 use crate::derived::IMPLIED;
 use crate::idl::parse_idl_from;
@@ -209,12 +210,6 @@ fn blocks<'a>(text: &'a str, origin: &str) -> Result<Vec<Block<'a>>, Error> {
     }
     blocks.push(Block { head, text: &text[start..], first_line });
     Ok(blocks)
-}
-
-/// Returns whether the line consists of `=` only, usually 80 of them; no line of a definition does.
-pub(super) fn is_rule(line: &str) -> bool {
-    let line = line.trim_end();
-    line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
 }
 
 fn parse_head(line: &str, origin: &str, number: usize) -> Result<(Keyword, TypeName), Error> {

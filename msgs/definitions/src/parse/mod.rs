@@ -6,6 +6,7 @@
 
 mod line;
 pub(crate) mod literal;
+mod name;
 
 use crate::{ActionDefinition, Error, Kind, MessageDefinition, Place, ServiceDefinition, TypeName};
 
