@@ -1,8 +1,6 @@
 //! Sets of interfaces, which a crate of messages passes to a program that exposes, records and shows them.
 
-use std::marker::PhantomData;
-
-use crate::{Action, Message, Service};
+use crate::message::{Action, Message, OneAction, OneMessage, OneService, Service};
 
 /// A set of messages, services and actions, for code that handles each of them, such as a bridge or a
 /// recorder.
@@ -56,27 +54,6 @@ pub trait InterfaceVisitor {
 
     /// Visits an action.
     fn action<A: Action>(&mut self);
-}
-
-/// The set of one message, [`Message::INTERFACES`].
-pub struct OneMessage<T>(PhantomData<fn() -> T>);
-
-/// The set of one service and its messages, [`Service::INTERFACES`].
-pub struct OneService<S>(PhantomData<fn() -> S>);
-
-/// The set of one action, its services and its messages, [`Action::INTERFACES`].
-pub struct OneAction<A>(PhantomData<fn() -> A>);
-
-impl<T> OneMessage<T> {
-    pub(crate) const NEW: Self = Self(PhantomData);
-}
-
-impl<S> OneService<S> {
-    pub(crate) const NEW: Self = Self(PhantomData);
-}
-
-impl<A> OneAction<A> {
-    pub(crate) const NEW: Self = Self(PhantomData);
 }
 
 impl<T: Message> InterfaceSet for OneMessage<T> {

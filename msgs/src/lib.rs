@@ -64,8 +64,8 @@ macro_rules! include_interfaces {
 pub use carried::carried;
 pub use cdr::WString;
 pub use downbeat_msgs_definitions as definitions;
-pub use interface_set::{InterfaceSet, InterfaceVisitor, OneAction, OneMessage, OneService};
-pub use message::{Action, Message, Service};
+pub use interface_set::{InterfaceSet, InterfaceVisitor};
+pub use message::{Action, Message, OneAction, OneMessage, OneService, Service};
 pub use printable::{printable, write_printable_lines};
 #[doc(hidden)]
 pub use serde; // Generated code in other crates derives its traits through this path.
@@ -111,8 +111,8 @@ pub use serde; // Generated code in other crates derives its traits through this
 ///   for what Rust types cannot express: `byte`, and bounds.
 ///
 /// # Types
-/// `bool`, the integers of 8 to 64 bits, `f32`, `f64`, `String` (`string`), `WString` (`wstring`), structs that are messages,
-/// and `[T; N]` and `Vec<T>` of these. `u8` is `uint8`; in a file also `byte` or `char`.
+/// `bool`, the integers of 8 to 64 bits, `f32`, `f64`, `String` (`string`), `WString` (`wstring`), structs
+/// that are messages, and `[T; N]` and `Vec<T>` of these. `u8` is `uint8`; in a file also `byte` or `char`.
 ///
 /// A field of another type, or one that does not match the file, does not compile:
 ///

@@ -1,11 +1,11 @@
 //! The traits of generated types.
 
 use std::fmt::Debug;
+use std::marker::PhantomData;
 
 use crate::builtin_interfaces::msg::Time;
 use crate::cdr::Cdr;
-use crate::description::{Description, Element, Field, FieldType, Shape};
-use crate::interface_set::{OneAction, OneMessage, OneService};
+use crate::description::{Description, Element, Field, FieldType, FieldValue, Shape};
 use crate::service_msgs::msg::ServiceEventInfo;
 use crate::type_description_interfaces::msg::TypeDescription;
 use crate::unique_identifier_msgs::msg::UUID;
@@ -173,6 +173,32 @@ pub trait Action: Sized + Send + Sync + 'static {
     /// The goal id and the feedback in a message of the topic `feedback`.
     #[must_use]
     fn feedback_of(message: &Self::FeedbackMessage) -> (UUID, &Self::Feedback);
+}
+
+/// The set of one message, [`Message::INTERFACES`].
+pub struct OneMessage<T>(PhantomData<fn() -> T>);
+
+/// The set of one service and its messages, [`Service::INTERFACES`].
+pub struct OneService<S>(PhantomData<fn() -> S>);
+
+/// The set of one action, its services and its messages, [`Action::INTERFACES`].
+pub struct OneAction<A>(PhantomData<fn() -> A>);
+
+impl<T> OneMessage<T> {
+    const NEW: Self = Self(PhantomData);
+}
+
+impl<S> OneService<S> {
+    const NEW: Self = Self(PhantomData);
+}
+
+impl<A> OneAction<A> {
+    const NEW: Self = Self(PhantomData);
+}
+
+impl<T: Message> FieldValue for T {
+    const FIELD_TYPE: FieldType =
+        FieldType { element: Element::Message(T::DESCRIPTION), shape: Shape::Single };
 }
 
 const fn service_field(name: &'static str, service: &'static Description) -> Field {

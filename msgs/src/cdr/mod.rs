@@ -36,25 +36,30 @@
 //! estimated in advance.
 //!
 //! # References
-//! - OMG DDS-XTypes 1.3, 7.4.1 and 7.4.2 (XCDR version 1), 7.4.3 (version 2) and 7.6.3.1.2 (representation identifiers).
+//! - OMG DDS-XTypes 1.3, 7.4.1 and 7.4.2 (XCDR version 1), 7.4.3 (version 2) and 7.6.3.1.2 (representation
+//!   identifiers).
 //! - What `rclpy.serialization` does with rmw_fastrtps_cpp 8.4.3, which the tests compare with byte by byte.
 //! - Wide strings in version 2: `src/core/cdr/src/dds_cdrstream.c` of `eclipse-cyclonedds/cyclonedds`.
 
+mod bounds;
 mod error;
+mod fields;
 mod plain;
+mod plain_message;
 mod reader;
 mod values;
 mod view;
 mod writer;
 
-pub use error::{EncodeError, Error, Problem, Result};
-pub use plain::{Plain, PlainMessage, PlainReader, PlainWriter};
-pub use reader::Reader;
-pub use values::{Text, WString};
-
+pub use bounds::{Count, Text};
 #[doc(hidden)]
-pub use values::{check_count, check_field, check_text};
-pub use view::{Count, FromReader, Numbers, Sequence, Viewed};
+pub use bounds::{check_count, check_field, check_text};
+pub use error::{EncodeError, Error, Problem, Result};
+pub use plain::{Plain, PlainReader, PlainWriter};
+pub use plain_message::PlainMessage;
+pub use reader::Reader;
+pub use values::WString;
+pub use view::{FromReader, Numbers, Sequence, Viewed};
 pub use writer::Writer;
 
 /// Size of the header of a serialised value in bytes.
@@ -177,8 +182,8 @@ pub fn encoded_size<T: Cdr>(value: &T) -> usize {
     HEADER_SIZE + value.end(0)
 }
 
-/// Reads a value from its serialised form, header included, in either byte order: a message, or a view of it that
-/// borrows from the bytes.
+/// Reads a value from its serialised form, header included, in either byte order: a message, or a view of it
+/// that borrows from the bytes.
 ///
 /// # Errors
 /// Returns an error if ROS 2 does not use the representation, or the bytes are not a valid value.

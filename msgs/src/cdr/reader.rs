@@ -1,10 +1,7 @@
 //! Reading CDR from bytes.
 
 use super::plain::PlainReader;
-use super::{
-    Cdr, Count, Endianness, Error, FromReader, HEADER_SIZE, Plain, Problem, Representation, Result, Sequence,
-    Text, split,
-};
+use super::{Cdr, Endianness, Error, HEADER_SIZE, Plain, Problem, Representation, Result, split};
 use downbeat_msgs_definitions::Shape;
 
 /// Reads the parts of a serialised value one after another. Alignment is relative to the end of the header.
@@ -46,81 +43,6 @@ impl<'a> Reader<'a> {
     #[must_use]
     pub fn left(&self) -> usize {
         self.body.len() - self.position
-    }
-
-    /// Reads a value; errors name the field.
-    ///
-    /// # Errors
-    /// Returns an error if the bytes are not a valid value.
-    #[inline]
-    pub fn field<T: FromReader<'a>>(&mut self, name: &'static str) -> Result<T> {
-        T::from_reader(self).map_err(|error| error.in_field(name))
-    }
-
-    /// Like [`Reader::field`], for a sequence of at most `bound` elements.
-    ///
-    /// # Errors
-    /// Returns an error if the bytes are not a valid value.
-    pub fn bounded_field<T: FromReader<'a> + Count>(
-        &mut self,
-        name: &'static str,
-        bound: usize,
-    ) -> Result<T> {
-        self.bounded(bound, T::count).map_err(|error| error.in_field(name))
-    }
-
-    /// Like [`Reader::field`], for strings of at most `bound` bytes (wide strings: UTF-16 code units), alone or several.
-    ///
-    /// # Errors
-    /// Returns an error if the bytes are not a valid value.
-    pub fn text_field<T: FromReader<'a> + Text>(&mut self, name: &'static str, bound: usize) -> Result<T> {
-        self.bounded(bound, T::longest).map_err(|error| error.in_field(name))
-    }
-
-    /// Like [`Reader::field`], for a sequence of at most `bound` strings, each of at most `text_bound` as in
-    /// [`Reader::text_field`].
-    ///
-    /// # Errors
-    /// Returns an error if the bytes are not a valid value.
-    pub fn bounded_texts_field<T: FromReader<'a> + Count + Text>(
-        &mut self,
-        name: &'static str,
-        bound: usize,
-        text_bound: usize,
-    ) -> Result<T> {
-        let start = self.clone();
-        self.bounded_field(name, bound).and_then(|texts| {
-            start.check(texts, text_bound, T::longest).map_err(|error| error.in_field(name))
-        })
-    }
-
-    /// Like [`Reader::field`], for the view of an array.
-    ///
-    /// # Errors
-    /// Returns an error if the bytes are not a valid value.
-    pub fn array_field<V: FromReader<'a>>(
-        &mut self,
-        name: &'static str,
-        count: usize,
-    ) -> Result<Sequence<'a, V>> {
-        Sequence::of_array(count, self).map_err(|error| error.in_field(name))
-    }
-
-    /// Like [`Reader::array_field`], for strings as in [`Reader::text_field`].
-    ///
-    /// # Errors
-    /// Returns an error if the bytes are not a valid value.
-    pub fn texts_array_field<V: FromReader<'a> + Text>(
-        &mut self,
-        name: &'static str,
-        count: usize,
-        text_bound: usize,
-    ) -> Result<Sequence<'a, V>> {
-        let start = self.clone();
-        let texts = Sequence::of_array(count, self);
-        texts
-            .and_then(|texts| start.check(texts, text_bound, Text::longest))
-            .map_err(|error| error.in_field(name))
     }
 
     /// Reads the fields of a message, which `fields` reads one after another.
@@ -194,7 +116,8 @@ impl<'a> Reader<'a> {
         Ok(count)
     }
 
-    /// Reads the number of elements of a field of a shape, and checks it against the shape and the rest of the input.
+    /// Reads the number of elements of a field of a shape, and checks it against the shape and the rest of
+    /// the input.
     ///
     /// # Errors
     /// Returns an error if the bound is exceeded, or the input is too short for that many elements.
@@ -330,19 +253,6 @@ impl<'a> Reader<'a> {
         let outer = self.body;
         self.body = &outer[..self.position + size];
         Ok(outer)
-    }
-
-    fn bounded<T: FromReader<'a>>(&mut self, bound: usize, measure: fn(&T) -> usize) -> Result<T> {
-        let start = self.clone();
-        let value = T::from_reader(self)?;
-        start.check(value, bound, measure)
-    }
-
-    fn check<T>(&self, value: T, bound: usize, measure: fn(&T) -> usize) -> Result<T> {
-        match measure(&value) {
-            found if found > bound => Err(self.error(Problem::Bound { found, bound })),
-            _ => Ok(value),
-        }
     }
 
     #[cold]

@@ -1,4 +1,4 @@
-//! CDR of numbers, booleans, strings, sequences and arrays, and their bounds.
+//! CDR of numbers, booleans, strings, sequences and arrays.
 
 use std::fmt;
 use std::ops::{Deref, DerefMut};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::plain::{PlainReader, PlainWriter, plain_end};
 use super::{
-    Cdr, Count, EncodeError, Endianness, FromReader, Plain, Problem, Reader, Representation, Result, Writer,
+    Cdr, EncodeError, Endianness, FromReader, Plain, Problem, Reader, Representation, Result, Text, Writer,
 };
 
 macro_rules! numbers {
@@ -254,40 +254,9 @@ impl fmt::Display for WString {
     }
 }
 
-/// A string or a collection of strings, to which a string bound applies.
-pub trait Text {
-    /// The length of the longest string, in the unit of its bound: bytes, or UTF-16 code units of a
-    /// [`WString`].
-    fn longest(&self) -> usize;
-}
-
-impl Text for &str {
-    fn longest(&self) -> usize {
-        self.len()
-    }
-}
-
-impl Text for String {
-    fn longest(&self) -> usize {
-        self.len()
-    }
-}
-
 impl Text for WString {
     fn longest(&self) -> usize {
         self.encode_utf16().count()
-    }
-}
-
-impl<T: Text> Text for Vec<T> {
-    fn longest(&self) -> usize {
-        self.iter().map(T::longest).max().unwrap_or(0)
-    }
-}
-
-impl<T: Text, const N: usize> Text for [T; N] {
-    fn longest(&self) -> usize {
-        self.iter().map(T::longest).max().unwrap_or(0)
     }
 }
 
@@ -367,25 +336,4 @@ impl Cdr for WString {
             .map(Self)
             .map_err(|error| start.error(Problem::Utf16(error.unpaired_surrogate().into())))
     }
-}
-
-type Checked = std::result::Result<(), EncodeError>;
-
-/// Checks the fields of a message in a field.
-pub fn check_field<T: Cdr>(name: &str, value: &T) -> Checked {
-    value.check_bounds().map_err(|error| error.in_field(name))
-}
-
-/// Checks the number of elements of a bounded sequence.
-pub fn check_count<T: Count>(name: &str, value: &T, bound: usize) -> Checked {
-    check(name, value.count(), bound)
-}
-
-/// Checks the length of bounded strings.
-pub fn check_text<T: Text>(name: &str, value: &T, bound: usize) -> Checked {
-    check(name, value.longest(), bound)
-}
-
-fn check(path: &str, found: usize, bound: usize) -> Checked {
-    if found > bound { Err(EncodeError::Bound { path: path.into(), found, bound }) } else { Ok(()) }
 }

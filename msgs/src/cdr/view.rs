@@ -4,7 +4,7 @@ use std::fmt;
 use std::marker::PhantomData;
 
 use super::plain::PlainReader;
-use super::{Cdr, Endianness, Plain, Reader, Result, Text};
+use super::{Cdr, Count, Endianness, Plain, Reader, Result, Text};
 
 /// A type that can be read from CDR: every [`Cdr`] type, and views, which borrow from the input.
 ///
@@ -223,24 +223,6 @@ impl<'a, V: FromReader<'a>> FromReader<'a> for Sequence<'a, V> {
             let count = reader.length(V::FEWEST_BYTES)?;
             Self::read(count, reader)
         })
-    }
-}
-
-/// A sequence, to which a bound applies.
-pub trait Count {
-    /// The number of elements.
-    fn count(&self) -> usize;
-}
-
-impl<T> Count for Vec<T> {
-    fn count(&self) -> usize {
-        self.len()
-    }
-}
-
-impl Count for &[u8] {
-    fn count(&self) -> usize {
-        self.len()
     }
 }
 

@@ -1,7 +1,7 @@
 //! Fields and their types.
 
-use super::text::compare;
-use crate::{Message, WString};
+use super::const_text::compare;
+use crate::WString;
 use downbeat_msgs_definitions as definitions;
 use downbeat_msgs_definitions::{Element, Primitive, Shape};
 
@@ -30,8 +30,8 @@ pub struct Field {
 /// The type of a field: one element, or several.
 pub type FieldType = downbeat_msgs_definitions::FieldType<&'static Description>;
 
-/// A Rust type that a field of a message can have: numbers, `bool`, [`String`], [`WString`], messages, and arrays and vectors
-/// of these.
+/// A Rust type that a field of a message can have: numbers, `bool`, [`String`], [`WString`], messages, and
+/// arrays and vectors of these.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` cannot be the type of a field of a ROS 2 message",
     note = "it can be a number of 8 to 64 bits, `bool`, `String`, `WString`, a message, or an array or `Vec` of one of these"
@@ -123,10 +123,6 @@ impl FieldValue for WString {
     const FIELD_TYPE: FieldType = single(Element::WString { bound: None });
 }
 
-impl<T: Message> FieldValue for T {
-    const FIELD_TYPE: FieldType = single(Element::Message(T::DESCRIPTION));
-}
-
 impl<T: FieldValue> FieldValue for Vec<T> {
     const FIELD_TYPE: FieldType = shaped(T::FIELD_TYPE, Shape::Sequence);
 }
@@ -135,8 +131,8 @@ impl<T: FieldValue, const N: usize> FieldValue for [T; N] {
     const FIELD_TYPE: FieldType = shaped(T::FIELD_TYPE, Shape::Array(N as u64));
 }
 
-/// Fails the build with `message` if the type does not match that of a definition, which names messages. Bounds, `byte` and
-/// `char` have no Rust types, so they are not checked.
+/// Fails the build with `message` if the type does not match that of a definition, which names messages.
+/// Bounds, `byte` and `char` have no Rust types, so they are not checked.
 #[doc(hidden)]
 #[track_caller]
 pub const fn check<T: FieldValue>(defined: definitions::FieldType<&str>, message: &str) {

@@ -3,7 +3,7 @@
 //! # References
 //! SHA-256, as a `const fn`: FIPS 180-4, 4.2.2, 5.1.1, 5.3.3 and 6.2.
 
-use super::text::{compare, digits};
+use super::const_text::{compare, digits};
 use super::{Description, Field};
 
 /// A hash as text: `RIHS01_` and 64 hexadecimal digits.

@@ -15,9 +15,10 @@
 //! also computes, at compile time, the hash and the definition text of a message that has no definition file.
 //!
 //! # References
-//! `type_description_interfaces` of `ros2/rcl_interfaces` and `rosidl_generator_type_description` of `ros2/rosidl`, branch
-//! jazzy.
+//! `type_description_interfaces` of `ros2/rcl_interfaces` and `rosidl_generator_type_description` of
+//! `ros2/rosidl`, branch jazzy.
 
+mod const_text;
 mod field;
 mod hash;
 mod text;

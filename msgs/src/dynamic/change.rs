@@ -3,9 +3,8 @@
 use downbeat_msgs_definitions::Shape;
 
 use super::fit::{self, Scalar as _};
-use super::layout::FieldLayout;
 use super::message::{Step, append_default, field_of, misstep, steps};
-use super::value::Messages;
+use super::model::{FieldLayout, Messages};
 use super::{Array, DynamicMessage, DynamicType, FieldError, FieldProblem, Value, ValueRef};
 use crate::WString;
 

@@ -2,7 +2,7 @@
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape, Value as DefaultValue};
 
-use super::value::Messages;
+use super::model::Messages;
 use super::{Array, DynamicType, FieldProblem, Value, ValueRef};
 use crate::WString;
 use crate::cdr::Text;

@@ -1,29 +1,14 @@
-//! Messages whose type is known only at run time.
+//! Reading messages, and their defaults.
 
 use std::fmt;
 
 use downbeat_msgs_definitions::{Element, FieldType, Shape, TypeName, nearest};
 
-use super::layout::{FieldLayout, MessageLayout};
-use super::value::Messages;
-use super::{Array, DynamicType, FieldError, FieldProblem, Value, ValueRef, fit};
+use super::model::{FieldLayout, MessageLayout};
+use super::{
+    Array, DynamicMessage, DynamicType, FieldError, FieldProblem, MessageRef, Messages, Value, ValueRef, fit,
+};
 use crate::WString;
-
-/// A message of any type; its [`DynamicType`] describes its fields.
-#[derive(Clone)]
-pub struct DynamicMessage {
-    pub(super) of: DynamicType,
-    pub(super) slots: Vec<Value>,
-}
-
-/// A borrowed message, possibly nested in another one.
-#[derive(Clone, Copy)]
-pub struct MessageRef<'a> {
-    /// A type with the same layout; `index` selects the message of the layout.
-    layout: &'a DynamicType,
-    index: usize,
-    slots: &'a [Value],
-}
 
 impl DynamicMessage {
     /// A message with the defaults of its definition.

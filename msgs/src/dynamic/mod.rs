@@ -25,11 +25,12 @@
 mod macros;
 
 mod change;
+mod compile;
 mod error;
 mod fit;
-mod layout;
 mod lookup;
 mod message;
+mod model;
 mod text;
 mod validate;
 mod value;
@@ -37,14 +38,13 @@ mod view;
 mod wire;
 
 pub use error::{ConvertError, FieldError, FieldProblem, TypeError};
-pub use layout::{DynamicField, DynamicType};
 pub use lookup::{
     AmentPrefixPath, DefinitionSource, Definitions, DescribedTypes, Found, InterfaceDefinition,
     InterfaceFolders, RecordedDefinition, Schemas, TypeDefinition, TypeLookupError,
 };
-pub use message::{DynamicMessage, MessageRef};
+pub use model::{Array, DynamicField, DynamicMessage, DynamicType, MessageRef, Messages, Value, ValueRef};
 pub use text::{
     Stamps, TextError, TextProblem, YamlContext, YamlStyle, python, write_yaml_float, write_yaml_text,
 };
-pub use value::{Array, ArrayElement, Messages, Value, ValueRef};
+pub use value::ArrayElement;
 pub use view::{ArrayView, DynamicView, ViewError, ViewValue};

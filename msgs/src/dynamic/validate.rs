@@ -3,7 +3,7 @@
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
 
 use super::DynamicType;
-use super::layout::FieldLayout;
+use super::model::FieldLayout;
 use super::wire::decode_value;
 use crate::WString;
 use crate::cdr::{self, Cdr, FromReader, Problem, Reader, Text};

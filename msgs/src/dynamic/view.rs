@@ -2,8 +2,8 @@
 
 use downbeat_msgs_definitions::{Element, FieldType, Primitive, Shape};
 
-use super::layout::FieldLayout;
 use super::message::{Step, field_of, steps};
+use super::model::FieldLayout;
 use super::wire::{decode_message, decode_value};
 use super::{Array, DynamicMessage, DynamicType, FieldError, FieldProblem, Value, ValueRef, fit};
 use crate::WString;

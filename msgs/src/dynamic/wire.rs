@@ -3,8 +3,7 @@
 
 use downbeat_msgs_definitions::{Element, FieldType, Shape};
 
-use super::layout::{FieldLayout, Layout};
-use super::value::Messages;
+use super::model::{FieldLayout, Layout, Messages};
 use super::{Array, ConvertError, DynamicMessage, DynamicType, TypeError, Value};
 use crate::cdr::{self, Cdr, Problem, Reader, Text, Writer};
 use crate::{Message, WString};

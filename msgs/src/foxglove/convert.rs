@@ -2,7 +2,8 @@
 
 use std::borrow::Cow;
 
-use super::rules::{Object, Rule, resolve, rule_of};
+use super::object::{Object, resolve};
+use super::rules::{Rule, rule_of};
 use super::schemas;
 use crate::encoding::Encoding;
 use crate::interchange::{Budget, Field, Kind, Problem, Schema, Shape, Value};

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::rules::Object;
+use super::object::Object;
 use crate::interchange::{Problem, Value};
 
 /// Conversions beyond equal fields. `to_foxglove` runs after equal fields are moved, `to_ros` before.

@@ -14,7 +14,10 @@
     allow(dead_code, unused_imports)
 )]
 
+mod budget;
 pub(crate) mod cdr;
+mod kind;
+mod missing;
 mod schema;
 #[cfg(any(feature = "json", feature = "cbor"))]
 pub(crate) mod tree;
@@ -22,9 +25,11 @@ mod value;
 
 use std::fmt;
 
+pub(crate) use budget::Budget;
 pub(crate) use downbeat_msgs_definitions::Shape;
-pub(crate) use schema::{Enumeration, Field, Kind, Record, Schema};
-pub(crate) use value::{Budget, Value};
+pub(crate) use kind::Kind;
+pub(crate) use schema::{Enumeration, Field, Record, Schema};
+pub(crate) use value::Value;
 
 /// A message or a type cannot be converted.
 #[derive(Debug, thiserror::Error)]

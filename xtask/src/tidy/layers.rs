@@ -268,28 +268,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "modules/vision/src/round.rs",
         "modules/vision/src/upright.rs",
     ],
-    &[
-        "msgs/src/cdr/plain.rs",
-        "msgs/src/cdr/reader.rs",
-        "msgs/src/cdr/values.rs",
-        "msgs/src/cdr/view.rs",
-        "msgs/src/cdr/writer.rs",
-    ],
-    &[
-        "msgs/src/description/field.rs",
-        "msgs/src/description/text.rs",
-        "msgs/src/interface_set.rs",
-        "msgs/src/message.rs",
-    ],
-    &[
-        "msgs/src/dynamic/fit.rs",
-        "msgs/src/dynamic/layout.rs",
-        "msgs/src/dynamic/message.rs",
-        "msgs/src/dynamic/value.rs",
-    ],
-    &["msgs/src/dynamic/text/python.rs", "msgs/src/dynamic/text/scalar.rs", "msgs/src/dynamic/text/yaml.rs"],
-    &["msgs/src/foxglove/rules.rs", "msgs/src/foxglove/special.rs"],
-    &["msgs/src/interchange/schema.rs", "msgs/src/interchange/value.rs"],
     &["python/src/bags/reading.rs", "python/src/bags/table.rs"],
     &["python/src/messages/buffer.rs", "python/src/messages/types.rs"],
     &[

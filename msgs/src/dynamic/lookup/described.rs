@@ -9,7 +9,7 @@ use downbeat_msgs_definitions::{
 use super::{DefinitionSource, Found, find_complete};
 use crate::carried;
 use crate::dynamic::TypeError;
-use crate::dynamic::layout::catalog_of;
+use crate::dynamic::compile::catalog_of;
 use crate::type_description_interfaces::msg;
 
 /// Types that remote nodes have described.

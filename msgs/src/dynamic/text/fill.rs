@@ -17,8 +17,7 @@ use super::scalar;
 use crate::builtin_interfaces::msg::Time;
 use crate::dynamic::change::{Place, element_place, field_place, resize};
 use crate::dynamic::message::field_of;
-use crate::dynamic::value::Messages;
-use crate::dynamic::{Array, DynamicMessage, FieldError, FieldProblem, Value, ValueRef, fit};
+use crate::dynamic::{Array, DynamicMessage, FieldError, FieldProblem, Messages, Value, ValueRef, fit};
 
 /// Maximum memory in bytes of the messages in sequences: a few characters can represent a message with long
 /// fixed arrays.

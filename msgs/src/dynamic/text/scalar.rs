@@ -5,7 +5,7 @@
 //! `write_double_quoted`), `yaml/resolver.py` (plain scalars that are not strings), `yaml/representer.py`
 //! (floats).
 
-use super::python;
+use downbeat_msgs_definitions::python;
 
 /// The context of a scalar.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,18 +1,14 @@
-//! Types known only at run time, compiled once to a layout.
-//!
-//! A value of a type is a row of slots. A field that is one number or text takes one slot, an array or
-//! sequence takes one slot whatever its length, and a field that is one message takes the slots of that
-//! message, in place. So a message of any depth is one row, and its type determines the number of slots.
+//! Compiles definitions to the layout of a type.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::sync::Arc;
 
 use downbeat_msgs_definitions::{
-    Catalog, DefinitionEncoding, Element, Error as DefinitionError, FieldType, Place, Shape, TypeName,
+    Catalog, DefinitionEncoding, Element, Error as DefinitionError, Place, Shape, TypeName,
 };
 
-use super::{TypeError, Value, fit};
+use super::model::{FieldLayout, Layout, MessageLayout};
+use super::{DynamicType, TypeError, Value, fit};
 
 /// Maximum nesting of messages.
 const DEEPEST: usize = 32;
@@ -21,76 +17,6 @@ const DEEPEST: usize = 32;
 const MOST_FIELDS: usize = 1 << 16;
 /// Maximum memory in bytes of a default message, which depends on its fixed arrays.
 const MOST_MEMORY: u64 = 64 << 20;
-
-/// The type of a [`DynamicMessage`](super::DynamicMessage): a definition and all definitions it refers to,
-/// compiled.
-///
-/// Cloning is cheap: clones share the layout.
-///
-/// ```
-/// use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
-///
-/// let text = "string name\nfloat64[] range\n";
-/// let scan = DynamicType::from_definition_text("my_msgs/msg/Scan", "ros2msg", text)?;
-/// assert_eq!(scan.fields().map(|field| field.name).collect::<Vec<_>>(), ["name", "range"]);
-/// assert_eq!(DynamicMessage::new(&scan).get("name")?.as_str(), Some(""));
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Clone)]
-pub struct DynamicType {
-    layout: Arc<Layout>,
-    index: usize,
-}
-
-/// A field of a [`DynamicType`].
-#[derive(Clone, Debug)]
-pub struct DynamicField<'a> {
-    /// Its name.
-    pub name: &'a str,
-    /// Its type, as in the definition.
-    pub field_type: &'a FieldType,
-    /// The type of the message or messages it holds; `None` for numbers and texts.
-    pub message: Option<DynamicType>,
-}
-
-/// The messages of a type, each after those it contains.
-#[derive(Debug)]
-pub(super) struct Layout {
-    messages: Vec<MessageLayout>,
-}
-
-#[derive(Debug)]
-pub(super) struct MessageLayout {
-    pub name: TypeName,
-    pub fields: Vec<FieldLayout>,
-    /// The number of fields, including all nested ones.
-    pub all_fields: usize,
-    /// The number of slots of a value.
-    pub slots: usize,
-    /// The minimum size of a value on the wire, without padding; at least 1.
-    pub least_size: usize,
-    /// The approximate memory of a default value in bytes.
-    pub memory: u64,
-}
-
-#[derive(Debug)]
-pub(super) struct FieldLayout {
-    pub name: String,
-    pub field_type: FieldType,
-    /// The index of its first slot in the message.
-    pub slot: usize,
-    /// The layout of the messages it holds; meaningless for other fields.
-    pub nested: usize,
-    /// The default in the definition.
-    pub default: Option<Value>,
-}
-
-impl FieldLayout {
-    /// Returns whether it holds a single message, in place.
-    pub(super) fn is_one_message(&self) -> bool {
-        matches!((&self.field_type.element, self.field_type.shape), (Element::Message(_), Shape::Single))
-    }
-}
 
 impl DynamicType {
     /// Compiles the message of that name and all messages it refers to.
@@ -115,48 +41,6 @@ impl DynamicType {
         let catalog = catalog_of(&name, encoding, text, &format!("definition of {name}"))?;
         Self::new(&catalog, &name)
     }
-
-    /// As in `sensor_msgs/msg/JointState`.
-    #[must_use]
-    pub fn name(&self) -> &TypeName {
-        &self.message().name
-    }
-
-    /// The fields, in order.
-    pub fn fields(&self) -> impl Iterator<Item = DynamicField<'_>> {
-        self.message().fields.iter().map(|field| DynamicField {
-            name: &field.name,
-            field_type: &field.field_type,
-            message: match field.field_type.element {
-                Element::Message(_) => Some(self.nested(field)),
-                _ => None,
-            },
-        })
-    }
-
-    /// The layout of the message itself.
-    pub(super) fn message(&self) -> &MessageLayout {
-        // Both are created together and never change.
-        &self.layout.messages[self.index]
-    }
-
-    /// The type of the message or messages in a field of this type.
-    pub(super) fn nested(&self, field: &FieldLayout) -> Self {
-        Self { layout: Arc::clone(&self.layout), index: field.nested }
-    }
-
-    pub(super) fn layout(&self) -> &Layout {
-        &self.layout
-    }
-
-    pub(super) fn index(&self) -> usize {
-        self.index
-    }
-
-    /// The type at another index of the same layout.
-    pub(super) fn at(&self, index: usize) -> Self {
-        Self { layout: Arc::clone(&self.layout), index }
-    }
 }
 
 /// Parses the definitions in a text; `origin` names it in errors.
@@ -172,37 +56,6 @@ pub(super) fn catalog_of(
     let mut catalog = Catalog::new();
     catalog.add_definition_text(name, encoding, text, origin)?;
     Ok(catalog)
-}
-
-impl Layout {
-    /// An index comes from [`DynamicType::index`] or [`FieldLayout::nested`] of the same layout.
-    pub(super) fn message(&self, index: usize) -> &MessageLayout {
-        &self.messages[index]
-    }
-}
-
-impl PartialEq for DynamicType {
-    /// Returns whether the names and the fields are equal, including those of nested messages.
-    fn eq(&self, other: &Self) -> bool {
-        fn same(ours: &DynamicType, theirs: &DynamicType) -> bool {
-            let (a, b) = (ours.message(), theirs.message());
-            a.name == b.name
-                && a.fields.len() == b.fields.len()
-                && a.fields.iter().zip(&b.fields).all(|(a, b)| {
-                    a.name == b.name
-                        && a.field_type == b.field_type
-                        && (!matches!(a.field_type.element, Element::Message(_))
-                            || same(&ours.nested(a), &theirs.nested(b)))
-                })
-        }
-        (Arc::ptr_eq(&self.layout, &other.layout) && self.index == other.index) || same(self, other)
-    }
-}
-
-impl fmt::Debug for DynamicType {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "DynamicType({})", self.name())
-    }
 }
 
 struct Compiler<'a> {
