@@ -5,11 +5,13 @@ mod error;
 mod file;
 mod message_index;
 mod messages;
+mod open;
 mod records;
 mod segment;
 mod source;
 #[cfg(feature = "sqlite")]
 mod sqlite;
+mod summary;
 mod topics;
 mod walk;
 

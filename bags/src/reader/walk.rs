@@ -10,10 +10,11 @@ use mcap::records::op;
 
 use super::chunk;
 use super::error::TruncationCause;
-use super::file::{BagFile, Looked, SummaryState};
+use super::file::{BagFile, Looked};
 use super::message_index::{MessageIndex, declared_behind};
 use super::records::{Next, Place, RECORD_HEADER, RecordFile};
 use super::segment::{Damage, Segment, SegmentKind};
+use super::summary::SummaryState;
 
 /// The maximum size of a run of messages outside of chunks, which bounds memory.
 const LONGEST_RUN: u64 = 1024 * 1024;

@@ -1,7 +1,9 @@
 //! Recording on a separate thread, for producers that must not wait for a disk.
 
 mod control;
+mod options;
 mod queue;
+mod request;
 
 use std::io;
 use std::path::PathBuf;
@@ -14,10 +16,10 @@ use parking_lot::{Condvar, Mutex};
 
 use crate::topic::{RecordingSummary, TopicCount, TopicDescription, TopicId};
 use crate::writer::{Writer, WriterError};
-use control::Done;
-pub use control::{ControlError, RecordingControl, RecordingOptions, WhenSlow};
-pub use queue::SnapshotLimits;
+pub use control::RecordingControl;
+pub use options::{RecordingOptions, SnapshotLimits, WhenSlow};
 use queue::{Item, Queue, QueuedTopic, Work};
+pub use request::ControlError;
 
 /// A [`Writer`] on its own thread.
 ///
@@ -114,8 +116,8 @@ struct Shared {
 /// The recordings of this process, for [`finish_all`].
 static RECORDINGS: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Finishes all bags that this process records, for a process that is about to end without dropping its [`Recording`]s. Further messages
-/// are rejected. Waits at most `patience`; returns the bags that are not finished by then.
+/// Finishes all bags that this process records, for a process that is about to end without dropping its
+/// [`Recording`]s. Further messages are rejected. Waits at most `patience`; returns the bags that are not finished by then.
 #[must_use = "the returned bags are not finished"]
 pub fn finish_all(patience: Duration) -> Vec<PathBuf> {
     let until = Instant::now() + patience;

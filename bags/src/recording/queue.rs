@@ -9,7 +9,9 @@ use std::time::Duration;
 use bytes::Bytes;
 use parking_lot::{Condvar, Mutex, MutexGuard};
 
-use super::{Done, RecordError, RecordingOptions, WhenSlow};
+use super::RecordError;
+use super::options::{RecordingOptions, SnapshotLimits, WhenSlow};
+use super::request::Done;
 use crate::topic::{TopicDescription, TopicId};
 use crate::writer::FileSplit;
 
@@ -363,15 +365,6 @@ fn lose(state: &mut State, topic: TopicId) -> (String, u64) {
     entry.lost += 1;
     state.lost += 1;
     (entry.name.clone(), entry.lost)
-}
-
-/// The limits of a snapshot: the latest messages within both.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SnapshotLimits {
-    /// Memory for messages, in bytes.
-    pub max_bytes: usize,
-    /// From the oldest to the latest message, by receive time.
-    pub max_duration: Option<Duration>,
 }
 
 /// Messages within the limits; the oldest are dropped first.

@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
 use mcap::records::{ChunkHeader, ChunkIndex, MessageHeader, MessageIndexEntry};
 
-use super::file::Part;
+use super::output::Part;
 use super::{Compression, CompressionLevel, McapOptions, records};
 use crate::zstd;
 
@@ -158,8 +158,8 @@ pub(super) fn compress(content: &[u8], options: &McapOptions) -> io::Result<(&'s
 }
 
 fn lz4(content: &[u8]) -> io::Result<Vec<u8>> {
-    // Readers allocate two blocks for each chunk. With those of 4 MB, which the library chooses for larger chunks, fresh memory
-    // costs more than the decompression.
+    // Readers allocate two blocks for each chunk. With those of 4 MB, which the library chooses for larger
+    // chunks, fresh memory costs more than the decompression.
     let block = if content.len() <= 64 * 1024 { BlockSize::Max64KB } else { BlockSize::Max256KB };
     let frame = FrameInfo::new().block_size(block).content_size(Some(content.len() as u64));
     let mut encoder = FrameEncoder::with_frame_info(frame, Vec::with_capacity(content.len() / 2));

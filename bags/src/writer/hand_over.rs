@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Instant;
 
-use super::summary::Times;
+use super::times::Times;
 use super::{METADATA_INTERVAL, Topic, WhenDiskFull, Writer, WriterError};
 
 impl Writer {

@@ -7,12 +7,16 @@ mod file;
 mod hand_over;
 mod layout;
 mod options;
+mod output;
 mod records;
 mod split;
 #[cfg(feature = "sqlite")]
 mod sqlite;
 mod storage;
 mod summary;
+mod sync;
+mod times;
+mod totals;
 
 use std::collections::{HashMap, VecDeque};
 use std::ffi::OsString;
@@ -25,13 +29,14 @@ use crate::storage::Storage;
 use crate::topic::{RecordingSummary, TopicDescription, TopicId};
 pub use error::WriterError;
 pub use layout::{StorageError, StorageOptions};
-pub use options::{SplitLimits, SyncPolicy, WhenDiskFull, WriterOptions};
+pub use options::{SplitLimits, WhenDiskFull, WriterOptions};
 pub use split::FileSplit;
 use split::{BagFile, SplitHandler, WrittenFile};
 #[cfg(feature = "sqlite")]
 pub use sqlite::{SqliteOptions, SqlitePreset};
 pub use storage::{Compression, CompressionLevel, McapOptions, StorageConfigError, StoragePreset};
-use summary::Times;
+pub use sync::SyncPolicy;
+use times::Times;
 
 /// Writes one bag directory.
 ///

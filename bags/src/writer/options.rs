@@ -8,6 +8,7 @@ use std::time::Duration;
 use std::{fmt, fs, io};
 
 use super::storage::{Compression, DEFAULT_CHUNK_SIZE};
+use super::sync::SyncPolicy;
 use super::{StorageOptions, Writer, WriterError};
 use crate::storage::Storage;
 
@@ -82,21 +83,6 @@ impl SplitLimits {
             Storage::Sqlite3 => 84 * 1024,
         }
     }
-}
-
-/// When to sync written data to disk. A killed process loses nothing either way; a power failure loses what
-/// the operating system has not written yet.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SyncPolicy {
-    /// Never: the operating system decides, as with rosbag2. A power failure may then damage an SQLite file
-    /// completely.
-    Never,
-    /// At the end of each file, since robots are switched off after recordings. SQLite files also when the
-    /// log is moved into them, unless the preset is `none`.
-    #[default]
-    Files,
-    /// Also after each chunk: only the open chunk can be lost, and writing is as slow as the disk.
-    Chunks,
 }
 
 /// What to do if the disk is full.

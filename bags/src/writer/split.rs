@@ -8,7 +8,7 @@ use std::time::Instant;
 use super::file::ChunkedFile;
 #[cfg(feature = "sqlite")]
 use super::sqlite::SqliteFile;
-use super::summary::Times;
+use super::times::Times;
 use super::{StorageOptions, SyncPolicy, Writer, WriterError};
 use crate::storage::Storage;
 use crate::topic::TopicDescription;
