@@ -40,7 +40,8 @@ pub enum WhenSlow {
 }
 
 impl RecordingOptions {
-    /// [`Recording::DEFAULT_QUEUE_BYTES`](super::Recording::DEFAULT_QUEUE_BYTES), everything is written at once.
+    /// [`Recording::DEFAULT_QUEUE_BYTES`](super::Recording::DEFAULT_QUEUE_BYTES), everything is written at
+    /// once.
     #[must_use]
     pub fn new() -> Self {
         Self {

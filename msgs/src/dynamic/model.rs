@@ -1,9 +1,9 @@
-//! Types known only at run time and their values. A type has the defaults of its fields, which are values, and
-//! a value may be a message, which has a type.
+//! Types known only at run time and their values. A type has the defaults of its fields, which are values,
+//! and a value may be a message, which has a type.
 //!
 //! A message is a row of slots. A field that is one number or text takes one slot, an array or sequence takes
-//! one slot whatever its length, and a field that is one message takes the slots of that message, in place. So
-//! a message of any depth is one row, and its type determines the number of slots.
+//! one slot whatever its length, and a field that is one message takes the slots of that message, in place.
+//! So a message of any depth is one row, and its type determines the number of slots.
 
 use std::fmt;
 use std::sync::Arc;
