@@ -162,17 +162,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "bridge/edge/src/interfaces.rs",
         "bridge/edge/src/service.rs",
     ],
-    &["bridge/rtps/src/driver/interfaces.rs", "bridge/rtps/src/driver/sockets.rs"],
-    &[
-        "bridge/rtps/src/protocol/discovery/announcing.rs",
-        "bridge/rtps/src/protocol/discovery/endpoints.rs",
-        "bridge/rtps/src/protocol/discovery/liveliness.rs",
-        "bridge/rtps/src/protocol/participant.rs",
-        "bridge/rtps/src/protocol/peers.rs",
-        "bridge/rtps/src/protocol/routes.rs",
-        "bridge/rtps/src/protocol/validation.rs",
-    ],
-    &["bridge/rtps/src/wire/inline_qos.rs", "bridge/rtps/src/wire/message.rs"],
     &["bridge/src/expose/endpoints.rs", "bridge/src/expose/qos_events.rs"],
     &["bridge/src/middleware/error.rs", "bridge/src/middleware/options.rs"],
     &[

@@ -1,7 +1,7 @@
 //! The IPv4 addresses of this machine.
 
 use super::Range;
-use super::sockets::Ports;
+use super::ports::Ports;
 use crate::protocol;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};

@@ -7,6 +7,7 @@
 
 use super::interfaces::Interface;
 use super::log_limit::LogLimit;
+use super::ports::Ports;
 use super::{JoinError, Range};
 use mio::net::UdpSocket;
 use mio::{Interest, Registry, Token};
@@ -15,8 +16,6 @@ use socket2::{Domain, Protocol, SockAddr, SockRef, Socket, Type};
 use std::io::{self, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 
-/// The multicast group of announcements (RTPS 2.5, 9.6.2.4.1).
-const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 /// Requested size of receive and send buffers.
 const BUFFER: usize = 4 << 20;
 /// Number of datagrams per system call.
@@ -25,37 +24,6 @@ const BATCH: usize = 16;
 const MOST_REFUSALS: usize = 64;
 /// Larger than any UDP datagram; also the most that the kernel coalesces.
 const LARGEST: usize = 65_536;
-
-/// The UDP ports of a domain (RTPS 2.5, 9.6.2.3).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Ports {
-    base: u16,
-}
-
-impl Ports {
-    /// Returns `None` if the domain has no ports.
-    pub(super) fn of_domain(domain_id: u16) -> Option<Self> {
-        (domain_id <= 232).then(|| Self { base: 7400 + 250 * domain_id })
-    }
-
-    /// The address of announcements to the group.
-    pub(super) fn group(self) -> SocketAddrV4 {
-        SocketAddrV4::new(GROUP, self.base)
-    }
-
-    /// The ports for discovery and user data of each possible participant of a host, in order.
-    pub(super) fn of_participants(self) -> impl Iterator<Item = (u16, u16)> {
-        let base = self.base;
-        (0..120).filter_map(move |index: u16| {
-            Some((base.checked_add(10 + 2 * index)?, base.checked_add(11 + 2 * index)?))
-        })
-    }
-
-    /// The addresses at which the first `count` participants of a host expect announcements.
-    pub(super) fn announcements_to(self, host: Ipv4Addr, count: usize) -> impl Iterator<Item = SocketAddrV4> {
-        self.of_participants().take(count).map(move |(meta, _)| SocketAddrV4::new(host, meta))
-    }
-}
 
 /// The receiving sockets of a participant.
 pub(super) struct Receivers {
@@ -419,18 +387,6 @@ mod tests {
     use std::time::Duration;
 
     const DOMAIN: u16 = 201;
-
-    #[test]
-    fn ports_follow_the_standard_and_end_at_the_last_udp_port() {
-        let ports = Ports::of_domain(1).unwrap();
-        assert_eq!(ports.group().port(), 7650);
-        assert_eq!(ports.of_participants().next(), Some((7660, 7661)));
-        assert_eq!(ports.of_participants().nth(3), Some((7666, 7667)));
-        assert_eq!(ports.of_participants().count(), 120);
-        assert_eq!(Ports::of_domain(233), None);
-        let (meta, user) = Ports::of_domain(232).unwrap().of_participants().last().unwrap();
-        assert!(user == meta + 1 && user > 65_530, "{user}");
-    }
 
     #[test]
     fn each_participant_of_a_host_has_its_own_ports() {

@@ -1,6 +1,6 @@
 //! Hosts that a participant announces itself to in addition to its group.
 
-use super::sockets::Ports;
+use super::ports::Ports;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, ToSocketAddrs};
 
 /// Number of participants per host that are announced to.

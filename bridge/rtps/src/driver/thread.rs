@@ -3,7 +3,8 @@
 
 use super::engine::{Engine, now};
 use super::interfaces::Interfaces;
-use super::sockets::{Buffers, Ports, Receivers};
+use super::ports::Ports;
+use super::sockets::{Buffers, Receivers};
 use super::{Range, SENDER, TOKENS};
 use crate::protocol::Event;
 use mio::{Events, Poll, Token};

@@ -8,6 +8,9 @@ use crate::wire::{EntityId, GuidPrefix};
 
 use super::pacer::{Load, Pacer, Permit};
 
+/// Longest datagram to a peer of this host; UDP allows 65 507 bytes.
+pub(super) const OWN_HOST_DATAGRAM: usize = 65_000;
+
 /// Bytes of headers, inline QoS and a heartbeat in a datagram with a fragment.
 const OVERHEAD: usize = 200;
 

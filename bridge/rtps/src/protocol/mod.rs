@@ -4,6 +4,7 @@
 //! next timeout. [`Participant`] is the complete state machine; [`Writer`] and [`Reader`] are parts of it,
 //! which tests use separately.
 
+mod account;
 mod addresses;
 mod assembly;
 mod belief;

@@ -6,7 +6,7 @@ use std::{
     time::Instant,
 };
 
-use super::{Limits, LinkId, guard::Admission, validation::Account};
+use super::{Limits, LinkId, account::Account, guard::Admission};
 use crate::wire::{EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, VendorId};
 
 /// Another participant, known by its announcement.

@@ -6,11 +6,8 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::{Destination, LinkId, LinkOptions, Now, Participant, peers::Peer};
+use super::{Destination, LinkId, LinkOptions, Now, Participant, links::OWN_HOST_DATAGRAM, peers::Peer};
 use crate::wire::{Guid, GuidPrefix, ParticipantData};
-
-/// Longest datagram to a peer of this host; UDP allows 65 507 bytes.
-pub(super) const OWN_HOST_DATAGRAM: usize = 65_000;
 
 /// Longest datagram to another host: one that fits in an Ethernet frame.
 const REMOTE_DATAGRAM: usize = 1_472;

@@ -25,45 +25,6 @@ const GUESSES: u8 = 16;
 /// How long nothing is sent to a port that answered that it is closed.
 const CLOSED: Duration = Duration::from_secs(1);
 
-/// Bytes from and to a peer whose address has not been validated yet.
-#[derive(Debug, Default)]
-pub(crate) struct Account {
-    received: u64,
-    sent: u64,
-    is_known: bool,
-    /// Acknowledgements of numbers that were not sent to it.
-    guesses: u8,
-}
-
-impl Account {
-    const FACTOR: u64 = 3;
-
-    pub(crate) fn received(&mut self, bytes: usize) {
-        self.received = self.received.saturating_add(bytes as u64);
-    }
-
-    pub(crate) fn sent(&mut self, bytes: usize) {
-        self.sent = self.sent.saturating_add(bytes as u64);
-    }
-
-    pub(crate) fn answered(&mut self) {
-        self.is_known = true;
-    }
-
-    pub(crate) fn is_known(&self) -> bool {
-        self.is_known
-    }
-
-    /// Bytes that may be sent now.
-    pub(crate) fn allowance(&self) -> usize {
-        if self.is_known {
-            return usize::MAX;
-        }
-        let allowed = self.received.saturating_mul(Self::FACTOR).saturating_sub(self.sent);
-        usize::try_from(allowed).unwrap_or(usize::MAX)
-    }
-}
-
 impl Participant {
     /// Chooses the numbers of what the builtin writers send to a participant. They depend on its address, and are
     /// above the previous ones on the link.
@@ -119,8 +80,7 @@ impl Participant {
     /// Counts a wrong number in the name of a participant that is not validated.
     fn note_guess(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
-        peer.account.guesses = peer.account.guesses.saturating_add(1);
-        if peer.account.guesses > GUESSES {
+        if peer.account.count_guess() > GUESSES {
             self.remove_peer(now, prefix, Departure::Unreachable);
         }
     }
@@ -151,8 +111,8 @@ impl Participant {
         }
     }
 
-    /// Whether a participant sends from that host: the one at which it is reached, the one that announced it, or one that it announced,
-    /// since a host with several networks sends from any of them.
+    /// Whether a participant sends from that host: the one at which it is reached, the one that announced it, or
+    /// one that it announced, since a host with several networks sends from any of them.
     pub(super) fn is_at(&self, peer: &Peer, from: Ipv4Addr) -> bool {
         let announced = || peer.data.metatraffic_unicast.iter().chain(&peer.data.default_unicast);
         let is_own_host = || peer.is_own_host && self.config.addresses.is_own_host(from);

@@ -3,8 +3,8 @@
 use super::bytes::Cursor;
 use super::parameters::ParameterList;
 use super::{
-    ByteOrder, EntityId, FragmentSet, GuidPrefix, InlineQos, Malformed, SequenceNumber, SequenceNumberSet,
-    Timestamp, VendorId,
+    ByteOrder, EntityId, FragmentSet, GuidPrefix, InlineQos, Malformed, Payload, SequenceNumber,
+    SequenceNumberSet, Timestamp, VendorId,
 };
 
 /// Kinds of submessages (section 9.4.5.1.1).
@@ -106,21 +106,6 @@ pub struct Data<'a> {
     pub number: SequenceNumber,
     pub inline_qos: InlineQos,
     pub payload: Payload<'a>,
-}
-
-/// The content of a sample, with the four bytes of its encapsulation in front.
-///
-/// On the wire a payload is padded to a multiple of four bytes. The last two bits of the encapsulation hold the length of the
-/// padding (DDS-XTypes 1.3, section 7.6.3.1.2), which is removed on reception. Fast DDS does not set these bits, so up to
-/// three bytes of padding may remain.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Payload<'a> {
-    /// No payload; the inline QoS is the content.
-    None,
-    /// A sample.
-    Data(&'a [u8]),
-    /// Only the key of an instance.
-    Key(&'a [u8]),
 }
 
 /// Consecutive fragments of a sample. They lie within the sample.

@@ -17,6 +17,7 @@ mod number;
 mod parameters;
 mod participant_data;
 mod participant_message;
+mod payload;
 mod time;
 mod values;
 
@@ -26,12 +27,13 @@ pub use guid::{EntityId, Guid, GuidPrefix, SampleIdentity, VendorId};
 pub use inline_qos::{InlineQos, StatusInfo};
 pub use locator::Locator;
 pub use message::{
-    AckNack, Data, DataFragment, Gap, Header, Heartbeat, HeartbeatFragment, NackFragment, Payload,
-    Submessage, Submessages, parse,
+    AckNack, Data, DataFragment, Gap, Header, Heartbeat, HeartbeatFragment, NackFragment, Submessage,
+    Submessages, parse,
 };
 pub use number::{FragmentSet, Number, NumberSet, SequenceNumber, SequenceNumberSet};
 pub use participant_data::{BuiltinEndpoints, ParticipantData};
 pub use participant_message::ParticipantMessage;
+pub use payload::Payload;
 pub use time::Timestamp;
 
 use bytes::ByteOrder;

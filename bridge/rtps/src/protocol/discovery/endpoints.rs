@@ -3,7 +3,7 @@
 //! The SEDP topics have a key, the GUID. Writers do not support keys, so superseded samples are removed from
 //! the history here.
 
-use std::{collections::BTreeMap, net::SocketAddrV4, time::Duration};
+use std::{net::SocketAddrV4, time::Duration};
 
 use bytes::Bytes;
 
@@ -15,14 +15,6 @@ use crate::{
     },
     wire::{EndpointData, EntityId, Guid, GuidPrefix, InlineQos, Payload, SequenceNumber, StatusInfo},
 };
-
-/// The contents of the histories of the announcing writers.
-#[derive(Debug, Default)]
-pub(crate) struct Endpoints {
-    current: BTreeMap<EntityId, SequenceNumber>,
-    /// Removals that not all peers have acknowledged yet, by announcing writer.
-    removals: BTreeMap<EntityId, Vec<SequenceNumber>>,
-}
 
 /// Delay before the endpoints of a participant are requested again. Several changes share a request.
 const AUDIT_DELAY: Duration = Duration::from_millis(100);
@@ -42,14 +34,14 @@ impl Participant {
         let key_hash = Some(data.guid.to_bytes());
         let inline_qos = InlineQos { key_hash, ..InlineQos::default() };
         if let Some(number) = self.write_builtin(now, announcing_writer(id), payload.into(), inline_qos) {
-            self.announced.current.insert(id, number);
+            self.announced.note(id, number);
         }
     }
 
     /// Announces the removal of a local endpoint.
     pub(in crate::protocol) fn dispose_endpoint(&mut self, now: Now, id: EntityId) {
         let announcing = announcing_writer(id);
-        if let Some(number) = self.announced.current.remove(&id)
+        if let Some(number) = self.announced.remove(id)
             && let Some(local) = self.locals.writers.get_mut(&announcing)
         {
             local.machine.discard(number);
@@ -57,7 +49,7 @@ impl Participant {
         // Fast DDS requires the key hash, Cyclone DDS accepts the key hash or a payload.
         let inline_qos = InlineQos::removal(Guid::new(self.config.prefix, id));
         if let Some(number) = self.write_builtin(now, announcing, Bytes::new(), inline_qos) {
-            self.announced.removals.entry(announcing).or_default().push(number);
+            self.announced.note_removal(announcing, number);
         }
         if self.is_acknowledged(announcing) {
             self.drop_removals(announcing);
@@ -68,7 +60,7 @@ impl Participant {
     /// need them.
     pub(in crate::protocol) fn drop_removals(&mut self, announcing: EntityId) {
         let Some(local) = self.locals.writers.get_mut(&announcing) else { return };
-        for number in self.announced.removals.remove(&announcing).into_iter().flatten() {
+        for number in self.announced.take_removals(announcing) {
             local.machine.discard(number);
         }
     }

@@ -16,12 +16,6 @@ const PER_LEASE: u32 = 3;
 /// Shorter periods are not supported.
 const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
 
-/// When local writers are asserted.
-#[derive(Debug, Default)]
-pub(crate) struct Liveliness {
-    period: Option<Duration>,
-}
-
 impl Participant {
     /// Updates the schedule after writers were added or removed.
     pub(in crate::protocol) fn plan_liveliness(&mut self, now: Now) {
@@ -30,8 +24,8 @@ impl Participant {
             qos.lease.filter(|_| qos.liveliness == Kind::Automatic)
         });
         let period = leases.min().map(|lease| (lease / PER_LEASE).max(SHORTEST_PERIOD));
-        if self.liveliness.period != period {
-            self.liveliness.period = period;
+        if self.liveliness_period != period {
+            self.liveliness_period = period;
             self.timers.set(Timer::Liveliness, period.map(|_| now.steady));
         }
     }
@@ -39,7 +33,7 @@ impl Participant {
     /// Asserts all writers whose liveliness is automatic.
     pub(in crate::protocol) fn assert_automatic_writers(&mut self, now: Now) {
         self.assert_writers(now, ParticipantMessage::AUTOMATIC);
-        self.timers.set(Timer::Liveliness, self.liveliness.period.map(|period| now.steady + period));
+        self.timers.set(Timer::Liveliness, self.liveliness_period.map(|period| now.steady + period));
     }
 
     /// Asserts a writer on behalf of the application.

@@ -3,11 +3,12 @@
 //! Participants announce themselves with a stateless writer. Endpoints and liveliness are announced by
 //! ordinary reliable writers on predefined topics.
 
+mod announced;
+mod announcer;
 mod announcing;
 mod endpoints;
 mod liveliness;
 mod participants;
 
-pub(super) use announcing::Announcer;
-pub(super) use endpoints::Endpoints;
-pub(super) use liveliness::Liveliness;
+pub(super) use announced::Announced;
+pub(super) use announcer::Announcer;

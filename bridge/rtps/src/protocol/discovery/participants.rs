@@ -8,9 +8,9 @@ use std::{
 use crate::{
     protocol::{
         Admission, Departure, Destination, Event, Fault, MatchedReader, MatchedWriter, Now, Participant,
+        account::Account,
         participant::Timer,
         peers::{Change, Doubtful, Peer},
-        validation::Account,
     },
     wire::{BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo},
 };
