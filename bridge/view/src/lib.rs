@@ -28,9 +28,11 @@
 //! The protocol as in the repositories `foxglove/ws-protocol` (client class and types, 0.8.0) and `foxglove/foxglove-sdk`
 //! (`rust/foxglove/src/protocol`, version 1): subprotocols `foxglove.websocket.v1` and `foxglove.sdk.v1`.
 
+mod announcing;
 mod assets;
 mod bag;
 mod channels;
+mod client;
 mod connection;
 mod feed;
 mod graph;
@@ -42,9 +44,12 @@ mod protocol;
 mod server;
 mod services;
 mod session;
+mod shared;
 mod source;
+mod subscribed;
 
 pub use bag::BagPlayback;
 pub use options::{Access, Limits, Token, TokenError, ViewOptions, ViewTime};
 pub use page::{Ask, Host, ModuleProfile, PAGE_PORT, PageOptions, Panel, PanelScript};
-pub use server::{Seed, ViewError, ViewServer};
+pub use server::{ViewError, ViewServer};
+pub use source::Seed;

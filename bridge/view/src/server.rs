@@ -1,30 +1,25 @@
-//! The server: its threads, and what they share.
+//! The server: its addresses, and the threads of its connections.
 
 use crate::assets::Assets;
 use crate::bag::{self, BagPlayback, BagSource};
-use crate::channels::Changes;
+use crate::client::Client;
 use crate::connection::{self, Ended, Proof};
-use crate::graph::Connections;
-use crate::options::{Access, Token, ViewOptions, ViewTime};
+use crate::options::{Access, Token, ViewOptions};
 use crate::outbox::{Frame, Outbox};
-use crate::page::{self, PAGE_PORT, http};
-use crate::parameters::{parameter, settings};
-use crate::protocol::{Level, SUBPROTOCOLS, status, time, timestamp};
-use crate::services::{ShownService, shown};
-use crate::session::{Client, Session, Watched};
-use crate::source::{CoreSource, Source};
+use crate::page::{PAGE_PORT, http};
+use crate::session::Session;
+use crate::shared::{Connection, Door, Shared};
+use crate::source::{CoreSource, Seed, Source};
 use downbeat_bags::{PlayerError, Reader};
 use downbeat_edge::{CoreAccess, Interfaces};
-use downbeat_executor::{Clock, Core, CoreHandle, SetupError};
+use downbeat_executor::{Core, SetupError};
 use parking_lot::{Condvar, Mutex};
-use serde_json::json;
-use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use thiserror::Error;
 
 /// The server cannot start.
@@ -67,65 +62,14 @@ pub struct ViewServer {
     threads: Vec<JoinHandle<()>>,
 }
 
-/// What a server needs of a core that only a core that does not run yet can give.
-#[derive(Clone)]
-pub struct Seed {
-    pub(crate) core: CoreHandle,
-    pub(crate) clock: Arc<dyn Clock>,
-    pub(crate) interfaces: Interfaces,
-    pub(crate) services: Arc<[ShownService]>,
-}
-
-impl Seed {
-    /// Takes the seed of a core. Viewers can call the services that modules serve now.
-    ///
-    /// # Errors
-    /// If the core has no caller for a service.
-    pub fn of(core: &mut Core, interfaces: &Interfaces) -> Result<Self, SetupError> {
-        let services = shown(core, interfaces)?.into();
-        Ok(Self { core: core.handle(), clock: core.clock(), interfaces: interfaces.clone(), services })
-    }
-}
-
-/// What the threads of the server share.
-pub(crate) struct Shared {
-    pub(crate) source: Source,
-    pub(crate) assets: Assets,
-    pub(crate) options: ViewOptions,
-    session_id: String,
-    /// Held while channels are announced, so that each viewer hears of each channel once.
-    announcing: Mutex<()>,
-    clients: Mutex<BTreeMap<u64, Arc<Client>>>,
-    /// The open connections, those in their handshake too.
-    connections: Mutex<BTreeMap<u64, Connection>>,
-    last_connection: AtomicU64,
-    is_stopping: AtomicBool,
-    /// True if the thread that announces changes has something to do before its next look.
-    pulse: Mutex<bool>,
-    pulsed: Condvar,
-}
-
-struct Connection {
-    stream: TcpStream,
-    door: Door,
-    thread: Option<JoinHandle<()>>,
-}
-
 /// How long the core may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How often the core is compared with what viewers know.
-const LOOK: Duration = Duration::from_secs(1);
-
-/// How often viewers are sent the time of the core.
-const TIME: Duration = Duration::from_millis(50);
-
-/// The interval of reports to a viewer that messages of a topic are dropped.
-const TELL: Duration = Duration::from_secs(10);
-
-/// A viewer must answer one of these pings.
-const PING: Duration = Duration::from_secs(10);
+/// A viewer that sends nothing for this long, not even the answer to a ping, is disconnected.
 const SILENCE: Duration = Duration::from_secs(35);
+
+/// How long it may take to connect to a listener of the server itself.
+const CONNECT: Duration = Duration::from_secs(1);
 
 impl ViewServer {
     /// Starts the server for a core that does not run yet. The types of topics and services are looked up in `interfaces`.
@@ -270,7 +214,7 @@ impl Drop for ViewServer {
         self.shared.source.stop();
         // Wakes the threads that accept. If that fails nobody can connect, and the threads are not joined.
         let mut doors = self.foxglove.iter().chain(&self.page);
-        let is_awake = doors.all(|door| TcpStream::connect_timeout(&reachable(*door), LOOK).is_ok());
+        let is_awake = doors.all(|door| TcpStream::connect_timeout(&reachable(*door), CONNECT).is_ok());
         for thread in self.threads.drain(..).filter(|_| is_awake) {
             let _ = thread.join();
         }
@@ -290,12 +234,6 @@ impl Drop for ViewServer {
 }
 
 impl Shared {
-    /// Announces changes now instead of within a second.
-    pub(crate) fn look_now(&self) {
-        *self.pulse.lock() = true;
-        self.pulsed.notify_all();
-    }
-
     /// The thread that plays a bag, until the server stops.
     fn play(&self) {
         if let Some(bag) = self.source.bag()
@@ -303,186 +241,6 @@ impl Shared {
         {
             tracing::error!("the bag is not played: {error}");
         }
-    }
-
-    /// The thread that announces what changes in the core, until the server stops.
-    fn announce_changes(&self) {
-        let (mut last_look, mut last_ping) = (Instant::now(), Instant::now());
-        let mut last_time = None;
-        loop {
-            let is_asked = self.wait();
-            if self.is_stopping.load(Ordering::SeqCst) {
-                return;
-            }
-            if self.options.time == ViewTime::Core
-                && let Ok(core) = self.source.core()
-            {
-                let now = core.time_ns();
-                if last_time.replace(now) != Some(now) {
-                    let frame = time(now);
-                    self.for_each_client(|_| Some(Frame::Binary(frame.clone())));
-                }
-            }
-            if is_asked || last_look.elapsed() >= LOOK {
-                last_look = Instant::now();
-                self.announce_channels();
-                self.announce_connections();
-                self.announce_parameters();
-                self.report_losses();
-            }
-            if last_ping.elapsed() >= PING {
-                last_ping = Instant::now();
-                self.for_each_client(|_| Some(Frame::Ping));
-            }
-        }
-    }
-
-    /// Waits for the next look, without end while there are no viewers. Returns true if the look was asked for.
-    fn wait(&self) -> bool {
-        let period = if self.options.time == ViewTime::Core { TIME } else { LOOK };
-        let mut pulse = self.pulse.lock();
-        while !*pulse {
-            if self.clients.lock().is_empty() {
-                self.pulsed.wait(&mut pulse);
-            } else if self.pulsed.wait_for(&mut pulse, period).timed_out() {
-                break;
-            }
-        }
-        std::mem::take(&mut *pulse)
-    }
-
-    /// Sends each viewer what `frame` returns for it. A viewer that takes nothing more is disconnected.
-    pub(crate) fn for_each_client(&self, mut frame: impl FnMut(&Client) -> Option<Frame>) {
-        let clients: Vec<_> = self.clients.lock().values().cloned().collect();
-        for client in clients {
-            if let Some(frame) = frame(&client)
-                && client.outbox.announce(frame).is_err()
-            {
-                self.disconnect(client.id);
-            }
-        }
-    }
-
-    fn has_room_for_viewer(&self) -> bool {
-        self.clients.lock().len() < self.options.limits.clients
-    }
-
-    fn disconnect(&self, id: u64) {
-        if let Some(connection) = self.connections.lock().get(&id) {
-            let _ = connection.stream.shutdown(Shutdown::Both);
-        }
-    }
-
-    fn announce_channels(&self) {
-        let Ok(core) = self.source.core() else { return };
-        let _announcing = self.announcing.lock();
-        let Some(Changes { added, removed }) = core.refresh(&self.options, LOOK) else { return };
-        if !removed.is_empty() {
-            let text = json!({ "op": "unadvertise", "channelIds": removed }).to_string();
-            self.for_each_client(|_| Some(Frame::Text(text.clone())));
-        }
-        if !added.is_empty() {
-            let channels: Vec<_> = added.iter().map(|channel| channel.announcement()).collect();
-            let text = json!({ "op": "advertise", "channels": channels }).to_string();
-            self.for_each_client(|_| Some(Frame::Text(text.clone())));
-        }
-    }
-
-    fn announce_connections(&self) {
-        if !self.clients.lock().values().any(|client| client.watched.lock().connections.is_some()) {
-            return;
-        }
-        let Ok(core) = self.source.core() else { return };
-        let Some(graph) = core.handle.graph().wait(LOOK) else { return };
-        let connections = Connections::of(&graph);
-        self.for_each_client(|client| {
-            let mut watched = client.watched.lock();
-            let known = watched.connections.as_mut()?;
-            let update = connections.update(known)?;
-            known.clone_from(&connections);
-            Some(Frame::Text(update))
-        });
-    }
-
-    fn announce_parameters(&self) {
-        if !self.clients.lock().values().any(|client| !client.watched.lock().parameters.is_empty()) {
-            return;
-        }
-        let Ok(core) = self.source.core() else { return };
-        let Some(settings) = settings(&core.handle, LOOK) else { return };
-        self.for_each_client(|client| {
-            let mut changed = Vec::new();
-            for (name, known) in &mut client.watched.lock().parameters {
-                let Some((_, info)) = settings.get(name) else { continue };
-                let value = parameter(name, &info.value);
-                if known.as_ref() != Some(&value) {
-                    changed.push(value.clone());
-                    *known = Some(value);
-                }
-            }
-            let text = json!({ "op": "parameterValues", "parameters": changed }).to_string();
-            (!changed.is_empty()).then_some(Frame::Text(text))
-        });
-    }
-
-    fn report_losses(&self) {
-        let clients: Vec<_> = self.clients.lock().values().cloned().collect();
-        for client in clients {
-            let dropped = client.outbox.take_dropped();
-            let mut watched = client.watched.lock();
-            let Watched { topics, told, .. } = &mut *watched;
-            told.retain(|_, told| told.elapsed() < TELL);
-            for topic in dropped.keys().filter_map(|subscription| topics.get(subscription)) {
-                if told.contains_key(topic) {
-                    continue;
-                }
-                told.insert(Arc::clone(topic), Instant::now());
-                // Without a number: viewers show each different text once.
-                let text = format!(
-                    "messages of /{topic} are dropped: the connection or the viewer is too slow for what it subscribed to"
-                );
-                // If there is no room the viewer is disconnected with the next announcement.
-                let _ = client.outbox.announce(Frame::Text(status(Level::Warning, &text)));
-            }
-            let lost: u64 = dropped.values().sum();
-            if lost > 0 {
-                tracing::debug!("{lost} messages to viewer {} were dropped", client.id);
-            }
-        }
-    }
-
-    /// Tells a new viewer what there is, and every change from now on.
-    fn welcome(&self, client: &Arc<Client>, proof: Proof) -> Result<(), crate::outbox::Closed> {
-        let mut capabilities = self.source.capabilities(&self.options);
-        if proof == Proof::Full && self.source.core().is_ok() {
-            capabilities.extend(["clientPublish", "services"]);
-        }
-        let mut info = json!({
-            "op": "serverInfo",
-            "name": self.options.name,
-            "capabilities": capabilities,
-            "supportedEncodings": ["cdr", "json"],
-            "metadata": { "ROS_DISTRO": "jazzy" },
-            "sessionId": self.session_id,
-        });
-        if let Some(bag) = self.source.bag() {
-            info["dataStartTime"] = timestamp(u64::try_from(bag.start).unwrap_or(0));
-            info["dataEndTime"] = timestamp(u64::try_from(bag.end).unwrap_or(0));
-        }
-        let _announcing = self.announcing.lock();
-        client.outbox.announce(Frame::Text(info.to_string()))?;
-        let channels = json!({ "op": "advertise", "channels": self.source.channels() });
-        client.outbox.announce(Frame::Text(channels.to_string()))?;
-        if proof == Proof::Full && self.source.core().is_ok() {
-            let services: Vec<_> = self.source.services().iter().map(ShownService::announcement).collect();
-            let services = json!({ "op": "advertiseServices", "services": services });
-            client.outbox.announce(Frame::Text(services.to_string()))?;
-        }
-        self.clients.lock().insert(client.id, Arc::clone(client));
-        if let Some(bag) = self.source.bag() {
-            bag.greet(client.id);
-        }
-        Ok(())
     }
 
     /// The thread of a connection.
@@ -548,22 +306,6 @@ impl Shared {
             outbox.close();
         }
         let _ = writer.join();
-    }
-}
-
-/// Where a connection came in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Door {
-    Foxglove,
-    Page,
-}
-
-impl Door {
-    fn subprotocols(self) -> &'static [&'static str] {
-        match self {
-            Self::Foxglove => &SUBPROTOCOLS,
-            Self::Page => &[page::SUBPROTOCOL],
-        }
     }
 }
 

@@ -1,22 +1,23 @@
 //! What one viewer asks for.
 
+use crate::client::Client;
 use crate::connection::{Ended, Proof, Reader};
 use crate::graph::Connections;
 use crate::options::Access;
-use crate::outbox::{Closed, Frame, Outbox};
+use crate::outbox::{Closed, Frame};
 use crate::page::{self, Ask};
 use crate::parameters::{Settings, parameter, settings, wanted};
 use crate::protocol::{
     BinaryRequest, ClientChannel, Level, Parameter, Request, Subscription, answer, asset_error, asset_head,
     call_failure, status,
 };
-use crate::server::Shared;
-use crate::source::{CoreSource, Subscribed};
+use crate::shared::Shared;
+use crate::source::CoreSource;
+use crate::subscribed::Subscribed;
 use downbeat_edge::{CoreAccess, EncodedInlet, KnownType, Waiting};
 use downbeat_msgs::encoding::{Codec, Encoding};
-use parking_lot::Mutex;
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -24,28 +25,6 @@ use tungstenite::Message;
 
 /// How long the core may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
-
-/// A connected viewer, as the thread that announces changes sees it.
-pub(crate) struct Client {
-    pub(crate) id: u64,
-    pub(crate) outbox: Arc<Outbox>,
-    /// True if its version of the protocol has the state of playback.
-    pub(crate) knows_playback: bool,
-    pub(crate) watched: Mutex<Watched>,
-}
-
-/// What is announced to a viewer when it changes.
-#[derive(Default)]
-pub(crate) struct Watched {
-    /// The parameters, with the values that it knows.
-    pub(crate) parameters: BTreeMap<String, Option<Value>>,
-    /// The connections that it knows, if it asked for them.
-    pub(crate) connections: Option<Connections>,
-    /// The topics of its subscriptions.
-    pub(crate) topics: HashMap<u32, Arc<str>>,
-    /// When it was last told that messages of a topic were dropped.
-    pub(crate) told: HashMap<Arc<str>, Instant>,
-}
 
 /// The requests of one viewer.
 pub(crate) struct Session<'a> {

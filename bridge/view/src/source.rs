@@ -2,12 +2,12 @@
 
 use crate::bag::BagSource;
 use crate::channels::{Changes, Channels};
+use crate::client::Client;
 use crate::options::{ViewOptions, ViewTime};
-use crate::server::Seed;
-use crate::services::ShownService;
-use crate::session::Client;
-use downbeat_edge::CoreAccess;
-use downbeat_executor::{Clock, CoreHandle, TopicInfo};
+use crate::services::{ShownService, shown};
+use crate::subscribed::{Subscribed, no_channel};
+use downbeat_edge::{CoreAccess, Interfaces};
+use downbeat_executor::{Clock, Core, CoreHandle, SetupError, TopicInfo};
 use serde_json::Value;
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,18 +22,32 @@ pub(crate) enum Source {
     Bag(BagSource),
 }
 
+/// What a server needs of a core that only a core that does not run yet can give.
+#[derive(Clone)]
+pub struct Seed {
+    pub(crate) core: CoreHandle,
+    pub(crate) clock: Arc<dyn Clock>,
+    pub(crate) interfaces: Interfaces,
+    pub(crate) services: Arc<[ShownService]>,
+}
+
+impl Seed {
+    /// Takes the seed of a core. Viewers can call the services that modules serve now.
+    ///
+    /// # Errors
+    /// If the core has no caller for a service.
+    pub fn of(core: &mut Core, interfaces: &Interfaces) -> Result<Self, SetupError> {
+        let services = shown(core, interfaces)?.into();
+        Ok(Self { core: core.handle(), clock: core.clock(), interfaces: interfaces.clone(), services })
+    }
+}
+
 /// A core, and what of it viewers see.
 pub(crate) struct CoreSource {
     pub(crate) handle: CoreHandle,
     pub(crate) channels: Channels,
     pub(crate) services: Arc<[ShownService]>,
     clock: Arc<dyn Clock>,
-}
-
-/// A subscription of a viewer, which ends when this is dropped.
-pub(crate) struct Subscribed {
-    pub(crate) topic: Arc<str>,
-    end: Option<Box<dyn FnOnce() + Send>>,
 }
 
 impl Source {
@@ -160,22 +174,4 @@ impl CoreSource {
         let topic = Arc::clone(&channel.topic);
         Ok(Subscribed::new(topic, move || channel.unsubscribe(client, subscription)))
     }
-}
-
-impl Subscribed {
-    pub(crate) fn new(topic: Arc<str>, end: impl FnOnce() + Send + 'static) -> Self {
-        Self { topic, end: Some(Box::new(end)) }
-    }
-}
-
-impl Drop for Subscribed {
-    fn drop(&mut self) {
-        if let Some(end) = self.end.take() {
-            end();
-        }
-    }
-}
-
-pub(crate) fn no_channel(channel: u32) -> String {
-    format!("there is no channel {channel}")
 }

@@ -172,14 +172,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
     ],
     &["bridge/src/rosout/collector.rs", "bridge/src/rosout/of_node.rs", "bridge/src/rosout/publisher.rs"],
     &[
-        "bridge/view/src/bag/mod.rs",
-        "bridge/view/src/bag/playback.rs",
-        "bridge/view/src/page/asks.rs",
-        "bridge/view/src/server.rs",
-        "bridge/view/src/session.rs",
-        "bridge/view/src/source.rs",
-    ],
-    &[
         "executor/src/cycle/core.rs",
         "executor/src/cycle/detached.rs",
         "executor/src/cycle/mechanism.rs",

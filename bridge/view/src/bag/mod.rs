@@ -2,11 +2,11 @@
 
 mod playback;
 
+use crate::client::Client;
 use crate::feed::Feed;
 use crate::options::ViewOptions;
 use crate::protocol::PlaybackControl;
-use crate::session::Client;
-use crate::source::{Subscribed, no_channel};
+use crate::subscribed::{Subscribed, no_channel};
 use base64::prelude::{BASE64_STANDARD, Engine};
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MergedBags, PlayerError, Rate, Reader, RecordedTopic, TopicDescription};

@@ -5,7 +5,7 @@ use crate::outbox::Frame;
 use crate::protocol::{
     Level, PlaybackCommand, PlaybackControl, PlaybackStatus, playback_state, status, time,
 };
-use crate::server::Shared;
+use crate::shared::Shared;
 use downbeat_bags::{
     BagMessage, MergedBags, Playback, PlayerError, Rate, ReaderError, Selection, Step, TopicId,
 };

@@ -3,7 +3,7 @@
 use super::{Ask, ModuleProfile, PageOptions, Panel};
 use crate::options::ViewTime;
 use crate::parameters::{settings, typed};
-use crate::server::Shared;
+use crate::shared::Shared;
 use downbeat_executor::{CoreHandle, CycleTrace, Receipt, Transition};
 use serde::Serialize;
 use serde_json::{Value, json};
