@@ -1,6 +1,6 @@
 //! An engine as the suite sees it.
 
-use crate::peer::{PeerProcess, Role};
+use crate::peer_process::{PeerProcess, Role};
 use downbeat_bridge::middleware::{DiscoveryRange, Middleware, MiddlewareError, ParticipantOptions};
 use std::path::PathBuf;
 

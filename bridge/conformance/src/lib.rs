@@ -14,6 +14,7 @@ pub mod peer;
 
 mod cases;
 mod engine;
+mod peer_process;
 mod report;
 mod support;
 

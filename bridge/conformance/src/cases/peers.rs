@@ -3,7 +3,8 @@
 
 use super::Ran;
 use crate::engine::Domain;
-use crate::peer::{Role, chatter};
+use crate::peer::chatter;
+use crate::peer_process::Role;
 use crate::support::{cdr, holds_within, subscribe, wait_until};
 use downbeat_bridge::middleware::{DiscoveryRange, Endpoint, Gid};
 use downbeat_msgs::qos::QosProfile;
