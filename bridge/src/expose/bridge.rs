@@ -1,8 +1,7 @@
 //! The bridge: exposes topics of a core, and changes which while the core runs.
 
-use super::endpoints::{
-    BridgeStatus, EndpointReport, Endpoints, Exposed, ExposedEndpoint, FromRos, Held, ToRos, Traffic,
-};
+use super::endpoint::ExposedEndpoint;
+use super::endpoints::{BridgeStatus, EndpointReport, Endpoints, Exposed, FromRos, Held, ToRos, Traffic};
 use super::exposure::{ExposeError, Exposure, Limiter, OfACycle};
 use super::qos_events::{EndpointQos, QOS_EVENTS_TOPIC, QosEvents};
 use crate::edge::{CoreAccess, Waiting};

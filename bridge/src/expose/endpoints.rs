@@ -1,39 +1,19 @@
 //! The endpoints of a bridge: what goes through them, and what they report.
 
-use super::exposure::{ExposeError, Exposure, Limiter, Limits, OfACycle};
+use super::endpoint::ExposedEndpoint;
+use super::exposure::{ExposeError, Limiter, OfACycle};
 use super::qos_events::{EndpointQos, QosCounts};
 use crate::edge::{EncodedInlet, EncodedInletError, Offered, Sink};
-use crate::middleware::{Direction, Sample};
-use crate::ros::{NodeName, Publisher, Subscription, TopicName};
+use crate::middleware::Sample;
+use crate::ros::{Publisher, Subscription};
 use bytes::Bytes;
 use downbeat_executor::{Clock, InletError, Outlet, Time};
-use downbeat_msgs::qos::{Durability, QosRequest};
+use downbeat_msgs::qos::Durability;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
-
-/// An endpoint of ROS 2 for a topic of a core, with all names as remapping rules make them.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ExposedEndpoint {
-    /// The topic in the executor.
-    pub topic: String,
-    /// The topic in ROS 2, absolute.
-    pub ros_topic: String,
-    /// The node that has the endpoint, absolute.
-    pub node: String,
-    /// Out of the executor or into it.
-    pub direction: Direction,
-    /// As in `sensor_msgs/msg/Imu`.
-    #[serde(rename = "type")]
-    pub type_name: String,
-    /// What it offers or requests.
-    pub qos: QosRequest,
-    /// Which messages pass.
-    #[serde(flatten)]
-    pub limits: Limits,
-}
 
 /// An exposed endpoint at one moment.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,54 +50,6 @@ pub struct EndpointTraffic {
 #[derive(Clone, Default)]
 pub struct BridgeStatus {
     endpoints: Arc<Endpoints>,
-}
-
-impl ExposedEndpoint {
-    /// The endpoint that an exposure gives a node.
-    #[must_use]
-    pub fn new(
-        exposure: &Exposure,
-        node: &NodeName,
-        ros_topic: &TopicName,
-        qos: impl Into<QosRequest>,
-    ) -> Self {
-        Self {
-            topic: exposure.topic.clone(),
-            ros_topic: ros_topic.to_string(),
-            node: node.to_string(),
-            direction: exposure.direction,
-            type_name: exposure.message_type.name().to_owned(),
-            qos: qos.into(),
-            limits: exposure.limits,
-        }
-    }
-
-    /// True if the same node has both, in the same direction.
-    pub(super) fn is_same_as(&self, other: &Self) -> bool {
-        let key = |endpoint: &Self| (endpoint.direction, endpoint.ros_topic.clone(), endpoint.node.clone());
-        key(self) == key(other)
-    }
-}
-
-impl fmt::Display for ExposedEndpoint {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let arrow = match self.direction {
-            Direction::Out => "->",
-            Direction::In => "<-",
-        };
-        let Self { topic, ros_topic, type_name, qos, limits, .. } = self;
-        write!(f, "{topic:<24} {arrow} {ros_topic:<28} {type_name:<32} {qos}")?;
-        if let Some(rate) = limits.rate_hz() {
-            write!(f, ", at most {rate} Hz")?;
-        }
-        if limits.every > 1 {
-            write!(f, ", one of {}", limits.every)?;
-        }
-        if limits.of_a_cycle == OfACycle::Latest {
-            f.write_str(", latest only")?;
-        }
-        Ok(())
-    }
 }
 
 impl fmt::Display for EndpointReport {

@@ -23,6 +23,7 @@
 
 mod actions;
 mod bridge;
+mod endpoint;
 mod endpoints;
 mod exposure;
 mod open_requests;
@@ -33,7 +34,8 @@ mod services;
 
 pub use actions::ActionExposure;
 pub use bridge::{Bridge, expose};
-pub use endpoints::{BridgeStatus, EndpointReport, EndpointTraffic, ExposedEndpoint};
+pub use endpoint::ExposedEndpoint;
+pub use endpoints::{BridgeStatus, EndpointReport, EndpointTraffic};
 pub use exposure::{ExposeError, Exposure, Limits, OfACycle};
 pub use parameters::{ParameterExposure, ParameterServer, ParameterServices, parameter_value, setting_value};
 pub use pattern::{PatternError, TopicPattern};

@@ -1,6 +1,6 @@
 //! Events of the quality of service of exposed endpoints: counted, logged, and published for modules.
 
-use super::endpoints::ExposedEndpoint;
+use super::endpoint::ExposedEndpoint;
 use crate::edge::CoreAccess;
 use crate::middleware::{Aliveness, Direction, EndpointEvent, Gid, QosPolicyKind};
 use downbeat_executor::queue::{Locked, Overflow};

@@ -21,9 +21,9 @@ mod event;
 mod options;
 
 pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample, SampleIdentity, WriteOptions};
-pub use error::{MiddlewareError, OptionsError, WriteError};
+pub use error::{MiddlewareError, WriteError};
 pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};
-pub use options::{DiscoveryRange, Engine, MAX_DOMAIN_ID, ParticipantOptions};
+pub use options::{DiscoveryRange, Engine, MAX_DOMAIN_ID, OptionsError, ParticipantOptions};
 
 use bytes::Bytes;
 use std::sync::Arc;

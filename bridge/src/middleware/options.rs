@@ -1,9 +1,9 @@
 //! Which domain to join and how far to look, as ROS 2 environment variables say it.
 
-use super::OptionsError;
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
+use thiserror::Error;
 
 /// The highest domain whose UDP ports exist: port 7400 + 250 * domain must stay below 65536.
 pub const MAX_DOMAIN_ID: u16 = 232;
@@ -60,6 +60,37 @@ impl FromStr for Engine {
         let found = Self::ALL.iter().find(|engine| engine.name() == text).copied();
         found.ok_or_else(|| OptionsError::Engine { found: text.to_owned() })
     }
+}
+
+/// A variable of the environment has an invalid value.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum OptionsError {
+    /// Security is to be enforced, and the engine has none.
+    #[error(
+        "ROS_SECURITY_STRATEGY=Enforce cannot be honoured: the DDS engine has no security. Set ROS_SECURITY_STRATEGY=Permissive \
+         to join without it, or unset ROS_SECURITY_ENABLE"
+    )]
+    Security,
+    /// `ROS_DOMAIN_ID` is not a domain.
+    #[error("ROS_DOMAIN_ID={found:?} is not a domain: expected a whole number from 0 to 232")]
+    DomainId {
+        /// The value found.
+        found: String,
+    },
+    /// No engine of that name is built in.
+    #[error("{found:?} is no engine that is built in: there is {}{}", engines(), hint(found))]
+    Engine {
+        /// The name found.
+        found: String,
+    },
+    /// `ROS_AUTOMATIC_DISCOVERY_RANGE` is not a range.
+    #[error(
+        "ROS_AUTOMATIC_DISCOVERY_RANGE={found:?} is not a range: expected LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT"
+    )]
+    DiscoveryRange {
+        /// The value found.
+        found: String,
+    },
 }
 
 /// How to join a domain.
@@ -170,6 +201,18 @@ impl ParticipantOptions {
             )),
         }
         sentences
+    }
+}
+
+fn engines() -> String {
+    Engine::ALL.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn hint(engine: &str) -> &'static str {
+    if engine == "rustdds" {
+        "; this program is built without \"rustdds\": build with --features rustdds"
+    } else {
+        ""
     }
 }
 

@@ -3,7 +3,7 @@
 //! DDS matches by names, so their messages are exchanged and may be read wrongly. Nodes of Jazzy announce the hash of each type
 //! (REP-2016), by which the difference is known before the first message.
 
-use super::participant::Shared;
+use super::membership::Shared;
 use super::{ServiceName, ServiceType};
 use crate::middleware::{EndpointEvent, EventHandler, Gid, Middleware};
 use crate::worker::WorkerLink;

@@ -1,6 +1,6 @@
 //! The definition of a type that only a node on the network knows: a publisher is asked by `get_type_description`.
 
-use super::node::Membership;
+use super::membership::Membership;
 use super::{Client, MessageType, Node, NodeError, ServiceName, ServiceType, Subscription, TopicName};
 use crate::edge::KnownType;
 use crate::middleware::rpc::CallError;

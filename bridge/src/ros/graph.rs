@@ -4,7 +4,6 @@
 //! something changes; see `rmw_dds_common` (branch jazzy) and
 //! <https://design.ros2.org/articles/Node_to_Participant_mapping.html>.
 
-use super::network::Owners;
 use super::{MessageType, NodeName, TopicName};
 use crate::middleware::{
     Direction, Endpoint, EndpointEvent, EventHandler, Gid, Middleware, MiddlewareError, Reader,
@@ -47,6 +46,15 @@ pub struct RemoteTopic {
     pub message_type: MessageType,
     /// Whether the node publishes it.
     pub is_published: bool,
+}
+
+/// Nodes of others, and whose endpoints are whose.
+#[derive(Default)]
+pub(super) struct Owners {
+    /// The participant and the name of each node.
+    pub(super) nodes: Vec<(Gid, String)>,
+    /// The node of each endpoint.
+    pub(super) owners: BTreeMap<Gid, String>,
 }
 
 /// The graph of one participant: its announcements and those of others. Dropping it announces that it has no nodes.

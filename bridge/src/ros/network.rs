@@ -118,15 +118,6 @@ impl From<Found> for NetworkGraph {
     }
 }
 
-/// Nodes of others, and whose endpoints are whose.
-#[derive(Default)]
-pub(super) struct Owners {
-    /// The participant and the name of each node.
-    pub(super) nodes: Vec<(Gid, String)>,
-    /// The node of each endpoint.
-    pub(super) owners: BTreeMap<Gid, String>,
-}
-
 /// `None` for what is no topic and no service of ROS 2, and for the second of the two endpoints of a server or client.
 fn found(remote: RemoteEndpoint, owners: &BTreeMap<Gid, String>) -> Option<FoundEndpoint> {
     let (kind, name, type_name) = match (TopicName::from_wire(&remote.topic_name), remote.direction) {

@@ -1,7 +1,7 @@
 //! Nodes: a name in the graph, and the endpoints under it.
 
-use super::participant::Shared;
-use super::{NameError, NodeError, NodeName, Participant, ServiceName, TopicName};
+use super::membership::{Membership, Shared};
+use super::{NameError, NodeName, ServiceName, TopicName};
 use crate::middleware::{Direction, Gid, RemoteEndpoint};
 use crate::worker::WorkerLink;
 use downbeat_msgs::qos::{QosProfile, QosRequest};
@@ -15,22 +15,6 @@ pub struct Node {
     pub(super) membership: Arc<Membership>,
     /// True if its endpoints do not keep the node alive.
     is_by_itself: bool,
-}
-
-pub(super) struct Membership {
-    pub(super) shared: Arc<Shared>,
-    pub(super) name: NodeName,
-    /// Dropped with the node.
-    attached: Mutex<Vec<Box<dyn Any + Send>>>,
-}
-
-impl Drop for Membership {
-    fn drop(&mut self) {
-        self.shared.graph.remove_node(&self.name);
-        let attached = std::mem::take(&mut *self.attached.lock());
-        // Before the participant, which may go with this node.
-        drop(attached);
-    }
 }
 
 impl Node {
@@ -47,25 +31,6 @@ impl Node {
     #[must_use]
     pub fn name(&self) -> &NodeName {
         &self.membership.name
-    }
-
-    /// The node of the same participant that was requested with that name; it is created if there is none.
-    ///
-    /// # Errors
-    /// [`NodeError`] if a remapping rule gives it an invalid name, or the name of another node.
-    pub fn sibling(&self, name: &NodeName) -> Result<Self, NodeError> {
-        let shared = &self.membership.shared;
-        let found = shared.nodes.lock().get(name).and_then(Weak::upgrade);
-        match found {
-            Some(membership) => Ok(Self { membership, is_by_itself: false }),
-            None => Participant { shared: Arc::clone(shared) }.create_node(name.clone()),
-        }
-    }
-
-    /// The participant it is a node of.
-    #[must_use]
-    pub fn participant(&self) -> Participant {
-        Participant { shared: Arc::clone(&self.membership.shared) }
     }
 
     /// The same node, for its own endpoints: endpoints created from this handle do not keep the node alive.
@@ -135,7 +100,7 @@ impl Node {
 
     /// The worker of the participant.
     pub(crate) fn worker(&self) -> WorkerLink {
-        self.participant().worker()
+        self.membership.shared.worker.link()
     }
 
     pub(super) fn hold(&self) -> Hold {

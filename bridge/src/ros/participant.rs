@@ -1,31 +1,15 @@
 //! A participant as ROS 2 sees it: nodes in the graph.
 
 use super::graph::{Graph, RemoteNode};
-use super::node::Membership;
-use super::{NameError, Node, NodeName, RemapRules, type_description};
+use super::membership::{Furnisher, Membership, NodeError, Shared};
+use super::{Node, NodeName, RemapRules, type_description};
 use crate::edge::Interfaces;
 use crate::middleware::{self, Middleware, MiddlewareError, ParticipantOptions, RemoteEndpoint};
 use crate::worker::{Worker, WorkerLink};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
 use parking_lot::Mutex;
-use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
-use thiserror::Error;
-
-/// A node or one of its endpoints could not be created.
-#[derive(Debug, Error)]
-pub enum NodeError {
-    /// A name is not valid.
-    #[error(transparent)]
-    Name(#[from] NameError),
-    /// The participant has a node of that name already.
-    #[error("this process has a ROS 2 node {0} already; give one of them another name or namespace")]
-    Exists(NodeName),
-    /// The engine refused.
-    #[error(transparent)]
-    Middleware(#[from] MiddlewareError),
-}
 
 /// One participant of the domain, which all nodes of a process share.
 ///
@@ -36,26 +20,11 @@ pub struct Participant {
     pub(super) shared: Arc<Shared>,
 }
 
-pub(super) struct Shared {
-    // Fields drop in this order: the graph takes leave before the participant goes.
-    pub(super) graph: Graph,
-    pub(super) worker: Worker,
-    pub(super) middleware: Arc<dyn Middleware>,
-    pub(super) remaps: RemapRules,
-    pub(super) interfaces: Interfaces,
-    /// The existing nodes, by the names with which they were requested.
-    pub(super) nodes: Mutex<BTreeMap<NodeName, Weak<Membership>>>,
-    /// Functions that give each new node the endpoints that all nodes have.
-    furnishers: Mutex<Vec<Weak<Furnisher>>>,
-}
-
-type Furnisher = dyn Fn(&Node) -> Result<(), NodeError> + Send + Sync;
-
 /// The participants of this process, for [`leave_all`].
 static JOINED: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Leaves all domains without waiting for acknowledgements, for a process that is about to end without dropping its participants. Their
-/// nodes and endpoints disappear from the graphs of others at once.
+/// Leaves all domains without waiting for acknowledgements, for a process that is about to end without dropping
+/// its participants. Their nodes and endpoints disappear from the graphs of others at once.
 pub fn leave_all() {
     let joined: Vec<_> = JOINED.lock().iter().filter_map(Weak::upgrade).collect();
     for shared in &joined {
@@ -141,7 +110,7 @@ impl Participant {
         )?;
         node.attach(service);
         let furnishers: Vec<_> = self.shared.furnishers.lock().iter().filter_map(Weak::upgrade).collect();
-        furnishers.iter().try_for_each(|furnish| furnish(&node.by_itself()))?;
+        furnishers.iter().try_for_each(|furnish| furnish(&node.membership))?;
         self.shared.nodes.lock().insert(given, node.downgrade());
         Ok(node)
     }
@@ -158,7 +127,9 @@ impl Participant {
         &self,
         furnish: impl Fn(&Node) -> Result<(), NodeError> + Send + Sync + 'static,
     ) -> Furnishing {
-        let furnisher: Arc<Furnisher> = Arc::new(furnish);
+        let furnisher: Arc<Furnisher> = Arc::new(move |membership: &Arc<Membership>| {
+            furnish(&Node::of(Arc::clone(membership)).by_itself())
+        });
         let mut furnishers = self.shared.furnishers.lock();
         furnishers.retain(|furnisher| furnisher.strong_count() > 0);
         furnishers.push(Arc::downgrade(&furnisher));
@@ -191,5 +162,26 @@ impl Participant {
     #[must_use]
     pub fn remote_nodes(&self) -> Vec<RemoteNode> {
         self.shared.graph.remote_nodes(&self.shared.middleware.remote_endpoints())
+    }
+}
+
+impl Node {
+    /// The node of the same participant that was requested with that name; it is created if there is none.
+    ///
+    /// # Errors
+    /// [`NodeError`] if a remapping rule gives it an invalid name, or the name of another node.
+    pub fn sibling(&self, name: &NodeName) -> Result<Self, NodeError> {
+        let shared = &self.membership.shared;
+        let found = shared.nodes.lock().get(name).and_then(Weak::upgrade);
+        match found {
+            Some(membership) => Ok(Self::of(membership)),
+            None => Participant { shared: Arc::clone(shared) }.create_node(name.clone()),
+        }
+    }
+
+    /// The participant it is a node of.
+    #[must_use]
+    pub fn participant(&self) -> Participant {
+        Participant { shared: Arc::clone(&self.membership.shared) }
     }
 }

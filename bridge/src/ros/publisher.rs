@@ -2,8 +2,8 @@
 
 use super::definition::Definition;
 use super::incompatible::Warnings;
+use super::membership::Shared;
 use super::node::{Hold, Listed};
-use super::participant::Shared;
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::edge::Interfaces;
 use crate::middleware::{Direction, Endpoint, EventHandler, Gid, WriteError, Writer};

@@ -1,7 +1,7 @@
 //! The queue between the threads that log and the publisher.
 
 use super::LogLine;
-use super::of_node::OfModules;
+use super::of_modules::OfModules;
 use crate::worker::Mailbox;
 use crossbeam::queue::ArrayQueue;
 use parking_lot::Mutex;

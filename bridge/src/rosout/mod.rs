@@ -27,6 +27,7 @@ mod collector;
 mod levels;
 mod line;
 mod names;
+mod of_modules;
 mod of_node;
 mod publisher;
 mod services;

@@ -161,15 +161,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "bridge/edge/src/interfaces.rs",
         "bridge/edge/src/service.rs",
     ],
-    &["bridge/src/expose/endpoints.rs", "bridge/src/expose/qos_events.rs"],
-    &["bridge/src/middleware/error.rs", "bridge/src/middleware/options.rs"],
-    &[
-        "bridge/src/ros/graph.rs",
-        "bridge/src/ros/network.rs",
-        "bridge/src/ros/node.rs",
-        "bridge/src/ros/participant.rs",
-    ],
-    &["bridge/src/rosout/collector.rs", "bridge/src/rosout/of_node.rs", "bridge/src/rosout/publisher.rs"],
     &[
         "executor/src/cycle/core.rs",
         "executor/src/cycle/detached.rs",
