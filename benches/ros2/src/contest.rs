@@ -3,7 +3,8 @@
 use anyhow::Context;
 
 use crate::contestant::{Contestant, Kind, Task};
-use crate::peer::{Outcome, Role};
+use crate::peer::Outcome;
+use crate::role::Role;
 
 #[derive(clap::Args)]
 pub struct Options {

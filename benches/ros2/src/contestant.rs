@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use serde::de::DeserializeOwned;
 
-use crate::peer::{GO, Role};
+use crate::role::{GO, Role};
 
 /// The software that a contestant uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

@@ -10,7 +10,8 @@ use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
 
 use crate::contestant::{Contestant, Kind, Task, resident_bytes};
 use crate::payload;
-use crate::peer::{Role, Running, on_this_machine};
+use crate::peer::{Running, on_this_machine};
+use crate::role::Role;
 
 #[derive(clap::Args)]
 pub struct Options {

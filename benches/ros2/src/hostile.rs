@@ -15,7 +15,8 @@ use fuzzing::Random;
 
 use crate::contestant::{Contestant, Kind, Task};
 use crate::payload;
-use crate::peer::{Role, Running, on_this_machine, quantile_us};
+use crate::peer::{Running, on_this_machine, quantile_us};
+use crate::role::Role;
 
 #[path = "../../../bridge/rtps/tests/golden/capture.rs"]
 mod capture;

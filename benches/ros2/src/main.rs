@@ -14,6 +14,7 @@ mod images;
 mod meeting;
 mod payload;
 mod peer;
+mod role;
 mod wire;
 
 use clap::{Parser, Subcommand};

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::contestant::{Contestant, Kind, Task};
 use crate::payload;
-use crate::peer::Role;
+use crate::role::Role;
 
 /// How long two processes may take to discover each other.
 const PATIENCE: Duration = Duration::from_secs(20);

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::meeting;
 use crate::payload::{self, NUMBER_BYTES};
+use crate::role::{GO, Role};
 
 /// How long a message may be in flight before it counts as lost.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -38,24 +39,6 @@ pub struct Options {
     pub seconds: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Role {
-    /// Sends messages and waits for the answers.
-    Ping,
-    /// Sends each received message back.
-    Echo,
-    /// Sends back the number of each received message.
-    Acknowledge,
-    /// Counts received messages. Only Python contestants have this role.
-    Count,
-    /// Sends large messages at a constant rate. Only Python contestants have this role.
-    Camera,
-    /// Offers a latched sample.
-    Latch,
-    /// Joins and measures how long it takes to discover the process that offers a latched sample.
-    Late,
-}
-
 /// The measurements of the end that sends.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Outcome {
@@ -70,9 +53,6 @@ pub struct Outcome {
     /// 99th percentile of the round-trip times.
     pub p99_us: f64,
 }
-
-/// The line printed when both ends have discovered each other.
-pub const GO: &str = "go";
 
 /// Runs one end: an echo until its input is closed, the other end until its measurement is complete.
 pub fn run(options: &Options) -> anyhow::Result<()> {
