@@ -295,7 +295,8 @@ impl Camera {
             if silent_for >= SILENCE {
                 self.counts.lost += 1;
                 let seconds = silent_for.as_secs();
-                self.complaint.say(&format!("no picture came for {seconds} s; the camera is opened again"), ctx);
+                self.complaint
+                    .say(&format!("no picture came for {seconds} s; the camera is opened again"), ctx);
                 return self.closed(Duration::ZERO, ctx);
             }
             return State::Open(running);
@@ -423,7 +424,9 @@ impl Camera {
         let (level, message) = match &self.state {
             State::Closed { .. } => (DiagnosticStatus::ERROR, self.complaint.text().to_owned()),
             State::Open(_) if is_damaged => (DiagnosticStatus::WARN, "pictures are damaged".to_owned()),
-            State::Open(_) if !self.complaint.text().is_empty() => (DiagnosticStatus::WARN, self.complaint.text().to_owned()),
+            State::Open(_) if !self.complaint.text().is_empty() => {
+                (DiagnosticStatus::WARN, self.complaint.text().to_owned())
+            }
             State::Open(_) => (DiagnosticStatus::OK, "running".to_owned()),
         };
         let name = match &self.state {
