@@ -4,10 +4,12 @@
 
 mod common;
 
+use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Mutex;
 
 use common::{Running, downbeat, recorded_messages, wait_until};
 use downbeat::bags::{Reader, Selection};
@@ -68,13 +70,24 @@ impl Site {
         std::fs::write(self.path().join(name), text).unwrap();
     }
 
-    /// Builds the library `libsums.so`.
+    /// Builds the library `libsums.so`. Each version is compiled once.
     fn build(&self, step: &str, raises_at: i32) {
-        self.compile("sums", SUMS, &[&format!("-DSTEP={step}"), &format!("-DRAISES_AT={raises_at}")]);
+        static BUILT: Mutex<BTreeMap<(String, i32), Vec<u8>>> = Mutex::new(BTreeMap::new());
+        let mut built = BUILT.lock().unwrap();
+        let flags = [format!("-DSTEP={step}"), format!("-DRAISES_AT={raises_at}")];
+        let library = built
+            .entry((step.to_owned(), raises_at))
+            .or_insert_with(|| self.compile("sums", SUMS, &flags.each_ref().map(String::as_str)));
+        self.save("sums", library);
     }
 
-    /// Builds a library, as a linker that writes it beside its place and renames it.
-    fn compile(&self, name: &str, source: &str, flags: &[&str]) {
+    /// Saves a library as a linker does that writes it beside its place and renames it.
+    fn save(&self, name: &str, library: &[u8]) {
+        std::fs::write(self.path().join("new.so"), library).unwrap();
+        std::fs::rename(self.path().join("new.so"), self.path().join(format!("lib{name}.so"))).unwrap();
+    }
+
+    fn compile(&self, name: &str, source: &str, flags: &[&str]) -> Vec<u8> {
         let interfaces = ["std_msgs/msg/Float64", "std_srvs/srv/Trigger", "test_msgs/action/Fibonacci"];
         if !self.path().join("include").exists() {
             let generate = [&["interface", "generate", "--lang", "cpp"], interfaces.as_slice()].concat();
@@ -87,7 +100,7 @@ impl Site {
         compiler.args(["-std=c++17", "-shared", "-fPIC", "-fno-gnu-unique", "-Iinclude"]).args(flags);
         let built = compiler.args([&file, "-o", "new.so"]).current_dir(self.path()).output().unwrap();
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
-        std::fs::rename(self.path().join("new.so"), self.path().join(format!("lib{name}.so"))).unwrap();
+        std::fs::read(self.path().join("new.so")).unwrap()
     }
 
     fn run(&self, options: &[&str], domain: &str) -> Running {
@@ -149,7 +162,7 @@ fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay()
         let site = Site::new(&format!("{LIBRARY}{keys}"));
         site.build("0.1", 20);
         let first = std::fs::read(site.path().join("libsums.so")).unwrap();
-        let mut robot = site.run(&["--record", "bag"], "131");
+        let mut robot = site.run(&["--record", "bag"], "32");
         robot.wait_for_output("panicked and was stopped; the other modules continue: as this test wants it");
         site.build("0.2", -1);
         robot.wait_for_output("libsums.so was saved: it starts again with it");
@@ -205,7 +218,7 @@ fn lines_of_libraries_have_their_place_in_the_source() {
         let site = Site::new(&format!("{LIBRARY}{keys}"));
         site.build("0.1", -1);
         let mut command = downbeat(&["run", "robot.toml", "--duration", "1s"]);
-        command.current_dir(site.path()).env("ROS_DOMAIN_ID", "135").env("XDG_RUNTIME_DIR", site.path());
+        command.current_dir(site.path()).env("ROS_DOMAIN_ID", "35").env("XDG_RUNTIME_DIR", site.path());
         command.env("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{file_name}:{line_number} {function_name}: {message}");
         let mut robot = Running::start_by(&mut command);
         robot.wait();
@@ -220,7 +233,7 @@ fn a_robot_starts_without_a_module_whose_file_has_an_error_until_it_is_saved() {
         "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\nreload = true\n",
     );
     site.write("player.scxml", "<scxml");
-    let mut robot = site.run(&["--record", "bag"], "132");
+    let mut robot = site.run(&["--record", "bag"], "33");
     robot.wait_for_output("it starts when its file is saved");
     site.write("player.scxml", "<scxml version=");
     robot.wait_for_output("player.scxml was saved and still does not start");
@@ -282,7 +295,7 @@ fn what_a_module_brings_that_joins_late_is_exposed_recorded_and_replayed() {
         robot.wait_for_output("it starts when its file is saved");
         robot.wait_for_output("until late can be made, this is neither exposed nor recorded: ");
         robot.wait_for_output("no module has a topic \"sum\" to expose; robot.toml:1");
-        site.compile("late", LATE, &[]);
+        site.save("late", &site.compile("late", LATE, &[]));
         robot.wait_for_output("liblate.so was saved: it starts again with it");
         let asked = site.ask(domain, &["service", "call", "/ask", "std_srvs/srv/Trigger"]);
         assert!(asked.contains("it is there"), "{asked}\n{}", robot.output());
@@ -310,7 +323,7 @@ fn what_a_module_brings_that_joins_late_is_exposed_recorded_and_replayed() {
         site.write("liblate.so", "no library");
         let mut robot = site.run(&[], domain);
         robot.wait_for_output("it starts when its file is saved");
-        site.compile("late", LATE, &[]);
+        site.save("late", &site.compile("late", LATE, &[]));
         robot.wait_for_output("exposed service: ask");
         let line = if keys.is_empty() { 9 } else { 10 };
         robot.wait_for_output(&format!(
@@ -405,7 +418,10 @@ fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
          [expose]\nparameters = [\"scale.gain\"]\n",
     );
     site.write("player.scxml", GAIN);
-    let build = |step: &str| site.compile("scale", SCALE, &[&format!("-DSTEP={step}")]);
+    let build = |step: &str| {
+        let library = site.compile("scale", SCALE, &[&format!("-DSTEP={step}")]);
+        site.save("scale", &library);
+    };
     build("0.1");
     let mut robot = site.run(&["--view=0"], "138");
     let mut page = Page::of(&robot);
@@ -469,7 +485,7 @@ fn a_library_in_rust_that_panicked_starts_again_when_it_is_saved() {
     // Negative numbers make the amplifier panic.
     site.build("-0.1", -1);
     std::fs::copy(rust_library(), site.path().join("libamplifier.so")).unwrap();
-    let mut robot = site.run(&["--record", "bag"], "133");
+    let mut robot = site.run(&["--record", "bag"], "34");
     robot.wait_for_output("a negative number");
     site.build("0.1", -1);
     robot.wait_for_output("libsums.so was saved and is reloaded");
@@ -504,7 +520,7 @@ fn a_replay_uses_the_recorded_settings_and_says_which_are_others_now() {
     let player = "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\n";
     let site = Site::new(&format!("{player}settings = {{ gain = 0.1 }}\n"));
     site.write("player.scxml", GAIN);
-    let mut robot = site.run(&["--record", "bag", "--duration", "2s"], "134");
+    let mut robot = site.run(&["--record", "bag", "--duration", "2s"], "36");
     robot.wait();
     assert!(!site.assert_replays("bag", &[]).contains("player.gain"));
     let robot = std::fs::read_to_string(site.path().join("robot.toml")).unwrap();

@@ -139,10 +139,10 @@ pub(crate) enum Command {
     Top(TopArguments),
     /// Record a trace of the next cycles of a running robot, for Perfetto or chrome://tracing.
     Trace(TraceArguments),
-    /// Opens the page of a running robot and prints its URL for a browser.
+    /// Open the page of a running robot and print its URL for a browser.
     #[cfg(feature = "view")]
     View(super::view::ViewRobot),
-    /// (Not in this program, built without "view".) Opens the page of a running robot.
+    /// (Not in this program, built without "view".) Open the page of a running robot.
     #[cfg(not(feature = "view"))]
     View(NotBuiltIn),
     /// Show what a running robot exposes to ROS 2, expose more, or remove topics.
@@ -188,7 +188,7 @@ pub(crate) enum Command {
     /// (Not in this program, built without "football".) Calibrate the vision of football players.
     #[cfg(not(feature = "football"))]
     Vision(NotBuiltIn),
-    /// Create your own project: a robot, or with --template a package of messages or a module.
+    /// Create your own project: a robot, or with --template a rover, an arm, a camera, a robot in Python or C++, or messages.
     New(NewArguments),
     /// Convert robot descriptions.
     #[command(subcommand)]

@@ -134,6 +134,9 @@ fn open(path: &str, buses: &EmulatedBuses) -> Result<Open, String> {
             format!("no module emulates \"{path}\": add one with that \"link\" to the robot file")
         });
     }
+    if path.is_empty() {
+        return Err("no I²C bus is given: set \"bus\" to a device such as /dev/i2c-1".to_owned());
+    }
     match fs::metadata(path) {
         Ok(metadata) if !metadata.file_type().is_char_device() => {
             let kind = if metadata.is_dir() { "a folder" } else { "a regular file" };
@@ -286,6 +289,7 @@ mod tests {
             if opened.outcome == BusExchange::OK { read.error } else { opened.error }
         };
         assert!(error(file.to_str().unwrap()).contains("is a regular file, not an I²C bus: set \"bus\""));
+        assert!(error("").starts_with("no I²C bus is given"));
         assert!(error(folder.path().to_str().unwrap()).contains("is a folder"));
         assert!(
             error("/dev/i2c-no-such-bus").contains("does not exist: load the driver (sudo modprobe i2c-dev)")

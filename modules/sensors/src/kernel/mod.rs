@@ -42,6 +42,11 @@ pub(crate) fn is_foreign(error: &io::Error) -> bool {
     error.raw_os_error() == Some(rustix::io::Errno::NOTTY.raw_os_error())
 }
 
+/// Whether the name of a device that nothing has is the path of a file, from the working directory.
+pub(crate) fn is_file(name: &str) -> bool {
+    !name.is_empty() && Path::new(name).exists()
+}
+
 /// The last part of a path, or a whole name: what recordings and diagnostics hold of a device, so that a run replays from any folder.
 pub(crate) fn name_of(device: &str) -> &str {
     device.trim_end_matches('/').rsplit('/').next().unwrap_or(device)

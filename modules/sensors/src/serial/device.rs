@@ -1,13 +1,12 @@
 //! A serial port as a device whose exchanges are recorded.
 
-use std::fs::{self, FileType};
 use std::io::{self, ErrorKind, Write};
 use std::marker::PhantomData;
-use std::os::unix::fs::FileTypeExt;
 use std::time::{Duration, Instant};
 
 use downbeat_executor::Time;
 use downbeat_modules::device::Device;
+use downbeat_modules::serial_port::{check_port, port_refusal};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 
@@ -175,16 +174,7 @@ fn open(settings: &PortSettings, ports: &EmulatedPorts, now: Time) -> Result<Ope
         let closed = || format!("{path} is closed by its emulator");
         return port.is_open(now).then_some(Open::Memory(port)).ok_or_else(closed);
     }
-    match fs::metadata(path) {
-        Ok(metadata) if !metadata.file_type().is_char_device() => {
-            return Err(format!(
-                "{path} is {}, not a serial port: set \"port\" to a device such as /dev/ttyUSB0",
-                kind_of(metadata.file_type())
-            ));
-        }
-        Err(error) => return Err(remedy(path, &error)),
-        Ok(_) => {}
-    }
+    check_port(path)?;
     let mut builder = serialport::new(path, settings.baud)
         .data_bits(DataBits::Eight)
         .parity(Parity::None)
@@ -193,29 +183,7 @@ fn open(settings: &PortSettings, ports: &EmulatedPorts, now: Time) -> Result<Ope
     if let Some(level) = settings.data_terminal_ready {
         builder = builder.dtr_on_open(level);
     }
-    builder.open().map(Open::Port).map_err(|error| remedy(path, &error.into()))
-}
-
-fn kind_of(kind: FileType) -> &'static str {
-    match kind {
-        kind if kind.is_dir() => "a folder",
-        kind if kind.is_file() => "a regular file",
-        kind if kind.is_block_device() => "a disk",
-        _ => "a socket or pipe",
-    }
-}
-
-/// Why a port cannot be opened, and what to do.
-fn remedy(path: &str, error: &io::Error) -> String {
-    match error.kind() {
-        ErrorKind::NotFound => format!(
-            "{path} does not exist: plug the device in, or set \"port\" to the path of another (ls /dev/serial/by-id)"
-        ),
-        ErrorKind::PermissionDenied => format!(
-            "no permission to open {path}: add the user to the group dialout (sudo usermod -aG dialout $USER) and log in again"
-        ),
-        _ => format!("opening {path}: {error}; is it a serial port, and does no other program use it?"),
-    }
+    builder.open().map(Open::Port).map_err(|error| port_refusal(path, &error.into()))
 }
 
 impl<R: Role> Device for SerialDevice<R> {
@@ -272,15 +240,16 @@ mod tests {
     fn a_path_that_is_no_port_is_refused_with_the_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("scan.bin");
-        fs::write(&file, "data").unwrap();
+        std::fs::write(&file, "data").unwrap();
         let error = |path: &str| opened(path).1.error;
-        assert!(error(file.to_str().unwrap()).contains("is a regular file, not a serial port: set \"port\""));
+        assert!(
+            error(file.to_str().unwrap()).contains("is a regular file, not a serial port: name a device")
+        );
         assert!(error(folder.path().to_str().unwrap()).contains("is a folder"));
         assert!(error("/dev/no-such-port").contains("/dev/no-such-port does not exist: plug the device in"));
-        assert!(error("/dev/null").contains("opening /dev/null: "));
+        assert!(error("/dev/null").contains("/dev/null is a device, but not a serial port: "));
+        assert!(error("").contains("no serial port is given: name one"));
         assert!(error("memory:nobody").contains("no module emulates \"memory:nobody\""));
-        let denied = remedy("/dev/ttyUSB0", &ErrorKind::PermissionDenied.into());
-        assert!(denied.contains("/dev/ttyUSB0: add the user to the group dialout"), "{denied}");
     }
 
     #[test]
