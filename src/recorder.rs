@@ -55,26 +55,26 @@ pub fn record(
     interfaces: &Interfaces,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<(), RecorderError> {
-    let core = &mut CoreAccess::Idle(core);
-    let outlets = record_while(core, recording, topics, when_full, encoding, interfaces, qos_of)?;
+    let (core, recording) = (&mut CoreAccess::Idle(core), recording.sender());
+    let outlets = record_while(core, &recording, topics, when_full, encoding, interfaces, qos_of)?;
     outlets.into_iter().for_each(Outlet::keep);
     Ok(())
 }
 
-/// As [`record`], of a core that may run, and while the returned outlets are there.
+/// As [`record`], of a core that may run, and while the returned outlets are there. More topics may be added to a recording later.
 ///
 /// # Errors
 /// Those of [`record`], and if the core does not answer.
 pub fn record_while(
     core: &mut CoreAccess<'_>,
-    recording: &Recording,
+    recording: &RecordingSender,
     topics: &[TopicInfo],
     when_full: WhenFull,
     encoding: Encoding,
     interfaces: &Interfaces,
     qos_of: impl Fn(&str) -> QosProfile,
 ) -> Result<Vec<Outlet>, RecorderError> {
-    let bag = Bag { sender: recording.sender(), when_full };
+    let bag = Bag { sender: recording.clone(), when_full };
     let inbox = OutletInbox::new("recorder", Inbox::KeepAll);
     let mut outlets = Vec::new();
     for topic in topics {

@@ -38,7 +38,7 @@ fn check_says_what_clients_of_a_service_receive_for_a_refusal() {
     for expected in [
         "  service gait/start -> /gait/start std_srvs/srv/Trigger\n    a refusal: success: false, message: the reason\n",
         "simulation_interfaces/srv/DeleteEntity\n    a refusal: result.error_message: the reason\n",
-        "  action play_motion -> play_motion ",
+        "  action play_motion -> /play_motion ",
         "    a failure: the goal is not accepted; later, its status is ABORTED, its result has default values\n",
     ] {
         assert!(output.contains(expected), "{output}");

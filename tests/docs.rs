@@ -2,7 +2,8 @@
 //! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests
 //! (`src/lib.rs`).
 //!
-//! A `ros2` command is replaced by the `downbeat` command with the same arguments.
+//! A `ros2` command is replaced by the `downbeat` command with the same arguments. The reader's home directory is empty, and what each
+//! command takes is kept in `target/first_hour/steps`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -12,7 +13,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{Running, WATCHDOG, downbeat, robot_file};
+use common::new_user::NewUser;
+use common::{Running, WATCHDOG, robot_file};
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
@@ -46,13 +48,14 @@ const PAGES: [&str; 23] = [
 const ELSEWHERE: [&str; 21] = [
     "cargo xtask",
     "cargo test",
-    "cargo run --release --features physics", // tests/walking.rs and tests/physics.rs
-    "cargo run --release --features football", // tests/football.rs
-    "cargo run --release --features sensors", // tests/sensors.rs
-    "downbeat vision calibrate",              // tests/football.rs
-    "downbeat bag replay robots/seeing_match.toml", // tests/football.rs
-    "downbeat top --plot",                    // tests/top.rs
-    "downbeat servo scan",                    // tests/servos.rs
+    "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
+    "cargo run --release --features physics,mujoco", // needs MuJoCo: the tests of downbeat-physics
+    "cargo run --release --features football -- match robots/seeing_", // tests/football.rs
+    "cargo run --release --features sensors",        // tests/sensors.rs
+    "downbeat vision calibrate",                     // tests/football.rs
+    "downbeat bag replay robots/seeing_match.toml",  // tests/football.rs
+    "downbeat top --plot",                           // tests/top.rs
+    "downbeat servo scan",                           // tests/servos.rs
     "echo 1 | sudo",
     "c++ ", // tests/library.rs, as the next two
     "ros2 topic echo --once /out",
@@ -61,15 +64,15 @@ const ELSEWHERE: [&str; 21] = [
     "ros2 topic pub --once /head_by_hand",
     "cargo run --release --features mqtt", // docs/network.md is read with the feature
     "pip install",
-    "cargo run --release --features mujoco", // needs MuJoCo: the tests of downbeat-physics
     "cd ",
     "sudo ",
     "duckdb ",
 ];
 
 /// Commands that run until they are interrupted.
-const ENDLESS: [&[&str]; 11] = [
+const ENDLESS: [&[&str]; 12] = [
     &["run"],
+    &["match"],
     &["emulate"],
     &["bag", "record", "-a"],
     &["bag", "play"],
@@ -246,7 +249,7 @@ fn the_names_of_robotis_can_be_exposed() {
 
 #[test]
 fn every_command_on_a_page_runs() {
-    let place = Place::new();
+    let mut place = Place::new();
     // The running robot, and whether it is the walking one.
     let mut robot: Option<(bool, Running)> = None;
     let mut servo: Option<Running> = None;
@@ -256,8 +259,17 @@ fn every_command_on_a_page_runs() {
         if ELSEWHERE.iter().any(|known| command.starts_with(known)) || !done.insert(command.clone()) {
             continue;
         }
-        let rewritten = command
-            .replace("cargo run --release -- ", "downbeat ")
+        let built_with = command.strip_prefix("cargo run --release ").and_then(|rest| rest.split_once("-- "));
+        let (features, rewritten) = match built_with {
+            Some((features, arguments)) => (features, format!("downbeat {arguments}")),
+            None => ("", command.clone()),
+        };
+        if features.contains("physics") && !cfg!(feature = "physics")
+            || features.contains("football") && !cfg!(feature = "football")
+        {
+            continue;
+        }
+        let rewritten = rewritten
             .replace("ros2 ", "downbeat ")
             .replace("/tmp/robot", place.folder.join("emulated").to_str().unwrap())
             .replace("/tmp/arm", place.folder.join("arm").to_str().unwrap());
@@ -292,7 +304,9 @@ fn every_command_on_a_page_runs() {
             robot = Some((walks, place.start_robot(walks)));
         }
         place.prepare_for(&words);
+        let began = Instant::now();
         problems.extend(place.run(&page, &command, &rewritten, &words));
+        place.user.has_done(&page, &command, began.elapsed().as_secs_f64(), Vec::new());
     }
     for mut running in robot.into_iter().map(|(_, robot)| robot).chain(servo) {
         running.interrupt();
@@ -301,38 +315,46 @@ fn every_command_on_a_page_runs() {
     assert!(done.len() > 20, "only {} commands were found", done.len());
 }
 
-/// A folder with the files that the commands of the pages use.
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().flatten() {
+        if entry.path().is_dir() {
+            copy(&entry.path(), &to.join(entry.file_name()));
+        } else {
+            std::fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+    }
+}
+
+/// A folder with the files that the commands of the pages name.
 struct Place {
     folder: PathBuf,
     _temporary: tempfile::TempDir,
-    domain: String,
+    user: NewUser,
 }
+
+const DOMAIN: &str = "118";
 
 impl Place {
     fn new() -> Self {
         let temporary = tempfile::tempdir().unwrap();
         let folder = temporary.path().to_owned();
-        std::fs::create_dir(folder.join("robots")).unwrap();
+        copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("robots"), &folder.join("robots"));
         // One page changes the exposed endpoints with this service, another one switches the torque.
         let exposed = "[expose]\nexpose_service = true\nservices = [\"torque\"]\n";
         let demo = robot_file(&folder, |text| text.replace("[expose]\n", exposed));
-        std::fs::create_dir(folder.join("robots/servos")).unwrap();
-        for name in ["player.scxml", "player.toml", "so101.toml", "servos/so101.toml"] {
-            let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(name);
-            std::fs::copy(from, folder.join("robots").join(name)).unwrap();
-        }
         std::fs::write(folder.join("new_servo.toml"), NEW_SERVO).unwrap();
         std::fs::rename(demo, folder.join("robots/darwin_op.toml")).unwrap();
-        std::fs::write(folder.join("robot.toml"), common::QUIET_ROBOT).unwrap();
-        Self { folder, _temporary: temporary, domain: "118".into() }
+        // It says at once what it exposes.
+        let robot = format!("{}\n[expose]\nout = [\"motion/joint_commands\"]\n", common::QUIET_ROBOT);
+        std::fs::write(folder.join("robot.toml"), robot).unwrap();
+        let user = NewUser::new("pages", &folder.join("home"));
+        Self { folder, _temporary: temporary, user }
     }
 
     fn command(&self) -> Command {
-        let mut command = downbeat(&[]);
-        command
-            .current_dir(&self.folder)
-            .env("ROS_DOMAIN_ID", &self.domain)
-            .env("XDG_RUNTIME_DIR", &self.folder);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
+        self.user.settle(command.current_dir(&self.folder), DOMAIN);
         command
     }
 
@@ -389,18 +411,13 @@ impl Place {
 
     /// Runs a command in a shell, as a reader of the page would. Returns the problem, if any.
     fn run(&self, page: &str, command: &str, rewritten: &str, words: &[&str]) -> Option<String> {
-        let program = env!("CARGO_BIN_EXE_downbeat");
-        let folder = Path::new(program).parent().unwrap();
-        let path = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap());
         let mut shell = Command::new("sh");
         shell.args(["-c", &format!("exec {}", rewritten.trim_start_matches("exec "))]);
         if rewritten.contains(['|', ';']) || !rewritten.starts_with("downbeat") {
             shell = Command::new("sh");
             shell.args(["-c", rewritten]);
         }
-        shell.current_dir(&self.folder).env("PATH", path).env("ROS_DOMAIN_ID", &self.domain);
-        shell.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("XDG_RUNTIME_DIR", &self.folder);
-        shell.stdin(Stdio::null());
+        self.user.settle(shell.current_dir(&self.folder).stdin(Stdio::null()), DOMAIN);
         let ends = |word: &&&str| ["--duration", "--once", "-1", "--into"].contains(*word);
         let is_endless =
             ENDLESS.iter().any(|begin| words.starts_with(begin)) && words.iter().find(ends).is_none();

@@ -1,9 +1,10 @@
 //! The first hour of a new user: the commands of the README and of projects, taken from their text, in an
-//! empty home directory. The packages that each step compiles are counted; the durations are printed.
+//! empty home directory. The packages that each step compiles are counted; the durations are kept in
+//! `target/first_hour/steps`.
 //!
 //! Commands run without `--release`, whose first build takes minutes more of processor time; checkout and
-//! projects share the same packages. Other commands of the pages are run by `tests/docs.rs`, those for Python
-//! by `python/tests/`.
+//! projects share the same packages. Other commands of the pages are run by `tests/docs.rs` and
+//! `tests/library.rs`, those for Python by `python/tests/`, all with such a home.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -12,32 +13,37 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
+use common::new_user::NewUser;
+
 /// The root of the repository.
 const CHECKOUT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// A user with an empty home directory.
+/// How many packages the first command may compile that the tests have not compiled: those of downbeat, and those of others that have
+/// other features there. Every later command compiles the project alone.
+const FIRST_BUILD: usize = 60;
+
+/// A new user with a checkout.
 struct User {
+    user: NewUser,
     home: PathBuf,
     /// The working directory.
     folder: PathBuf,
-    /// The folder of cargo's shared intermediate files.
+    /// The page whose commands are typed.
+    page: String,
+    /// Where cargo puts what others need while it compiles.
     build: PathBuf,
     /// The target folder of the programs. It differs from that of the tests, whose programs have other
     /// features.
     target: PathBuf,
-    seconds: Vec<(String, f64, Vec<String>)>,
 }
 
 impl User {
-    fn new(name: &str) -> Self {
+    fn new(name: &'static str) -> Self {
         let folder = Path::new(CHECKOUT).join("target/first_hour");
         let home = folder.join(name);
-        if home.exists() {
-            std::fs::remove_dir_all(&home).unwrap();
-        }
-        std::fs::create_dir_all(&home).unwrap();
         let build = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap().parent().unwrap().to_owned();
-        Self { home, folder: CHECKOUT.into(), build, target: folder.join("programs"), seconds: Vec::new() }
+        let (user, page) = (NewUser::new(name, &home), "README.md".to_owned());
+        Self { user, home, folder: CHECKOUT.into(), page, build, target: folder.join("programs") }
     }
 
     /// Runs a line of a page in a shell, which must succeed. Returns its output, and the packages that were
@@ -50,34 +56,18 @@ impl User {
             .replace("../my_robot", &self.path("my_robot"));
         let mut shell = Command::new("sh");
         shell.args(["-c", &typed]).current_dir(&self.folder).stdin(Stdio::null());
-        let folders = |variable: &str, name: &str| {
-            let home = PathBuf::from(std::env::var_os("HOME").unwrap_or_default());
-            std::env::var_os(variable).map_or_else(|| home.join(name), PathBuf::from)
-        };
-        // Cargo and its crates are installed already; nothing is downloaded.
-        shell
-            .env("CARGO_HOME", folders("CARGO_HOME", ".cargo"))
-            .env("RUSTUP_HOME", folders("RUSTUP_HOME", ".rustup"));
-        shell.env("HOME", &self.home).env("CARGO_NET_OFFLINE", "true").env("CARGO_TERM_COLOR", "never");
+        self.user.settle(&mut shell, "195");
+        shell.env("CARGO_TARGET_DIR", &self.target).env("CARGO_BUILD_BUILD_DIR", &self.build);
         let [own, of_tests] = [&self.target, &self.build].map(|folder| folder.join("debug"));
         let path = format!("{}:{}:{}", own.display(), of_tests.display(), std::env::var("PATH").unwrap());
-        shell.env("CARGO_TARGET_DIR", &self.target).env("CARGO_BUILD_BUILD_DIR", &self.build);
-        shell.env("PATH", path).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", "195");
-        shell.env_remove("DOWNBEAT_LOG");
-        // Variables of the cargo that runs this test, which a user's shell does not have.
-        for (variable, _) in std::env::vars().filter(|(name, _)| name.starts_with("CARGO_PKG_")) {
-            shell.env_remove(variable);
-        }
-        for variable in ["CARGO", "CARGO_MANIFEST_DIR", "CARGO_MANIFEST_PATH", "LD_LIBRARY_PATH"] {
-            shell.env_remove(variable);
-        }
+        shell.env("PATH", path);
         let output = shell.output().unwrap();
         let text =
             [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
         assert!(output.status.success(), "{line}: {text}");
         let lines = text.lines().filter_map(|line| line.trim().strip_prefix("Compiling "));
         let compiled: Vec<_> = lines.filter_map(|line| line.split(' ').next()).map(str::to_owned).collect();
-        self.seconds.push((line.to_owned(), began.elapsed().as_secs_f64(), compiled.clone()));
+        self.user.has_done(&self.page, line, began.elapsed().as_secs_f64(), compiled.clone());
         (text, compiled)
     }
 
@@ -92,20 +82,10 @@ impl User {
     /// Creates a project and makes it the working directory.
     fn begins(&mut self, name: &str, template: &str) {
         self.folder = self.home.clone();
+        self.page = format!("the template {template}");
         let (next, _) = self.types(&format!("downbeat new {name} --template {template}"));
         assert!(next.contains("is ready"), "{next}");
         self.cd(name);
-    }
-
-    fn report(&self) {
-        for (line, seconds, compiled) in &self.seconds {
-            let compiled = match compiled.len() {
-                0 => String::new(),
-                1..4 => format!("   compiled {}", compiled.join(", ")),
-                many => format!("   compiled {many} packages"),
-            };
-            println!("{seconds:>7.1} s  {line}{compiled}");
-        }
     }
 }
 
@@ -122,8 +102,9 @@ fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
     let mut user = User::new("rust");
 
     let first = readme("Run it").remove(0);
-    let (text, _) = user.types(&format!("{first} --duration 2s"));
+    let (text, compiled) = user.types(&format!("{first} --duration 2s"));
     assert!(text.contains("joint_states"), "{text}");
+    assert!(compiled.len() <= FIRST_BUILD, "{} packages: {compiled:?}", compiled.len());
 
     let lines = readme("Your own robot");
     let [new, cd, run, test] = &*lines else { panic!("{lines:?}") };
@@ -177,8 +158,6 @@ fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
     let (text, compiled) = user.types("cargo test --release");
     assert_eq!(compiled, ["my_module"], "{text}");
     assert_eq!(text.matches("1 passed").count(), 2, "its test and its doc test: {text}");
-
-    user.report();
 }
 
 #[test]
@@ -202,5 +181,4 @@ fn modules_in_cpp_are_built_run_and_replayed() {
     }
     let (text, _) = user.types("downbeat run robot.toml --fast --duration 4s");
     assert!(text.contains("joint_commands") && !text.contains("WARN"), "{text}");
-    user.report();
 }

@@ -237,6 +237,12 @@ fn two_packages_of_one_name_are_reported_with_both_places() {
     package("both/second/lab_msgs", "float64 angle\n");
     package("prefix/share/lab_msgs", "float32 angle\n");
     package("same/share/lab_msgs", "float64 angle\n");
+    // A package is named by its package.xml: clones and copies have other folders.
+    for clone in ["clone/lab-main", "clones/lab-main", "clones/lab-main-2"] {
+        package(clone, "float64 angle\n");
+        let manifest = "<?xml version=\"1.0\"?>\n<!-- <name>other</name> -->\n<package format=\"3\">\n  <name> lab_msgs </name>\n";
+        std::fs::write(folder.path().join(clone).join("package.xml"), manifest).unwrap();
+    }
     let show = |from: &[&str], ament: &str| {
         let mut command = interface(&["show", "lab_msgs/msg/Tilt"]);
         for place in from {
@@ -250,6 +256,15 @@ fn two_packages_of_one_name_are_reported_with_both_places() {
     for words in ["two packages named lab_msgs", "ours/group/lab_msgs is used", "theirs/lab_msgs, which"] {
         assert!(said.contains(words), "{said}");
     }
+    for place in ["clone", "clone/lab-main"] {
+        let (is_success, shown, said) = show(&[place], "");
+        assert!(is_success && shown.contains("float64"), "{shown}{said}");
+    }
+    let (is_success, _, said) = show(&["clones"], "");
+    assert!(
+        !is_success && said.contains("two packages named lab_msgs") && said.contains("lab-main-2"),
+        "{said}"
+    );
     let (is_success, _, said) = show(&["both"], "");
     assert!(!is_success, "{said}");
     for words in ["two packages named lab_msgs", "both/first/lab_msgs", "both/second/lab_msgs"] {

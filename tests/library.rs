@@ -6,7 +6,9 @@ mod common;
 
 use std::path::Path;
 use std::process::Command;
+use std::time::Instant;
 
+use common::new_user::NewUser;
 use common::{Running, downbeat, text_of};
 
 fn has_compiler() -> bool {
@@ -26,13 +28,14 @@ fn block(language: &str, text: &str) -> &'static str {
     blocks.find(|block| block.contains(text)).unwrap()
 }
 
-/// Runs a command of the page in a folder.
-fn shell(folder: &Path, command: &str) {
-    let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
-    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
-    let output =
-        Command::new("sh").args(["-c", command]).current_dir(folder).env("PATH", path).output().unwrap();
-    assert!(output.status.success(), "{command}: {}", String::from_utf8_lossy(&output.stderr));
+/// Types a command of the page in a folder.
+fn shell(user: &mut NewUser, folder: &Path, line: &str) {
+    let began = Instant::now();
+    let mut command = Command::new("sh");
+    user.settle(command.args(["-c", line]).current_dir(folder), "127");
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    user.has_done("docs/libraries.md", line.trim(), began.elapsed().as_secs_f64(), Vec::new());
 }
 
 #[test]
@@ -42,13 +45,14 @@ fn the_page_leads_to_a_module_on_the_network() {
     }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
+    let mut user = NewUser::new("libraries", &folder.join("home"));
     std::fs::write(folder.join("doubler.cpp"), block("cpp", "DOWNBEAT_MODULE(Doubler)")).unwrap();
     std::fs::write(folder.join("robot.toml"), block("toml", "libdoubler.so")).unwrap();
-    shell(folder, block("sh", "interface generate"));
-    shell(folder, block("sh", "c++"));
+    shell(&mut user, folder, block("sh", "interface generate"));
+    shell(&mut user, folder, block("sh", "c++"));
     let command = |arguments: &[&str]| {
-        let mut command = downbeat(arguments);
-        command.current_dir(folder).env("ROS_DOMAIN_ID", "127").env("XDG_RUNTIME_DIR", folder);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
+        user.settle(command.args(arguments).current_dir(folder), "127");
         command
     };
     let mut robot = Running::start_by(&mut command(&["run", "robot.toml"]));
@@ -75,9 +79,14 @@ fn the_module_in_c_of_the_page_is_a_module() {
     }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
+    let mut user = NewUser::new("libraries_c", &folder.join("home"));
     std::fs::write(folder.join("doubler.c"), block("c", "downbeat_module")).unwrap();
-    shell(folder, "downbeat interface generate --lang c std_msgs");
-    shell(folder, "cc -std=c11 -Wall -Wextra -Werror -shared -fPIC -Iinclude doubler.c -o libdoubler.so");
+    shell(&mut user, folder, "downbeat interface generate --lang c std_msgs");
+    shell(
+        &mut user,
+        folder,
+        "cc -std=c11 -Wall -Wextra -Werror -shared -fPIC -Iinclude doubler.c -o libdoubler.so",
+    );
     let robot = "[robot]\nname = \"demo\"\n[[module]]\nkind = \"library\"\npath = \"libdoubler.so\"\n";
     for keys in ["", "isolate = true\n", "reload = true\n"] {
         std::fs::write(folder.join("robot.toml"), format!("{robot}{keys}")).unwrap();
@@ -97,14 +106,19 @@ fn the_action_in_c_of_the_page_is_an_action() {
     }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
+    let mut user = NewUser::new("libraries_actions", &folder.join("home"));
     std::fs::write(folder.join("counter.c"), block("c", "downbeat_action_take")).unwrap();
-    shell(folder, "downbeat interface generate --lang c example_interfaces");
-    shell(folder, "cc -std=c11 -Wall -Wextra -Werror -shared -fPIC -Iinclude counter.c -o libcounter.so");
+    shell(&mut user, folder, "downbeat interface generate --lang c example_interfaces");
+    shell(
+        &mut user,
+        folder,
+        "cc -std=c11 -Wall -Wextra -Werror -shared -fPIC -Iinclude counter.c -o libcounter.so",
+    );
     let robot = "[robot]\nname = \"demo\"\n[[module]]\nkind = \"library\"\npath = \"libcounter.so\"\n[expose]\nactions = [\"count\"]\n";
     std::fs::write(folder.join("robot.toml"), robot).unwrap();
     let command = |arguments: &[&str]| {
-        let mut command = downbeat(arguments);
-        command.current_dir(folder).env("ROS_DOMAIN_ID", "177").env("XDG_RUNTIME_DIR", folder);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
+        user.settle(command.args(arguments).current_dir(folder), "177");
         command
     };
     let mut robot = Running::start_by(&mut command(&["run", "robot.toml"]));
@@ -147,23 +161,22 @@ fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
     }
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
+    let mut user = NewUser::new("libraries_replay", &folder.join("home"));
     std::fs::write(folder.join("sums.cpp"), SUMS).unwrap();
-    shell(folder, "downbeat interface generate --lang cpp std_msgs/msg/Float64");
-    let build = |step: &str| {
-        shell(
-            folder,
-            &format!("c++ -std=c++17 -DSTEP={step} -shared -fPIC -Iinclude sums.cpp -o libsums.so"),
-        );
-    };
-    // The first two subscribe to their own messages. The detached module does not, because it is replayed
-    // separately from its own messages.
+    shell(&mut user, folder, "downbeat interface generate --lang cpp std_msgs/msg/Float64");
+    for (step, library) in [("0.1", "libfirst.so"), ("0.1000000001", "libsecond.so")] {
+        let build = format!("c++ -std=c++17 -DSTEP={step} -shared -fPIC -Iinclude sums.cpp -o {library}");
+        shell(&mut user, folder, &build);
+    }
+    let build = |library: &str| std::fs::copy(folder.join(library), folder.join("libsums.so")).unwrap();
+    // A detached module is replayed apart from what it publishes itself.
     let modules = [
         ("remap = { input = \"sum\" }\n", "in"),
         ("remap = { input = \"sum\" }\nisolate = true\n", "isolated"),
         ("isolate = true\nsynchrony = \"detached\"\n", "apart"),
     ];
     for (keys, name) in modules {
-        build("0.1");
+        build("libfirst.so");
         let robot = format!(
             "[robot]\nname = \"demo\"\n[[module]]\nname = \"sums\"\nkind = \"library\"\npath = \"libsums.so\"\n{keys}\
              [record]\ntopics = \"all\"\n"
@@ -180,7 +193,7 @@ fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
         };
         let (is_same, text) = replay();
         assert!(is_same && !text.contains("has changed"), "{keys}{text}");
-        build("0.1000000001");
+        build("libsecond.so");
         let (is_same, text) = replay();
         assert!(
             !is_same && text.contains("the source of sums has changed since the recording"),

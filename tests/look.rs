@@ -253,7 +253,7 @@ fn rate_bandwidth_and_delay_are_measured() {
 
 #[test]
 fn published_messages_reach_rclpy() {
-    let domain = Domain(93);
+    let domain = Domain(38);
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`topic pub`", Way::Out);
     let joints = "sensor_msgs/msg/JointState";
@@ -285,7 +285,7 @@ fn published_messages_reach_rclpy() {
 
 #[test]
 fn a_service_of_rclpy_is_called() {
-    let domain = Domain(94);
+    let domain = Domain(39);
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`service call`", Way::Out);
     peer.ask(json!({"do": "serve", "service": "/set_torque", "type": "std_srvs/srv/SetBool"}));

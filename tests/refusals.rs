@@ -291,6 +291,68 @@ fn a_client_of_a_library_in_rust_always_has_an_answer() {
     assert_always_answered(folder.path(), &Case { domain: 174, keys, action: None });
 }
 
+/// The goals of a library in Rust, whose action has a type of its own, and requests to cancel them: those of the program.
+#[test]
+fn a_goal_of_a_library_in_rust_always_ends() {
+    let library = std::env::current_exe().unwrap().with_file_name("libdownbeat_library_example.so");
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let case = Case { domain: 203, keys: format!("path = {library:?}"), action: Some("lean") };
+    let robot = robot_of(folder, &case);
+    let send = |angle: f64| {
+        let goal = format!("goal: {{angle: {angle:?}}}");
+        in_domain(folder, case.domain, &["action", "send_goal", "/lean", "my_msgs/action/Lean", &goal])
+    };
+    let sent = |angle: f64| text(&send(angle).output().unwrap());
+    let call = |service: &str, kind: &str| {
+        text(&in_domain(folder, case.domain, &["service", "call", service, kind]).output().unwrap())
+    };
+    let cancel = || call("/lean/_action/cancel_goal", "action_msgs/srv/CancelGoal");
+    let starts = || robot.output().matches("starts again after its panic").count();
+    let fails = |fail: &mut dyn FnMut()| {
+        let before = starts();
+        fail();
+        common::wait_until("the module has started again", || starts() > before);
+    };
+    assert!(sent(0.5).contains("SUCCEEDED"), "{}", sent(0.5));
+    assert!(sent(50.0).to_lowercase().contains("rejected"), "{}", sent(50.0));
+    fails(&mut || {
+        let failed = sent(200.0);
+        assert!(failed.to_lowercase().contains("rejected"), "{failed}");
+    });
+    // While a goal is open.
+    let during = |angle: f64, act: &mut dyn FnMut()| {
+        let mut command = send(angle);
+        let goal = command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn();
+        let goal = goal.unwrap();
+        common::wait_until("the goal is open", || {
+            let status =
+                in_domain(folder, case.domain, &["topic", "echo", "--once", "/lean/_action/status"]).output();
+            text(&status.unwrap()).contains("status: 2")
+        });
+        act();
+        text(&goal.wait_with_output().unwrap())
+    };
+    let canceled = during(-1.0, &mut || assert!(cancel().contains("return_code=0"), "{}", robot.output()));
+    assert!(canceled.contains("CANCELED"), "{canceled}");
+    let aborted = during(-15.0, &mut || {
+        let refused = cancel();
+        assert!(refused.contains("return_code=1"), "{refused}");
+        fails(&mut || drop(call("/fail", "std_srvs/srv/Trigger")));
+    });
+    assert!(aborted.contains("ABORTED"), "{aborted}");
+    let aborted = during(-25.0, &mut || {
+        fails(&mut || {
+            let refused = cancel();
+            assert!(refused.contains("return_code=1"), "{refused}");
+        });
+    });
+    assert!(aborted.contains("ABORTED"), "{aborted}");
+    let aborted = during(-1.0, &mut || drop(call("/leave", "std_srvs/srv/Trigger")));
+    assert!(aborted.contains("ABORTED"), "{aborted}");
+    assert!(sent(0.5).to_lowercase().contains("rejected"), "no module takes goals any more");
+}
+
 const CRASH: &str = r#"
 #include "downbeat.hpp"
 #include "std_srvs/srv/trigger.hpp"

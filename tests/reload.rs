@@ -4,8 +4,12 @@
 
 mod common;
 
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Mutex;
 
 use common::{Running, downbeat, recorded_messages, wait_until};
 use downbeat::bags::{Reader, Selection};
@@ -66,26 +70,51 @@ impl Site {
         std::fs::write(self.path().join(name), text).unwrap();
     }
 
-    /// Builds the library `libsums.so` as linkers do, which write a temporary file and rename it.
+    /// Builds the library `libsums.so`. Each version is compiled once.
     fn build(&self, step: &str, raises_at: i32) {
+        static BUILT: Mutex<BTreeMap<(String, i32), Vec<u8>>> = Mutex::new(BTreeMap::new());
+        let mut built = BUILT.lock().unwrap();
+        let flags = [format!("-DSTEP={step}"), format!("-DRAISES_AT={raises_at}")];
+        let library = built
+            .entry((step.to_owned(), raises_at))
+            .or_insert_with(|| self.compile("sums", SUMS, &flags.each_ref().map(String::as_str)));
+        self.save("sums", library);
+    }
+
+    /// Saves a library as a linker does that writes it beside its place and renames it.
+    fn save(&self, name: &str, library: &[u8]) {
+        std::fs::write(self.path().join("new.so"), library).unwrap();
+        std::fs::rename(self.path().join("new.so"), self.path().join(format!("lib{name}.so"))).unwrap();
+    }
+
+    fn compile(&self, name: &str, source: &str, flags: &[&str]) -> Vec<u8> {
+        let interfaces = ["std_msgs/msg/Float64", "std_srvs/srv/Trigger", "test_msgs/action/Fibonacci"];
         if !self.path().join("include").exists() {
-            self.write("sums.cpp", SUMS);
-            let mut generate = downbeat(&["interface", "generate", "--lang", "cpp", "std_msgs/msg/Float64"]);
-            assert!(generate.current_dir(self.path()).output().unwrap().status.success());
+            let generate = [&["interface", "generate", "--lang", "cpp"], interfaces.as_slice()].concat();
+            let generated = downbeat(&generate).current_dir(self.path()).output().unwrap();
+            assert!(generated.status.success(), "{}", String::from_utf8_lossy(&generated.stderr));
         }
-        let (step, raises_at) = (format!("-DSTEP={step}"), format!("-DRAISES_AT={raises_at}"));
-        let flags = ["-std=c++17", &step, &raises_at, "-shared", "-fPIC", "-fno-gnu-unique", "-Iinclude"];
+        let file = format!("{name}.cpp");
+        self.write(&file, source);
         let mut compiler = Command::new("c++");
-        compiler.args(flags).args(["sums.cpp", "-o", "new.so"]).current_dir(self.path());
-        let built = compiler.output().unwrap();
+        compiler.args(["-std=c++17", "-shared", "-fPIC", "-fno-gnu-unique", "-Iinclude"]).args(flags);
+        let built = compiler.args([&file, "-o", "new.so"]).current_dir(self.path()).output().unwrap();
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
-        std::fs::rename(self.path().join("new.so"), self.path().join("libsums.so")).unwrap();
+        std::fs::read(self.path().join("new.so")).unwrap()
     }
 
     fn run(&self, options: &[&str], domain: &str) -> Running {
         let mut command = downbeat(&[&["run", "robot.toml"], options].concat());
         command.current_dir(self.path()).env("ROS_DOMAIN_ID", domain).env("XDG_RUNTIME_DIR", self.path());
         Running::start_by(&mut command)
+    }
+
+    /// What the program says in the folder of the robot, in its domain.
+    fn ask(&self, domain: &str, arguments: &[&str]) -> String {
+        let mut command = downbeat(arguments);
+        command.current_dir(self.path()).env("ROS_DOMAIN_ID", domain).env("XDG_RUNTIME_DIR", self.path());
+        let output = command.output().unwrap();
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat()
     }
 
     fn replay(&self, bag: &str, options: &[&str]) -> (bool, String) {
@@ -103,7 +132,11 @@ impl Site {
 
     /// Waits until the bag has more messages of a topic.
     fn wait_for_more(&self, topic: &str) {
-        let bag = self.path().join("bag");
+        self.wait_for_more_in("bag", topic);
+    }
+
+    fn wait_for_more_in(&self, bag: &str, topic: &str) {
+        let bag = self.path().join(bag);
         let before = recorded_messages(&bag, topic);
         wait_until("more is recorded", || recorded_messages(&bag, topic) > before + 30);
     }
@@ -129,7 +162,7 @@ fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay()
         let site = Site::new(&format!("{LIBRARY}{keys}"));
         site.build("0.1", 20);
         let first = std::fs::read(site.path().join("libsums.so")).unwrap();
-        let mut robot = site.run(&["--record", "bag"], "131");
+        let mut robot = site.run(&["--record", "bag"], "32");
         robot.wait_for_output("panicked and was stopped; the other modules continue: as this test wants it");
         site.build("0.2", -1);
         robot.wait_for_output("libsums.so was saved: it starts again with it");
@@ -185,7 +218,7 @@ fn lines_of_libraries_have_their_place_in_the_source() {
         let site = Site::new(&format!("{LIBRARY}{keys}"));
         site.build("0.1", -1);
         let mut command = downbeat(&["run", "robot.toml", "--duration", "1s"]);
-        command.current_dir(site.path()).env("ROS_DOMAIN_ID", "135").env("XDG_RUNTIME_DIR", site.path());
+        command.current_dir(site.path()).env("ROS_DOMAIN_ID", "35").env("XDG_RUNTIME_DIR", site.path());
         command.env("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{file_name}:{line_number} {function_name}: {message}");
         let mut robot = Running::start_by(&mut command);
         robot.wait();
@@ -200,25 +233,238 @@ fn a_robot_starts_without_a_module_whose_file_has_an_error_until_it_is_saved() {
         "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\nreload = true\n",
     );
     site.write("player.scxml", "<scxml");
-    let mut robot = site.run(&["--record", "bag"], "132");
+    let mut robot = site.run(&["--record", "bag"], "33");
     robot.wait_for_output("it starts when its file is saved");
     site.write("player.scxml", "<scxml version=");
     robot.wait_for_output("player.scxml was saved and still does not start");
     site.write("player.scxml", CHART);
     robot.wait_for_output("player.scxml was saved: it starts again with it");
     robot.interrupt();
+    site.assert_replays("bag", &[]);
+}
 
-    // The file is invalid; the error names the cause.
-    site.write("player.scxml", "<scxml");
-    site.write(
-        "robot.toml",
-        "[robot]\nname = \"demo\"\n[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\n\
-         reload = true\n[record]\ntopics = [\"player/state\"]\n",
+/// Serves, acts, publishes and has a setting.
+const LATE: &str = r#"
+#include "downbeat.hpp"
+#include "std_msgs/msg/float64.hpp"
+#include "std_srvs/srv/trigger.hpp"
+#include "test_msgs/action/fibonacci.hpp"
+using std_msgs::msg::Float64;
+using std_srvs::srv::Trigger;
+using test_msgs::action::Fibonacci;
+class Late : public downbeat::Module {
+    void setup() override {
+        auto out = publish<Float64>("sum");
+        auto asked = publish<Float64>("asked");
+        auto gain = setting("gain", 0.25, "of the sum", 0.0, 1.0);
+        serve<Trigger>("ask", [this, asked](const Trigger::Request &) {
+            asked({static_cast<double>(++count_)});
+            return Trigger::Response{true, "it is there"};
+        });
+        act<Fibonacci>("count", [](const downbeat::Goal<Fibonacci> &goal) {
+            Fibonacci::Result result;
+            result.sequence = {goal.request().order};
+            goal.succeed(result);
+        });
+        subscribe<Float64>("in", [out, gain](const Float64 &message) { out({message.data * *gain}); });
+        every(std::chrono::milliseconds(10), [this, out, gain] { out({*gain * ++count_}); });
+    }
+    int count_ = 0;
+};
+DOWNBEAT_MODULE(Late)
+"#;
+
+#[test]
+fn what_a_module_brings_that_joins_late_is_exposed_recorded_and_replayed() {
+    if !has_compiler() {
+        return;
+    }
+    for (keys, domain) in [("", "136"), ("synchrony = \"detached\"\n", "137")] {
+        let site = Site::new("");
+        site.write(
+            "robot.toml",
+            &format!(
+                "[robot]\nname = \"demo\"\n[[module]]\nname = \"late\"\nkind = \"library\"\npath = \"liblate.so\"\nreload = true\n\
+                 {keys}[expose]\nout = [\"sum\"]\nin = [\"in\"]\nservices = [\"ask\"]\nactions = [\"count\"]\n\
+                 parameters = [\"late.gain\"]\n[record]\n\
+                 topics = [\"sum\", \"asked\", \"in\", \"module_*\", \"cycle_*\", \"count/_action/*\"]\n"
+            ),
+        );
+        site.write("liblate.so", "no library");
+        let mut robot = site.run(&["--record", "bag"], domain);
+        robot.wait_for_output("it starts when its file is saved");
+        robot.wait_for_output("until late can be made, this is neither exposed nor recorded: ");
+        robot.wait_for_output("no module has a topic \"sum\" to expose; robot.toml:1");
+        site.save("late", &site.compile("late", LATE, &[]));
+        robot.wait_for_output("liblate.so was saved: it starts again with it");
+        let asked = site.ask(domain, &["service", "call", "/ask", "std_srvs/srv/Trigger"]);
+        assert!(asked.contains("it is there"), "{asked}\n{}", robot.output());
+        let heard = site.ask(domain, &["topic", "echo", "--once", "/sum"]);
+        assert!(heard.contains("data: "), "{heard}");
+        let goal = ["action", "send_goal", "/count", "test_msgs/action/Fibonacci", "order: 3"];
+        let counted = site.ask(domain, &goal);
+        assert!(counted.contains("SUCCEEDED"), "{counted}");
+        let gain = site.ask(domain, &["param", "get", "/demo", "late.gain"]);
+        assert!(gain.contains("0.25"), "{gain}");
+        site.ask(domain, &["topic", "pub", "--once", "/in", "std_msgs/msg/Float64", "data: 8.0"]);
+        site.wait_for_more("/sum");
+        robot.interrupt();
+        let bag = site.path().join("bag");
+        for topic in ["/asked", "/in"] {
+            assert_eq!(recorded_messages(&bag, topic), 1, "{topic}{keys}");
+        }
+        for launcher in ["linear", "threads"] {
+            let text = site.assert_replays("bag", &["--launcher", launcher, "--strict"]);
+            assert!(text.contains("/sum") && text.contains("/asked"), "{text}");
+        }
+        // A name that means nothing is said once the module is there.
+        let file = std::fs::read_to_string(site.path().join("robot.toml")).unwrap();
+        site.write("robot.toml", &file.replace("out = [\"sum\"]", "out = [\"sum\", \"nothing\"]"));
+        site.write("liblate.so", "no library");
+        let mut robot = site.run(&[], domain);
+        robot.wait_for_output("it starts when its file is saved");
+        site.save("late", &site.compile("late", LATE, &[]));
+        robot.wait_for_output("exposed service: ask");
+        let line = if keys.is_empty() { 9 } else { 10 };
+        robot.wait_for_output(&format!(
+            "[demo]: robot.toml:{line}: no module has a topic \"nothing\" to expose"
+        ));
+        robot.interrupt();
+    }
+}
+
+/// Scales numbers, without a state.
+const SCALE: &str = r#"
+#include "downbeat.hpp"
+#include "std_msgs/msg/float64.hpp"
+using std_msgs::msg::Float64;
+class Scale : public downbeat::Module {
+    void setup() override {
+        auto out = publish<Float64>("scaled");
+        auto gain = setting("gain", 1.0, "of all numbers");
+        subscribe<Float64>("value", [out, gain](const Float64 &message) { out({message.data * STEP * *gain}); });
+    }
+};
+DOWNBEAT_MODULE(Scale)
+"#;
+
+/// The page of a robot, as its server sees it.
+struct Page(TcpStream);
+
+impl Page {
+    fn of(robot: &Running) -> Self {
+        const BEFORE: &str = "open in a browser: http://";
+        robot.wait_for_output(BEFORE);
+        let output = robot.output();
+        let url = output.lines().find_map(|line| Some(line.split_once(BEFORE)?.1.trim())).unwrap();
+        let (address, token) = url.split_once("/#token=").unwrap();
+        let mut stream = TcpStream::connect(address).unwrap();
+        let request = format!(
+            "GET /?token={token} HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\nConnection: Upgrade\r\n\
+             Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+             Sec-WebSocket-Protocol: downbeat.view.v1\r\n\r\n"
+        );
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        while !answer.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            answer.push(byte[0]);
+        }
+        assert!(answer.starts_with(b"HTTP/1.1 101"), "{}", String::from_utf8_lossy(&answer));
+        Self(stream)
+    }
+
+    /// Asks, and waits for the answer: a text frame with this number.
+    fn ask(&mut self, number: u64, what: &str) {
+        let text = format!("{{\"op\":\"ask\",\"id\":{number},{what}}}");
+        let length = u8::try_from(text.len()).ok().filter(|length| *length < 126).unwrap();
+        // A frame of a client is masked, here with zeros.
+        let frame = [&[0x81, 0x80 | length, 0, 0, 0, 0], text.as_bytes()].concat();
+        self.0.write_all(&frame).unwrap();
+        loop {
+            let mut head = [0; 2];
+            self.0.read_exact(&mut head).unwrap();
+            let mut length = [0; 8];
+            let extended = match head[1] {
+                126 => 2,
+                127 => 8,
+                short => {
+                    length[7] = short;
+                    0
+                }
+            };
+            self.0.read_exact(&mut length[8 - extended..]).unwrap();
+            let mut content = vec![0; usize::try_from(u64::from_be_bytes(length)).unwrap()];
+            self.0.read_exact(&mut content).unwrap();
+            let answer = String::from_utf8_lossy(&content);
+            if head[0] == 0x81 && answer.contains(&format!("\"id\":{number}")) && !answer.contains("channels")
+            {
+                assert!(!answer.contains("\"error\""), "{answer}");
+                return;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
+    if !has_compiler() {
+        return;
+    }
+    let site = Site::new(
+        "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\n\
+         [[module]]\nname = \"scale\"\nkind = \"library\"\npath = \"libscale.so\"\nreload = true\n\
+         [expose]\nparameters = [\"scale.gain\"]\n",
     );
-    let mut refused = site.run(&["--duration", "1s"], "132");
-    refused.wait();
-    let output = refused.output();
-    assert!(output.contains("downbeat: robot.toml:4: module \"player\": player.scxml:1: "), "{output}");
+    site.write("player.scxml", GAIN);
+    let build = |step: &str| {
+        let library = site.compile("scale", SCALE, &[&format!("-DSTEP={step}")]);
+        site.save("scale", &library);
+    };
+    build("0.1");
+    let mut robot = site.run(&["--view=0"], "138");
+    let mut page = Page::of(&robot);
+    build("0.2");
+    robot.wait_for_output("libscale.so was saved and is reloaded");
+    let set = site.ask("138", &["param", "set", "/demo", "scale.gain", "0.3"]);
+    assert!(set.to_lowercase().contains("success"), "{set}");
+    page.ask(1, "\"ask\":\"record\",\"name\":\"late\"");
+    site.wait_for_more_in("late", "/scaled");
+    build("0.3");
+    wait_until("it is reloaded again", || robot.output().matches("is reloaded").count() == 2);
+    site.wait_for_more_in("late", "/scaled");
+    page.ask(2, "\"ask\":\"stop_recording\"");
+    robot.interrupt();
+
+    let scale = ["--modules", "scale", "--strict"];
+    let text = site.assert_replays("late", &scale);
+    assert!(text.contains("libscale.so of scale was saved and taken once"), "{text}");
+    let make = |arguments: &[&str]| site.ask("138", &[&["bag"], arguments].concat());
+    make(&["convert", "late", "-o", "converted", "--compression", "zstd"]);
+    make(&["repair", "late"]);
+    make(&["cut", "late", "-o", "begin", "--until", "1s"]);
+    std::fs::rename(site.path().join("late_repaired"), site.path().join("renamed")).unwrap();
+    for bag in ["converted", "renamed", "begin", "begin/begin_0.mcap"] {
+        site.assert_replays(bag, &scale);
+    }
+    // The part after the reload, with the version that is no longer there.
+    let last = Reader::open(site.path().join("late")).unwrap().duration().as_secs_f64() - 0.5;
+    make(&["cut", "late", "-o", "end", "--from", &format!("{last}s")]);
+    build("0.4");
+    let recorded = [scale.as_slice(), &["--recorded-sources"]].concat();
+    site.assert_replays("end", &recorded);
+    let (is_same, text) = site.replay("end", &scale);
+    assert!(!is_same && text.contains("the source of scale has changed since"), "{text}");
+    // A bag with versions is replaced like another.
+    let replaced = make(&["convert", "end", "-o", "converted", "--force"]);
+    assert!(replaced.contains("wrote"), "{replaced}");
+    site.assert_replays("converted", &recorded);
+
+    std::fs::remove_dir_all(site.path().join("late/module_sources")).unwrap();
+    let (_, text) = site.replay("late", &recorded);
+    assert_eq!(text.matches("a version of scale is missing: ").count(), 2, "{text}");
+    assert!(text.contains("libscale.so of ") && text.contains("with the SHA-256 "), "{text}");
 }
 
 /// The library of the example, which Cargo builds for these tests.
@@ -239,7 +485,7 @@ fn a_library_in_rust_that_panicked_starts_again_when_it_is_saved() {
     // Negative numbers make the amplifier panic.
     site.build("-0.1", -1);
     std::fs::copy(rust_library(), site.path().join("libamplifier.so")).unwrap();
-    let mut robot = site.run(&["--record", "bag"], "133");
+    let mut robot = site.run(&["--record", "bag"], "34");
     robot.wait_for_output("a negative number");
     site.build("0.1", -1);
     robot.wait_for_output("libsums.so was saved and is reloaded");
@@ -274,7 +520,7 @@ fn a_replay_uses_the_recorded_settings_and_says_which_are_others_now() {
     let player = "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\n";
     let site = Site::new(&format!("{player}settings = {{ gain = 0.1 }}\n"));
     site.write("player.scxml", GAIN);
-    let mut robot = site.run(&["--record", "bag", "--duration", "2s"], "134");
+    let mut robot = site.run(&["--record", "bag", "--duration", "2s"], "36");
     robot.wait();
     assert!(!site.assert_replays("bag", &[]).contains("player.gain"));
     let robot = std::fs::read_to_string(site.path().join("robot.toml")).unwrap();

@@ -30,6 +30,9 @@ use std::time::Duration;
 const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 
+/// The order of a goal whose cancel request ends the module.
+const PANICS_AT_CANCEL: i32 = 7;
+
 /// Refuses, panics, or keeps what it is asked for without an answer.
 struct Unreliable {
     count: ActionServer<Fibonacci>,
@@ -60,6 +63,10 @@ impl Module for Unreliable {
             .on_goal(|_, _, goal, _| match goal.order {
                 ..0 => panic!("a goal handler that panics, as this test wants it"),
                 _ => downbeat_actions::GoalResponse::AcceptAndExecute,
+            })
+            .on_cancel(|module, id, _| match module.count.goal(id).map(|goal| goal.goal().order) {
+                Some(PANICS_AT_CANCEL) => panic!("a cancel handler that panics, as this test wants it"),
+                _ => downbeat_actions::CancelResponse::Reject,
             })
             .declare(setup, "count", &mut self.count)
     }
@@ -318,6 +325,32 @@ fn a_goal_of_rclpy_is_rejected_by_a_panic_and_aborted_by_a_removal() {
     }
     assert_eq!(rclpy.ask(json!({"do": "cancel_goal", "goal": goal})), json!([1, []]), "it is refused");
     assert_eq!(rclpy.ask(send(3)), Value::Null, "no module takes goals any more");
+}
+
+#[test]
+fn a_cancel_request_of_rclpy_is_refused_by_the_module_or_its_panic_and_the_goal_ends() {
+    let Some(mut rclpy) = Peer::start(201, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(201)).unwrap();
+    let robot = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
+    let running = run(&robot);
+    rclpy.ask(json!({"do": "action_client", "action": "/count", "type": FIBONACCI}));
+    assert_eq!(rclpy.ask(json!({"do": "wait_for_action", "action": "/count"})), true);
+    let mut send = |order: i32| {
+        let goal = rclpy.ask(json!({"do": "send_goal", "action": "/count", "goal": {"order": order}}));
+        assert_ne!(goal, Value::Null, "{order} is accepted");
+        goal
+    };
+    let (going_on, last) = (send(3), send(PANICS_AT_CANCEL));
+    let mut cancel = |goal: &Value| rclpy.ask(json!({"do": "cancel_goal", "goal": goal}));
+    assert_eq!(cancel(&going_on), json!([1, []]), "the module refuses it");
+    assert_eq!(cancel(&last), json!([1, []]), "the module panics");
+    wait_until("it has started again", || is_active(&running.handle));
+    assert_eq!(cancel(&going_on), json!([2, []]), "the module that has started again does not know it");
+    // Both goals were lost with the module.
+    for goal in [going_on, last] {
+        let end = rclpy.ask(json!({"do": "result_of", "goal": goal}));
+        assert_eq!(end, json!([GoalStatus::Aborted.to_message(), []]));
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@
 //! - [`darwin_op_emulator`]: an emulated one behind a pseudo terminal;
 //! - [`device`]: for use in modules: devices whose answers are recorded and replayed;
 //! - [`counted`]: for use in modules: faults that are logged less and less often;
+//! - [`serial_port`]: for use in modules: why a serial port cannot be opened;
 //! - [`imu_filter`]: orientation from gyroscope and accelerometer;
 //! - [`gait`]: walks with the velocity on `cmd_vel`;
 //! - [`motions`]: plays key-frame motions;
@@ -37,6 +38,7 @@ pub mod kinematics;
 pub mod motions;
 mod robot_description;
 pub mod robot_state_publisher;
+pub mod serial_port;
 pub mod servo_bus;
 pub mod servo_emulator;
 pub mod stamps;

@@ -27,10 +27,43 @@ PATIENCE = 60.0
 _domains = itertools.count(60 + os.getpid() % 80)
 
 
+#: What the pages tell a reader to type: seconds, page and command.
+_steps: list[tuple[float, str, str]] = []
+
+#: Where the steps of all pages of the repository are collected.
+_STEPS = Path(__file__).parents[2] / "target" / "first_hour" / "steps"
+
+
+@pytest.fixture
+def new_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Path:
+    """A reader of the page that the test module names: an empty home, and nothing of ROS in the environment."""
+    home = tmp_path / "home"
+    home.mkdir()
+    for name in os.environ:
+        if name.startswith(("AMENT_", "COLCON_", "DOWNBEAT_", "LD_LIBRARY_PATH", "PYTHONPATH", "RMW_", "ROS_", "XDG_")):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(home))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr(Program, "page", request.module.PAGE_NAME)
+    return home
+
+
+def pytest_sessionfinish() -> None:
+    if _steps and _STEPS.parent.exists():
+        _STEPS.mkdir(exist_ok=True)
+        lines = [f"{seconds:>7.1f} s  {page}: {command}\n" for seconds, page, command in _steps]
+        (_STEPS / "python.txt").write_text("".join(lines))
+
+
 class Program:
     """The command ``downbeat`` in a process of its own, and what it prints."""
 
+    #: The page whose commands are typed, if any.
+    page = ""
+
     def __init__(self, folder: Path, *arguments: str) -> None:
+        self.typed, self.began = " ".join(("downbeat", *arguments)), time.monotonic()
         self.log = folder / "log.txt"
         environment = {**os.environ, "ROS_DOMAIN_ID": str(next(_domains) % 101), "PYTHONDONTWRITEBYTECODE": "1"}
         self.domain = environment["ROS_DOMAIN_ID"]
@@ -51,12 +84,23 @@ class Program:
             time.sleep(0.05)
 
     def wait(self) -> int:
-        return self.process.wait(PATIENCE)
+        code = self.process.wait(PATIENCE)
+        if self.page:
+            _steps.append((time.monotonic() - self.began, self.page, self.typed))
+        return code
 
     def stop(self) -> int:
         if self.process.poll() is None:
             self.process.terminate()
-        return self.process.wait(PATIENCE)
+        return self.wait()
+
+
+def run_script(page: str, script: Path) -> subprocess.CompletedProcess[str]:
+    """Runs a program of a page, as its reader does."""
+    began = time.monotonic()
+    ran = subprocess.run([sys.executable, script], cwd=script.parent, capture_output=True, text=True, timeout=PATIENCE * 2)
+    _steps.append((time.monotonic() - began, page, f"python {script.name}"))
+    return ran
 
 
 @pytest.fixture

@@ -1,16 +1,20 @@
-"""The page "Modules in Python": its files and commands, as a reader types them."""
+"""The page "Modules in Python": its files and commands, as a reader with an empty home types them."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import downbeat
 import pytest
+from conftest import run_script
 
 PAGE = Path(__file__).parents[2] / "docs" / "python.md"
 
-pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="the pages are not beside the package")
+PAGE_NAME = "docs/python.md"
+
+pytestmark = [
+    pytest.mark.skipif(not PAGE.exists(), reason="the pages are not beside the package"),
+    pytest.mark.usefixtures("new_user"),
+]
 
 
 def blocks(language: str) -> list[str]:
@@ -39,7 +43,7 @@ def test_the_script_runs_the_robot_with_its_class(tmp_path):
     )
     script = tmp_path / "robot.py"
     script.write_text(blocks("python")[1].replace("LevelHead})", "LevelHead}, duration=0.5)"))
-    ran = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    ran = run_script(PAGE_NAME, script)
     assert ran.returncode == 0, ran.stderr
 
 
@@ -58,7 +62,7 @@ def test_the_test_of_a_module_runs_as_the_page_says(tmp_path):
     (test,) = (block for block in blocks("python") if "db.test.Robot" in block)
     script = tmp_path / "test.py"
     script.write_text(test)
-    ran = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    ran = run_script(PAGE_NAME, script)
     assert ran.returncode == 0, ran.stderr
 
 
@@ -71,7 +75,7 @@ def test_the_page_about_messages_and_bags_runs(tmp_path):
     page = PAGE.with_name("python_messages.md")
     script = tmp_path / "page.py"
     script.write_text("\n".join(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)))
-    ran = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    ran = run_script("docs/python_messages.md", script)
     assert ran.returncode == 0, ran.stderr
     # What the comments say.
     assert "did you mean 'orientation'?" in ran.stdout

@@ -4,7 +4,10 @@ import re
 
 import downbeat as db
 import pytest
+from downbeat.msgs.example_interfaces.action import Fibonacci
+from downbeat.msgs.geometry_msgs.msg import Vector3
 from downbeat.msgs.sensor_msgs.msg import Imu
+from downbeat.msgs.std_srvs.srv import SetBool
 
 
 class LevelHead(db.Module):
@@ -54,6 +57,31 @@ def test_the_head_turns_against_the_body(robot):
     assert robot.now - before == 20_000_000
     robot.advance(0.1)
     assert len(robot.heard("joint_commands")) == 5
+
+
+class Typed(db.Module):
+    """With classes for types, as users of rclpy write them."""
+
+    def setup(self):
+        self.out = self.publish("doubled", Vector3)
+        self.subscribe("single", Vector3, lambda m: self.out(x=2 * m.x))
+        self.serve("switch", SetBool, lambda request: {"success": request.data})
+        self.count = self.action_client("count", Fibonacci)
+
+
+def test_types_are_texts_or_classes():
+    robot = db.test.Robot(typed=Typed)
+    robot.inject("single", x=1.5)
+    robot.advance("20ms")
+    assert robot.expect("doubled").x == 3.0
+    assert robot.call("switch", data=True).success
+
+    class Wrong(db.Module):
+        def setup(self):
+            self.publish("out", 3)
+
+    with pytest.raises(Exception, match='a type is a text such as "sensor_msgs/msg/Imu", or a class of downbeat.msgs, not 3'):
+        db.test.Robot(wrong=Wrong)
 
 
 def test_services_answer_or_refuse(robot):

@@ -5,6 +5,10 @@ import sys
 
 import pytest
 
+PAGE_NAME = "the templates in Python"
+
+pytestmark = pytest.mark.usefixtures("new_user")
+
 
 @pytest.mark.parametrize(("template", "topic"), [("python", "/joint_commands"), ("camera", "/spot")])
 def test_a_project_passes_its_tests_and_runs(tmp_path, program, template, topic):

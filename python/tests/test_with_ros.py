@@ -208,6 +208,8 @@ UNRELIABLE = """
                 raise ValueError("it cannot count that far")
             if goal.request.order < 0:
                 raise db.Refused("it counts up")
+            if goal.request.order == 0:
+                goal.succeed()
             self.held.append(goal)
 """
 
@@ -272,7 +274,22 @@ def test_rclpy_has_an_answer_whatever_a_handler_does(write, monkeypatch):
         peer.wait(result.done, "the result")
         assert result.result().status == 6
         started_again()
+
+        def code_of_cancel(goal):
+            canceled = goal.cancel_goal_async()
+            peer.wait(canceled.done, "the answer to the cancel request")
+            assert not canceled.result().goals_canceling
+            return canceled.result().return_code
+
+        # Of one that the module does not know any more, and of one that has ended.
+        assert code_of_cancel(goal) == 2
+        assert code_of_cancel(send(0)) == 3
+        last = send(3)
+        result = last.get_result_async()
         assert call("leave") == 'service "leave": module "server" does not run and cannot answer'
+        peer.wait(result.done, "the result of a goal whose module has left")
+        assert result.result().status == 6
+        assert code_of_cancel(last) == 1 and not send(3).accepted
         assert call("refuse") == 'service "refuse": no module serves it'
         peer.stop()
 

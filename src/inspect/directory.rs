@@ -156,6 +156,29 @@ impl SocketDirectory {
         Ok(robots)
     }
 
+    /// Returns the robots that have a node and no socket, by their names and process ids: they start, or could create none.
+    ///
+    /// # Errors
+    /// Returns an error if the directory cannot be read.
+    pub fn starting(&self) -> Result<Vec<(String, u32)>, DirectoryError> {
+        let running = self.running()?;
+        let io_error = |source| DirectoryError::Io { path: self.path.clone(), source };
+        let mut starting = Vec::new();
+        for entry in fs::read_dir(&self.path).map_err(io_error)? {
+            let path = entry.map_err(io_error)?.path();
+            if path.extension().is_none_or(|ending| ending != "lock") {
+                continue;
+            }
+            // Not by trying the lock: for that moment, a robot could not have it.
+            let holder = fs::read_to_string(&path).unwrap_or_default();
+            let Some((name, pid)) = holder_of(&holder).filter(|(_, pid)| is_alive(*pid)) else { continue };
+            if running.iter().all(|robot| robot.pid != pid) {
+                starting.push((in_file_name(name), pid));
+            }
+        }
+        Ok(starting)
+    }
+
     /// Reserves a node name in a domain for a robot of this process, until the claim is dropped or the process ends.
     ///
     /// Two nodes with the same name in one domain answer each other's requests, and their messages cannot be
@@ -186,10 +209,25 @@ impl SocketDirectory {
 
     /// The socket of the `number`-th robot of that name in this process, from 1.
     pub(super) fn socket(&self, robot: &str, number: u32) -> PathBuf {
-        let name = robot.replace(|c: char| !(c.is_alphanumeric() || c == '_'), "_");
+        let name = in_file_name(robot);
         let number = if number > 1 { format!(".{number}") } else { String::new() };
         self.path.join(format!("{name}{number}-{}.sock", std::process::id()))
     }
+}
+
+fn in_file_name(robot: &str) -> String {
+    robot.replace(|c: char| !(c.is_alphanumeric() || c == '_'), "_")
+}
+
+/// Name and process id of the robot that holds a lock, as [`SocketDirectory::claim`] writes them.
+fn holder_of(text: &str) -> Option<(&str, u32)> {
+    let (name, pid) = text.strip_suffix(')')?.rsplit_once(" (process ")?;
+    Some((name, pid.parse().ok()?))
+}
+
+fn is_alive(pid: u32) -> bool {
+    let pid = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw);
+    pid.is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok())
 }
 
 fn name_and_pid(file: &OsStr) -> Option<(String, u32)> {
@@ -257,6 +295,21 @@ mod tests {
         drop(claim);
         directory.claim("again", "/lab/darwin_op", 7).unwrap();
         assert!(directory.running().unwrap().is_empty(), "a lock file is not a robot");
+    }
+
+    #[test]
+    fn a_robot_with_a_node_and_no_socket_is_starting() {
+        let folder = tempfile::tempdir().unwrap();
+        let directory = SocketDirectory::open_at(folder.path().join("sockets")).unwrap();
+        assert!(directory.starting().unwrap().is_empty());
+        let _claim = directory.claim("my robot (2)", "/my_robot", 7).unwrap();
+        let pid = std::process::id();
+        assert_eq!(directory.starting().unwrap(), [("my_robot__2_".to_owned(), pid)]);
+        fs::write(directory.path().join("node.dead-7-1.lock"), "dead (process 2147483647)").unwrap();
+        fs::write(directory.path().join("node.odd-7-1.lock"), "odd").unwrap();
+        assert_eq!(directory.starting().unwrap().len(), 1);
+        let _socket = UnixListener::bind(directory.socket("my robot (2)", 1)).unwrap();
+        assert!(directory.starting().unwrap().is_empty());
     }
 
     #[test]

@@ -13,7 +13,7 @@ use downbeat_msgs::{Message, cdr};
 use super::PlaybackError;
 use crate::encoding::RecordedType;
 use crate::journal;
-use crate::running::SIMULATED_TIME;
+use crate::running::{RECORDED_FROM, SIMULATED_TIME};
 
 /// The messages of several topics as CDR, per topic in the order of the bag. Every chunk contains messages of
 /// most topics, so reading several topics together takes as long as reading one.
@@ -78,10 +78,19 @@ pub(crate) fn was_in_simulated_time(reader: &Reader) -> bool {
     reader.metadata().is_some_and(|metadata| metadata.custom_data.contains_key(SIMULATED_TIME))
 }
 
+/// From when on a bag has all messages, in nanoseconds.
+fn complete_from(reader: &Reader) -> i64 {
+    let noted = reader.metadata().and_then(|metadata| metadata.custom_data.get(RECORDED_FROM)?.parse().ok());
+    // Of a recording that was killed it is not known.
+    noted.filter(|from| *from != i64::MAX).max(reader.start_time()).unwrap_or(i64::MIN)
+}
+
 /// What a bag contains about the cycles.
 pub(crate) enum Cycles {
     /// The time of each cycle, up to those in which the robot began to stop if the recording was not interrupted.
     Recorded {
+        /// The number of the first one: not 0 if the recording began while the robot ran, or the bag is a part of another.
+        first: u64,
         times: Vec<i64>,
         /// See [`Cycles::end`].
         end: i64,
@@ -103,17 +112,45 @@ impl Cycles {
             return Ok(if is_of_robot { Self::OfMessages } else { Self::Unknown });
         }
         let (mut times, mut is_whole) = (Vec::new(), false);
+        let first = messages.first().map_or(0, |message| Self::begin_in(reader, message));
         for message in messages {
-            if message.first != times.len() as u64 {
-                return Err(PlaybackError::CyclesLost { expected: times.len() as u64, found: message.first });
+            let expected = first + times.len() as u64;
+            if message.first != expected {
+                return Err(PlaybackError::CyclesLost { expected, found: message.first });
             }
             times.extend_from_slice(&message.times);
             is_whole = message.is_end;
         }
+        // Only some of what happened in these is in the bag.
+        let begin = if first > 0 { complete_from(reader) } else { i64::MIN };
+        let before = times.iter().take_while(|time| **time < begin).count();
+        times.drain(..before);
+        let first = first + before as u64;
         let last = times.last().copied().unwrap_or(i64::MIN);
         // In simulated time the robot stopped at the time of the last cycle, else later.
         let has_all_of_last = is_whole && !was_in_simulated_time(reader);
-        Ok(Self::Recorded { times, end: if has_all_of_last { last.saturating_add(1) } else { last } })
+        let end = if has_all_of_last { last.saturating_add(1) } else { last };
+        Ok(Self::Recorded { first, times, end })
+    }
+
+    /// The first cycle that a bag may begin with: that of its first message if cycles before that are older than the bag, else 0.
+    fn begin_in(reader: &Reader, first: &CycleTimes) -> u64 {
+        let is_older = first.times.first().is_some_and(|time| *time <= complete_from(reader));
+        // No robot has run for so many.
+        if is_older && first.first < u64::MAX / 2 { first.first } else { 0 }
+    }
+
+    /// The number of the first cycle.
+    pub(crate) fn first_number(&self) -> u64 {
+        match self {
+            Self::Recorded { first, .. } => *first,
+            Self::OfMessages | Self::Unknown => 0,
+        }
+    }
+
+    /// The time up to which messages of modules are not compared, if the bag does not begin with the robot: they are of inputs before it.
+    pub(crate) fn begin(&self) -> Option<i64> {
+        self.first().filter(|_| self.first_number() > 0)
     }
 
     pub(crate) fn is_recorded(&self) -> bool {
@@ -238,16 +275,16 @@ impl SettingsChanges {
         is_wanted: impl Fn(&str) -> bool,
     ) -> Result<Self, PlaybackError> {
         let messages = extract.messages::<ModuleSettings>(reader, journal::SETTINGS)?.unwrap_or_default();
-        let times: &[i64] = match cycles {
-            Cycles::Recorded { times, .. } => times,
-            Cycles::OfMessages | Cycles::Unknown => &[],
+        let (first, times): (u64, &[i64]) = match cycles {
+            Cycles::Recorded { first, times, .. } => (*first, times),
+            Cycles::OfMessages | Cycles::Unknown => (0, &[]),
         };
         let later =
             MessageCycles::read(reader, extract, |topic| topic == journal::SETTINGS)?.take(journal::SETTINGS);
         // The journal reports a change in the cycle after it.
         let reported = later.cycles().filter_map(|cycle| cycle.checked_sub(1));
-        let mut changed =
-            reported.filter_map(|cycle| Some((*times.get(usize::try_from(cycle).ok()?)?, cycle))).peekable();
+        let time_of = |cycle: u64| times.get(usize::try_from(cycle.checked_sub(first)?).ok()?);
+        let mut changed = reported.filter_map(|cycle| Some((*time_of(cycle)?, cycle))).peekable();
         let changes = messages.into_iter().map(|message| {
             let stamp = message.stamp.as_nanos();
             while changed.next_if(|(time, _)| *time < stamp).is_some() {}

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-use downbeat_edge::{EncodedCaller, EncodedStandIn, Interfaces};
+use downbeat_edge::{EncodedCaller, EncodedStandIn, Interfaces, KnownService};
 use downbeat_executor::{CallError, Core, SetupError, Transition};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 
@@ -23,6 +23,13 @@ pub(crate) struct Events {
     modules: Vec<String>,
 }
 
+/// The services of a robot, also those that its modules have later: their types, and the modules that serve them.
+#[derive(Clone, Copy)]
+pub(crate) struct WiredServices<'a> {
+    pub(crate) types: &'a BTreeMap<String, KnownService>,
+    pub(crate) servers: &'a BTreeMap<String, String>,
+}
+
 /// A timeout that no replay reaches.
 const EVER: Duration = Duration::from_secs(3600 * 24 * 365);
 
@@ -33,9 +40,10 @@ impl Events {
         core: &mut Core,
         events: Option<&[ModuleEvent]>,
         interfaces: &Interfaces,
+        wired: Option<WiredServices<'_>>,
     ) -> Result<Self, SetupError> {
         let Some(events) = events else { return Ok(Self::default()) };
-        let mut prepared = Self::prepare(core, interfaces)?;
+        let mut prepared = Self::prepare(core, interfaces, wired)?;
         prepared.waiting = events
             .iter()
             .filter(|event| prepared.concerns(event) && !prepared.is_caused(event))
@@ -51,9 +59,10 @@ impl Events {
         events: Option<&[ModuleEvent]>,
         interfaces: &Interfaces,
         module: &str,
+        wired: Option<WiredServices<'_>>,
     ) -> Result<Self, SetupError> {
         let Some(events) = events else { return Ok(Self::default()) };
-        let mut prepared = Self::prepare(core, interfaces)?;
+        let mut prepared = Self::prepare(core, interfaces, wired)?;
         prepared.alone = true;
         prepared.modules = vec![module.to_owned()];
         core.drop_commands_to_self();
@@ -64,12 +73,28 @@ impl Events {
         Ok(prepared)
     }
 
-    fn prepare(core: &mut Core, interfaces: &Interfaces) -> Result<Self, SetupError> {
-        let mut prepared = Self::default();
-        let services: Vec<_> =
-            core.services().map(|info| (info.name.to_string(), info.server.is_some())).collect();
-        for (service, is_served) in services {
-            let Some(known) = interfaces.service_in(core, &service) else { continue };
+    fn prepare(
+        core: &mut Core,
+        interfaces: &Interfaces,
+        wired: Option<WiredServices<'_>>,
+    ) -> Result<Self, SetupError> {
+        let mut prepared = Self {
+            modules: core.modules().iter().map(|module| module.name.to_string()).collect(),
+            ..Self::default()
+        };
+        let services = core.services().map(|info| (info.name.to_string(), info.server.is_some()));
+        let mut services: BTreeMap<String, (KnownService, bool)> = services
+            .filter_map(|(name, is_served)| {
+                let known = interfaces.service_in(core, &name)?;
+                Some((name, (known, is_served)))
+            })
+            .collect();
+        for (name, known) in wired.iter().flat_map(|wired| wired.types) {
+            let server = wired.and_then(|wired| wired.servers.get(name));
+            let is_served = server.is_some_and(|server| prepared.has(server));
+            services.entry(name.clone()).or_insert((*known, is_served)).1 |= is_served;
+        }
+        for (service, (known, is_served)) in services {
             known.encode(core, &service)?;
             if is_served {
                 let caller = known.caller(core, &service)?;
@@ -79,7 +104,6 @@ impl Events {
                 prepared.stand_ins.insert(service, stand_in);
             }
         }
-        prepared.modules = core.modules().iter().map(|module| module.name.to_string()).collect();
         core.hold_results();
         Ok(prepared)
     }
@@ -113,6 +137,11 @@ impl Events {
             ModuleEvent::TAKEN => true,
             _ => false,
         }
+    }
+
+    /// Leaves out the events of the cycles before this one.
+    pub(crate) fn skip_before(&mut self, cycle: u64) {
+        self.waiting.retain(|event| event.cycle >= cycle);
     }
 
     /// Applies the events that are due in the next sync phase.

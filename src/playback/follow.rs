@@ -38,9 +38,14 @@ impl Follower<'_> {
         cycles: &Cycles,
         mut after_cycle: impl FnMut(),
     ) -> Result<u64, PlaybackError> {
-        let mut count = 0;
+        let first = cycles.first_number();
+        let mut count = first;
         match cycles {
             Cycles::Recorded { times, .. } => {
+                if let Some(begin) = cycles.begin() {
+                    self.inputs.skip_before(begin)?;
+                    self.events.skip_before(first);
+                }
                 for at_one_time in times.chunk_by(|one, other| one == other) {
                     let last = count + at_one_time.len() as u64 - 1;
                     for &time in at_one_time {
@@ -79,7 +84,7 @@ impl Follower<'_> {
         }
         self.core.stop();
         after_cycle();
-        Ok(count)
+        Ok(count - first)
     }
 
     /// Runs a cycle. Its inputs were applied before, so that they join in its sync phase as they did when they were recorded.
@@ -171,6 +176,13 @@ impl Inputs {
     fn give_in(&mut self, moment: Moment) -> Result<(), PlaybackError> {
         self.read(moment.time)?;
         self.publish(|input| input.later.due(input.waiting.len(), moment))
+    }
+
+    /// Leaves out the messages before that time.
+    fn skip_before(&mut self, time: i64) -> Result<(), PlaybackError> {
+        self.read(time.saturating_sub(1))?;
+        self.topics.values_mut().for_each(|input| input.waiting.clear());
+        Ok(())
     }
 
     /// Reads all messages up to that time.

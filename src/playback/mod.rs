@@ -17,8 +17,8 @@ use account::{Cycles, Extract, SettingsChanges};
 use events::Events;
 use follow::{Follower, Inputs};
 
-pub(crate) use steps::replay_steps;
 pub use steps::{ReplayedSteps, replay_module};
+pub(crate) use steps::{first_step, replay_steps};
 
 /// Error while playing a bag into a core, or replaying a module from its recorded runs.
 #[derive(Debug, thiserror::Error)]
@@ -132,7 +132,7 @@ pub fn play_into(
         let is_there = |name: &str| modules.iter().any(|module| *module.name == *name);
         settings = SettingsChanges::read(reader, &mut extract, &cycles, is_there)?;
         let recorded = extract.messages(reader, journal::EVENTS)?;
-        events = Events::of_core(core, recorded.as_deref(), interfaces)?;
+        events = Events::of_core(core, recorded.as_deref(), interfaces, None)?;
     }
     let has_events = !events.is_empty();
     let reached = ReplayedTime::default();

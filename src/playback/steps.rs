@@ -10,7 +10,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
 use super::PlaybackError;
 use super::account::{Cycles, Extract, SettingsChanges};
-use super::events::Events;
+use super::events::{Events, WiredServices};
 use crate::encoding::RecordedType;
 use crate::journal;
 use crate::robot::{ReplayedTime, reloads_of};
@@ -41,7 +41,8 @@ pub fn replay_module(
     module: &str,
     interfaces: &Interfaces,
 ) -> Result<ReplayedSteps, PlaybackError> {
-    replay_steps(core, clock, reader, &mut Extract::new(interfaces), module, &ReplayedTime::default())
+    let reached = ReplayedTime::default();
+    replay_steps(core, clock, reader, &mut Extract::new(interfaces), module, &reached, None)
 }
 
 /// Like [`replay_module`], with what has already been read from the bag.
@@ -52,12 +53,13 @@ pub(crate) fn replay_steps(
     extract: &mut Extract,
     module: &str,
     reached: &ReplayedTime,
+    services: Option<WiredServices<'_>>,
 ) -> Result<ReplayedSteps, PlaybackError> {
     let steps = steps_of(module, reader, extract)?;
     let mut inputs = Inputs::open(core, reader, extract, &steps)?;
     let mut settings = SettingsChanges::read(reader, extract, &Cycles::Unknown, |name| name == module)?;
     let recorded = extract.messages(reader, journal::EVENTS)?;
-    let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module)?;
+    let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module, services)?;
     // A message or setting that is applied before a cycle joins in its sync phase and is received in the next
     // one.
     for (position, Lived { step, .. }) in steps.iter().enumerate() {
@@ -89,6 +91,16 @@ pub(crate) fn replay_steps(
         (last.step.is_stop, Time::from_nanos(last.step.stamp.as_nanos()))
     });
     Ok(ReplayedSteps { count: steps.len(), is_whole, last })
+}
+
+/// The time of the first run of a module, in nanoseconds of the robot's time.
+pub(crate) fn first_step(
+    reader: &Reader,
+    extract: &mut Extract,
+    module: &str,
+) -> Result<Option<i64>, PlaybackError> {
+    let steps = extract.messages::<ModuleStep>(reader, journal::STEPS)?.unwrap_or_default();
+    Ok(steps.iter().find(|step| step.module == module).map(|step| step.stamp.as_nanos()))
 }
 
 /// A run of the module, and those of the life before that ended after it began: a module that was replaced takes what had come to it,

@@ -75,7 +75,8 @@ fn check_robot(
 fn print_actions(robot: &Robot) -> anyhow::Result<()> {
     for (actions, arrow) in [(robot.action_exposures()?, "->"), (robot.action_call_exposures()?, "<-")] {
         for action in actions {
-            println!("  action {} {arrow} {} {}", action.action, action.ros_action(), action.action_type);
+            let ros_action = action_name(robot, action.ros_action())?;
+            println!("  action {} {arrow} {ros_action} {}", action.action, action.action_type);
             if arrow == "->" {
                 println!(
                     "    a failure: the goal is not accepted; later, its status is ABORTED, its result has default values"
@@ -115,7 +116,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         for ActionExposure { action, ros_action, action_type, .. } in exposures {
             actions.push(json!({
                 "action": action,
-                "ros_action": ros_action.as_ref().unwrap_or(&action),
+                "ros_action": action_name(robot, ros_action.as_ref().unwrap_or(&action))?,
                 "direction": direction,
                 "type": action_type.name(),
             }));
@@ -288,6 +289,13 @@ impl Features {
 
 fn service_name(robot: &Robot, name: &str, node: &NodeName) -> anyhow::Result<String> {
     Ok(robot.file.remaps.service(ServiceName::expand(name, node)?, node)?.to_string())
+}
+
+/// The name of an action, which is that of its services without the end.
+fn action_name(robot: &Robot, name: &str) -> anyhow::Result<String> {
+    const GOALS: &str = "/_action/send_goal";
+    let goals = service_name(robot, &format!("{name}{GOALS}"), &robot.file.node_name()?)?;
+    Ok(goals.strip_suffix(GOALS).unwrap_or(&goals).to_owned())
 }
 
 fn parameters(robot: &Robot) -> anyhow::Result<Vec<ParameterReport>> {

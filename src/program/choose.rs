@@ -1,11 +1,32 @@
 //! Selection of a running robot.
 
+use std::thread;
+use std::time::{Duration, Instant};
+
 use crate::inspect::{RunningRobot, SocketDirectory};
 use anyhow::bail;
 
-/// The running robot with that name or process id; without one, the only running robot.
+/// How long a robot may take from its node, which others see, to its socket.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// The running robot with that name or process id; without one, the only running robot. Waits for one that is starting.
 pub(crate) fn choose(wanted: Option<&str>) -> anyhow::Result<RunningRobot> {
-    choose_among(wanted, SocketDirectory::open()?.running()?)
+    let directory = SocketDirectory::open()?;
+    let started = Instant::now();
+    loop {
+        let starting = directory.starting()?;
+        let chosen = choose_among(wanted, directory.running()?);
+        if chosen.is_ok() || !is_starting(wanted, &starting) || started.elapsed() >= PATIENCE {
+            return chosen;
+        }
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn is_starting(wanted: Option<&str>, starting: &[(String, u32)]) -> bool {
+    let is_wanted =
+        |name: &str, pid: &u32| wanted.is_none_or(|wanted| name == wanted || pid.to_string() == wanted);
+    starting.iter().any(|(name, pid)| is_wanted(name, pid))
 }
 
 fn choose_among(wanted: Option<&str>, robots: Vec<RunningRobot>) -> anyhow::Result<RunningRobot> {
@@ -46,6 +67,14 @@ mod tests {
         assert_eq!(of(None, &[("nao", 7)]), Ok(7));
         assert_eq!(of(Some("nao"), &[("darwin", 5), ("nao", 7)]), Ok(7));
         assert_eq!(of(Some("5"), &[("darwin", 5), ("darwin", 6)]), Ok(5));
+    }
+
+    #[test]
+    fn only_a_robot_that_is_wanted_is_waited_for() {
+        let starting = [("nao".to_owned(), 7)];
+        assert!(is_starting(None, &starting) && is_starting(Some("nao"), &starting));
+        assert!(is_starting(Some("7"), &starting) && !is_starting(Some("darwin"), &starting));
+        assert!(!is_starting(None, &[]));
     }
 
     #[test]

@@ -9,6 +9,8 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use clap::Args;
 
+use crate::robot::SOURCES_FOLDER;
+
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub(crate) struct Force {
     /// Replace the output if it exists already.
@@ -48,6 +50,11 @@ impl Output {
     }
 }
 
+fn has_only_files(folder: &Path) -> bool {
+    let is_file = |entry: std::io::Result<fs::DirEntry>| entry.is_ok_and(|entry| entry.path().is_file());
+    fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_file))
+}
+
 impl Force {
     /// Checks that `path` can be written, before a long operation starts.
     pub(crate) fn check(self, output: Output, path: &Path) -> anyhow::Result<()> {
@@ -72,7 +79,11 @@ impl Force {
             for entry in fs::read_dir(path).with_context(|| format!("cannot read {shown}"))? {
                 let entry = entry.with_context(|| format!("cannot read {shown}"))?;
                 let name = entry.file_name();
-                if !output.holds(&name.to_string_lossy()) || entry.path().is_dir() {
+                let is_of_it = match entry.path().is_dir() {
+                    true => output == Output::Bag && name == SOURCES_FOLDER && has_only_files(&entry.path()),
+                    false => output.holds(&name.to_string_lossy()),
+                };
+                if !is_of_it {
                     bail!(
                         "{shown} is not replaced: it contains {}, which is not part of a {}",
                         name.display(),

@@ -72,6 +72,9 @@ impl Row {
 
 fn sent(plan: &Plan, event: &ModuleEvent, is_there: impl Fn(&str) -> bool) -> Option<(Row, Sent)> {
     let (service, time) = (event.service.clone(), event.stamp.as_nanos());
+    if plan.cycles.begin().is_some_and(|begin| time <= begin) {
+        return None;
+    }
     let request = |data| {
         let row = Row::Requests { service: service.clone(), client: event.module.clone() };
         is_there(&event.module).then(|| (row, Sent { time, outcome: "sent".to_owned(), data }))

@@ -20,6 +20,8 @@ pub(super) struct Comparisons {
     recorded: Peekable<Messages>,
     topics: BTreeMap<TopicId, Comparison>,
     by_name: BTreeMap<String, TopicId>,
+    /// See [`Cycles::begin`].
+    begin: Option<i64>,
     /// The first problem with the bag; reported at the end.
     failure: Option<PlaybackError>,
 }
@@ -89,7 +91,7 @@ impl Comparisons {
         }
         let ids: BTreeSet<TopicId> = topics.keys().copied().collect();
         let recorded = reader.messages(Selection::all().topics(ids))?.peekable();
-        Ok(Self { recorded, topics, by_name, failure: None })
+        Ok(Self { recorded, topics, by_name, begin: plan.cycles.begin(), failure: None })
     }
 
     /// The messages from now on come from other modules than those before.
@@ -101,6 +103,9 @@ impl Comparisons {
     pub(super) fn replayed(&mut self, replayed: Replayed) {
         let Some(id) = self.by_name.get(&*replayed.topic).copied() else { return };
         let Some(topic) = self.topics.get_mut(&id) else { return };
+        if self.begin.is_some_and(|begin| replayed.time <= begin) {
+            return;
+        }
         topic.replayed.push_back((replayed.time, replayed.cdr));
         if topic.is_shared {
             return;
@@ -160,6 +165,9 @@ impl Comparisons {
             }
         };
         let Some(topic) = self.topics.get_mut(&message.topic) else { return ControlFlow::Continue(()) };
+        if self.begin.is_some_and(|begin| message.log_time <= begin) {
+            return ControlFlow::Continue(());
+        }
         match topic.recorded_type.to_cdr(message.data) {
             Ok(cdr) => topic.recorded.push_back((message.log_time, cdr)),
             Err(error) => drop(self.failure.get_or_insert(error.into())),

@@ -191,12 +191,20 @@ pub fn replay(
     let mut not_compared = plan.not_compared;
     coverage::move_empty(&mut topics, &mut not_compared);
     let sources = Sources::of(&file);
+    let mut notes = versions.notes.clone();
+    if plan.cycles.begin().is_some() {
+        notes.push(
+            "the bag begins while the robot ran: modules start anew there, so what depends on their state or the phase of their \
+             timers differs"
+                .to_owned(),
+        );
+    }
     Ok(ReplayReport {
         changed_sources: reader
             .metadata()
             .filter(|_| options.last_version == LastVersion::AsItIs)
             .map_or_else(Vec::new, |metadata| sources.changed_since(metadata, &versions.last)),
-        versions: versions.notes.clone(),
+        versions: notes,
         changed_settings: settings,
         robot: file.name.clone(),
         modules: plan.attached,

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use downbeat_bags::{Reader, TopicId};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::middleware::Direction;
+use downbeat_edge::{KnownService, KnownType};
 use downbeat_executor::{Core, Graph, GraphEdge, Synchrony, TopicInfo};
 
 use super::coverage::{self, NotCompared};
@@ -12,6 +13,7 @@ use super::{LeftOut, ReplayError, ReplayOptions, Simulators};
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
 use crate::playback::account::{Cycles, Extract, was_in_simulated_time};
+use crate::playback::events::WiredServices;
 use crate::robot::{ModuleEntry, ReplayedTime, RobotFile};
 
 pub(super) struct Plan {
@@ -30,8 +32,8 @@ pub(super) struct Plan {
     pub(super) not_compared: Vec<NotCompared>,
     /// The module that serves each service.
     pub(super) servers: BTreeMap<String, String>,
-    /// The type name of each service.
-    pub(super) service_types: BTreeMap<String, &'static str>,
+    /// The type of each service.
+    pub(super) service_types: BTreeMap<String, KnownService>,
     pub(super) cycles: Cycles,
     pub(super) simulators: Simulators,
     /// Decides which versions of modules are in force.
@@ -42,6 +44,8 @@ pub(super) struct Plan {
 pub(super) struct Output {
     /// The replayed modules that publish it.
     pub(super) modules: Vec<String>,
+    /// `None` for a Rust type that is not registered.
+    pub(super) message_type: Option<KnownType>,
     /// True if its messages in the bag do not all come from one of these modules in order.
     pub(super) is_shared: bool,
 }
@@ -58,7 +62,7 @@ impl Plan {
         if options.simulators == Simulators::RunAgain && !was_in_simulated_time(reader) {
             return Err(ReplayError::RealTime);
         }
-        let graph = Wiring::of(file)?;
+        let graph = Wiring::of(file, &reached)?;
         let is_in_bag = |topic: &str| reader.topic(&format!("/{topic}")).is_some();
         let mut plan = Self {
             attached: Vec::new(),
@@ -77,9 +81,17 @@ impl Plan {
         let runs_detached = |module: &ModuleEntry| {
             !was_in_simulated_time(reader) && matches!(module.options().synchrony, Synchrony::Detached(_))
         };
+        let begins_later = file.modules.iter().any(runs_detached) && {
+            let mut extract = Extract::new(&file.catalog.interfaces);
+            Cycles::read(reader, &mut extract)?.begin().is_some()
+        };
         for module in &file.modules {
             let is_asked_for = options.modules.contains(&module.name);
-            match plan.replayability(module, runs_detached(module), reader) {
+            let replayability = match runs_detached(module) && begins_later {
+                true => Err("it is detached, and the bag begins while it ran".to_owned()),
+                false => plan.replayability(module, runs_detached(module), reader),
+            };
+            match replayability {
                 _ if !options.modules.is_empty() && !is_asked_for => {}
                 Ok(()) if runs_detached(module) => plan.detached.push(module.name.clone()),
                 Ok(()) => plan.attached.push(module.name.clone()),
@@ -94,7 +106,9 @@ impl Plan {
             if !modules.is_empty() && is_in_bag(topic) {
                 let is_shared = publishers.len() > modules.len()
                     || (modules.len() > 1 && modules.iter().any(|name| plan.detached.contains(name)));
-                plan.outputs.insert(topic.clone(), Output { modules, is_shared });
+                let info = graph.types.get(topic);
+                let message_type = info.and_then(|info| file.catalog.interfaces.message_in(info));
+                plan.outputs.insert(topic.clone(), Output { modules, message_type, is_shared });
             }
         }
         plan.find_inputs(&graph, is_in_bag)?;
@@ -116,6 +130,10 @@ impl Plan {
 
     pub(super) fn replays(&self, module: &str) -> bool {
         self.attached.iter().chain(&self.detached).any(|name| name == module)
+    }
+
+    pub(super) fn services(&self) -> WiredServices<'_> {
+        WiredServices { types: &self.service_types, servers: &self.servers }
     }
 
     /// The replayed modules that publish a topic.
@@ -230,7 +248,7 @@ pub(super) struct Wiring {
     /// The modules of the robot file.
     pub(super) modules: BTreeSet<String>,
     pub(super) servers: BTreeMap<String, String>,
-    pub(super) service_types: BTreeMap<String, &'static str>,
+    pub(super) service_types: BTreeMap<String, KnownService>,
     pub(super) unrecorded_services: Vec<UnrecordedService>,
     /// The topics of the core.
     pub(super) types: BTreeMap<String, TopicInfo>,
@@ -240,7 +258,52 @@ pub(super) struct Wiring {
 const ROS: &str = "ROS 2";
 
 impl Wiring {
-    fn of(file: &RobotFile) -> Result<Self, ReplayError> {
+    /// With all that modules have at the start or at the end.
+    fn of(file: &RobotFile, reached: &ReplayedTime) -> Result<Self, ReplayError> {
+        reached.reset();
+        let mut wiring = Self::in_force(file)?;
+        let has_several = |module: &ModuleEntry| {
+            module.source.recorded.as_ref().is_some_and(|versions| versions.are_several())
+        };
+        if file.modules.iter().any(has_several) {
+            reached.finish();
+            wiring.extend(Self::in_force(file)?);
+            reached.reset();
+        }
+        let known: Vec<_> = wiring.types.values().cloned().collect();
+        for exposure in file.exposures_of(&file.expose.topics, &known, &[])? {
+            if exposure.direction == Direction::In {
+                let topic = exposure.topic.trim_start_matches('/').to_owned();
+                wiring.publishers.entry(topic).or_default().insert(ROS.to_owned());
+            }
+        }
+        Ok(wiring)
+    }
+
+    fn extend(&mut self, later: Self) {
+        for (mine, others) in
+            [(&mut self.publishers, later.publishers), (&mut self.subscribers, later.subscribers)]
+        {
+            for (topic, modules) in others {
+                mine.entry(topic).or_default().extend(modules);
+            }
+        }
+        self.servers.extend(later.servers);
+        self.service_types.extend(later.service_types);
+        for (name, topic) in later.types {
+            let known = self.types.entry(name).or_insert_with(|| topic.clone());
+            known.is_published |= topic.is_published;
+        }
+        let is_known = |service: &UnrecordedService| {
+            self.unrecorded_services.iter().any(|known| known.service == service.service)
+        };
+        let new = later.unrecorded_services.into_iter().filter(|service| !is_known(service));
+        let new: Vec<_> = new.collect();
+        self.unrecorded_services.extend(new);
+    }
+
+    /// With what modules have in the versions in force.
+    fn in_force(file: &RobotFile) -> Result<Self, ReplayError> {
         let mut core = Core::new();
         if file.expose.features.diagnostics {
             ProcessDiagnostics::add(&mut core, &file.name)?;
@@ -253,14 +316,14 @@ impl Wiring {
         let servers = core
             .services()
             .filter_map(|info| Some((info.name.to_string(), info.server.as_ref()?.to_string())));
-        let known = services().filter_map(|name| Some((interfaces.service_in(&core, &name)?.name(), name)));
+        let known = services().filter_map(|name| Some((name.clone(), interfaces.service_in(&core, &name)?)));
         let Graph { modules, topics, edges, .. } = core.graph();
         let mut wiring = Self {
             publishers: BTreeMap::new(),
             subscribers: BTreeMap::new(),
             modules: file.modules.iter().map(|module| module.name.clone()).collect(),
             servers: servers.collect(),
-            service_types: known.map(|(type_name, name)| (name, type_name)).collect(),
+            service_types: known.collect(),
             unrecorded_services,
             types: core.topics().map(|topic| (topic.name.to_string(), topic.clone())).collect(),
         };
@@ -280,13 +343,6 @@ impl Wiring {
                     }
                 }
                 _ => {}
-            }
-        }
-        let known: Vec<_> = core.topics().cloned().collect();
-        for exposure in file.exposures_of(&file.expose.topics, &known, &[])? {
-            if exposure.direction == Direction::In {
-                let topic = exposure.topic.trim_start_matches('/').to_owned();
-                wiring.publishers.entry(topic).or_default().insert(ROS.to_owned());
             }
         }
         Ok(wiring)

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::Reader;
-use downbeat_edge::{CoreAccess, Interfaces};
+use downbeat_edge::CoreAccess;
 use downbeat_executor::{
     self as executor, Core, Inbox, ManualClock, OutletInbox, Received, SetupError, Time,
 };
@@ -19,7 +19,7 @@ use crate::journal;
 use crate::playback::account::{Extract, SettingsChanges};
 use crate::playback::events::Events;
 use crate::playback::follow::{Follower, Inputs};
-use crate::playback::replay_steps;
+use crate::playback::{first_step, replay_steps};
 use crate::robot::RobotFile;
 
 /// Replays the modules inside the cycle together, in the recorded cycles. Returns the number of cycles.
@@ -38,12 +38,12 @@ pub(super) fn attached(
     let is_replayed = |module: &str| plan.attached.iter().any(|name| name == module);
     core = build(file, reader, plan, extract, core, is_replayed)?;
     let interfaces = &file.catalog.interfaces;
-    let captured = Captured::add(&mut core, interfaces, |topic| plan.outputs.contains_key(topic))?;
+    let captured = Captured::add(&mut core, plan, is_replayed)?;
     let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), extract)?;
     let settings = SettingsChanges::read(reader, extract, &plan.cycles, is_replayed)?;
     let end = plan.cycles.end();
     let recorded = extract.messages(reader, journal::EVENTS)?;
-    let events = Events::of_core(&mut core, recorded.as_deref(), interfaces)?;
+    let events = Events::of_core(&mut core, recorded.as_deref(), interfaces, Some(plan.services()))?;
     let reached = plan.reached.clone();
     let mut follower = Follower { core: &mut core, clock: &clock, inputs, settings, events, reached };
     let cycles = follower.run(reader, &plan.cycles, || {
@@ -66,12 +66,12 @@ pub(super) fn detached(
     calls: &mut Calls,
 ) -> Result<usize, ReplayError> {
     let clock = ManualClock::new(Time::ZERO);
-    plan.reached.reset();
+    // Its first version that could be made, if it joined later.
+    plan.reached.set(first_step(reader, extract, name)?.unwrap_or(i64::MIN));
     let core = Core::new().with_clock(clock.clone());
     let mut core = build(file, reader, plan, extract, core, |module| module == name)?;
-    let captured =
-        Captured::add(&mut core, &file.catalog.interfaces, |topic| plan.outputs.contains_key(topic))?;
-    let steps = replay_steps(&mut core, &clock, reader, extract, name, &plan.reached);
+    let captured = Captured::add(&mut core, plan, |module| module == name)?;
+    let steps = replay_steps(&mut core, &clock, reader, extract, name, &plan.reached, Some(plan.services()));
     let steps =
         steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;
     if !steps.is_whole {
@@ -146,16 +146,13 @@ struct Contents {
 }
 
 impl Captured {
-    /// Captures what the modules of a core publish on the wanted topics.
-    fn add(
-        core: &mut Core,
-        interfaces: &Interfaces,
-        is_wanted: impl Fn(&str) -> bool,
-    ) -> Result<Self, SetupError> {
+    /// Captures what these modules publish, also those that join later.
+    fn add(core: &mut Core, plan: &Plan, is_replayed: impl Fn(&str) -> bool) -> Result<Self, SetupError> {
         let captured = Self::default();
-        let topics = core.topics().filter(|topic| topic.is_published && is_wanted(&topic.name));
-        let topics: Vec<_> = topics
-            .filter_map(|topic| Some((Arc::clone(&topic.name), interfaces.message_in(topic)?)))
+        let topics =
+            plan.outputs.iter().filter(|(_, output)| output.modules.iter().any(|name| is_replayed(name)));
+        let topics: Vec<(Arc<str>, _)> = topics
+            .filter_map(|(topic, output)| Some((topic.as_str().into(), output.message_type?)))
             .collect();
         let inbox = OutletInbox::new("replay", Inbox::KeepAll);
         for (topic, message_type) in topics {

@@ -7,8 +7,9 @@ use downbeat_executor::ServiceInfo;
 use super::Robot;
 use super::catalog::unregistered;
 use super::expose::canonical;
-use super::file::{ActionEntry, RobotFileError, suggestion};
+use super::file::{ActionEntry, RobotFile, RobotFileError, suggestion};
 use super::services::server_of_the_robot;
+use super::survey::Survey;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -31,17 +32,7 @@ impl Robot {
     /// # Errors
     /// Returns an error with path and line if no module serves an action, or it has another type.
     pub fn action_exposures(&self) -> Result<Vec<ActionExposure>> {
-        let exposure = |entry: &ActionEntry| {
-            let served: Vec<_> =
-                self.actions().filter(|(_, info)| info.server.is_some()).map(|(name, _)| name).collect();
-            let Some((action, info)) = self.action(entry).filter(|(_, info)| info.server.is_some()) else {
-                let hint = suggestion(&entry.action, served);
-                let problem = format!("no module serves an action \"{}\"{hint}", entry.action);
-                return Err(self.file.source.error(entry.line, problem));
-            };
-            self.action_exposure(entry, action, Some(info))
-        };
-        self.file.expose.actions.iter().map(exposure).collect()
+        self.file.actions_of(&self.survey())
     }
 
     /// Returns the actions of ROS 2 that modules use.
@@ -50,16 +41,7 @@ impl Robot {
     /// Returns an error with path and line if a module serves an action itself, or its type is unknown or
     /// differs from the one that modules use.
     pub fn action_call_exposures(&self) -> Result<Vec<ActionExposure>> {
-        let exposure = |entry: &ActionEntry| {
-            let found = self.action(entry);
-            if let Some(server) = found.and_then(|(_, info)| server_of_the_robot(info)) {
-                let problem = format!("\"{}\" is served by module \"{server}\" already", entry.action);
-                return Err(self.file.source.error(entry.line, problem));
-            }
-            let action = canonical(&entry.action);
-            self.action_exposure(entry, action, found.map(|(_, info)| info))
-        };
-        self.file.expose.action_calls.iter().map(exposure).collect()
+        self.file.action_calls_of(&self.survey())
     }
 
     /// Returns all topics, services and actions that the file exposes.
@@ -67,11 +49,45 @@ impl Robot {
     /// # Errors
     /// Returns the errors of its parts.
     pub fn exposed(&self) -> Result<Exposures> {
-        let (served, used) = (self.action_exposures()?, self.action_call_exposures()?);
+        self.file.all_exposures(&self.survey())
+    }
+}
+
+impl RobotFile {
+    /// See [`Robot::action_exposures`].
+    fn actions_of(&self, survey: &Survey) -> Result<Vec<ActionExposure>> {
+        survey.each(&self.expose.actions, |entry: &ActionEntry| {
+            let served: Vec<_> =
+                actions(survey).filter(|(_, info)| info.server.is_some()).map(|(name, _)| name).collect();
+            let Some((action, info)) = action(survey, entry).filter(|(_, info)| info.server.is_some()) else {
+                let hint = suggestion(&entry.action, served);
+                let problem = format!("no module serves an action \"{}\"{hint}", entry.action);
+                return Err(self.source.error(entry.line, problem));
+            };
+            self.action_exposure(entry, action, Some(info))
+        })
+    }
+
+    /// See [`Robot::action_call_exposures`].
+    fn action_calls_of(&self, survey: &Survey) -> Result<Vec<ActionExposure>> {
+        survey.each(&self.expose.action_calls, |entry: &ActionEntry| {
+            let found = action(survey, entry);
+            if let Some(server) = found.and_then(|(_, info)| server_of_the_robot(info)) {
+                let problem = format!("\"{}\" is served by module \"{server}\" already", entry.action);
+                return Err(self.source.error(entry.line, problem));
+            }
+            let action = canonical(&entry.action);
+            self.action_exposure(entry, action, found.map(|(_, info)| info))
+        })
+    }
+
+    /// See [`Robot::exposed`].
+    pub(crate) fn all_exposures(&self, survey: &Survey) -> Result<Exposures> {
+        let (served, used) = (self.actions_of(survey)?, self.action_calls_of(survey)?);
         let mut all = Exposures {
-            topics: self.exposures()?,
-            services: self.service_exposures()?,
-            calls: self.call_exposures()?,
+            topics: self.exposures_among(&self.expose.topics, survey, &[])?,
+            services: self.services_of(survey)?,
+            calls: self.calls_of(survey)?,
         };
         for action in &served {
             all.topics.extend(action.topics(Direction::Out));
@@ -84,15 +100,6 @@ impl Robot {
         Ok(all)
     }
 
-    /// Iterates over the actions that modules serve or use, with their names.
-    fn actions(&self) -> impl Iterator<Item = (&str, &ServiceInfo)> {
-        self.core.services().filter_map(|info| Some((info.name.strip_suffix(SEND_GOAL)?, info)))
-    }
-
-    fn action(&self, entry: &ActionEntry) -> Option<(&str, &ServiceInfo)> {
-        self.actions().find(|(name, _)| *name == canonical(&entry.action))
-    }
-
     fn action_exposure(
         &self,
         entry: &ActionEntry,
@@ -100,28 +107,28 @@ impl Robot {
         info: Option<&ServiceInfo>,
     ) -> Result<ActionExposure> {
         let name = &entry.action;
-        let refuse = |problem| Err(self.file.source.error(entry.line, problem));
-        let action_type = match (
-            info.map(|info| (info, self.file.catalog.interfaces.action_of(info))),
-            entry.action_type,
-        ) {
-            (Some((info, None)), _) => {
-                let request = info.request_type;
-                return refuse(format!(
-                    "\"{name}\" takes {request}, {}",
-                    unregistered(request, "goal of ROS 2")
-                ));
-            }
-            (Some((_, Some(found))), Some(said)) if found != said => {
-                return refuse(format!("\"{name}\" is of type \"{found}\", not \"{said}\""));
-            }
-            (Some((_, Some(found))), _) => found,
-            (None, Some(said)) => said,
-            (None, None) => {
-                let such = "tf2_msgs/action/LookupTransform";
-                return refuse(format!("no module uses \"{name}\"; add its type, such as type = \"{such}\""));
-            }
-        };
+        let refuse = |problem| Err(self.source.error(entry.line, problem));
+        let action_type =
+            match (info.map(|info| (info, self.catalog.interfaces.action_of(info))), entry.action_type) {
+                (Some((info, None)), _) => {
+                    let request = info.request_type;
+                    return refuse(format!(
+                        "\"{name}\" takes {request}, {}",
+                        unregistered(request, "goal of ROS 2")
+                    ));
+                }
+                (Some((_, Some(found))), Some(said)) if found != said => {
+                    return refuse(format!("\"{name}\" is of type \"{found}\", not \"{said}\""));
+                }
+                (Some((_, Some(found))), _) => found,
+                (None, Some(said)) => said,
+                (None, None) => {
+                    let such = "tf2_msgs/action/LookupTransform";
+                    return refuse(format!(
+                        "no module uses \"{name}\"; add its type, such as type = \"{such}\""
+                    ));
+                }
+            };
         Ok(ActionExposure {
             action: action.to_owned(),
             ros_action: Some(entry.ros_action.clone().unwrap_or_else(|| name.clone())),
@@ -131,11 +138,19 @@ impl Robot {
     }
 }
 
+/// The actions that modules serve or use, with their names.
+fn actions(survey: &Survey) -> impl Iterator<Item = (&str, &ServiceInfo)> {
+    survey.services.iter().filter_map(|info| Some((info.name.strip_suffix(SEND_GOAL)?, info)))
+}
+
+fn action<'a>(survey: &'a Survey, entry: &ActionEntry) -> Option<(&'a str, &'a ServiceInfo)> {
+    actions(survey).find(|(name, _)| *name == canonical(&entry.action))
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::robot::RobotFile;
     use crate::robot::file::Source;
     use downbeat_executor::{Core, Module, Setup, SetupError};
     use downbeat_modules::actions::{ActionClient, ActionServer};

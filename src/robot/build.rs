@@ -10,6 +10,7 @@ use super::LauncherChoice;
 use super::commanders::rival_commanders;
 use super::expose::canonical;
 use super::file::{LauncherEntry, ModuleEntry, RobotFile, RobotFileError, suggestion};
+use super::survey::Survey;
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
 
@@ -43,10 +44,7 @@ impl RobotFile {
         journal::add(&mut core, &self.catalog.interfaces, self.launcher.idle)
             .map_err(|error| self.source.error(1, error.to_string()))?;
         let robot = Robot { file: self, core };
-        if let Err(error) = robot.check() {
-            // What it lacks may be what a module would have that could not be made.
-            return Err(robot.failure_of_a_late_module().unwrap_or(error));
-        }
+        robot.check()?;
         Ok(robot)
     }
 
@@ -194,25 +192,37 @@ impl RobotFile {
 }
 
 impl Robot {
+    /// What the core has. Where a module could not be made that starts when its file is saved, a name of the file may mean nothing yet.
+    pub(crate) fn survey(&self) -> Survey {
+        let survey = Survey::of(&self.core);
+        if self.late_modules().is_empty() { survey } else { survey.lenient() }
+    }
+
+    /// The modules that could not be made, and start when their files are saved.
+    pub(crate) fn late_modules(&self) -> Vec<String> {
+        let late = self.core.modules().into_iter().filter(|module| module.panic.is_some());
+        late.map(|module| module.name.to_string()).collect()
+    }
+
     /// Checks what the file says about the robot as a whole.
     fn check(&self) -> Result<()> {
-        self.exposed()?;
+        let survey = self.survey();
+        self.file.all_exposures(&survey)?;
         let topics: Vec<_> = self.core.topics().cloned().collect();
         self.file.passed_over(&topics).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         rival_commanders(&self.file, &self.core).iter().for_each(|sentence| tracing::warn!("{sentence}"));
-        self.parameter_exposure()?;
+        self.file.parameters_of(&survey)?;
         self.lifecycle_exposures()?;
-        self.recorded_topics()?;
+        self.file.recorded_of(&self.file.record, &survey)?;
+        let problems = survey.problems();
+        if !problems.is_empty() {
+            // What there is instead does not matter yet.
+            let problems =
+                problems.iter().map(|problem| problem.split("; there is ").next().unwrap_or(problem));
+            let (late, problems) = (self.late_modules().join(", "), problems.collect::<Vec<_>>().join("; "));
+            tracing::warn!("until {late} can be made, this is neither exposed nor recorded: {problems}");
+        }
         Ok(())
-    }
-
-    /// Why the first module could not be made that is to start when its file is saved.
-    fn failure_of_a_late_module(&self) -> Option<RobotFileError> {
-        let late = self.core.modules().into_iter().find(|module| module.panic.is_some())?;
-        let entry = self.file.modules.iter().find(|entry| *entry.name == *late.name)?;
-        let reason = late.panic.as_deref().unwrap_or_default();
-        let error = SetupError::Refused { module: entry.name.clone(), reason: reason.to_owned() };
-        Some(self.file.located(entry, &error))
     }
 
     /// Returns the topics that the bridge exposes.
@@ -221,8 +231,7 @@ impl Robot {
     /// Returns an error with path and line if a topic does not exist, no module publishes an outgoing topic,
     /// or the type differs.
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
-        let topics: Vec<_> = self.core.topics().cloned().collect();
-        self.file.exposures_of(&self.file.expose.topics, &topics, &[])
+        self.file.exposures_among(&self.file.expose.topics, &self.survey(), &[])
     }
 }
 

@@ -23,20 +23,27 @@ pub(super) fn rival_commanders(file: &RobotFile, core: &Core) -> Vec<String> {
     let mut sentences = Vec::new();
     for topic in commands {
         let Some(index) = graph.topics.iter().position(|known| known.name == *topic.name) else { continue };
-        let (mut publishers, mut is_obeyed) = (Vec::new(), false);
+        let (mut publishers, mut is_obeyed, mut is_followed) = (Vec::new(), false, false);
         for edge in &graph.edges {
             match *edge {
                 GraphEdge::Publishes { module, topic } if topic == index => publishers.extend(entry(module)),
                 GraphEdge::Subscribes { module, topic } if topic == index => {
                     let drives = |entry: &ModuleEntry| entry.kind.uses_device() || entry.kind.name() == MUX;
                     is_obeyed |= entry(module).is_some_and(drives);
+                    is_followed |= entry(module).is_some_and(|entry| entry.kind.claims_joints());
                 }
                 _ => {}
             }
         }
         // What a device publishes are measurements.
         publishers.retain(|publisher| !publisher.kind.uses_device());
-        if is_obeyed && let Some((first, second, joints)) = rivals(core, &publishers) {
+        // The reference of a controller that commands the servos: only other controllers publish nothing but commands.
+        if !is_obeyed {
+            publishers.retain(|publisher| publisher.kind.claims_joints());
+        }
+        if (is_obeyed || is_followed)
+            && let Some((first, second, joints)) = rivals(core, &publishers)
+        {
             let joints = match joints {
                 Some(joints) => format!("command {} on", joints.join(", ")),
                 None => "may command the same joints on".to_owned(),
@@ -140,6 +147,18 @@ mod tests {
         assert!(
             found[0].contains("\"arm\" and \"gait\" both may command the same joints on topic")
                 && found[0].contains("the last command applies"),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn two_controllers_that_command_another_one_are_rivals_too() {
+        let by = |name: &str| forward(name, "\"turn\"") + "remap = { joint_commands = \"head/reference\" }\n";
+        let both = [by("arm"), by("hand"), forward("head", "\"turn\"")].concat();
+        let found = sentences(&both);
+        assert!(
+            found.len() == 1
+                && found[0].contains("\"arm\" and \"hand\" both command turn on topic \"head/reference\""),
             "{found:?}"
         );
     }

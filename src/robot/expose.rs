@@ -11,6 +11,7 @@ use downbeat_executor::{CoreHandle, TopicInfo};
 
 use super::catalog::unregistered;
 use super::file::{ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
+use super::survey::Survey;
 use crate::journal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -55,14 +56,28 @@ impl RobotFile {
         topics: &[TopicInfo],
         taken: &[String],
     ) -> Result<Vec<Exposure>> {
-        let mut selection = Selection { file: self, topics, claimed: claimed(entries), found: Vec::new() };
+        self.exposures_among(entries, &Survey::of_topics(topics), taken)
+    }
+
+    /// The exposures of the topics of a core.
+    pub(super) fn exposures_among(
+        &self,
+        entries: &[ExposeEntry],
+        survey: &Survey,
+        taken: &[String],
+    ) -> Result<Vec<Exposure>> {
+        let topics = survey.topics.as_slice();
+        let mut selection =
+            Selection { file: self, survey, topics, claimed: claimed(entries), found: Vec::new() };
         for direction in [Direction::Out, Direction::In] {
             let taken = taken.iter().map(|name| (direction, canonical(name).to_owned()));
             selection.claimed.extend(taken);
         }
-        entries.iter().try_for_each(|entry| selection.select(entry))?;
+        for entry in entries {
+            survey.admit(selection.select(entry))?;
+        }
         let Selection { found, .. } = selection;
-        self.refuse_the_same_name_twice(&found)?;
+        survey.admit(self.refuse_the_same_name_twice(&found))?;
         Ok(found.into_iter().map(|(_, exposure)| exposure).collect())
     }
 
@@ -180,6 +195,7 @@ fn claimed(entries: &[ExposeEntry]) -> BTreeSet<(Direction, String)> {
 
 struct Selection<'a> {
     file: &'a RobotFile,
+    survey: &'a Survey,
     topics: &'a [TopicInfo],
     claimed: BTreeSet<(Direction, String)>,
     found: Vec<(usize, Exposure)>,
@@ -279,7 +295,8 @@ impl<'a> Selection<'a> {
             {
                 let matched = matching.iter().map(|(topic, _)| &*topic.name);
                 let hint = suggestion(&excepted.to_string(), matched);
-                return refuse(*line, format!("\"{excepted}\" is none of what \"{pattern}\" matches{hint}"));
+                let problem = format!("\"{excepted}\" is none of what \"{pattern}\" matches{hint}");
+                self.survey.admit(refuse(*line, problem))?;
             }
         }
         let is_excepted = |topic: &TopicInfo| except.iter().any(|(_, pattern)| pattern.matches(&topic.name));

@@ -461,7 +461,7 @@ impl ForeignKind {
             Some(versions) => {
                 let (load, files) = (Arc::clone(&self.load), (self.files)(source));
                 let recorded = Recorded::new(load, source, files, Arc::clone(versions));
-                let failure = recorded.failure_at_the_start().map(str::to_owned);
+                let failure = recorded.failure().map(str::to_owned);
                 (Arc::new(recorded), failure)
             }
             None => (Arc::new(self.live(source)), None),

@@ -21,6 +21,7 @@ mod ros_args;
 #[cfg(feature = "sensors")]
 mod sensors;
 mod services;
+mod survey;
 mod versions;
 
 pub use actions::Exposures;
@@ -53,7 +54,11 @@ pub use profile::{
     SettingProfile,
 };
 pub use recorded_settings::ChangedSetting;
-pub(crate) use recorded_settings::{record_settings, use_recorded_settings};
+pub(crate) use recorded_settings::{RecordedSettings, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
+pub(crate) use survey::Survey;
 pub use versions::LastVersion;
-pub(crate) use versions::{Live, ReplayedTime, Sources, Version, VersionsInBag, reloads_of};
+pub(crate) use versions::{
+    FOLDER as SOURCES_FOLDER, Live, ReplayedTime, SourcedModules, Sources, VersionLog, VersionsInBag,
+    reloads_of,
+};

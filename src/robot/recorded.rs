@@ -3,12 +3,13 @@
 use std::collections::BTreeSet;
 
 use downbeat_bridge::expose::TopicPattern;
-use downbeat_executor::{GraphEdge, TopicInfo};
+use downbeat_executor::TopicInfo;
 
 use super::Robot;
 use super::catalog::unregistered;
 use super::expose::canonical;
-use super::file::{RecordEntry, RobotFileError, suggestion};
+use super::file::{RecordEntry, RobotFile, RobotFileError, suggestion};
+use super::survey::Survey;
 use crate::recorder;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -29,16 +30,25 @@ impl Robot {
     /// Returns an error with path and line if a topic or a module does not exist, or the type of a named
     /// topic is not registered.
     pub fn topics_of(&self, entry: &RecordEntry) -> Result<Vec<TopicInfo>> {
-        let known: Vec<_> = self.core.topics().cloned().collect();
+        self.file.recorded_of(entry, &self.survey())
+    }
+}
+
+impl RobotFile {
+    /// The topics of a core to record according to `entry`.
+    pub(crate) fn recorded_of(&self, entry: &RecordEntry, survey: &Survey) -> Result<Vec<TopicInfo>> {
+        let known = &survey.topics;
         let mut chosen = match &entry.topics {
-            None => known,
+            None => known.clone(),
             Some(names) => {
                 let mut chosen: Vec<TopicInfo> = Vec::new();
                 for name in names {
                     let found: Vec<&TopicInfo> = if TopicPattern::is_pattern(name) {
                         known.iter().filter(|topic| matches(name, &topic.name)).collect()
                     } else {
-                        vec![self.recordable(self.file.topic(&known, name, entry.line, "record")?, entry)?]
+                        let named = self.topic(known, name, entry.line, "record");
+                        let named = named.and_then(|topic| self.recordable(topic, entry));
+                        survey.admit(named)?.into_iter().collect()
                     };
                     for topic in found {
                         if chosen.iter().all(|other| other.name != topic.name) {
@@ -52,16 +62,16 @@ impl Robot {
         chosen.retain(|topic| !entry.except.iter().any(|pattern| matches(pattern, &topic.name)));
         if !entry.types.is_empty() {
             chosen.retain(|topic| {
-                let known = self.file.catalog.interfaces.message_in(topic);
+                let known = self.catalog.interfaces.message_in(topic);
                 known.is_some_and(|known| entry.types.iter().any(|name| name == known.name()))
             });
         }
         if !entry.modules.is_empty() {
-            let published = self.published_by(entry)?;
+            let published = self.published_by(entry, survey)?;
             chosen.retain(|topic| published.contains(&*topic.name));
         }
         if let Some(is_wanted) = entry.exposed {
-            let exposed = self.exposures()?;
+            let exposed = self.exposures_among(&self.expose.topics, survey, &[])?;
             chosen.retain(|topic| exposed.iter().any(|exposure| *exposure.topic == *topic.name) == is_wanted);
         }
         Ok(chosen)
@@ -69,30 +79,24 @@ impl Robot {
 
     /// Checks that a named topic can be recorded.
     fn recordable<'a>(&self, topic: &'a TopicInfo, entry: &RecordEntry) -> Result<&'a TopicInfo> {
-        if recorder::is_recordable(topic, &self.file.catalog.interfaces) {
+        if recorder::is_recordable(topic, &self.catalog.interfaces) {
             return Ok(topic);
         }
         let (name, carried) = (&topic.name, topic.message_type);
         let problem = unregistered(carried, "ROS message");
-        Err(self.file.source.error(entry.line, format!("\"{name}\" carries {carried}, {problem}")))
+        Err(self.source.error(entry.line, format!("\"{name}\" carries {carried}, {problem}")))
     }
 
     /// Returns the topics that the named modules publish.
-    fn published_by(&self, entry: &RecordEntry) -> Result<BTreeSet<String>> {
-        let graph = self.core.graph();
+    fn published_by(&self, entry: &RecordEntry, survey: &Survey) -> Result<BTreeSet<String>> {
         let mut published = BTreeSet::new();
         for name in &entry.modules {
-            let found = graph.modules.iter().position(|module| module.name == *name);
-            let module = found.ok_or_else(|| {
-                let hint = suggestion(name, graph.modules.iter().map(|module| module.name.as_str()));
-                self.file.source.error(entry.line, format!("there is no module \"{name}\" to record{hint}"))
-            })?;
-            published.extend(graph.edges.iter().filter_map(|edge| match edge {
-                GraphEdge::Publishes { module: publisher, topic } if *publisher == module => {
-                    graph.topics.get(*topic).map(|topic| topic.name.clone())
-                }
-                _ => None,
-            }));
+            if !survey.modules.contains(name) {
+                let hint = suggestion(name, survey.modules.iter().map(String::as_str));
+                let problem = format!("there is no module \"{name}\" to record{hint}");
+                survey.admit(Err::<(), _>(self.source.error(entry.line, problem)))?;
+            }
+            published.extend(survey.topics_published_by(name));
         }
         Ok(published)
     }

@@ -1,10 +1,10 @@
 //! The settings with which the modules of a recorded robot started: a bag holds them, and a replay uses them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use downbeat_bags::metadata::Metadata;
-use downbeat_executor::SettingValue;
+use downbeat_executor::{SettingInfo, SettingValue};
 use serde::{Deserialize, Serialize};
 
 use super::Robot;
@@ -19,8 +19,11 @@ type Recorded = BTreeMap<String, BTreeMap<String, Setting>>;
 #[derive(Debug, Serialize, Deserialize)]
 struct Setting {
     value: Value,
-    /// Whether the robot file or the command line gave it; otherwise it is the module's default.
+    /// Whether the robot file or the command line gave it; otherwise it is the module's default, or was set while the robot ran.
     given: bool,
+    /// Whether it was set while the robot ran, before the recording began.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    set: bool,
 }
 
 /// A value that reads back as it was, bit for bit: numbers with a point are texts.
@@ -54,19 +57,46 @@ pub struct ChangedSetting {
     pub is_explicit: bool,
 }
 
-/// The entry of a bag's custom data for a robot that has not started yet.
-pub(crate) fn record_settings(robot: &Robot) -> Option<(&'static str, String)> {
-    let mut recorded = Recorded::new();
-    for module in &robot.file.modules {
-        let infos = robot.core.settings(&module.name).unwrap_or_default().into_iter();
-        let settings = infos.map(|info| {
-            let given = module.settings.contains_key(&info.name);
-            (info.name, Setting { value: Value::from(info.value), given })
+/// The modules of a robot, and their settings before it started.
+pub(crate) struct RecordedSettings(Vec<AtTheStart>);
+
+struct AtTheStart {
+    module: String,
+    given: BTreeSet<String>,
+    values: BTreeMap<String, SettingValue>,
+}
+
+impl RecordedSettings {
+    pub(crate) fn of(robot: &Robot) -> Self {
+        let modules = robot.file.modules.iter().map(|module| {
+            let infos = robot.core.settings(&module.name).unwrap_or_default();
+            AtTheStart {
+                module: module.name.clone(),
+                given: module.settings.keys().cloned().collect(),
+                values: infos.into_iter().map(|info| (info.name, info.value)).collect(),
+            }
         });
-        recorded.insert(module.name.clone(), settings.collect());
+        Self(modules.collect())
     }
-    recorded.retain(|_, settings| !settings.is_empty());
-    (!recorded.is_empty()).then(|| (KEY, serde_json::json!(recorded).to_string()))
+
+    /// The entry of the custom data of a bag that begins with these values.
+    pub(crate) fn entry(
+        &self,
+        mut settings_of: impl FnMut(&str) -> Option<Vec<SettingInfo>>,
+    ) -> Option<(&'static str, String)> {
+        let mut recorded = Recorded::new();
+        for AtTheStart { module, given, values } in &self.0 {
+            let infos = settings_of(module).unwrap_or_default().into_iter();
+            let settings = infos.map(|info| {
+                let given = given.contains(&info.name);
+                let set = values.get(&info.name).is_some_and(|value| *value != info.value);
+                (info.name, Setting { value: Value::from(info.value), given, set })
+            });
+            recorded.insert(module.clone(), settings.collect());
+        }
+        recorded.retain(|_, settings| !settings.is_empty());
+        (!recorded.is_empty()).then(|| (KEY, serde_json::json!(recorded).to_string()))
+    }
 }
 
 /// Gives the modules of a robot file the settings with which they were recorded, except for settings that were given for the replay
@@ -85,7 +115,7 @@ pub(crate) fn use_recorded_settings(file: &mut RobotFile, bag: &Metadata) -> Vec
             // There is no other value to use.
             changes.push(ChangedSetting { module, setting, recorded: None, now, is_explicit: true });
         }
-        for (name, Setting { value, given: was_given }) in settings {
+        for (name, Setting { value, given: was_given, set }) in settings {
             let Ok(value) = SettingValue::try_from(value) else { continue };
             if module.kind.files().contains(&name) {
                 continue;
@@ -94,7 +124,7 @@ pub(crate) fn use_recorded_settings(file: &mut RobotFile, bag: &Metadata) -> Vec
             let is_explicit = given.is_some_and(|given| given.place.is_for_this_run());
             let now = given.map(|given| given.value.clone());
             let is_same = now.clone().is_some_and(|now| now.into_kind_of(&value).as_ref() == Ok(&value));
-            if is_same || (now.is_none() && !was_given) {
+            if is_same || (now.is_none() && !was_given && !set) {
                 continue;
             }
             if !is_explicit {
@@ -102,8 +132,17 @@ pub(crate) fn use_recorded_settings(file: &mut RobotFile, bag: &Metadata) -> Vec
                 let given = Given { place: line.clone(), value: value.clone(), is_wildcard: true };
                 module.settings.insert(name.clone(), given);
             }
-            let module = module.name.clone();
-            changes.push(ChangedSetting { module, setting: name, recorded: Some(value), now, is_explicit });
+            // What was set while the robot ran is no change of the file.
+            if now.is_some() || was_given {
+                let module = module.name.clone();
+                changes.push(ChangedSetting {
+                    module,
+                    setting: name,
+                    recorded: Some(value),
+                    now,
+                    is_explicit,
+                });
+            }
         }
     }
     changes

@@ -8,7 +8,8 @@ use downbeat_executor::ServiceInfo;
 
 use super::Robot;
 use super::catalog::unregistered;
-use super::file::{RobotFileError, ServiceEntry, suggestion};
+use super::file::{RobotFile, RobotFileError, ServiceEntry, suggestion};
+use super::survey::Survey;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -17,7 +18,7 @@ const ALL: &str = "*";
 
 /// The module of the robot that serves a service; the bridge may serve it too, for modules that call others.
 pub(super) fn server_of_the_robot(info: &ServiceInfo) -> Option<&str> {
-    info.server.as_deref().filter(|server| *server != CALLS_MODULE_NAME)
+    info.server.as_deref().filter(|server| !server.starts_with(CALLS_MODULE_NAME))
 }
 
 impl Robot {
@@ -27,8 +28,32 @@ impl Robot {
     /// Returns an error with path and line if no module serves a service, or its types are not those of a ROS
     /// 2 service.
     pub fn service_exposures(&self) -> Result<Vec<ServiceExposure>> {
-        let exposure = |entry: &ServiceEntry| {
-            let served: Vec<_> = self.core.services().filter(|service| service.server.is_some()).collect();
+        self.file.services_of(&self.survey())
+    }
+
+    /// Returns the services of ROS 2 that modules call.
+    ///
+    /// # Errors
+    /// Returns an error with path and line if a module serves a service itself, or its type is unknown or
+    /// differs from the one that modules call.
+    pub fn call_exposures(&self) -> Result<Vec<ServiceExposure>> {
+        self.file.calls_of(&self.survey())
+    }
+
+    /// Returns the settings that are exposed as parameters of the node.
+    ///
+    /// # Errors
+    /// Returns an error with path and line if a name or pattern matches no setting of the modules.
+    pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
+        self.file.parameters_of(&self.survey())
+    }
+}
+
+impl RobotFile {
+    /// See [`Robot::service_exposures`].
+    pub(super) fn services_of(&self, survey: &Survey) -> Result<Vec<ServiceExposure>> {
+        survey.each(&self.expose.services, |entry: &ServiceEntry| {
+            let served: Vec<_> = survey.services.iter().filter(|service| service.server.is_some()).collect();
             let Some(info) = served.iter().find(|info| is_named(info, &entry.service)) else {
                 let hint = suggestion(&entry.service, served.iter().map(|info| &*info.name));
                 return Err(self.refuse(entry, format!("no module serves \"{}\"{hint}", entry.service)));
@@ -39,18 +64,13 @@ impl Robot {
                 service_type: self.service_type(entry, Some(info))?,
                 timeout: entry.timeout,
             })
-        };
-        self.file.expose.services.iter().map(exposure).collect()
+        })
     }
 
-    /// Returns the services of ROS 2 that modules call.
-    ///
-    /// # Errors
-    /// Returns an error with path and line if a module serves a service itself, or its type is unknown or
-    /// differs from the one that modules call.
-    pub fn call_exposures(&self) -> Result<Vec<ServiceExposure>> {
-        let exposure = |entry: &ServiceEntry| {
-            let info = self.core.services().find(|info| is_named(info, &entry.service));
+    /// See [`Robot::call_exposures`].
+    pub(super) fn calls_of(&self, survey: &Survey) -> Result<Vec<ServiceExposure>> {
+        survey.each(&self.expose.calls, |entry: &ServiceEntry| {
+            let info = survey.services.iter().find(|info| is_named(info, &entry.service));
             if let Some(server) = info.and_then(server_of_the_robot) {
                 let problem = format!("\"{}\" is served by module \"{server}\" already", entry.service);
                 return Err(self.refuse(entry, problem));
@@ -61,33 +81,21 @@ impl Robot {
                 service_type: self.service_type(entry, info)?,
                 timeout: entry.timeout,
             })
-        };
-        self.file.expose.calls.iter().map(exposure).collect()
+        })
     }
 
-    /// Returns the settings that are exposed as parameters of the node.
-    ///
-    /// # Errors
-    /// Returns an error with path and line if a name or pattern matches no setting of the modules.
-    pub fn parameter_exposure(&self) -> Result<ParameterExposure> {
-        let entries = &self.file.expose.parameters;
-        let mut names: Vec<String> = self
-            .core
-            .modules()
-            .into_iter()
-            .flat_map(|module| {
-                let settings = self.core.settings(&module.name).unwrap_or_default();
-                settings.into_iter().map(move |setting| format!("{}.{}", module.name, setting.name))
-            })
-            .collect();
-        // Setting of a module that is added when services are exposed.
+    /// See [`Robot::parameter_exposure`].
+    pub(super) fn parameters_of(&self, survey: &Survey) -> Result<ParameterExposure> {
+        let entries = &self.expose.parameters;
+        // Settings of a module that is added when services are exposed.
         let introspection = [ServiceIntrospection::OF_SERVICES, ServiceIntrospection::OF_CLIENTS];
-        names.extend(introspection.map(|setting| format!("{SERVICES_MODULE_NAME}.{setting}")));
+        let introspection = introspection.map(|setting| format!("{SERVICES_MODULE_NAME}.{setting}"));
+        let names = || survey.settings.iter().chain(&introspection);
         for entry in entries {
-            if entry.value.to_string() != ALL && !names.iter().any(|name| entry.value.matches(name)) {
-                let hint = suggestion(&entry.value.to_string(), names.iter().map(String::as_str));
+            if entry.value.to_string() != ALL && !names().any(|name| entry.value.matches(name)) {
+                let hint = suggestion(&entry.value.to_string(), names().map(String::as_str));
                 let problem = format!("no module has a setting \"{}\"{hint}", entry.value);
-                return Err(self.file.source.error(entry.line, problem));
+                survey.admit(Err::<(), _>(self.source.error(entry.line, problem)))?;
             }
         }
         let settings = entries.iter().map(|entry| entry.value.clone()).collect();
@@ -96,7 +104,7 @@ impl Robot {
 
     fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
         let found = info.map(|info| {
-            self.file.catalog.interfaces.service_of(info).ok_or_else(|| {
+            self.catalog.interfaces.service_of(info).ok_or_else(|| {
                 let (request, response) = (info.request_type, info.response_type);
                 let name = &entry.service;
                 let problem = unregistered(request, "ROS service");
@@ -121,7 +129,7 @@ impl Robot {
     }
 
     fn refuse(&self, entry: &ServiceEntry, problem: String) -> RobotFileError {
-        self.file.source.error(entry.line, problem)
+        self.source.error(entry.line, problem)
     }
 }
 
@@ -133,7 +141,6 @@ fn is_named(info: &ServiceInfo, name: &str) -> bool {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::robot::RobotFile;
     use crate::robot::file::Source;
     use downbeat_executor::{Core, Module, Setup, SetupError};
     use downbeat_msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse, TriggerRequest, TriggerResponse};

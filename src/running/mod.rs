@@ -16,6 +16,7 @@
 mod expose_service;
 mod inspected;
 mod log_tail;
+mod newcomers;
 mod node;
 #[cfg(feature = "view")]
 mod page_host;
@@ -42,7 +43,7 @@ use downbeat_executor::{Core, CoreHandle, ManualClock, RunError, SetupError, Tim
 pub use log_tail::LogTail;
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
-pub(crate) use recording::SIMULATED_TIME;
+pub(crate) use recording::{RECORDED_FROM, SIMULATED_TIME};
 
 use crate::inspect::{ClaimError, InspectionServer, SocketDirectory};
 use crate::recorder::RecorderError;
@@ -50,6 +51,7 @@ use crate::robot::{ClockChoice, Robot, RobotFile, RobotFileError};
 use crate::ros_recorder::ServeError;
 use expose_service::ExposeService;
 use inspected::InspectedRobot;
+use newcomers::Newcomers;
 use recording::RobotRecording;
 use revival::Revival;
 
@@ -265,16 +267,22 @@ impl PreparedRobot {
     pub fn start(self) -> Result<RunningRobot, StartError> {
         #[cfg(feature = "view")]
         let view = self.view.map(Arc::new);
+        let newcomers = Newcomers::of(
+            &self.robot,
+            self.node.as_ref(),
+            self.recording.as_ref().map(|recording| recording.growing.clone()),
+            #[cfg(feature = "view")]
+            view.clone(),
+        );
         let Self { robot: Robot { file, mut core }, simulated, node, recording, .. } = self;
-        let handle = core.handle();
-        let revival = Revival::start(&file, handle.clone())?;
+        let (handle, file) = (core.handle(), Arc::new(file));
+        let revival = Revival::start(&file, &mut core, newcomers)?;
         let thread = std::thread::Builder::new().name("core".into());
         let thread = thread.spawn(move || match simulated {
             None => core.run(),
             Some(SimulatedTime { clock, end, speed }) => core.run_simulated_at(&clock, end, speed),
         });
         let thread = thread.map_err(|source| StartError::Thread { what: "the core", source })?;
-        let file = Arc::new(file);
         let inspected = Arc::new(InspectedRobot {
             core: handle.clone(),
             bridge: node.as_ref().map(|node| node.bridge().clone()),

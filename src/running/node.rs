@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use downbeat_bridge::clock::{self, NodeClock, SimTime};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::expose::{
-    self, Bridge, EndpointReport, ParameterExposure, ParameterServer, ParameterServices,
+    Bridge, EndpointReport, ExposedServices, ParameterExposure, ParameterServer, ParameterServices,
 };
 use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat_bridge::middleware::{Direction, ParticipantOptions};
@@ -34,6 +34,7 @@ pub struct NodeLog {
 pub struct RobotNode {
     // Fields drop in this order.
     bridge: Bridge,
+    services: ExposedServices,
     _sim_time: Option<SimTime>,
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
@@ -106,21 +107,17 @@ impl RobotNode {
             tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
         let introspection = robot.file.expose.introspection;
-        let services = expose::expose_services_with(
-            &mut robot.core,
-            &node,
-            &exposed.services,
-            &exposed.calls,
-            introspection,
-        )?;
+        let services =
+            ExposedServices::start(&mut robot.core, &node, &exposed.services, &exposed.calls, introspection)?;
         if let Some(diagnostics) = diagnostics {
-            diagnostics.watch_services(services.clone());
+            diagnostics.watch_services(services.status());
         }
-        for (name, ..) in services.services() {
+        for (name, ..) in services.status().services() {
             tracing::info!("exposed service: {name}");
         }
         Ok(Self {
             bridge,
+            services,
             _sim_time: sim_time,
             _rosout: rosout_publisher,
             _logger_services: logger_services,
@@ -144,6 +141,10 @@ impl RobotNode {
     #[must_use]
     pub fn bridge(&self) -> &Bridge {
         &self.bridge
+    }
+
+    pub(super) fn services(&self) -> &ExposedServices {
+        &self.services
     }
 
     /// The ROS domain.

@@ -5,14 +5,16 @@ use std::sync::mpsc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use downbeat_bags::{Recording, RecordingControl, RecordingSender};
+use downbeat_bridge::expose::Exposure;
 use downbeat_edge::CoreAccess;
-use downbeat_executor::{CoreHandle, Outlet};
+use downbeat_executor::{CoreHandle, TopicInfo};
 use downbeat_view::{Ask, Host};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 
 use super::LogTail;
-use super::recording::Recordable;
+use super::recording::{Recordable, Taking};
+use crate::recorder::RecorderError;
 
 /// How long a disk may take to write a snapshot.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -31,7 +33,7 @@ pub(super) struct PageHost {
 
 struct OwnRecording {
     recording: Recording,
-    _outlets: Vec<Outlet>,
+    taking: Taking,
 }
 
 impl PageHost {
@@ -43,6 +45,16 @@ impl PageHost {
     ) -> Self {
         let first = first.map(|recording| (recording.sender(), recording.control()));
         Self { core, recordable, log, first, own: Mutex::default() }
+    }
+
+    /// Takes in topics that modules bring while the robot runs.
+    pub(super) fn extend(&self, topics: &[TopicInfo], exposed: &[Exposure]) -> Result<(), RecorderError> {
+        let Ok(recordable) = &self.recordable else { return Ok(()) };
+        recordable.extend(topics, exposed);
+        match &mut *self.own.lock() {
+            Some(own) => recordable.record_more(&mut CoreAccess::Running(&self.core), &mut own.taking),
+            None => Ok(()),
+        }
     }
 
     /// Finishes the recording that the page began.
@@ -100,11 +112,11 @@ impl PageHost {
         }
         let options = recordable.options.clone();
         let begin = || -> Result<OwnRecording, Box<dyn std::error::Error>> {
-            let writer = recordable.create(&directory, options.writer)?;
-            let recording = Recording::start_with(writer, &options.recording)?;
             let mut core = CoreAccess::Running(&self.core);
-            let outlets = recordable.record(&mut core, &recording, options.encoding, &directory)?;
-            Ok(OwnRecording { recording, _outlets: outlets })
+            let (writer, bag) = recordable.create(&core, &directory, options.writer)?;
+            let recording = Recording::start_with(writer, &options.recording)?;
+            let taking = recordable.record(&mut core, &recording, options.encoding, bag)?;
+            Ok(OwnRecording { recording, taking })
         };
         *own = Some(begin().map_err(|error| error.to_string())?);
         Ok(json!(directory))

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use downbeat_bags::Recording;
-use downbeat_executor::SettingValue;
+use downbeat_bridge::expose::Exposure;
+use downbeat_executor::{SettingValue, TopicInfo};
 use downbeat_msgs::qos::{Durability, History};
 use downbeat_view::{
     Access, ModuleProfile, PageOptions, Panel, PanelScript, Seed, Token, ViewError, ViewOptions, ViewServer,
@@ -15,6 +16,7 @@ use parking_lot::Mutex;
 use super::page_host::PageHost;
 use super::recording::Recordable;
 use super::{NodeLog, StartError};
+use crate::recorder::RecorderError;
 use crate::robot::{ClockChoice, Direction, ModuleEntry, Robot, RobotFile, ViewAccess};
 
 /// What shows a running robot to viewers: what its robot file asks for, and a page that is opened later.
@@ -37,7 +39,7 @@ impl RobotView {
         recording: Option<&Recording>,
     ) -> Result<Self, StartError> {
         let options = options(robot, is_simulated)?;
-        let recordable = Recordable::of(robot, is_simulated).map_err(|error| error.to_string());
+        let recordable = Recordable::of(robot, is_simulated, None).map_err(|error| error.to_string());
         let tail = log.map(|log| log.tail.clone());
         let host = Arc::new(PageHost::new(robot.core.handle(), recordable, tail, recording));
         let page = page(&robot.file, Arc::clone(&host));
@@ -75,6 +77,15 @@ impl RobotView {
             *later = Some(ViewServer::start_from(self.seed.clone(), options)?);
         }
         Ok(later.as_ref().and_then(ViewServer::page_url).unwrap_or_default())
+    }
+
+    /// Takes in topics that modules bring while the robot runs: for recordings that the page begins.
+    pub(super) fn extend_recordings(
+        &self,
+        topics: &[TopicInfo],
+        exposed: &[Exposure],
+    ) -> Result<(), RecorderError> {
+        self.host.extend(topics, exposed)
     }
 
     /// Finishes the recording that the page began.

@@ -6,6 +6,7 @@ pub mod browser;
 pub mod hosts;
 #[path = "../../bridge/tests/common/matrix.rs"]
 pub mod matrix;
+pub mod new_user;
 pub mod program;
 #[path = "../../bridge/tests/common/rclpy.rs"]
 pub mod rclpy;

@@ -1,10 +1,45 @@
 //! `cargo xtask test`
 
+use std::path::PathBuf;
 use std::process::Command;
 
 use crate::matrix::Notes;
-use crate::steps::{Steps, run};
+use crate::steps::{Steps, run, workspace};
 use crate::{node, python, tidy, wheel};
+
+/// The steps of new users, which the tests of pages and templates write down.
+struct FirstHour(PathBuf);
+
+impl FirstHour {
+    fn new() -> anyhow::Result<Self> {
+        let folder = workspace().join("target/first_hour/steps");
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder)?;
+        }
+        std::fs::create_dir_all(&folder)?;
+        Ok(Self(folder))
+    }
+
+    /// Prints one list of all steps with their seconds.
+    fn print(&self) -> anyhow::Result<()> {
+        let mut files: Vec<_> = std::fs::read_dir(&self.0)?.flatten().map(|entry| entry.path()).collect();
+        files.sort();
+        anyhow::ensure!(!files.is_empty(), "no page was typed");
+        let mut total = 0.0;
+        for file in files {
+            for line in std::fs::read_to_string(&file)?.lines() {
+                total += line
+                    .split_whitespace()
+                    .next()
+                    .and_then(|number| number.parse::<f64>().ok())
+                    .unwrap_or(0.0);
+                println!("{line}");
+            }
+        }
+        println!("{total:>7.1} s  in all");
+        Ok(())
+    }
+}
 
 /// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in the Python
 /// environment.
@@ -39,6 +74,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
         Ok(())
     });
     let notes = Notes::new()?;
+    let first_hour = FirstHour::new()?;
     steps.step("bags in SQLite", || {
         let package = ["--package", "downbeat-bags", "--features", "sqlite"];
         let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
@@ -74,6 +110,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     steps.step("the Python package", wheel::test);
     steps.step("what works with ROS 2", || notes.compare());
+    steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));
     steps.step("documentation", || {
         let arguments = ["doc", "--workspace", "--no-deps", "--quiet"];

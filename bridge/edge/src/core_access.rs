@@ -2,8 +2,8 @@
 
 use downbeat_executor::queue::Queue;
 use downbeat_executor::{
-    AnyMessage, AnyReceived, Core, CoreHandle, Inlet, MessageType, Outlet, OutletInbox, Receipt, Received,
-    SetupError,
+    AnyMessage, AnyReceived, Caller, Core, CoreHandle, Inlet, MessageType, Module, ModuleOptions, Outlet,
+    OutletInbox, Receipt, Received, ServiceType, SettingInfo, SetupError,
 };
 use std::time::Duration;
 
@@ -19,6 +19,31 @@ pub enum CoreAccess<'a> {
 }
 
 impl CoreAccess<'_> {
+    /// Adds a module.
+    ///
+    /// # Errors
+    /// Those of [`Core::add_with`], and one if the core does not answer.
+    pub fn add<M: Module>(
+        &mut self,
+        name: &str,
+        module: M,
+        options: ModuleOptions,
+    ) -> Result<(), SetupError> {
+        match self {
+            Self::Idle(core) => core.add_with(name, module, options),
+            Self::Running(core) => answer(name, &core.add(name, module, options)),
+        }
+    }
+
+    /// The settings of a module with their values; `None` if there is no such module, or the core does not answer.
+    #[must_use]
+    pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
+        match self {
+            Self::Idle(core) => core.settings(module),
+            Self::Running(core) => core.settings(module).wait(PATIENCE)?,
+        }
+    }
+
     /// Takes the messages of a topic out of the core.
     ///
     /// # Errors
@@ -74,6 +99,34 @@ impl CoreAccess<'_> {
         match self {
             Self::Idle(core) => core.inlet_of(message_type, topic, queue),
             Self::Running(core) => answer("inlet", &core.inlet_of(message_type, topic, queue)),
+        }
+    }
+
+    /// Opens a caller of a service, see [`Core::caller_of`].
+    pub(crate) fn caller_of<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+    ) -> Result<Caller<Q, R>, SetupError> {
+        match self {
+            Self::Idle(core) => core.caller_of(of, service),
+            Self::Running(core) => answer("caller", &core.caller_of(of, service)),
+        }
+    }
+
+    /// Encodes the requests and answers of a service in events, see [`Core::encode_service_of`].
+    pub(crate) fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
+        &mut self,
+        of: ServiceType<Q, R>,
+        service: &str,
+        request: fn(&Q) -> Vec<u8>,
+        answer_of: fn(&R) -> Vec<u8>,
+    ) -> Result<(), SetupError> {
+        match self {
+            Self::Idle(core) => core.encode_service_of(of, service, request, answer_of),
+            Self::Running(core) => {
+                answer("encoder", &core.encode_service_of(of, service, request, answer_of))
+            }
         }
     }
 }

@@ -330,7 +330,16 @@ impl Interfaces {
     /// The type of the service with this name in a core; the services of actions are found too.
     #[must_use]
     pub fn service_in(&self, core: &Core, service: &str) -> Option<KnownService> {
-        let find = |name: &str| core.service(name);
+        self.service_found(service, |name| core.service(name))
+    }
+
+    /// The same where `find` knows the services of a core.
+    #[must_use]
+    pub fn service_found<'a>(
+        &self,
+        service: &str,
+        find: impl Fn(&str) -> Option<&'a ServiceInfo>,
+    ) -> Option<KnownService> {
         self.service_of(find(service)?).or_else(|| {
             let (action, part) = service.split_once("/_action/")?;
             let action = self.action_of(find(&format!("{action}/_action/send_goal"))?)?;

@@ -336,7 +336,7 @@ impl KnownType {
         topic: &str,
         waiting: Waiting,
     ) -> Result<EncodedInlet, SetupError> {
-        let inlet = core.inlet_of(self.in_core(), topic, waiting.queue())?;
+        let inlet = core.inlet_of(self.in_core(), topic, waiting.queue::<AnyMessage>())?;
         Ok(EncodedInlet { topic: topic.into(), message_type: self, inlet })
     }
 
@@ -469,8 +469,8 @@ impl fmt::Debug for EncodedInlet {
 }
 
 impl Waiting {
-    fn queue(self) -> Locked<AnyMessage> {
-        let all = NonZeroUsize::MIN.saturating_add(Inlet::<AnyMessage>::CAPACITY - 1);
+    pub(crate) fn queue<T: Send + 'static>(self) -> Locked<T> {
+        let all = NonZeroUsize::MIN.saturating_add(Inlet::<T>::CAPACITY - 1);
         match self {
             Self::All => Locked::bounded(all, Overflow::Refuse),
             Self::Latest => Locked::bounded(NonZeroUsize::MIN, Overflow::DropOldest),

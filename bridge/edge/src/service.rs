@@ -2,7 +2,7 @@
 
 use crate::foreign::{CallEncodedIn, ForeignError, ForeignModule, ReplyEncoded};
 use crate::service_codec::{Compiled, RawService, ServiceCodec};
-use crate::{KnownType, RawTypeError};
+use crate::{CoreAccess, KnownType, RawTypeError, Waiting};
 use bytes::Bytes;
 use downbeat_executor::{
     CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup, SetupError,
@@ -240,6 +240,14 @@ impl KnownService {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
     pub fn caller(self, core: &mut Core, service: &str) -> Result<EncodedCaller, SetupError> {
+        self.caller_in(&mut CoreAccess::Idle(core), service)
+    }
+
+    /// The same for a core that may be running.
+    ///
+    /// # Errors
+    /// Those of [`caller`](Self::caller), and one if the core does not answer.
+    pub fn caller_in(self, core: &mut CoreAccess<'_>, service: &str) -> Result<EncodedCaller, SetupError> {
         let call = match self.entry {
             Entry::Compiled(of) => (of.caller)(core, service)?,
             Entry::Raw(raw) => caller(raw, core, service)?,
@@ -254,6 +262,19 @@ impl KnownService {
     pub fn remote(
         self,
         core: &mut Core,
+        service: &str,
+        call: impl RemoteCall,
+    ) -> Result<RemoteService, SetupError> {
+        self.remote_in(&mut CoreAccess::Idle(core), service, call)
+    }
+
+    /// The same for a core that may be running.
+    ///
+    /// # Errors
+    /// Those of [`remote`](Self::remote), and one if the core does not answer.
+    pub fn remote_in(
+        self,
+        core: &mut CoreAccess<'_>,
         service: &str,
         call: impl RemoteCall,
     ) -> Result<RemoteService, SetupError> {
@@ -276,6 +297,14 @@ impl KnownService {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
     pub fn encode(self, core: &mut Core, service: &str) -> Result<(), SetupError> {
+        self.encode_in(&mut CoreAccess::Idle(core), service)
+    }
+
+    /// The same for a core that may be running.
+    ///
+    /// # Errors
+    /// Those of [`encode`](Self::encode), and one if the core does not answer.
+    pub fn encode_in(self, core: &mut CoreAccess<'_>, service: &str) -> Result<(), SetupError> {
         match self.entry {
             Entry::Compiled(of) => (of.encode)(core, service),
             Entry::Raw(raw) => encode(raw, core, service),
@@ -399,11 +428,23 @@ impl RemoteServices {
     /// # Errors
     /// [`SetupError`] when a service has other types or a server, or another module has the name.
     pub fn add_to(core: &mut Core, name: &str, services: Vec<RemoteService>) -> Result<(), SetupError> {
+        Self::add_in(&mut CoreAccess::Idle(core), name, services)
+    }
+
+    /// The same for a core that may be running.
+    ///
+    /// # Errors
+    /// Those of [`add_to`](Self::add_to), and one if the core does not answer.
+    pub fn add_in(
+        core: &mut CoreAccess<'_>,
+        name: &str,
+        services: Vec<RemoteService>,
+    ) -> Result<(), SetupError> {
         if services.is_empty() {
             return Ok(());
         }
         let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-        core.add_with(name, Self { services }, options)
+        core.add(name, Self { services }, options)
     }
 }
 
@@ -446,13 +487,13 @@ struct CompiledEntry {
     definition: &'static str,
     message_hashes: [&'static str; 3],
     rust_types: fn() -> (&'static str, &'static str),
-    caller: fn(&mut Core, &str) -> Result<Box<CallEncoded>, SetupError>,
-    answers: fn(&mut Core, &str) -> Result<Answers, SetupError>,
+    caller: fn(&mut CoreAccess<'_>, &str) -> Result<Box<CallEncoded>, SetupError>,
+    answers: fn(&mut CoreAccess<'_>, &str) -> Result<Answers, SetupError>,
     serve: fn(&mut Setup<'_, RemoteServices>, RemoteService) -> Result<(), SetupError>,
     serve_foreign: fn(&mut Setup<'_, ForeignModule>, &str, u32) -> Result<(), SetupError>,
     foreign_client:
         fn(&mut Setup<'_, ForeignModule>, &str, Duration, u32) -> Result<CallEncodedIn, SetupError>,
-    encode: fn(&mut Core, &str) -> Result<(), SetupError>,
+    encode: fn(&mut CoreAccess<'_>, &str) -> Result<(), SetupError>,
     stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
     response_type: fn() -> Option<DynamicType>,
     encode_event: fn(ServiceEventInfo, EventContent<'_>) -> Result<Vec<u8>, EventError>,
@@ -493,15 +534,19 @@ fn leak(text: &str) -> &'static str {
     Box::leak(text.to_owned().into_boxed_str())
 }
 
-fn answers<C: ServiceCodec>(_: C, core: &mut Core, topic: &str) -> Result<Answers, SetupError> {
-    Ok(Box::new(core.inlet::<Answer<C::Response>>(topic)?))
+fn answers<C: ServiceCodec>(_: C, core: &mut CoreAccess<'_>, topic: &str) -> Result<Answers, SetupError> {
+    Ok(Box::new(core.inlet::<Answer<C::Response>>(topic, Waiting::All.queue())?))
 }
 
-fn encode<C: ServiceCodec>(codec: C, core: &mut Core, service: &str) -> Result<(), SetupError> {
+fn encode<C: ServiceCodec>(codec: C, core: &mut CoreAccess<'_>, service: &str) -> Result<(), SetupError> {
     core.encode_service_of(codec.in_core(), service, C::write_request, C::write_response)
 }
 
-fn caller<C: ServiceCodec>(codec: C, core: &mut Core, service: &str) -> Result<Box<CallEncoded>, SetupError> {
+fn caller<C: ServiceCodec>(
+    codec: C,
+    core: &mut CoreAccess<'_>,
+    service: &str,
+) -> Result<Box<CallEncoded>, SetupError> {
     let caller = core.caller_of(codec.in_core(), service)?;
     let service: Arc<str> = service.into();
     Ok(Box::new(move |bytes, timeout, on_answer| {

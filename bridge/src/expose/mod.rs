@@ -41,6 +41,6 @@ pub use parameters::{ParameterExposure, ParameterServer, ParameterServices, para
 pub use pattern::{PatternError, TopicPattern};
 pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
 pub use services::{
-    CALLS_MODULE_NAME, OfferedService, SERVICES_MODULE_NAME, ServiceExposure, ServiceIntrospection,
-    ServicesStatus, expose_services, expose_services_with,
+    CALLS_MODULE_NAME, ExposedServices, OfferedService, SERVICES_MODULE_NAME, ServiceExposure,
+    ServiceIntrospection, ServicesStatus, expose_services, expose_services_with,
 };

@@ -4,16 +4,20 @@ use super::ExposeError;
 use super::endpoints::Traffic;
 use super::open_requests::OpenRequests;
 use crate::edge::{
-    EncodedAnswer, EncodedCallError, EncodedCaller, KnownService, Refusals, RemoteCall, RemoteServices,
+    CoreAccess, EncodedAnswer, EncodedCallError, EncodedCaller, KnownService, Refusals, RemoteCall,
+    RemoteServices,
 };
 use crate::middleware::rpc::{IncomingRequest, Responder};
 use crate::ros::{Introspection, Node, NodeError, RawClient, Service, ServiceName, ServiceType};
 use crate::worker::WorkerLink;
 use bytes::Bytes;
-use downbeat_executor::{CallError, Clock, Core, Module, ModuleOptions, Role, Setting, Setup, SetupError};
+use downbeat_executor::{
+    CallError, Clock, Core, CoreHandle, Module, ModuleOptions, Role, Setting, Setup, SetupError,
+};
 use downbeat_msgs::qos::QosProfile;
-use parking_lot::Mutex;
+use parking_lot::{Mutex, RwLock};
 use std::borrow::Cow;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
 
@@ -63,7 +67,7 @@ impl ServiceIntrospection {
 /// Reports the services, for a status display on another thread. It keeps no endpoint alive.
 #[derive(Clone, Default)]
 pub struct ServicesStatus {
-    services: Arc<[ServiceStatus]>,
+    services: Arc<RwLock<Vec<ServiceStatus>>>,
 }
 
 /// A service of modules as ROS 2 has used it so far.
@@ -97,8 +101,8 @@ impl ServicesStatus {
     /// The services that are offered to ROS 2: name, type, answered and refused requests, and the last reason.
     #[must_use]
     pub fn offered(&self) -> Vec<OfferedService> {
-        let offered =
-            self.services.iter().filter(|status| matches!(status.endpoint, WeakService::Offered(_)));
+        let services = self.services.read();
+        let offered = services.iter().filter(|status| matches!(status.endpoint, WeakService::Offered(_)));
         offered
             .map(|status| {
                 let (answered, refused) = status.traffic.totals();
@@ -119,7 +123,7 @@ impl ServicesStatus {
             let (answered, failed) = status.traffic.totals();
             (status.name.clone(), is_matched, answered, failed)
         };
-        self.services.iter().map(report).collect()
+        self.services.read().iter().map(report).collect()
     }
 }
 
@@ -154,63 +158,156 @@ pub fn expose_services_with(
     called: &[ServiceExposure],
     introspection: ServiceIntrospection,
 ) -> Result<ServicesStatus, ExposeError> {
-    let mut endpoints = ServiceEndpoints {
-        node: node.clone(),
-        clock: core.clock(),
-        offered: Vec::new(),
-        clients: Vec::new(),
-    };
-    let (mut statuses, mut remote) = (Vec::new(), Vec::new());
-    for exposure in offered {
-        let traffic = Arc::<Traffic>::default();
-        let caller = exposure.service_type.caller(core, &exposure.service)?;
-        let service = offer(node, exposure, caller, Arc::clone(&traffic))
-            .map_err(|error| failed(&exposure.service, error))?;
-        let (name, service) = (service.name().to_string(), Arc::new(service));
-        statuses.push(ServiceStatus {
-            name,
-            type_name: exposure.service_type.name(),
-            traffic,
-            endpoint: WeakService::Offered(Arc::downgrade(&service)),
+    Ok(ExposedServices::start(core, node, offered, called, introspection)?.status())
+}
+
+/// The services of a core on a node, which may become more while the core runs.
+#[derive(Clone)]
+pub struct ExposedServices {
+    node: Node,
+    endpoints: Arc<Mutex<Option<ServiceEndpoints>>>,
+    status: ServicesStatus,
+    /// How many modules serve services of ROS 2.
+    calls_modules: Arc<AtomicUsize>,
+}
+
+impl ExposedServices {
+    /// See [`expose_services_with`].
+    ///
+    /// # Errors
+    /// [`ExposeError`] when a service cannot be exposed.
+    pub fn start(
+        core: &mut Core,
+        node: &Node,
+        offered: &[ServiceExposure],
+        called: &[ServiceExposure],
+        introspection: ServiceIntrospection,
+    ) -> Result<Self, ExposeError> {
+        let endpoints = ServiceEndpoints {
+            node: node.clone(),
+            clock: core.clock(),
+            introspection,
+            offered: Vec::new(),
+            clients: Vec::new(),
+        };
+        let endpoints = Arc::new(Mutex::new(Some(endpoints)));
+        let (status, calls_modules) = Default::default();
+        let services = Self { node: node.clone(), endpoints, status, calls_modules };
+        services.open(&mut CoreAccess::Idle(core), offered, called)?;
+        let module =
+            Services { endpoints: Arc::clone(&services.endpoints), worker: node.worker(), introspection };
+        let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
+        core.add_with(SERVICES_MODULE_NAME, module, options)?;
+        let endpoints = Arc::clone(&services.endpoints);
+        core.on_stop(move || {
+            if let Some(mut endpoints) = endpoints.lock().take() {
+                endpoints.introspect_clients(Introspection::Off);
+            }
         });
-        endpoints.offered.push(service);
+        Ok(services)
     }
-    for exposure in called {
-        let traffic = Arc::<Traffic>::default();
-        let client = client(node, exposure).map_err(|error| failed(&exposure.service, error))?;
-        let (name, client) = (client.name().to_string(), Arc::new(client));
-        let endpoint = WeakService::Called(Arc::downgrade(&client));
-        endpoints.clients.push(Arc::downgrade(&client));
-        let (worker, timeout) = (node.worker(), exposure.timeout);
-        let call = ToRos { client, worker, timeout, traffic: Arc::clone(&traffic) };
-        remote.push(exposure.service_type.remote(core, &exposure.service, call)?);
-        let type_name = exposure.service_type.name();
-        statuses.push(ServiceStatus { name, type_name, traffic, endpoint });
+
+    /// Exposes more while the core runs. Waits for the end of a cycle, so it must not be called on the core's own thread.
+    ///
+    /// # Errors
+    /// [`ExposeError`] when a service cannot be exposed, or the core does not run.
+    pub fn add(
+        &self,
+        core: &CoreHandle,
+        offered: &[ServiceExposure],
+        called: &[ServiceExposure],
+    ) -> Result<(), ExposeError> {
+        self.open(&mut CoreAccess::Running(core), offered, called)
     }
-    RemoteServices::add_to(core, CALLS_MODULE_NAME, remote)?;
-    let endpoints = Arc::new(Mutex::new(Some(endpoints)));
-    let module = Services { endpoints: Arc::clone(&endpoints), worker: node.worker(), introspection };
-    let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
-    core.add_with(SERVICES_MODULE_NAME, module, options)?;
-    core.on_stop(move || {
-        if let Some(endpoints) = endpoints.lock().take() {
-            endpoints.introspect_clients(Introspection::Off);
+
+    /// Reports the services.
+    #[must_use]
+    pub fn status(&self) -> ServicesStatus {
+        self.status.clone()
+    }
+
+    fn open(
+        &self,
+        core: &mut CoreAccess<'_>,
+        offered: &[ServiceExposure],
+        called: &[ServiceExposure],
+    ) -> Result<(), ExposeError> {
+        let node = &self.node;
+        let (mut statuses, mut remote) = (Vec::new(), Vec::new());
+        let (mut services, mut clients) = (Vec::new(), Vec::new());
+        for exposure in offered {
+            let traffic = Arc::<Traffic>::default();
+            let caller = exposure.service_type.caller_in(core, &exposure.service)?;
+            let service = offer(node, exposure, caller, Arc::clone(&traffic))
+                .map_err(|error| failed(&exposure.service, error))?;
+            let (name, service) = (service.name().to_string(), Arc::new(service));
+            statuses.push(ServiceStatus {
+                name,
+                type_name: exposure.service_type.name(),
+                traffic,
+                endpoint: WeakService::Offered(Arc::downgrade(&service)),
+            });
+            services.push(service);
         }
-    });
-    Ok(ServicesStatus { services: statuses.into() })
+        for exposure in called {
+            let traffic = Arc::<Traffic>::default();
+            let client = client(node, exposure).map_err(|error| failed(&exposure.service, error))?;
+            let (name, client) = (client.name().to_string(), Arc::new(client));
+            let endpoint = WeakService::Called(Arc::downgrade(&client));
+            clients.push(Arc::downgrade(&client));
+            let (worker, timeout) = (node.worker(), exposure.timeout);
+            let call = ToRos { client, worker, timeout, traffic: Arc::clone(&traffic) };
+            remote.push(exposure.service_type.remote_in(core, &exposure.service, call)?);
+            let type_name = exposure.service_type.name();
+            statuses.push(ServiceStatus { name, type_name, traffic, endpoint });
+        }
+        if !remote.is_empty() {
+            let name = match self.calls_modules.fetch_add(1, Ordering::Relaxed) {
+                0 => CALLS_MODULE_NAME.to_owned(),
+                before => format!("{CALLS_MODULE_NAME}_{}", before + 1),
+            };
+            RemoteServices::add_in(core, &name, remote)?;
+        }
+        // `None` once the core has stopped.
+        if let Some(endpoints) = &mut *self.endpoints.lock() {
+            endpoints.add(services, clients);
+            self.status.services.write().extend(statuses);
+        }
+        Ok(())
+    }
 }
 
 /// The endpoints of the services of a core, until it stops.
 struct ServiceEndpoints {
     node: Node,
     clock: Arc<dyn Clock>,
+    /// As it is now.
+    introspection: ServiceIntrospection,
     offered: Vec<Arc<Service>>,
     clients: Vec<Weak<RawClient>>,
 }
 
 impl ServiceEndpoints {
-    fn introspect_services(&self, introspection: Introspection) {
-        for service in &self.offered {
+    fn add(&mut self, offered: Vec<Arc<Service>>, clients: Vec<Weak<RawClient>>) {
+        let ServiceIntrospection { services: of_services, clients: of_clients } = self.introspection;
+        self.introspect(&offered, of_services);
+        self.introspect_calls(&clients, of_clients);
+        self.offered.extend(offered);
+        self.clients.extend(clients);
+    }
+
+    fn introspect_services(&mut self, introspection: Introspection) {
+        self.introspection.services = introspection;
+        self.introspect(&self.offered, introspection);
+    }
+
+    fn introspect_clients(&mut self, introspection: Introspection) {
+        self.introspection.clients = introspection;
+        self.introspect_calls(&self.clients, introspection);
+    }
+
+    fn introspect(&self, services: &[Arc<Service>], introspection: Introspection) {
+        for service in services {
             let clock = Arc::clone(&self.clock);
             log_failure(
                 service.name(),
@@ -219,8 +316,8 @@ impl ServiceEndpoints {
         }
     }
 
-    fn introspect_clients(&self, introspection: Introspection) {
-        for client in self.clients.iter().filter_map(Weak::upgrade) {
+    fn introspect_calls(&self, clients: &[Weak<RawClient>], introspection: Introspection) {
+        for client in clients.iter().filter_map(Weak::upgrade) {
             let clock = Arc::clone(&self.clock);
             log_failure(
                 client.name(),
@@ -252,21 +349,17 @@ impl Module for Services {
             let introspection = chosen(ctx.get(of_clients).as_str());
             module.on_worker(move |endpoints| endpoints.introspect_clients(introspection));
         });
-        if let Some(endpoints) = &*self.endpoints.lock() {
-            endpoints.introspect_services(services);
-            endpoints.introspect_clients(clients);
-        }
         Ok(())
     }
 }
 
 impl Services {
     /// DDS does not run on the thread of the core.
-    fn on_worker(&self, change: impl FnOnce(&ServiceEndpoints) + Send + 'static) {
+    fn on_worker(&self, change: impl FnOnce(&mut ServiceEndpoints) + Send + 'static) {
         let endpoints = Arc::downgrade(&self.endpoints);
         self.worker.run(move || {
             if let Some(endpoints) = endpoints.upgrade()
-                && let Some(endpoints) = &*endpoints.lock()
+                && let Some(endpoints) = &mut *endpoints.lock()
             {
                 change(endpoints);
             }

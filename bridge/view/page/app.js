@@ -461,7 +461,7 @@ function defaultCards() {
   const own = entries.find(({ isOwn }) => isOwn);
   if (own && !robot.channels.has('/robot_description')) {
     const scene = places.findIndex(([kind]) => kind === 'scene');
-    places.splice(Math.max(0, scene), scene < 0 ? 0 : 1, [own.id, 6, 2]);
+    places.splice(Math.max(0, scene), scene < 0 ? 0 : 1, [own.id, scene < 0 ? 6 : places[scene][1], 2]);
   }
   if (!has('diagnostic_msgs/msg/DiagnosticArray')) places[places.length - 1][0] = 'log';
   return places.map(([kind, width, height]) => ({ key: kind, kind, width, height }));

@@ -46,6 +46,30 @@ impl Reporter {
     }
 }
 
+/// What is wrong with a device, in words: logged once, and for the status.
+#[derive(Debug, Default)]
+pub(crate) struct Complaint(String);
+
+impl Complaint {
+    /// Replaces what is said, and logs it if it is something else.
+    pub(crate) fn say<P>(&mut self, what: &str, ctx: &Context<'_, P>) {
+        if self.0 != what && !what.is_empty() {
+            tracing::warn!("{}: {what}", ctx.module_name());
+        }
+        what.clone_into(&mut self.0);
+    }
+
+    /// Nothing is wrong.
+    pub(crate) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// What was said last; empty if nothing is wrong.
+    pub(crate) fn text(&self) -> &str {
+        &self.0
+    }
+}
+
 /// A value of a status.
 pub(crate) fn value(key: &str, value: impl Display) -> KeyValue {
     KeyValue { key: key.to_owned(), value: value.to_string() }

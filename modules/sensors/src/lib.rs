@@ -13,6 +13,9 @@
 //! replay repeats a run byte for byte without the device. Each device has an emulator. No module was ever tried on hardware:
 //! docs/sensors.md says what was tested instead.
 
+#[macro_use]
+mod lifecycle;
+
 pub mod camera;
 pub mod can;
 mod diagnostics;

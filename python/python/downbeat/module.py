@@ -3,7 +3,7 @@
 import random
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Generic, Self, TypeVar, cast, overload
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar, cast, overload
 
 from downbeat import _core
 
@@ -90,7 +90,24 @@ class setting(Generic[T]):
         )
 
 
-def subscribe(topic: str, type: str) -> Callable[[F], F]:
+#: The type of a topic, service or action: its name, such as ``sensor_msgs/msg/Imu``, or its class in :mod:`downbeat.msgs`.
+Interface: TypeAlias = "str | type[Any]"
+
+
+def _name_of(interface: Interface) -> str:
+    if isinstance(interface, str):
+        return interface
+    name = getattr(interface, "TYPE_NAME", None)
+    if isinstance(name, str):
+        return name
+    # A class of rclpy, such as sensor_msgs.msg._imu.Imu.
+    parts = getattr(interface, "__module__", "").split(".")
+    if len(parts) > 1 and parts[1] in ("msg", "srv", "action"):
+        return "/".join((*parts[:2], interface.__name__))
+    raise TypeError(f'a type is a text such as "sensor_msgs/msg/Imu", or a class of downbeat.msgs, not {interface!r}')
+
+
+def subscribe(topic: str, type: Interface) -> Callable[[F], F]:
     """Declares that the method receives each message of a topic, as in ``@subscribe("imu", "sensor_msgs/msg/Imu")``."""
     return _declares(lambda module, method: module.subscribe(topic, type, method))
 
@@ -100,7 +117,7 @@ def every(period: float | str) -> Callable[[F], F]:
     return _declares(lambda module, method: module.every(period, method))
 
 
-def serve(service: str, type: str) -> Callable[[F], F]:
+def serve(service: str, type: Interface) -> Callable[[F], F]:
     """Declares that the method serves a service, see :meth:`Module.serve`."""
     return _declares(lambda module, method: module.serve(service, type, method))
 
@@ -115,7 +132,7 @@ def each_run(method: F) -> F:
     return _declares(lambda module, bound: module.each_run(bound))(method)
 
 
-def action(name: str, type: str) -> Callable[[F], F]:
+def action(name: str, type: Interface) -> Callable[[F], F]:
     """Declares that the method takes the goals of an action, see :meth:`Module.act`."""
     return _declares(lambda module, method: module.act(name, type, method))
 
@@ -245,18 +262,18 @@ class Module:
 
     # What a user calls in `setup`.
 
-    def publish(self, topic: str, type: str) -> _core.Publisher:
+    def publish(self, topic: str, type: Interface) -> _core.Publisher:
         """Declares that the module publishes on a topic. The result is called with a message or with its fields::
 
             self.out = self.publish("joint_commands", "sensor_msgs/msg/JointState")
             ...
             self.out(name=["head_tilt"], position=[0.1])
         """
-        return self._link.publish(topic, type)
+        return self._link.publish(topic, _name_of(type))
 
-    def subscribe(self, topic: str, type: str, callback: Callable[[Any], None]) -> None:
+    def subscribe(self, topic: str, type: Interface, callback: Callable[[Any], None]) -> None:
         """Calls ``callback`` with each message of a topic."""
-        self._link.subscribe(topic, type, callback)
+        self._link.subscribe(topic, _name_of(type), callback)
 
     def every(self, period: float | str, callback: Callable[[], None]) -> None:
         """Calls ``callback`` periodically."""
@@ -274,7 +291,7 @@ class Module:
         """Calls ``callback`` when a setting has another value."""
         self._link.on_change(name, callback)
 
-    def serve(self, service: str, type: str, callback: Callable[[Any], Any]) -> None:
+    def serve(self, service: str, type: Interface, callback: Callable[[Any], Any]) -> None:
         """Serves a service: ``callback`` takes a request and returns the response, as a message or as a mapping of fields.
 
         It raises :class:`Refused` where it has none.
@@ -289,7 +306,7 @@ class Module:
 
         self.serve_later(service, type, answer)
 
-    def serve_later(self, service: str, type: str, callback: Callable[[Any, _core.Request], None]) -> None:
+    def serve_later(self, service: str, type: Interface, callback: Callable[[Any, _core.Request], None]) -> None:
         """Serves a service whose requests are answered when the answer is there: ``callback`` takes a request, and something
         to answer it with: ``open.reply(field=value)`` or ``open.refuse(reason)``, once. Raising :class:`Refused` refuses it."""
 
@@ -299,9 +316,9 @@ class Module:
             except Refused as refused:
                 open.refuse(str(refused))
 
-        self._link.serve(service, type, take)
+        self._link.serve(service, _name_of(type), take)
 
-    def client(self, service: str, type: str, timeout: float | str = "5s") -> _core.Client:
+    def client(self, service: str, type: Interface, timeout: float | str = "5s") -> _core.Client:
         """Declares that the module calls a service. The result is called with a request or with its fields, and with a
         function that takes the response, or ``None`` and the reason why there is none::
 
@@ -309,19 +326,19 @@ class Module:
             ...
             self.enable(data=True, then=lambda response, problem: self.log.info(problem or response.message))
         """
-        return self._link.client(service, type, duration(timeout))
+        return self._link.client(service, _name_of(type), duration(timeout))
 
-    def act(self, name: str, type: str, callback: Callable[["_Goal"], None]) -> None:
+    def act(self, name: str, type: Interface, callback: Callable[["_Goal"], None]) -> None:
         """Serves an action: ``callback`` takes each goal, see :class:`downbeat.Goal`."""
         from downbeat.action import ActionServer
 
-        ActionServer(self, name, type, callback)
+        ActionServer(self, name, _name_of(type), callback)
 
-    def action_client(self, name: str, type: str, timeout: float | str = "5s") -> "_ActionClient":
+    def action_client(self, name: str, type: Interface, timeout: float | str = "5s") -> "_ActionClient":
         """Declares that the module sends goals to an action, see :class:`downbeat.ActionClient`."""
         from downbeat.action import ActionClient
 
-        return ActionClient(self, name, type, timeout)
+        return ActionClient(self, name, _name_of(type), timeout)
 
     # What a user calls in every method.
 

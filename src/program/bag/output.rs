@@ -1,9 +1,11 @@
 //! Options for the bag that a command creates.
 
+use std::fs;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -13,6 +15,7 @@ use crate::bags::{
 };
 use crate::program::new_output::{Force, Output};
 use crate::program::unfinished::Unfinished;
+use crate::robot::SOURCES_FOLDER;
 
 /// How a new bag is written.
 #[derive(Args)]
@@ -81,7 +84,7 @@ impl From<CompressionChoice> for Compression {
     }
 }
 
-/// Writes the copy of `bags` into a new bag, with their custom data, and prints its summary.
+/// Writes the copy of `bags` into a new bag, with their custom data and the versions of modules in them, and prints its summary.
 pub(crate) fn write(
     copy: Copy<'_>,
     bags: &[Reader],
@@ -95,6 +98,7 @@ pub(crate) fn write(
     let mut progress = Progress::new("writing", copy.message_count());
     let copied = copy.into_writer(options.create(unfinished.written())?, |written| progress.at(written))?;
     drop(progress);
+    bags.iter().try_for_each(|bag| copy_versions(bag.path(), unfinished.written()))?;
     unfinished.finish()?;
     for note in &copied.completed {
         tracing::info!("{note}");
@@ -114,6 +118,27 @@ pub(crate) fn write(
     }
     println!("wrote {} messages into {}", copied.summary.message_count(), directory.display());
     Ok(copied)
+}
+
+/// Copies the files of modules that a bag, a directory or a file in one, has in its folder.
+fn copy_versions(from: &Path, to: &Path) -> anyhow::Result<()> {
+    let from = if from.is_dir() { from } else { from.parent().unwrap_or(from) };
+    let (from, to) = (from.join(SOURCES_FOLDER), to.join(SOURCES_FOLDER));
+    if !from.is_dir() {
+        return Ok(());
+    }
+    let reads = || format!("cannot read {}", from.display());
+    for entry in fs::read_dir(&from).with_context(reads)? {
+        let entry = entry.with_context(reads)?;
+        // A link may lead anywhere.
+        if entry.file_type().with_context(reads)?.is_file() {
+            let copy = to.join(entry.file_name());
+            let writes = || format!("cannot copy {} to {}", entry.path().display(), copy.display());
+            fs::create_dir_all(&to).with_context(writes)?;
+            fs::copy(entry.path(), &copy).with_context(writes)?;
+        }
+    }
+    Ok(())
 }
 
 /// The progress bar of an operation.

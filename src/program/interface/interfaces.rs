@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 
-use super::list::{ament_packages, packages_at};
+use super::packages::{ament_packages, packages_at};
 use super::{Registered, SourceArguments, TypeArguments};
 use crate::msgs::definitions::{
     ActionDefinition, Catalog, DefinitionEncoding, Kind, MessageDefinition, ServiceDefinition, TypeName,
@@ -40,7 +40,7 @@ impl Interfaces {
         let mut places = BTreeMap::<String, PathBuf>::new();
         for path in &source.from {
             for folder in packages_at(path)? {
-                let package = package_name(&folder);
+                let package = Catalog::package_name(&folder);
                 match places.get(&package) {
                     Some(first) => warn_of_two(&package, first, &folder),
                     None => {
@@ -51,7 +51,7 @@ impl Interfaces {
             }
         }
         for folder in ament_packages().context("AMENT_PREFIX_PATH")? {
-            let package = package_name(&folder);
+            let package = Catalog::package_name(&folder);
             if let Some(first) = places.get(&package) {
                 // An overlay, unless both define the same.
                 if definitions_in(first) != definitions_in(&folder) {
@@ -242,10 +242,6 @@ fn definitions_in(folder: &Path) -> Option<BTreeMap<String, String>> {
     let mut catalog = Catalog::new();
     catalog.add_package(folder).ok()?;
     Some(catalog.messages().map(|message| (message.name.to_string(), message.text.clone())).collect())
-}
-
-fn package_name(folder: &Path) -> String {
-    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn hint(nearest: Option<impl Display>) -> String {

@@ -123,7 +123,9 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let kind = catalog.kind(kind_name).cloned().ok_or_else(|| {
         let hint = match missing_kind(kind_name) {
             Some(reason) => format!(": {reason}"),
-            None => suggestion(kind_name, catalog.kinds().map(Kind::name)),
+            None => {
+                suggestion(kind_name, catalog.kinds().map(Kind::name)) + project_of(value.path()).as_str()
+            }
         };
         kind_value.error(format!("unknown kind of module \"{kind_name}\"{hint}"))
     })?;
@@ -134,7 +136,7 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     let remaps = entries(table.take("remap"), "remap", |value| {
         Ok(Located { line: value.line(), value: value.text()?.to_owned() })
     })?;
-    let keys = source_keys(&mut table, &kind)?;
+    let keys = source_keys(&mut table, &kind, &settings)?;
     let synchrony = synchrony(&mut table, &kind)?;
     let (thread_line, thread) = thread(&mut table, synchrony, line)?;
     let running = ModuleOptions {
@@ -156,6 +158,25 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         ..ModuleSource::default()
     };
     Ok(ModuleEntry { line, included: None, name, kind, settings, remaps, source, thread_line, running })
+}
+
+/// Says where the kinds of a project come from, if a robot file is that of a cargo project and this is not its program.
+fn project_of(file: &Path) -> String {
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap_or_default();
+    let manifest: toml::Table = manifest.parse().unwrap_or_default();
+    let Some(name) =
+        manifest.get("package").and_then(|package| package.get("name")).and_then(|name| name.as_str())
+    else {
+        return String::new();
+    };
+    let program = std::env::current_exe().unwrap_or_default();
+    if program.file_stem().is_some_and(|stem| stem == name) || manifest.get("dependencies").is_none() {
+        return String::new();
+    }
+    format!(
+        "; kinds of the project {name} are in its own program: `cargo run --release -- run ROBOT.toml` in its folder"
+    )
 }
 
 /// Reads the settings of a module; files are relative to the file that names them.
@@ -192,10 +213,20 @@ pub(super) fn namespace(value: Value<'_>) -> Result<String> {
 }
 
 /// Reads the keys that only modules of this kind have.
-fn source_keys(table: &mut Table<'_>, kind: &Kind) -> Result<BTreeMap<String, SettingValue>> {
+fn source_keys(
+    table: &mut Table<'_>,
+    kind: &Kind,
+    settings: &BTreeMap<String, Given>,
+) -> Result<BTreeMap<String, SettingValue>> {
     let [required, optional] = kind.keys();
     let mut keys = BTreeMap::new();
     for key in required {
+        if table.peek(key).is_none()
+            && let Some(Given { place: Place::Line(line), .. }) = settings.get(*key)
+        {
+            let reason = format!("\"{key}\" of a {} is not a setting: it stands next to `kind`", kind.name());
+            return Err(table.error(*line, reason));
+        }
         keys.insert((*key).to_owned(), table.require(key)?.setting()?);
     }
     for key in optional {

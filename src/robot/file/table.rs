@@ -40,6 +40,11 @@ impl<'a> Table<'a> {
         self.line
     }
 
+    /// An error on a line of the file.
+    pub(crate) fn error(&self, line: usize, problem: impl Into<String>) -> RobotFileError {
+        self.source.error(line, problem)
+    }
+
     pub(crate) fn take(&mut self, key: &'static str) -> Option<Value<'a>> {
         self.asked.push(key);
         let position = self.rest.iter().position(|(known, _)| known.get_ref() == key)?;

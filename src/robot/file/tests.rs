@@ -284,6 +284,10 @@ fn errors_contain_file_line_and_the_nearest_name() {
             "[robot]\nname = \"r\"\n[[module]]\nkind = \"darwin\"",
             ":4: unknown kind of module \"darwin\", did you mean \"darwin_op\"?",
         ),
+        (
+            "[robot]\nname = \"r\"\n[[module]]\nkind = \"state_machine\"\nsettings = { file = \"a.scxml\" }",
+            ":5: \"file\" of a state_machine is not a setting: it stands next to `kind`",
+        ),
         ("[robot]\nname = r", ":2:"),
     ];
     for (text, expected) in cases {
@@ -296,6 +300,19 @@ fn errors_contain_file_line_and_the_nearest_name() {
     assert!(problem(mixed).contains(
         ":5: expected a list of numbers only, of texts only, or of booleans only, found [1, \"a\"]"
     ));
+}
+
+#[test]
+fn an_unknown_kind_of_a_project_is_looked_for_in_its_program() {
+    let files = [
+        ("Cargo.toml", "[package]\nname = \"my_rover\"\n[dependencies]\ndownbeat = \"1\"\n"),
+        ("robot.toml", "[robot]\nname = \"r\"\n[[module]]\nkind = \"patrol\"\n"),
+    ];
+    let folder = folder(&files);
+    let read = RobotFile::read(&folder.path().join("robot.toml")).map(|_| ());
+    let problem = read.unwrap_err().to_string();
+    let expected = "unknown kind of module \"patrol\"; kinds of the project my_rover are in its own program: `cargo run --release -- run";
+    assert!(problem.contains(expected), "{problem}");
 }
 
 /// A folder with these files.

@@ -8,7 +8,7 @@ use downbeat_edge::foreign::{Foreign, Life, Made, Prepared, Versions};
 use downbeat_executor::Time;
 use parking_lot::Mutex;
 
-use super::Version;
+use super::{Source, Version};
 use crate::robot::kind::{LoadForeign, ModuleSource};
 
 /// A module whose files are on disk.
@@ -34,6 +34,8 @@ struct Known {
     prepared: Option<Prepared>,
     /// As they were for the version that a recording knows, once the module was made.
     described: Option<Stamps>,
+    /// What they held when the module was last made: what runs, also if they were saved since.
+    made: Option<Source>,
 }
 
 /// Time of modification and size of each file, `None` for missing files.
@@ -64,6 +66,11 @@ impl LiveState {
     pub(crate) fn failure(&self) -> Option<String> {
         self.0.lock().failure.clone()
     }
+
+    /// What the module was last made from; `None` if it never was.
+    pub(super) fn made(&self) -> Option<Source> {
+        self.0.lock().made.clone()
+    }
 }
 
 impl std::fmt::Debug for LiveState {
@@ -93,6 +100,7 @@ impl Versions for Live {
     }
 
     fn describe(&self, made: Made<'_>) -> Option<Vec<u8>> {
+        let source = Source::read(&self.files);
         let mut known = self.source.live.0.lock();
         let had_failed = known.failure.is_some();
         let (failure, reloaded_at) = match made {
@@ -104,11 +112,12 @@ impl Versions for Live {
         // What the module starts with is in the custom data of a bag.
         let is_known = known.described.as_ref().is_none_or(|described| *described == tried);
         known.described = Some(tried);
+        let version = Version { reloaded_at, failure: failure.clone(), ..source.version.clone() };
+        known.made = Some(Source { version: Version { failure, ..source.version }, ..source });
         drop(known);
-        if reloaded_at.is_none() && failure.is_none() && is_known && !had_failed {
+        if reloaded_at.is_none() && version.failure.is_none() && is_known && !had_failed {
             return None;
         }
-        let version = Version { reloaded_at, failure, ..Version::read(&self.files) };
         serde_json::to_vec(&version).ok()
     }
 

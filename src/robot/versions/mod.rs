@@ -1,14 +1,17 @@
 //! The versions of modules in other languages: what their files held when they were made.
 //!
-//! A bag holds those of the start in its custom data, and each later one in an event of the cycle in which it joined. Files of text
-//! are in them; others, such as shared libraries, are copied into the bag's folder where their module is reloaded, and found by
-//! their hash.
+//! A bag holds those with which it begins in its custom data, and each later one in an event of the cycle in which it joined. Files of
+//! text are in them; others, such as shared libraries, are copied into the bag's folder where their module is reloaded, and found by
+//! their hash. The custom data also lists the later ones, whose files are all copied: a recording may be paused while a module is
+//! reloaded, and a part of a bag may begin after it.
 
 mod live;
+mod log;
 mod recorded;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 use downbeat_bags::metadata::Metadata;
@@ -17,6 +20,7 @@ use sha2::{Digest, Sha256};
 
 use super::RobotFile;
 pub(crate) use live::{Live, LiveState};
+pub(crate) use log::VersionLog;
 pub use recorded::LastVersion;
 pub(crate) use recorded::{Recorded, ReplayedTime, Versions, VersionsInBag, reloads_of};
 
@@ -50,8 +54,8 @@ const LONGEST_TEXT: usize = 256 << 10;
 /// The largest file that is read, in bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// The folder in a bag with the files that are no text.
-const FOLDER: &str = "module_sources";
+/// The folder in a bag with copies of files.
+pub(crate) const FOLDER: &str = "module_sources";
 
 impl Version {
     /// Reads the files as they are now. A file that cannot be read counts as empty: loading the module reports it.
@@ -64,20 +68,9 @@ impl Version {
         self.files.iter().map(|file| &file.sha256).eq(other.files.iter().map(|file| &file.sha256))
     }
 
-    /// Copies the files whose content is not in the bag into its folder, unless they have changed meanwhile.
+    /// Copies all files into the folder of a bag, unless they have changed meanwhile.
     pub(crate) fn keep_in(&self, bag: &Path) {
-        for file in self.files.iter().filter(|file| file.text.is_none()) {
-            let copied = read(Path::new(&file.path)).ok().filter(|content| hash(content) == file.sha256);
-            let kept = copied.ok_or_else(|| "it has changed meanwhile".to_owned()).and_then(|content| {
-                let target = bag.join(FOLDER).join(file.kept_name());
-                let folder = target.parent().unwrap_or(bag);
-                let written = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&target, content));
-                written.map_err(|error| error.to_string())
-            });
-            if let Err(problem) = kept {
-                tracing::warn!("{} is not kept for a replay: {problem}", file.path);
-            }
-        }
+        self.files.iter().for_each(|file| file.keep_in(bag));
     }
 }
 
@@ -90,6 +83,25 @@ impl SourceFile {
         let sha256 = hash(&content);
         let text = String::from_utf8(content).ok().filter(|text| text.len() <= LONGEST_TEXT);
         Self { path: path.display().to_string(), sha256, modified, text }
+    }
+
+    fn keep_in(&self, bag: &Path) {
+        let content = self.text.as_ref().map(|text| text.clone().into_bytes());
+        let content = content.or_else(|| read(Path::new(&self.path)).ok());
+        let content = content.filter(|content| hash(content) == self.sha256);
+        let kept = content.ok_or_else(|| "it has changed meanwhile".to_owned()).and_then(|content| {
+            let folder = bag.join(FOLDER);
+            let written = std::fs::create_dir_all(&folder)
+                .and_then(|()| std::fs::write(folder.join(self.kept_name()), content));
+            written.map_err(|error| error.to_string())
+        });
+        if let Err(problem) = kept {
+            tracing::warn!(
+                "{} with the SHA-256 {} is not kept for a replay: {problem}",
+                self.path,
+                self.sha256
+            );
+        }
     }
 
     /// The name of the copy in a bag.
@@ -111,15 +123,21 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The versions with which the modules of a robot start, by the names of the modules.
+/// What the modules of a robot in other languages were made from, by the names of the modules.
 #[derive(Debug, Default)]
-pub(crate) struct Sources(BTreeMap<String, Source>);
+pub(crate) struct Sources(BTreeMap<String, (Source, Keeping)>);
 
-#[derive(Debug)]
+/// What one module was made from.
+#[derive(Clone, Debug)]
 struct Source {
     version: Version,
     joint_hash: String,
-    keeping: Keeping,
+}
+
+impl Source {
+    fn read(files: &[PathBuf]) -> Self {
+        Self { version: Version::read(files), joint_hash: joint_hash(files) }
+    }
 }
 
 /// Whether the files of a module that are no text are copied into a bag.
@@ -129,26 +147,48 @@ enum Keeping {
     Hashes,
 }
 
+/// The modules of a robot in other languages, which know what they were made from.
+#[derive(Debug, Default)]
+pub(crate) struct SourcedModules(Vec<SourcedModule>);
+
+#[derive(Debug)]
+struct SourcedModule {
+    name: String,
+    files: Vec<PathBuf>,
+    live: Arc<LiveState>,
+    keeping: Keeping,
+}
+
+impl SourcedModules {
+    pub(crate) fn of(file: &RobotFile) -> Self {
+        let modules = file.modules.iter().map(|module| SourcedModule {
+            name: module.name.clone(),
+            files: module.kind.source_files(&module.source),
+            live: Arc::clone(&module.source.live),
+            keeping: if module.reloads() { Keeping::Copies } else { Keeping::Hashes },
+        });
+        Self(modules.filter(|module| !module.files.is_empty()).collect())
+    }
+
+    /// What the modules were last made from: what runs. Of a module that was never made, what its files hold now.
+    pub(crate) fn sources(&self) -> Sources {
+        let source = |module: &SourcedModule| {
+            let made = module.live.made().unwrap_or_else(|| Source::read(&module.files));
+            (module.name.clone(), (made, module.keeping))
+        };
+        Sources(self.0.iter().map(source).collect())
+    }
+}
+
 impl Sources {
     /// The key of a bag's custom data that holds one hash for each module, as JSON.
     const HASHES: &'static str = "module_sources";
     /// The key of the versions.
     const VERSIONS: &'static str = "module_versions";
 
-    /// Reads the sources of a robot as they are now.
+    /// The sources of a robot, see [`SourcedModules::sources`].
     pub(crate) fn of(file: &RobotFile) -> Self {
-        let read = file.modules.iter().filter_map(|module| {
-            let files = module.kind.source_files(&module.source);
-            let failure = module.source.live.failure();
-            let keeping = if module.reloads() { Keeping::Copies } else { Keeping::Hashes };
-            let read = || Source {
-                version: Version { failure, ..Version::read(&files) },
-                joint_hash: joint_hash(&files),
-                keeping,
-            };
-            (!files.is_empty()).then(|| (module.name.clone(), read()))
-        });
-        Self(read.collect())
+        SourcedModules::of(file).sources()
     }
 
     /// The entries of a bag's custom data.
@@ -157,24 +197,25 @@ impl Sources {
             return Vec::new();
         }
         let hashes: BTreeMap<&String, &String> =
-            self.0.iter().map(|(module, source)| (module, &source.joint_hash)).collect();
+            self.0.iter().map(|(module, (source, _))| (module, &source.joint_hash)).collect();
         let versions: BTreeMap<&String, &Version> =
-            self.0.iter().map(|(module, source)| (module, &source.version)).collect();
+            self.0.iter().map(|(module, (source, _))| (module, &source.version)).collect();
         vec![
             (Self::HASHES, serde_json::json!(hashes).to_string()),
             (Self::VERSIONS, serde_json::json!(versions).to_string()),
         ]
     }
 
-    /// True if the files of a module that are no text are copied into a bag.
-    pub(crate) fn are_copied(&self) -> bool {
-        self.0.values().any(|source| source.keeping == Keeping::Copies)
+    /// True without modules in other languages.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 
     /// Copies the libraries of modules that are reloaded into a bag.
     pub(crate) fn keep_in(&self, bag: &Path) {
-        let kept = self.0.values().filter(|source| source.keeping == Keeping::Copies);
-        kept.for_each(|source| source.version.keep_in(bag));
+        let copied = self.0.values().filter(|(_, keeping)| *keeping == Keeping::Copies);
+        let files = copied.flat_map(|(source, _)| &source.version.files);
+        files.filter(|file| file.text.is_none()).for_each(|file| file.keep_in(bag));
     }
 
     /// The versions with which the modules started when a bag was recorded.
@@ -193,7 +234,7 @@ impl Sources {
             Some(last) => !last.has_same_files(&source.version),
             None => hashes.get(module).is_some_and(|old| *old != source.joint_hash),
         };
-        let changed = self.0.iter().filter(|(module, source)| has_changed(module, source));
+        let changed = self.0.iter().filter(|(module, (source, _))| has_changed(module, source));
         changed.map(|(module, _)| module.clone()).collect()
     }
 }

@@ -12,6 +12,7 @@ use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 use downbeat_msgs::printable;
 use tempfile::TempDir;
 
+use super::log::{logged_in, logged_of};
 use super::{FOLDER, SourceFile, Sources, Version, hash, live::names_of, read};
 use crate::robot::RobotFile;
 use crate::robot::kind::{LoadForeign, ModuleSource};
@@ -37,6 +38,11 @@ impl ReplayedTime {
         self.set(i64::MIN);
     }
 
+    /// After the end: the last version of each module that could be made is in force.
+    pub(crate) fn finish(&self) {
+        self.set(i64::MAX);
+    }
+
     fn get(&self) -> i64 {
         self.0.load(Ordering::Relaxed)
     }
@@ -50,6 +56,21 @@ pub(crate) struct Versions {
     reached: ReplayedTime,
     /// The position of that which runs.
     current: AtomicUsize,
+}
+
+impl Versions {
+    /// The position of the version that is in force.
+    fn in_force(&self) -> usize {
+        let reached = self.reached.get();
+        let is_it =
+            |version: &Joined| version.from <= reached && !(reached == i64::MAX && version.failure.is_some());
+        self.versions.iter().rposition(is_it).unwrap_or(0)
+    }
+
+    /// Whether there are others than that of the start.
+    pub(crate) fn are_several(&self) -> bool {
+        self.versions.len() > 1
+    }
 }
 
 /// A version, and from when on it is in force.
@@ -80,9 +101,9 @@ impl Recorded {
         Self { load, source: source.clone(), files, versions }
     }
 
-    /// Why the module did not start when it was recorded.
-    pub(crate) fn failure_at_the_start(&self) -> Option<&str> {
-        self.versions.versions.first()?.failure.as_deref()
+    /// Why the version in force could not be made when it was recorded.
+    pub(crate) fn failure(&self) -> Option<&str> {
+        self.versions.versions.get(self.versions.in_force())?.failure.as_deref()
     }
 
     fn load_version(&self, position: usize) -> Result<Box<dyn Foreign>, String> {
@@ -98,9 +119,7 @@ impl Recorded {
 
 impl foreign::Versions for Recorded {
     fn load(&self) -> Result<Box<dyn Foreign>, String> {
-        let reached = self.versions.reached.get();
-        let in_force = self.versions.versions.iter().rposition(|version| version.from <= reached);
-        self.load_version(in_force.unwrap_or(0))
+        self.load_version(self.versions.in_force())
     }
 
     fn successor(&self, _: &mut dyn Foreign, now: Time) -> Result<Option<Box<dyn Foreign>>, String> {
@@ -113,6 +132,12 @@ impl foreign::Versions for Recorded {
 
     fn has_successors(&self) -> bool {
         self.versions.versions.iter().any(|version| version.reloaded_at.is_some())
+    }
+
+    fn next_reload(&self) -> Option<Time> {
+        let current = self.versions.current.load(Ordering::Relaxed);
+        let mut later = self.versions.versions.iter().skip(current + 1);
+        later.find_map(|version| version.reloaded_at).map(Time::from_nanos)
     }
 
     fn source(&self) -> String {
@@ -132,6 +157,30 @@ fn made_of(module: &str, events: &[ModuleEvent]) -> impl Iterator<Item = (i64, V
 /// The times of the runs in which a module replaced itself by a newer version.
 pub(crate) fn reloads_of(module: &str, events: &[ModuleEvent]) -> Vec<i64> {
     made_of(module, events).filter_map(|(_, version)| version.reloaded_at).collect()
+}
+
+/// The versions in their order, each with the time from which on it was in force: that with which the bag begins, and those that were
+/// made during it. `later` may name one twice; the first is taken, which is complete.
+fn in_force(
+    start: Option<Version>,
+    later: impl Iterator<Item = (i64, Version)>,
+    begin: Option<i64>,
+) -> Vec<(i64, Version)> {
+    let mut later: Vec<_> = later.collect();
+    later.sort_by_key(|(from, _)| *from);
+    later.dedup_by(|(from, version), (other_from, other)| {
+        from == other_from && version.has_same_files(other) && version.failure == other.failure
+    });
+    let mut recorded: Vec<_> = start.into_iter().map(|version| (i64::MIN, version)).chain(later).collect();
+    // The recording was paused until then, or this is a part of a bag.
+    let is_before = |(from, _): &(i64, Version)| begin.is_some_and(|begin| *from < begin);
+    if let Some(first) = recorded.iter().rposition(is_before) {
+        recorded.drain(..first);
+        if let Some((from, version)) = recorded.first_mut() {
+            (*from, version.reloaded_at) = (i64::MIN, None);
+        }
+    }
+    recorded
 }
 
 /// What a replay says about the versions of modules.
@@ -166,6 +215,7 @@ impl VersionsInBag {
         last: LastVersion,
     ) -> Self {
         let mut starts = reader.metadata().map(Sources::in_bag).unwrap_or_default();
+        let logged = reader.metadata().map(logged_in).unwrap_or_default();
         let mut in_bag = Self::default();
         let places = Places::of(reader);
         for module in &mut file.modules {
@@ -174,9 +224,8 @@ impl VersionsInBag {
                 continue;
             }
             let start = starts.remove(&module.name);
-            let later = made_of(&module.name, events);
-            let recorded: Vec<(i64, Version)> =
-                start.into_iter().map(|version| (i64::MIN, version)).chain(later).collect();
+            let later = made_of(&module.name, events).chain(logged_of(&module.name, &logged));
+            let recorded = in_force(start, later, reader.start_time());
             let mut joined = Vec::new();
             for (position, (from, version)) in recorded.iter().enumerate() {
                 let is_last = position + 1 == recorded.len();
@@ -296,4 +345,34 @@ fn files_in(folder: &Path) -> Vec<PathBuf> {
 
 fn has_hash(path: &Path, sha256: &str) -> bool {
     read(path).is_ok_and(|content| hash(&content) == sha256)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn version(sha256: &str, text: Option<&str>) -> Version {
+        let (path, text) = ("m.py".to_owned(), text.map(str::to_owned));
+        let file = SourceFile { path, sha256: sha256.to_owned(), modified: 0, text };
+        Version { files: vec![file], reloaded_at: Some(0), failure: None }
+    }
+
+    #[test]
+    fn a_bag_begins_with_the_version_that_was_made_last_before_it() {
+        let in_event = version("c", Some("text"));
+        // The second was made while the recording was paused: only the log has it.
+        let later = || vec![(30, in_event.clone()), (10, version("b", None)), (30, version("c", None))];
+        let of = |begin| in_force(Some(version("a", Some("old"))), later().into_iter(), begin);
+        let hashes = |recorded: &[(i64, Version)]| -> Vec<(i64, String)> {
+            recorded.iter().map(|(from, version)| (*from, version.files[0].sha256.clone())).collect()
+        };
+        let whole = of(Some(5));
+        assert_eq!(hashes(&whole), [(i64::MIN, "a".into()), (10, "b".into()), (30, "c".into())]);
+        assert_eq!(whole[2].1, in_event, "the one with its text");
+        let part = of(Some(20));
+        assert_eq!(hashes(&part), [(i64::MIN, "b".into()), (30, "c".into())]);
+        assert_eq!(part[0].1.reloaded_at, None);
+        assert_eq!(hashes(&of(Some(31))), [(i64::MIN, "c".into())]);
+        assert_eq!(of(None).len(), 3);
+    }
 }

@@ -1,6 +1,6 @@
 //! What may use what: the lists of the layout.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::Problems;
 
@@ -160,44 +160,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "bridge/edge/src/interfaces.rs",
         "bridge/edge/src/service.rs",
     ],
-    &[
-        "executor/src/cycle/core.rs",
-        "executor/src/cycle/detached.rs",
-        "executor/src/cycle/mechanism.rs",
-        "executor/src/cycle/members.rs",
-        "executor/src/cycle/phase.rs",
-        "executor/src/cycle/stage.rs",
-        "executor/src/exchange/events.rs",
-        "executor/src/exchange/jobs/mod.rs",
-        "executor/src/exchange/messages/inlet.rs",
-        "executor/src/exchange/messages/mod.rs",
-        "executor/src/exchange/messages/outlet/mailbox.rs",
-        "executor/src/exchange/messages/outlet/mod.rs",
-        "executor/src/exchange/messages/outlet/outlets.rs",
-        "executor/src/exchange/modules/mod.rs",
-        "executor/src/exchange/services/call.rs",
-        "executor/src/exchange/services/caller.rs",
-        "executor/src/exchange/services/mod.rs",
-        "executor/src/exchange/services/registry.rs",
-        "executor/src/exchange/services/server.rs",
-        "executor/src/exchange/services/stand_in.rs",
-        "executor/src/exchange/settings.rs",
-        "executor/src/exchange/timers.rs",
-        "executor/src/launchers/mod.rs",
-        "executor/src/launchers/pool.rs",
-        "executor/src/launchers/threads.rs",
-        "executor/src/lib.rs",
-        "executor/src/log.rs",
-        "executor/src/module/behaviour.rs",
-        "executor/src/module/cell.rs",
-        "executor/src/module/context.rs",
-        "executor/src/module/id.rs",
-        "executor/src/module/link.rs",
-        "executor/src/module/port.rs",
-        "executor/src/module/setup.rs",
-    ],
-    &["executor/src/threads/options.rs", "executor/src/threads/system.rs"],
-    &["executor/src/topics/message_type.rs", "executor/src/topics/outbox.rs", "executor/src/topics/topic.rs"],
     &["modules/network/src/mailbox.rs", "modules/network/src/udp.rs"],
     &["modules/network/src/mqtt/broker.rs", "modules/network/src/mqtt/connection.rs"],
     &["modules/physics/src/machine.rs", "modules/physics/src/simulation.rs"],
@@ -296,17 +258,29 @@ fn rank(file: &str) -> Option<usize> {
     EXECUTOR.iter().position(|known| *known == folder)
 }
 
-/// Circles that are not known, and known ones that are gone.
-pub(super) fn new_circles(found: &BTreeSet<Vec<String>>) -> Problems {
-    compare(found, KNOWN_CIRCLES)
+/// For which names a file uses another.
+pub(super) type Tied = BTreeMap<(String, String), BTreeSet<String>>;
+
+/// Circles that are not known, with the names that tie them, and known ones that are gone.
+pub(super) fn new_circles(found: &BTreeSet<Vec<String>>, tied: &Tied) -> Problems {
+    compare(found, KNOWN_CIRCLES, tied)
 }
 
-fn compare(found: &BTreeSet<Vec<String>>, known: &[&[&str]]) -> Problems {
+fn compare(found: &BTreeSet<Vec<String>>, known: &[&[&str]], tied: &Tied) -> Problems {
     let is_part =
         |circle: &[String], known: &[&str]| circle.iter().all(|file| known.contains(&file.as_str()));
     let new = found.iter().filter(|circle| !known.iter().any(|known| is_part(circle, known)));
     let gone = known.iter().filter(|known| !found.iter().any(|circle| is_part(circle, known)));
-    let new = new.map(|circle| format!("{}: files that use each other in a circle", circle.join(" ")));
+    let ties = |circle: &[String]| {
+        let ties = tied.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
+        let line = |((from, to), names): (&(String, String), &BTreeSet<String>)| {
+            let names: Vec<_> = names.iter().map(String::as_str).collect();
+            format!("\n    {from} uses {} of {to}", names.join(", "))
+        };
+        ties.map(line).collect::<String>()
+    };
+    let new = new
+        .map(|circle| format!("{}: files that use each other in a circle{}", circle.join(" "), ties(circle)));
     new.chain(gone.map(|known| {
         format!("{}: no longer a circle; remove it from xtask/src/tidy/layers.rs", known.join(" "))
     }))
@@ -340,8 +314,11 @@ mod tests {
     fn a_known_circle_may_shrink_but_not_grow_and_not_be_forgotten() {
         let circle = |files: &[&str]| BTreeSet::from([files.iter().map(|file| (*file).to_owned()).collect()]);
         let known: &[&[&str]] = &[&["a.rs", "b.rs", "c.rs"]];
-        assert_eq!(compare(&circle(&["a.rs", "b.rs"]), known), Problems::new());
-        assert_eq!(compare(&circle(&["a.rs", "b.rs", "d.rs"]), known).len(), 2);
-        assert_eq!(compare(&BTreeSet::new(), known).len(), 1);
+        let tie = ("d.rs".to_owned(), "a.rs".to_owned());
+        let tied = Tied::from([(tie, BTreeSet::from(["Thing".to_owned()]))]);
+        assert_eq!(compare(&circle(&["a.rs", "b.rs"]), known, &tied), Problems::new());
+        let grown = compare(&circle(&["a.rs", "b.rs", "d.rs"]), known, &tied);
+        assert!(grown.len() == 2 && grown[0].ends_with("\n    d.rs uses Thing of a.rs"), "{grown:?}");
+        assert_eq!(compare(&BTreeSet::new(), known, &tied).len(), 1);
     }
 }

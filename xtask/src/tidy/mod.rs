@@ -9,7 +9,7 @@ mod sources;
 mod texts;
 mod tokens;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::bail;
@@ -38,7 +38,7 @@ pub(crate) fn tidy() -> anyhow::Result<()> {
 
 fn problems(root: &Path, workspace: &Workspace) -> anyhow::Result<Problems> {
     let mut problems = workspace.arrows_between_packages(layers::PACKAGES);
-    let mut circles = BTreeSet::new();
+    let (mut circles, mut tied) = (BTreeSet::new(), BTreeMap::new());
     for package in &workspace.packages {
         for crate_root in &package.roots {
             let sources = sources::Sources::read(crate_root)?;
@@ -47,13 +47,15 @@ fn problems(root: &Path, workspace: &Workspace) -> anyhow::Result<Problems> {
             for circle in sources::circles(&arrows, &sources.declared_by()) {
                 circles.insert(circle.iter().map(|file| relative(file)).collect::<Vec<_>>());
             }
-            for ((from, to), names) in &arrows {
-                problems.extend(layers::upward(&relative(from), &relative(to), names));
+            for ((from, to), names) in arrows {
+                let (from, to) = (relative(&from), relative(&to));
+                problems.extend(layers::upward(&from, &to, &names));
+                tied.entry((from, to)).or_insert(names);
             }
         }
         problems.extend(texts::problems(root, package)?);
     }
-    problems.extend(layers::new_circles(&circles));
+    problems.extend(layers::new_circles(&circles, &tied));
     problems.extend(pages::problems(root)?);
     Ok(problems)
 }

@@ -21,9 +21,12 @@ pub(super) fn problems(root: &Path, package: &Package) -> anyhow::Result<Problem
         let source =
             std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
         let name = file.strip_prefix(root).unwrap_or(&file).display().to_string();
+        let mut is_code = false;
         for (line, number) in source.lines().zip(1..) {
             let at = || format!("{name}:{number}");
-            if is_wide_comment(line) {
+            // The code of a documentation test has its own width.
+            is_code ^= line.trim_start().trim_start_matches(['/', '!']).trim_start().starts_with("```");
+            if !is_code && is_wide_comment(line) {
                 problems.push(format!("{}: a comment wider than {WIDTH} columns", at()));
             }
             let outside = included(line)

@@ -1,7 +1,7 @@
 //! What a module in another language declares, as data.
 
 use crate::{Interfaces, KnownType};
-use downbeat_executor::SettingValue;
+use downbeat_executor::{ModuleOptions, ServiceInfo, SettingValue, TopicCounter, TopicInfo};
 use downbeat_msgs::dynamic::DynamicType;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -191,10 +191,55 @@ impl Declarations {
         Ok((u32::try_from(self.settings.len() - 1).unwrap_or(u32::MAX), value))
     }
 
+    /// The topics of the module in a core, once it joins with these options. Topics of types that the robot does not know are left out.
+    #[must_use]
+    pub fn topics(&self, options: &ModuleOptions) -> Vec<TopicInfo> {
+        let topic = |item: &Declaration| {
+            let (topic, message, is_published) = match item {
+                Declaration::Publish { topic, message } => (topic, message, true),
+                Declaration::Subscribe { topic, message } => (topic, message, false),
+                _ => return None,
+            };
+            let message = self.interfaces.find_message(&message.name).ok()?;
+            Some(TopicInfo {
+                name: canonical(&options.resolved(topic)).into(),
+                message_type: message.name(),
+                message_type_id: message.rust_type(),
+                is_published,
+                counter: TopicCounter::default(),
+            })
+        };
+        self.items.iter().filter_map(topic).collect()
+    }
+
+    /// The services that the module serves or calls, as [`topics`](Self::topics).
+    #[must_use]
+    pub fn services(&self, options: &ModuleOptions) -> Vec<ServiceInfo> {
+        let service = |item: &Declaration| {
+            let (service, of, is_served) = match item {
+                Declaration::Serve { service, of } => (service, of, true),
+                Declaration::Client { service, of, .. } => (service, of, false),
+                _ => return None,
+            };
+            let (request_type, response_type) = self.interfaces.service(&of.name).ok()?.types_in_core();
+            Some(ServiceInfo {
+                name: canonical(&options.resolved(service)).into(),
+                request_type,
+                response_type,
+                server: is_served.then(|| self.module_name.as_str().into()),
+            })
+        };
+        self.items.iter().filter_map(service).collect()
+    }
+
     /// Makes the core ask regularly for a [successor](super::Foreign::successor).
     pub fn reload(&mut self) {
         self.is_reloading = true;
     }
+}
+
+fn canonical(name: &str) -> &str {
+    name.strip_prefix('/').unwrap_or(name)
 }
 
 impl Named {

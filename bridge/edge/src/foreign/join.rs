@@ -25,6 +25,7 @@ impl Module for ForeignModule {
     }
 
     fn activate(&mut self, ctx: &mut Context<'_>) -> Result<(), TransitionError> {
+        self.schedule_reload(ctx);
         self.make_transition(Transition::Activate, ctx).map_err(TransitionError::new)
     }
 
@@ -87,6 +88,16 @@ impl ForeignModule {
         }
         if declared.is_reloading || self.versions.has_successors() {
             setup.every(RELOAD_PERIOD, Self::look_for_successor)?;
+        }
+        if self.versions.has_successors() {
+            self.ports.reload = Some(setup.task(|module, _| module.ports.is_reload_due = true));
+            // At the end of the run: where the timer is due too, it keeps its place among the others.
+            setup.each_run(|module, ctx| {
+                if std::mem::take(&mut module.ports.is_reload_due) {
+                    module.look_for_successor(ctx);
+                    module.schedule_reload(ctx);
+                }
+            });
         }
         self.declared = Some(declared);
         Ok(())

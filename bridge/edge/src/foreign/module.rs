@@ -200,6 +200,9 @@ pub(super) struct Ports {
     pub(super) clients: Vec<CallEncoded>,
     pub(super) settings: Vec<Setting<SettingValue>>,
     pub(super) tasks: Vec<Task>,
+    /// Looks for a successor at the time of the recorded reload: a replay that begins in the middle of a run has other phases of timers.
+    pub(super) reload: Option<Task>,
+    pub(super) is_reload_due: bool,
     /// Requests without an answer so far.
     pub(super) open: BTreeMap<u64, ReplyEncoded>,
     pub(super) requests: u64,
@@ -398,6 +401,14 @@ impl ForeignModule {
             (Err(_), _) => versions.note(Life::Stopped),
         }
         result
+    }
+
+    /// Schedules the next reload of a replay.
+    pub(super) fn schedule_reload(&self, context: &mut Context<'_>) {
+        let due = self.versions.next_reload().filter(|due| *due > context.now());
+        if let (Some(task), Some(due)) = (self.ports.reload, due) {
+            context.schedule_after(task, due.saturating_since(context.now()));
+        }
     }
 
     /// Lets a newer version take over, if there is one.

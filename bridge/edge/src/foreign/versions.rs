@@ -43,6 +43,11 @@ pub trait Versions: Send + Sync {
         false
     }
 
+    /// When the running version was replaced, in a replay: it is asked for its successor at that time.
+    fn next_reload(&self) -> Option<Time> {
+        None
+    }
+
     /// What the log calls the files; empty if there are none.
     fn source(&self) -> String {
         String::new()

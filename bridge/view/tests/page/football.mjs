@@ -40,6 +40,10 @@ test('the dashboard opens with the field and all players', async () => {
   const first = page.locator('[data-testid="dashboard"] > section').first();
   await until('the panel of the match is first', async () => await first.getAttribute('data-testid') === 'panel-match');
   await until('four robots are listed', async () => (await first.getByTestId('match-robots').locator('tbody tr').count()) === 4);
+  await until('it and its neighbour fill the width', () => page.getByTestId('dashboard').evaluate((grid) => {
+    const [right, ...edges] = [grid, ...grid.querySelectorAll(':scope > section')].map((element) => element.getBoundingClientRect().right);
+    return Math.abs(right - edges[1]) < 24;
+  }));
   await show('match');
 });
 

@@ -1,4 +1,5 @@
-//! The use of services by modules and programs: functions of [`Setup`], [`Context`] and [`Core`].
+//! The use of services by modules and programs: functions of [`Setup`], [`Context`], [`Core`] and
+//! [`CoreHandle`].
 
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -10,8 +11,9 @@ use super::server::{Incoming, ServerPort};
 use super::{
     CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, Services, ServicesPort, StandIn,
 };
-use crate::module::{Causes, Direction, Host, SERVICES, TIMERS, Use, UseEnds};
-use crate::{Context, Core, Module, Setup, SetupError};
+use crate::cycle::Mechanisms;
+use crate::module::{Causes, Direction, Host, Link, SERVICES, TIMERS, Use, UseEnds};
+use crate::{Context, Core, CoreHandle, Module, Receipt, Setup, SetupError};
 
 fn services_of(host: &mut dyn Host) -> &mut Services {
     match host.mechanism(SERVICES).and_then(|any| any.downcast_mut()) {
@@ -261,9 +263,7 @@ impl Core {
         service: &str,
     ) -> Result<Caller<Q, R>, SetupError> {
         let link = Arc::clone(&self.state.link);
-        let registry = &mut self.service_mechanism().registry;
-        let index = registry.open(of, service, "caller")?;
-        Ok(Caller::new(index, Arc::clone(registry.name(index)), link))
+        open_caller(services_among(&mut self.mechanisms), of, service, link)
     }
 
     /// Replaces the server of a service that is not in this core. Until a module serves the service, calls of
@@ -287,7 +287,7 @@ impl Core {
         of: ServiceType<Q, R>,
         service: &str,
     ) -> Result<StandIn<R>, SetupError> {
-        let registry = &mut self.service_mechanism().registry;
+        let registry = &mut services_among(&mut self.mechanisms).registry;
         let index = registry.open(of, service, "stand-in")?;
         registry.get_mut(index).has_stand_in = true;
         Ok(StandIn::new(self.handle()))
@@ -318,10 +318,7 @@ impl Core {
         request: fn(&Q) -> Vec<u8>,
         answer: fn(&R) -> Vec<u8>,
     ) -> Result<(), SetupError> {
-        let registry = &mut self.service_mechanism().registry;
-        let index = registry.open(of, service, "encoder")?;
-        registry.get_mut(index).encoder = Some(Encoder::new(request, answer));
-        Ok(())
+        set_encoder(services_among(&mut self.mechanisms), of, service, Encoder::new(request, answer))
     }
 
     /// The services, in the order in which they were first declared.
@@ -335,11 +332,81 @@ impl Core {
         let services = self.mechanisms.get::<Services>(SERVICES)?;
         services.registry.find(name).map(|service| &service.info)
     }
+}
 
-    fn service_mechanism(&mut self) -> &mut Services {
-        match self.mechanisms.get_mut(SERVICES) {
-            Some(services) => services,
-            None => unreachable!("every core has services, which do not run between cycles"),
-        }
+impl CoreHandle {
+    /// The services, in the order in which they were first declared.
+    #[must_use = "the answer is in the receipt"]
+    pub fn services(&self) -> Receipt<Vec<ServiceInfo>> {
+        self.ask(|phase| {
+            let services = phase.mechanisms.get::<Services>(SERVICES);
+            services.into_iter().flat_map(|services| services.registry.infos()).cloned().collect()
+        })
     }
+
+    /// A way to call a service from threads outside the executor, made while the core runs; see [`Core::caller`](crate::Core::caller).
+    ///
+    /// ```
+    /// # use downbeat_executor::{CallError, Core, ManualClock, ServiceType, Time};
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.cycle()?;
+    /// let receipt = core.handle().caller_of::<f64, ()>(ServiceType::of(), "reach");
+    /// core.cycle()?; // Makes it in its sync phase.
+    /// let reach = receipt.try_take().unwrap()?;
+    /// # let (sender, answer) = std::sync::mpsc::channel();
+    /// reach.call(0.5, std::time::Duration::from_secs(9), move |result| drop(sender.send(result)))?;
+    /// (0..2).try_for_each(|_| core.cycle())?;
+    /// assert!(matches!(answer.try_recv()?, Err(CallError::NoServer { .. })));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use = "the answer is in the receipt"]
+    pub fn caller_of<Q: Send + 'static, R: Send + 'static>(
+        &self,
+        of: ServiceType<Q, R>,
+        service: &str,
+    ) -> Receipt<Result<Caller<Q, R>, SetupError>> {
+        let (service, link) = (service.to_owned(), Arc::clone(&self.link));
+        self.ask(move |phase| open_caller(services_among(phase.mechanisms), of, &service, link))
+    }
+
+    /// As [`Core::encode_service_of`](crate::Core::encode_service_of), while the core runs.
+    #[must_use = "the answer is in the receipt"]
+    pub fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
+        &self,
+        of: ServiceType<Q, R>,
+        service: &str,
+        request: fn(&Q) -> Vec<u8>,
+        answer: fn(&R) -> Vec<u8>,
+    ) -> Receipt<Result<(), SetupError>> {
+        let (service, encoder) = (service.to_owned(), Encoder::new(request, answer));
+        self.ask(move |phase| set_encoder(services_among(phase.mechanisms), of, &service, encoder))
+    }
+}
+
+fn services_among(mechanisms: &mut Mechanisms) -> &mut Services {
+    match mechanisms.get_mut(SERVICES) {
+        Some(services) => services,
+        None => unreachable!("every core has services, which do not run between cycles"),
+    }
+}
+
+fn open_caller<Q: Send + 'static, R: Send + 'static>(
+    services: &mut Services,
+    of: ServiceType<Q, R>,
+    service: &str,
+    link: Arc<Link>,
+) -> Result<Caller<Q, R>, SetupError> {
+    let index = services.registry.open(of, service, "caller")?;
+    Ok(Caller::new(index, Arc::clone(services.registry.name(index)), link))
+}
+
+fn set_encoder<Q: Send + 'static, R: Send + 'static>(
+    services: &mut Services,
+    of: ServiceType<Q, R>,
+    service: &str,
+    encoder: Encoder,
+) -> Result<(), SetupError> {
+    let index = services.registry.open(of, service, "encoder")?;
+    services.registry.get_mut(index).encoder = Some(encoder);
+    Ok(())
 }

@@ -116,7 +116,11 @@ impl Amplifier {
                 100.0.. => panic!("too far"),
                 _ => GoalResponse::Reject,
             })
-            .on_cancel(|_, _, _| CancelResponse::Accept)
+            .on_cancel(|amplifier, id, _| match amplifier.lean.goal(id).map(|goal| goal.goal().goal.angle) {
+                Some(..-20.0) => panic!("it cannot lean back"),
+                Some(..-10.0) => CancelResponse::Reject,
+                _ => CancelResponse::Accept,
+            })
             .declare(setup, "lean", &mut self.lean)?;
         ActionClient::builder(|amplifier: &mut Self| &mut amplifier.lean_on)
             .on_response(|_, _, accepted, ctx| {
@@ -133,7 +137,7 @@ impl Amplifier {
             .declare(setup, "lean_on", &mut self.lean_on)
     }
 
-    /// Reaches goals at once, except those that wait to be canceled, of a negative angle.
+    /// Reaches goals at once, except those that wait to be canceled, of a negative angle. One below -10 cannot be.
     fn go_on(&mut self, ctx: &mut Context<'_, Ports>) {
         let active: Vec<(GoalId, LeanGoal, bool)> = self
             .lean

@@ -34,7 +34,7 @@ mod v4l2;
 
 use std::time::Duration;
 
-use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError, Time, TransitionError};
+use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError, Time};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
@@ -46,7 +46,7 @@ pub use pictures::Pictures;
 pub use source::{Captured, Format, Frame, Granted, LONGEST_SIDE, Request, Source, VideoDevice, Wanted};
 pub use v4l2::V4l2;
 
-use crate::diagnostics::{Reporter, Status, value};
+use crate::diagnostics::{Complaint, Reporter, Status, value};
 use crate::kernel::name_of;
 use jpeg::Head;
 
@@ -66,7 +66,7 @@ pub struct Camera {
     calibration: Option<Calibration>,
     encoding: Encoding,
     /// Why the camera is not open, or the last thing that was told about it.
-    told: String,
+    complaint: Complaint,
     counts: Counts,
     damaged_at: Option<Time>,
     reporter: Reporter,
@@ -204,19 +204,7 @@ impl Module for Camera {
         })
     }
 
-    fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.state = State::Closed { retry_at: Time::ZERO };
-        Ok(())
-    }
-
-    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.close(Duration::ZERO, ctx);
-        Ok(())
-    }
-
-    fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
-        self.close(Duration::ZERO, ctx);
-    }
+    opened_while_active!();
 }
 
 impl Camera {
@@ -230,7 +218,7 @@ impl Camera {
             state: State::Closed { retry_at: Time::ZERO },
             calibration: None,
             encoding: Encoding::Off,
-            told: String::new(),
+            complaint: Complaint::default(),
             counts: Counts::default(),
             damaged_at: None,
             reporter: Reporter::default(),
@@ -241,6 +229,10 @@ impl Camera {
     #[must_use]
     pub fn emulated(link: DeviceLink<VideoDevice>) -> Self {
         Self { device: "", ..Self::new(link) }
+    }
+
+    fn open_soon(&mut self) {
+        self.state = State::Closed { retry_at: Time::ZERO };
     }
 
     fn run(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -259,7 +251,7 @@ impl Camera {
             Err(reason) => {
                 self.counts.not_opened += 1;
                 self.state = State::Closed { retry_at: ctx.now() + RETRY };
-                self.tell(&format!("{reason}; this is tried again every second"), ctx);
+                self.complaint.say(&format!("{reason}; this is tried again every second"), ctx);
                 return;
             }
         };
@@ -285,7 +277,7 @@ impl Camera {
                 "the calibration is for {calibrated_width}x{calibrated_height} pixels, the pictures have {width}x{height}: camera_info has no calibration"
             );
         }
-        self.tell(&told, ctx);
+        self.complaint.say(&told, ctx);
         let last_picture_at = ctx.now();
         self.state = State::Open(Running { granted, last_picture_at, last_number: None, has_other_size });
         self.set_controls(ctx);
@@ -295,7 +287,7 @@ impl Camera {
         let exchange = self.link.exchange(&Request::Frame, ctx.ports.exchanges, ctx);
         if exchange.outcome == BusExchange::FAILED {
             self.counts.lost += 1;
-            self.tell(&exchange.error, ctx);
+            self.complaint.say(&exchange.error, ctx);
             return self.closed(RETRY, ctx);
         }
         if exchange.outcome == BusExchange::TIMEOUT && exchange.reply.is_empty() {
@@ -303,7 +295,8 @@ impl Camera {
             if silent_for >= SILENCE {
                 self.counts.lost += 1;
                 let seconds = silent_for.as_secs();
-                self.tell(&format!("no picture came for {seconds} s; the camera is opened again"), ctx);
+                self.complaint
+                    .say(&format!("no picture came for {seconds} s; the camera is opened again"), ctx);
                 return self.closed(Duration::ZERO, ctx);
             }
             return State::Open(running);
@@ -411,12 +404,12 @@ impl Camera {
         let pixels = |setting| u32::try_from(*ctx.get::<i64>(setting)).unwrap_or(1);
         (self.wanted.width, self.wanted.height) = (pixels(width), pixels(height));
         self.wanted.rate_hz = *ctx.get(rate_hz);
-        self.close(Duration::ZERO, ctx);
+        self.close(ctx);
     }
 
-    fn close(&mut self, retry: Duration, ctx: &mut Context<'_, Ports>) {
+    fn close(&mut self, ctx: &mut Context<'_, Ports>) {
         if let State::Open(_) = self.state {
-            self.state = self.closed(retry, ctx);
+            self.state = self.closed(Duration::ZERO, ctx);
         }
     }
 
@@ -426,20 +419,14 @@ impl Camera {
         State::Closed { retry_at: ctx.now() + retry }
     }
 
-    /// Logs what is wrong, once.
-    fn tell(&mut self, what: &str, ctx: &Context<'_, Ports>) {
-        if self.told != what && !what.is_empty() {
-            tracing::warn!("{}: {what}", ctx.module_name());
-        }
-        what.clone_into(&mut self.told);
-    }
-
     fn diagnose(&mut self, ctx: &mut Context<'_, Ports>) {
         let is_damaged = self.damaged_at.is_some_and(|at| ctx.now() < at + RECENT);
         let (level, message) = match &self.state {
-            State::Closed { .. } => (DiagnosticStatus::ERROR, self.told.clone()),
+            State::Closed { .. } => (DiagnosticStatus::ERROR, self.complaint.text().to_owned()),
             State::Open(_) if is_damaged => (DiagnosticStatus::WARN, "pictures are damaged".to_owned()),
-            State::Open(_) if !self.told.is_empty() => (DiagnosticStatus::WARN, self.told.clone()),
+            State::Open(_) if !self.complaint.text().is_empty() => {
+                (DiagnosticStatus::WARN, self.complaint.text().to_owned())
+            }
             State::Open(_) => (DiagnosticStatus::OK, "running".to_owned()),
         };
         let name = match &self.state {

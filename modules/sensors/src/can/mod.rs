@@ -26,9 +26,7 @@ mod source;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use downbeat_executor::{
-    Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
-};
+use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
@@ -38,7 +36,7 @@ pub use frame::{Filter, Frame, LENGTH};
 pub use log::CandumpLog;
 pub use source::{CanDevice, Request, Sent, SocketCan, Source, Wanted};
 
-use crate::diagnostics::{Reporter, Status, value};
+use crate::diagnostics::{Complaint, Reporter, Status, value};
 use crate::kernel::name_of;
 use frame::{Controller, Trouble};
 
@@ -62,7 +60,7 @@ pub struct CanBus {
     is_emulated: bool,
     is_open: bool,
     retry_at: Time,
-    told: String,
+    complaint: Complaint,
     waiting: VecDeque<(Time, [u8; LENGTH])>,
     controller: Controller,
     /// The last error or refusal: when, and what.
@@ -120,19 +118,7 @@ impl Module for CanBus {
         })
     }
 
-    fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.retry_at = Time::ZERO;
-        Ok(())
-    }
-
-    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.close(ctx);
-        Ok(())
-    }
-
-    fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
-        self.close(ctx);
-    }
+    opened_while_active!();
 }
 
 impl CanBus {
@@ -145,7 +131,7 @@ impl CanBus {
             is_emulated: false,
             is_open: false,
             retry_at: Time::ZERO,
-            told: String::new(),
+            complaint: Complaint::default(),
             waiting: VecDeque::new(),
             controller: Controller::Active,
             trouble: None,
@@ -159,6 +145,10 @@ impl CanBus {
     #[must_use]
     pub fn emulated(link: DeviceLink<CanDevice>) -> Self {
         Self { is_emulated: true, ..Self::new(link) }
+    }
+
+    fn open_soon(&mut self) {
+        self.retry_at = Time::ZERO;
     }
 
     fn on_frame(&mut self, frame: Received<'_, Frame>, ctx: &mut Context<'_, Ports>) {
@@ -199,13 +189,13 @@ impl CanBus {
         self.is_open = exchange.outcome == BusExchange::OK;
         if self.is_open {
             tracing::info!("{}: {} is open", ctx.module_name(), self.name());
-            self.told.clear();
+            self.complaint.clear();
             self.controller = Controller::Active;
             self.error_counters = None;
         } else {
             self.counts.not_opened += 1;
             self.retry_at = ctx.now() + RETRY;
-            self.tell(&format!("{}; this is tried again every second", exchange.error), ctx);
+            self.complaint.say(&format!("{}; this is tried again every second", exchange.error), ctx);
         }
     }
 
@@ -296,7 +286,7 @@ impl CanBus {
 
     fn lose(&mut self, reason: &str, ctx: &mut Context<'_, Ports>) {
         self.counts.lost += 1;
-        self.tell(reason, ctx);
+        self.complaint.say(reason, ctx);
         self.close(ctx);
     }
 
@@ -312,14 +302,6 @@ impl CanBus {
         self.retry_at = ctx.now() + RETRY;
     }
 
-    /// Logs what is wrong, once.
-    fn tell(&mut self, what: &str, ctx: &Context<'_, Ports>) {
-        if self.told != what {
-            tracing::warn!("{}: {what}", ctx.module_name());
-            what.clone_into(&mut self.told);
-        }
-    }
-
     fn name(&self) -> &str {
         if self.wanted.interface.is_empty() { "an emulated bus" } else { name_of(&self.wanted.interface) }
     }
@@ -328,7 +310,7 @@ impl CanBus {
         let now = ctx.now();
         let recent = self.trouble.as_ref().filter(|(at, _)| now < *at + RECENT).map(|(_, what)| what.clone());
         let (level, message) = match (self.is_open, self.controller, recent) {
-            (false, ..) => (DiagnosticStatus::ERROR, self.told.clone()),
+            (false, ..) => (DiagnosticStatus::ERROR, self.complaint.text().to_owned()),
             (true, Controller::Off, _) => (DiagnosticStatus::ERROR, words_of(Controller::Off).to_owned()),
             (true, Controller::Active, None) => (DiagnosticStatus::OK, "running".to_owned()),
             (true, Controller::Active, Some(what)) => (DiagnosticStatus::WARN, what),

@@ -228,7 +228,10 @@ fn index_of(class: &Path, interface: &str) -> Result<u32, String> {
             true => "; is the adapter plugged in, and its driver loaded?".to_owned(),
             false => format!("; there are {}", all.join(", ")),
         };
-        return Err(format!("there is no interface {interface}{others}"));
+        return Err(match interface {
+            "" => format!("no interface is given{others}"),
+            _ => format!("there is no interface {interface}{others}"),
+        });
     };
     if read("type").as_deref() != Some(CAN) {
         return Err(format!("{interface} is no CAN interface"));

@@ -162,6 +162,9 @@ fn path_of(chip: &str) -> Result<PathBuf, String> {
         all.push(format!("{} \"{}\"", entry.path().display(), label.unwrap_or_default()));
     }
     all.sort();
+    if kernel::is_file(chip) {
+        return Ok(PathBuf::from(chip));
+    }
     match all.is_empty() {
         true => Err(format!("there is no GPIO chip \"{chip}\", nor any other")),
         false => Err(format!("there is no GPIO chip \"{chip}\"; there are {}", all.join(", "))),
@@ -303,6 +306,8 @@ mod tests {
         assert!(
             chip.open("no-such-chip", &[]).unwrap_err().starts_with("there is no GPIO chip \"no-such-chip\"")
         );
+        let file = chip.open("src", &[]).unwrap_err();
+        assert_eq!(file, "src is a folder, not the device file of a GPIO chip");
         assert!(chip.set(0, true).is_err());
     }
 }

@@ -27,9 +27,7 @@ mod source;
 
 use std::time::Duration;
 
-use downbeat_executor::{
-    Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
-};
+use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::Message;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
@@ -41,7 +39,7 @@ pub use lines::{Bias, Drive, Line, MOST_LINES, Use};
 pub use pins::Pins;
 pub use source::{Edge as Change, GpioDevice, Request, Source};
 
-use crate::diagnostics::{Reporter, Status, header, value};
+use crate::diagnostics::{Complaint, Reporter, Status, header, value};
 use crate::kernel::name_of;
 use lines::{Direction, parse_all};
 
@@ -71,7 +69,7 @@ pub struct Gpio {
     outputs: Vec<Output>,
     is_open: bool,
     retry_at: Time,
-    told: String,
+    complaint: Complaint,
     /// What was published of each input.
     known: Vec<Option<bool>>,
     counts: Counts,
@@ -168,19 +166,7 @@ impl Module for Gpio {
         })
     }
 
-    fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.retry_at = Time::ZERO;
-        Ok(())
-    }
-
-    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.close(ctx);
-        Ok(())
-    }
-
-    fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
-        self.close(ctx);
-    }
+    opened_while_active!();
 }
 
 impl Gpio {
@@ -195,7 +181,7 @@ impl Gpio {
             outputs: Vec::new(),
             is_open: false,
             retry_at: Time::ZERO,
-            told: String::new(),
+            complaint: Complaint::default(),
             known: Vec::new(),
             counts: Counts::default(),
             reporter: Reporter::default(),
@@ -206,6 +192,10 @@ impl Gpio {
     #[must_use]
     pub fn emulated(link: DeviceLink<GpioDevice>) -> Self {
         Self { is_emulated: true, ..Self::new(link) }
+    }
+
+    fn open_soon(&mut self) {
+        self.retry_at = Time::ZERO;
     }
 
     fn command(&mut self, place: usize, value: bool, ctx: &mut Context<'_, Ports>) {
@@ -231,11 +221,11 @@ impl Gpio {
         if exchange.outcome != BusExchange::OK {
             self.counts.not_opened += 1;
             self.retry_at = ctx.now() + RETRY;
-            self.tell(&format!("{}; this is tried again every second", exchange.error), ctx);
+            self.complaint.say(&format!("{}; this is tried again every second", exchange.error), ctx);
             return;
         }
         tracing::info!("{}: {} lines of {} are requested", ctx.module_name(), self.lines.len(), self.name());
-        self.told.clear();
+        self.complaint.clear();
         self.is_open = true;
         let time = Time::from_nanos(exchange.stamp.as_nanos());
         for (index, value) in exchange.reply.iter().enumerate() {
@@ -320,7 +310,7 @@ impl Gpio {
 
     fn lose(&mut self, reason: &str, ctx: &mut Context<'_, Ports>) {
         self.counts.lost += 1;
-        self.tell(reason, ctx);
+        self.complaint.say(reason, ctx);
         self.is_open = false;
         self.link.exchange(&Request::Close, ctx.ports.exchanges, ctx);
         self.forget(ctx);
@@ -345,14 +335,6 @@ impl Gpio {
         }
     }
 
-    /// Logs what is wrong, once.
-    fn tell(&mut self, what: &str, ctx: &Context<'_, Ports>) {
-        if self.told != what {
-            tracing::warn!("{}: {what}", ctx.module_name());
-            what.clone_into(&mut self.told);
-        }
-    }
-
     fn name(&self) -> &str {
         if self.chip.is_empty() { "an emulated chip" } else { name_of(&self.chip) }
     }
@@ -360,7 +342,7 @@ impl Gpio {
     fn diagnose(&mut self, ctx: &mut Context<'_, Ports>) {
         let (level, message) = match self.is_open {
             true => (DiagnosticStatus::OK, "running".to_owned()),
-            false => (DiagnosticStatus::ERROR, self.told.clone()),
+            false => (DiagnosticStatus::ERROR, self.complaint.text().to_owned()),
         };
         let Counts { changes, lost_changes, silences, not_opened, lost } = self.counts;
         let values = self.lines.iter().zip(&self.known).map(|(line, known)| (line.name.clone(), *known));

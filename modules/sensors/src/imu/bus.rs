@@ -10,11 +10,12 @@ use std::time::{Duration, Instant};
 use downbeat_executor::Time;
 use downbeat_modules::device::Device;
 use downbeat_modules::servo_emulator::{Fault, FaultSchedule};
-use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use parking_lot::Mutex;
 use std::sync::{Arc, Weak};
 
+use crate::exchange::{self, Counted};
+use crate::kernel;
 use crate::memory::{NameInUse, Registry, is_memory};
 
 /// What a module asks of its bus.
@@ -47,7 +48,7 @@ pub struct I2cDevice {
     buses: EmulatedBuses,
     path: String,
     open: Option<Open>,
-    sequence: u64,
+    exchanges: Counted,
 }
 
 enum Open {
@@ -59,7 +60,7 @@ impl I2cDevice {
     /// A closed bus that can be one of these in memory.
     #[must_use]
     pub fn new(buses: EmulatedBuses) -> Self {
-        Self { buses, path: String::new(), open: None, sequence: 0 }
+        Self { buses, path: String::new(), open: None, exchanges: Counted::default() }
     }
 
     /// Sets which bus [`Request::Open`] opens.
@@ -103,34 +104,19 @@ impl I2cDevice {
 }
 
 /// Directs reads and writes of the file to the chip at this address.
-#[cfg(target_os = "linux")]
-#[expect(unsafe_code, reason = "an ioctl that rustix does not have")]
 fn select(file: &File, selected: &mut Option<u8>, address: u8) -> io::Result<()> {
-    /// `I2C_SLAVE` of linux/i2c-dev.h.
-    const SELECT: rustix::ioctl::Opcode = 0x0703;
     if *selected != Some(address) {
-        // SAFETY: `I2C_SLAVE` takes an integer and accesses no memory of this process.
-        unsafe {
-            let request = rustix::ioctl::IntegerSetter::<SELECT>::new_usize(address.into());
-            rustix::ioctl::ioctl(file, request)?;
-        }
+        kernel::i2c::select(file, address)?;
         *selected = Some(address);
     }
     Ok(())
 }
 
-#[cfg(not(target_os = "linux"))]
-fn select(_file: &File, _selected: &mut Option<u8>, _address: u8) -> io::Result<()> {
-    Err(ErrorKind::Unsupported.into())
-}
-
 /// Why a chip does not answer.
 fn silent(path: &str, address: u8, error: &io::Error) -> String {
-    /// `ENOTTY`: the file is no bus.
-    const NOT_A_BUS: i32 = 25;
-    match error.raw_os_error() {
-        Some(NOT_A_BUS) => format!("{path} is no I²C bus: set \"bus\" to a device such as /dev/i2c-1"),
-        _ => format!("{} ({error})", no_answer(path, address)),
+    match kernel::is_foreign(error) {
+        true => format!("{path} is no I²C bus: set \"bus\" to a device such as /dev/i2c-1"),
+        false => format!("{} ({error})", no_answer(path, address)),
     }
 }
 
@@ -147,6 +133,9 @@ fn open(path: &str, buses: &EmulatedBuses) -> Result<Open, String> {
         return bus.ok_or_else(|| {
             format!("no module emulates \"{path}\": add one with that \"link\" to the robot file")
         });
+    }
+    if path.is_empty() {
+        return Err("no I²C bus is given: set \"bus\" to a device such as /dev/i2c-1".to_owned());
     }
     match fs::metadata(path) {
         Ok(metadata) if !metadata.file_type().is_char_device() => {
@@ -183,26 +172,16 @@ impl Device for I2cDevice {
 
     fn exchange(&mut self, request: &Request, now: Time) -> BusExchange {
         let started = Instant::now();
-        let outcome = self.attempt(request, now);
-        // The time of a device in memory is that of the core.
-        let duration = if is_memory(&self.path) { Duration::ZERO } else { started.elapsed() };
-        let duration_us = u32::try_from(duration.as_micros()).unwrap_or(u32::MAX);
-        let sequence = self.sequence;
-        self.sequence += 1;
-        let exchange = BusExchange { duration_us, sequence, ..exchange_of(request, now) };
-        match outcome {
-            Ok(reply) => BusExchange { reply, ..exchange },
-            Err(error) => BusExchange { outcome: BusExchange::FAILED, error, ..exchange },
-        }
+        let outcome = self.attempt(request, now).map(Some);
+        self.exchanges.end(exchange_of(request, now), outcome, started, &self.path)
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        exchange.kind == expected.kind && exchange.instruction == expected.instruction
+        exchange::has_same_request(exchange, &exchange_of(request, Time::ZERO))
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
-        BusExchange { outcome: BusExchange::FAILED, error: reason.to_owned(), ..exchange_of(request, now) }
+        exchange::fail(exchange_of(request, now), reason)
     }
 }
 
@@ -216,8 +195,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         }
         Request::Close => (BusExchange::CLOSE, Vec::new()),
     };
-    let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange { stamp, kind, instruction, ..BusExchange::default() }
+    exchange::begin(kind, instruction, now)
 }
 
 /// A chip with registers, emulated. What it answers depends on the calls only; times are since it was powered.
@@ -311,6 +289,7 @@ mod tests {
             if opened.outcome == BusExchange::OK { read.error } else { opened.error }
         };
         assert!(error(file.to_str().unwrap()).contains("is a regular file, not an I²C bus: set \"bus\""));
+        assert!(error("").starts_with("no I²C bus is given"));
         assert!(error(folder.path().to_str().unwrap()).contains("is a folder"));
         assert!(
             error("/dev/i2c-no-such-bus").contains("does not exist: load the driver (sudo modprobe i2c-dev)")

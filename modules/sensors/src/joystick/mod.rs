@@ -29,7 +29,7 @@ pub mod teleop;
 
 use std::time::Duration;
 
-use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError, Time, TransitionError};
+use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError, Time};
 use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
@@ -39,7 +39,7 @@ pub use events::{Axis, Button, Event, Layout};
 pub use recorded::RecordedEvents;
 pub use source::{Evdev, InputDevice, Request, Source};
 
-use crate::diagnostics::{Reporter, Status, header, value};
+use crate::diagnostics::{Complaint, Reporter, Status, header, value};
 use crate::kernel::name_of;
 use events::{ABSOLUTE, DROPPED, KEY, REPORT, Receiver, SYNCHRONISATION};
 
@@ -51,7 +51,7 @@ pub struct Joystick {
     link: DeviceLink<InputDevice>,
     device: String,
     state: State,
-    told: String,
+    complaint: Complaint,
     published_at: Option<Time>,
     counts: Counts,
     reporter: Reporter,
@@ -126,19 +126,7 @@ impl Module for Joystick {
         })
     }
 
-    fn activate(&mut self, _ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.state = State::Closed { retry_at: Time::ZERO };
-        Ok(())
-    }
-
-    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
-        self.close(ctx);
-        Ok(())
-    }
-
-    fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
-        self.close(ctx);
-    }
+    opened_while_active!();
 }
 
 impl Joystick {
@@ -149,11 +137,15 @@ impl Joystick {
             link,
             device: String::new(),
             state: State::Closed { retry_at: Time::ZERO },
-            told: String::new(),
+            complaint: Complaint::default(),
             published_at: None,
             counts: Counts::default(),
             reporter: Reporter::default(),
         }
+    }
+
+    fn open_soon(&mut self) {
+        self.state = State::Closed { retry_at: Time::ZERO };
     }
 
     fn run(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -180,7 +172,7 @@ impl Joystick {
                 let (axes, buttons) = (layout.axes.len(), layout.buttons.len());
                 let name = ctx.module_name();
                 tracing::info!("{name}: \"{}\" has {axes} axes and {buttons} buttons", layout.name);
-                self.told.clear();
+                self.complaint.clear();
                 let switched = vec![false; buttons];
                 self.state =
                     State::Open(Held { receiver: Receiver::default(), layout, switched, is_behind: false });
@@ -189,7 +181,7 @@ impl Joystick {
             Err(reason) => {
                 self.counts.not_opened += 1;
                 self.state = State::Closed { retry_at: ctx.now() + RETRY };
-                self.tell(&format!("{reason}; this is tried again every second"), ctx);
+                self.complaint.say(&format!("{reason}; this is tried again every second"), ctx);
             }
         }
     }
@@ -268,7 +260,7 @@ impl Joystick {
 
     fn lose(&mut self, reason: &str, ctx: &mut Context<'_, Ports>) {
         self.counts.lost += 1;
-        self.tell(reason, ctx);
+        self.complaint.say(reason, ctx);
         self.close(ctx);
     }
 
@@ -283,19 +275,11 @@ impl Joystick {
         }
     }
 
-    /// Logs what is wrong, once.
-    fn tell(&mut self, what: &str, ctx: &Context<'_, Ports>) {
-        if self.told != what {
-            tracing::warn!("{}: {what}", ctx.module_name());
-            what.clone_into(&mut self.told);
-        }
-    }
-
     fn diagnose(&mut self, ctx: &mut Context<'_, Ports>) {
         let (level, message, hardware_id) = match &self.state {
             State::Open(held) => (DiagnosticStatus::OK, "running".to_owned(), held.layout.name.clone()),
             State::Closed { .. } => {
-                (DiagnosticStatus::ERROR, self.told.clone(), name_of(&self.device).to_owned())
+                (DiagnosticStatus::ERROR, self.complaint.text().to_owned(), name_of(&self.device).to_owned())
             }
         };
         let Counts { events, overruns, not_opened, lost } = self.counts;

@@ -132,11 +132,12 @@ const CLOSED: &str = "the joystick is not open";
 impl Source for Evdev {
     fn open(&mut self, device: &str) -> Result<(), String> {
         self.close();
-        let path = if device.starts_with('/') {
+        let is_path = device.starts_with('/');
+        let all = if is_path { Vec::new() } else { joysticks(Path::new(CLASS)) };
+        let found = all.iter().find(|(_, name)| device.is_empty() || name == device);
+        let path = if is_path || (found.is_none() && kernel::is_file(device)) {
             PathBuf::from(device)
         } else {
-            let all = joysticks(Path::new(CLASS));
-            let found = all.iter().find(|(_, name)| device.is_empty() || name == device);
             let found = found.ok_or_else(|| {
                 let names: Vec<_> = all.iter().map(|(_, name)| format!("\"{name}\"")).collect();
                 match (device, &names[..]) {
@@ -278,6 +279,8 @@ mod tests {
         assert!(missing.contains("is the joystick plugged in?"), "{missing}");
         let unnamed = source.open("No Such Stick").unwrap_err();
         assert!(unnamed.starts_with("there is no joystick \"No Such Stick\"; "), "{unnamed}");
+        let file = source.open("Cargo.toml").unwrap_err();
+        assert_eq!(file, "Cargo.toml is a file, not the device file of a joystick");
         assert_eq!(source.read(Time::ZERO, Duration::ZERO), Err(CLOSED.to_owned()));
     }
 }

@@ -106,10 +106,6 @@ pub(crate) fn is_gone(_error: &io::Error) -> bool {
     false
 }
 
-pub(crate) fn is_foreign(_error: &io::Error) -> bool {
-    false
-}
-
 pub(crate) fn is_full(_error: &io::Error) -> bool {
     false
 }

@@ -1,4 +1,4 @@
-//! Requests to device files and mapped memory: the `unsafe` of this package, on Linux.
+//! Requests to device files and mapped memory, on 64-bit Linux.
 #![allow(unsafe_code)]
 
 use std::ffi::c_void;
@@ -262,11 +262,6 @@ pub(crate) fn age(seconds: u64, nanoseconds: u64) -> Option<Duration> {
 pub(crate) fn is_gone(error: &io::Error) -> bool {
     let gone = [rustix::io::Errno::NODEV, rustix::io::Errno::NXIO];
     gone.iter().any(|errno| error.raw_os_error() == Some(errno.raw_os_error()))
-}
-
-/// Whether an error says that a file is no device of the kind that the request is for: `ENOTTY`.
-pub(crate) fn is_foreign(error: &io::Error) -> bool {
-    error.raw_os_error() == Some(rustix::io::Errno::NOTTY.raw_os_error())
 }
 
 /// Whether an error says that a queue of a driver is full: `ENOBUFS`.

@@ -1,10 +1,12 @@
-//! What the kernel offers in C for devices of its classes: cameras, input devices, CAN sockets, lines of a GPIO chip.
+//! What the kernel offers in C for devices of its classes: cameras, input devices, CAN sockets, lines of a GPIO chip, I²C buses.
 //!
-//! Structures are arrays of bytes here, so that only requests and mapped memory need `unsafe`, in one file. Their layouts and numbers
+//! Structures are arrays of bytes here, so that only requests and mapped memory need `unsafe`, in `linux.rs` and `i2c.rs`. Their layouts and numbers
 //! are those of 64-bit Linux; tests compare them with the headers of Linux 6.1 (`linux/videodev2.h`, `input.h`, `can.h`, `gpio.h`).
 
 #[cfg_attr(not(all(target_os = "linux", target_pointer_width = "64")), path = "elsewhere.rs")]
 mod linux;
+
+pub(crate) mod i2c;
 
 use std::fs::File;
 use std::io;
@@ -33,6 +35,16 @@ pub(crate) fn open_device(path: &Path, is_written: bool, what: &str, group: &str
         return Err(format!("{at} is a {kind}, not the device file of a {what}"));
     }
     open_without_waiting(path, is_written).map_err(failed)
+}
+
+/// Whether an error says that a file is no device of the kind that the request is for: `ENOTTY`.
+pub(crate) fn is_foreign(error: &io::Error) -> bool {
+    error.raw_os_error() == Some(rustix::io::Errno::NOTTY.raw_os_error())
+}
+
+/// Whether the name of a device that nothing has is the path of a file, from the working directory.
+pub(crate) fn is_file(name: &str) -> bool {
+    !name.is_empty() && Path::new(name).exists()
 }
 
 /// The last part of a path, or a whole name: what recordings and diagnostics hold of a device, so that a run replays from any folder.

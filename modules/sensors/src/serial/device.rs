@@ -1,16 +1,16 @@
 //! A serial port as a device whose exchanges are recorded.
 
-use std::fs::{self, FileType};
 use std::io::{self, ErrorKind, Write};
 use std::marker::PhantomData;
-use std::os::unix::fs::FileTypeExt;
 use std::time::{Duration, Instant};
 
 use downbeat_executor::Time;
 use downbeat_modules::device::Device;
-use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
+use downbeat_modules::serial_port::{check_port, port_refusal};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
+
+use crate::exchange::{self, Counted};
 
 use super::emulated::{EmulatedPort, EmulatedPorts};
 
@@ -61,7 +61,7 @@ pub struct SerialDevice<R> {
     ports: EmulatedPorts,
     settings: PortSettings,
     open: Option<Open>,
-    sequence: u64,
+    exchanges: Counted,
     role: PhantomData<fn() -> R>,
 }
 
@@ -70,19 +70,12 @@ enum Open {
     Memory(EmulatedPort),
 }
 
-/// Why an exchange gives nothing.
-enum Failure {
-    /// No byte has come.
-    Silent,
-    /// The port does not work.
-    Broken(String),
-}
-
 impl<R: Role> SerialDevice<R> {
     /// A closed port that can be one of these in memory.
     #[must_use]
     pub fn new(ports: EmulatedPorts) -> Self {
-        Self { ports, settings: PortSettings::default(), open: None, sequence: 0, role: PhantomData }
+        let (settings, exchanges) = Default::default();
+        Self { ports, settings, open: None, exchanges, role: PhantomData }
     }
 
     /// Sets which port [`Request::Open`] opens.
@@ -90,33 +83,33 @@ impl<R: Role> SerialDevice<R> {
         self.settings = settings;
     }
 
-    fn attempt(&mut self, request: &Request, now: Time) -> Result<Vec<u8>, Failure> {
+    /// `None` if no byte has come.
+    fn attempt(&mut self, request: &Request, now: Time) -> Result<Option<Vec<u8>>, String> {
         match (request, &mut self.open) {
             (Request::Open, _) => {
                 self.close();
-                self.open = Some(open(&self.settings, &self.ports, now).map_err(Failure::Broken)?);
-                Ok(Vec::new())
+                self.open = Some(open(&self.settings, &self.ports, now)?);
+                Ok(Some(Vec::new()))
             }
             (Request::Close, _) => {
                 self.close();
-                Ok(Vec::new())
+                Ok(Some(Vec::new()))
             }
-            (_, None) => Err(Failure::Broken("the port is not open".to_owned())),
+            (_, None) => Err("the port is not open".to_owned()),
             (Request::Receive, Some(Open::Port(port))) => receive(&mut **port),
             (Request::Receive, Some(Open::Memory(port))) => match port.receive(now) {
-                Some(bytes) if bytes.is_empty() => Err(Failure::Silent),
-                Some(bytes) => Ok(bytes),
+                Some(bytes) => Ok(Some(bytes).filter(|bytes| !bytes.is_empty())),
                 None => Err(closed(&self.settings.path)),
             },
             (Request::Send(bytes), Some(Open::Port(port))) => {
                 let sent = port.set_timeout(WRITE_TIMEOUT).map_err(io::Error::from);
                 match sent.and_then(|()| port.write_all(bytes)) {
-                    Ok(()) => Ok(Vec::new()),
-                    Err(error) => Err(Failure::Broken(format!("sending: {error}"))),
+                    Ok(()) => Ok(Some(Vec::new())),
+                    Err(error) => Err(format!("sending: {error}")),
                 }
             }
             (Request::Send(bytes), Some(Open::Memory(port))) => match port.send(bytes, now) {
-                true => Ok(Vec::new()),
+                true => Ok(Some(Vec::new())),
                 false => Err(closed(&self.settings.path)),
             },
         }
@@ -132,11 +125,11 @@ impl<R: Role> SerialDevice<R> {
     }
 }
 
-fn closed(path: &str) -> Failure {
-    Failure::Broken(format!("{path} was closed by its emulator"))
+fn closed(path: &str) -> String {
+    format!("{path} was closed by its emulator")
 }
 
-fn receive(port: &mut dyn SerialPort) -> Result<Vec<u8>, Failure> {
+fn receive(port: &mut dyn SerialPort) -> Result<Option<Vec<u8>>, String> {
     let mut bytes = Vec::new();
     let mut buffer = [0; 1024];
     let mut until = Instant::now() + WAIT;
@@ -161,11 +154,11 @@ fn receive(port: &mut dyn SerialPort) -> Result<Vec<u8>, Failure> {
             };
         // What came before is not lost; the next attempt reports the error.
         if bytes.is_empty() {
-            return Err(Failure::Broken(format!("receiving: {error}; is the device plugged in?")));
+            return Err(format!("receiving: {error}; is the device plugged in?"));
         }
         break;
     }
-    if bytes.is_empty() { Err(Failure::Silent) } else { Ok(bytes) }
+    Ok(Some(bytes).filter(|bytes| !bytes.is_empty()))
 }
 
 /// Opens a port.
@@ -181,16 +174,7 @@ fn open(settings: &PortSettings, ports: &EmulatedPorts, now: Time) -> Result<Ope
         let closed = || format!("{path} is closed by its emulator");
         return port.is_open(now).then_some(Open::Memory(port)).ok_or_else(closed);
     }
-    match fs::metadata(path) {
-        Ok(metadata) if !metadata.file_type().is_char_device() => {
-            return Err(format!(
-                "{path} is {}, not a serial port: set \"port\" to a device such as /dev/ttyUSB0",
-                kind_of(metadata.file_type())
-            ));
-        }
-        Err(error) => return Err(remedy(path, &error)),
-        Ok(_) => {}
-    }
+    check_port(path)?;
     let mut builder = serialport::new(path, settings.baud)
         .data_bits(DataBits::Eight)
         .parity(Parity::None)
@@ -199,29 +183,7 @@ fn open(settings: &PortSettings, ports: &EmulatedPorts, now: Time) -> Result<Ope
     if let Some(level) = settings.data_terminal_ready {
         builder = builder.dtr_on_open(level);
     }
-    builder.open().map(Open::Port).map_err(|error| remedy(path, &error.into()))
-}
-
-fn kind_of(kind: FileType) -> &'static str {
-    match kind {
-        kind if kind.is_dir() => "a folder",
-        kind if kind.is_file() => "a regular file",
-        kind if kind.is_block_device() => "a disk",
-        _ => "a socket or pipe",
-    }
-}
-
-/// Why a port cannot be opened, and what to do.
-fn remedy(path: &str, error: &io::Error) -> String {
-    match error.kind() {
-        ErrorKind::NotFound => format!(
-            "{path} does not exist: plug the device in, or set \"port\" to the path of another (ls /dev/serial/by-id)"
-        ),
-        ErrorKind::PermissionDenied => format!(
-            "no permission to open {path}: add the user to the group dialout (sudo usermod -aG dialout $USER) and log in again"
-        ),
-        _ => format!("opening {path}: {error}; is it a serial port, and does no other program use it?"),
-    }
+    builder.open().map(Open::Port).map_err(|error| port_refusal(path, &error.into()))
 }
 
 impl<R: Role> Device for SerialDevice<R> {
@@ -232,27 +194,15 @@ impl<R: Role> Device for SerialDevice<R> {
     fn exchange(&mut self, request: &Request, now: Time) -> BusExchange {
         let started = Instant::now();
         let outcome = self.attempt(request, now);
-        // The time of a device in memory is that of the core.
-        let duration =
-            if EmulatedPorts::is_memory(&self.settings.path) { Duration::ZERO } else { started.elapsed() };
-        let duration_us = u32::try_from(duration.as_micros()).unwrap_or(u32::MAX);
-        let sequence = self.sequence;
-        self.sequence += 1;
-        let exchange = BusExchange { duration_us, sequence, ..exchange_of(request, now) };
-        match outcome {
-            Ok(reply) => BusExchange { reply, ..exchange },
-            Err(Failure::Silent) => BusExchange { outcome: BusExchange::TIMEOUT, ..exchange },
-            Err(Failure::Broken(error)) => BusExchange { outcome: BusExchange::FAILED, error, ..exchange },
-        }
+        self.exchanges.end(exchange_of(request, now), outcome, started, &self.settings.path)
     }
 
     fn answers(exchange: &BusExchange, request: &Request) -> bool {
-        let expected = exchange_of(request, Time::ZERO);
-        exchange.kind == expected.kind && exchange.instruction == expected.instruction
+        exchange::has_same_request(exchange, &exchange_of(request, Time::ZERO))
     }
 
     fn failed(request: &Request, now: Time, reason: &str) -> BusExchange {
-        BusExchange { outcome: BusExchange::FAILED, error: reason.to_owned(), ..exchange_of(request, now) }
+        exchange::fail(exchange_of(request, now), reason)
     }
 }
 
@@ -263,8 +213,7 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
         Request::Send(bytes) => (BusExchange::TRANSFER, bytes.clone()),
         Request::Close => (BusExchange::CLOSE, Vec::new()),
     };
-    let stamp = Stamp::from_nanos(now.as_nanos());
-    BusExchange { stamp, kind, instruction, ..BusExchange::default() }
+    exchange::begin(kind, instruction, now)
 }
 
 #[cfg(test)]
@@ -291,15 +240,16 @@ mod tests {
     fn a_path_that_is_no_port_is_refused_with_the_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("scan.bin");
-        fs::write(&file, "data").unwrap();
+        std::fs::write(&file, "data").unwrap();
         let error = |path: &str| opened(path).1.error;
-        assert!(error(file.to_str().unwrap()).contains("is a regular file, not a serial port: set \"port\""));
+        assert!(
+            error(file.to_str().unwrap()).contains("is a regular file, not a serial port: name a device")
+        );
         assert!(error(folder.path().to_str().unwrap()).contains("is a folder"));
         assert!(error("/dev/no-such-port").contains("/dev/no-such-port does not exist: plug the device in"));
-        assert!(error("/dev/null").contains("opening /dev/null: "));
+        assert!(error("/dev/null").contains("/dev/null is a device, but not a serial port: "));
+        assert!(error("").contains("no serial port is given: name one"));
         assert!(error("memory:nobody").contains("no module emulates \"memory:nobody\""));
-        let denied = remedy("/dev/ttyUSB0", &ErrorKind::PermissionDenied.into());
-        assert!(denied.contains("/dev/ttyUSB0: add the user to the group dialout"), "{denied}");
     }
 
     #[test]

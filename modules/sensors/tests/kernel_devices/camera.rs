@@ -4,39 +4,30 @@ use std::sync::{Arc, Mutex};
 
 use downbeat_executor::{Heard, ModuleOptions, Probe, Time};
 use downbeat_modules::device::DeviceLink;
-use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
-use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use downbeat_sensors::camera::{
     Camera, Captured, Format, Frame, Granted, Pictures, Source, VideoDevice, Wanted,
 };
 use fuzzing::{Random, rounds};
 
-use super::{last_status, last_value, options, pass, text, texts};
+use super::{Bench, bench_of, last_status, last_value, options, pass, text, texts};
 
-struct Bench {
-    probe: Probe,
+struct Topics {
     compressed: Heard<CompressedImage>,
     images: Heard<Image>,
     infos: Heard<CameraInfo>,
-    exchanges: Heard<BusExchange>,
-    diagnostics: Heard<DiagnosticArray>,
 }
 
-fn bench(camera: Camera, options: ModuleOptions) -> Bench {
-    let mut probe = Probe::new();
+fn bench(camera: Camera, options: ModuleOptions) -> Bench<Topics> {
     let is_jpeg = options.settings.get("format") != Some(&text("yuyv"));
     let has_image = options.settings.get("image_raw") != Some(&text("off"));
-    probe.add_with("front", camera, options).unwrap();
     let unheard = "unheard";
-    Bench {
+    bench_of(("front", camera), options, "camera/exchanges", |probe| Topics {
         compressed: probe.listen(if is_jpeg { "image_raw/compressed" } else { unheard }).unwrap(),
         images: probe.listen(if has_image { "image_raw" } else { "unheard_too" }).unwrap(),
         infos: probe.listen("camera_info").unwrap(),
-        exchanges: probe.listen("camera/exchanges").unwrap(),
-        diagnostics: probe.listen("diagnostics").unwrap(),
-        probe,
-    }
+    })
 }
 
 fn emulated() -> Camera {

@@ -3,29 +3,20 @@ use std::sync::{Arc, Mutex};
 
 use downbeat_executor::{Heard, ModuleOptions, Probe, Time};
 use downbeat_modules::device::DeviceLink;
-use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
-use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_sensors::can::{CanBus, CanDevice, CandumpLog, Frame, LENGTH, Sent, SocketCan, Source, Wanted};
 use fuzzing::{Random, rounds};
 
-use super::{last_status, last_value, options, pass, text, texts};
+use super::{Bench, bench_of, last_status, last_value, options, pass, text, texts};
 
-struct Bench {
-    probe: Probe,
+struct Topics {
     received: Heard<Frame>,
-    exchanges: Heard<BusExchange>,
-    diagnostics: Heard<DiagnosticArray>,
 }
 
-fn bench(link: DeviceLink<CanDevice>, options: ModuleOptions) -> Bench {
-    let mut probe = Probe::new();
-    probe.add_with("can", CanBus::emulated(link), options).unwrap();
-    Bench {
+fn bench(link: DeviceLink<CanDevice>, options: ModuleOptions) -> Bench<Topics> {
+    bench_of(("can", CanBus::emulated(link)), options, "can/exchanges", |probe| Topics {
         received: probe.listen("from_can_bus").unwrap(),
-        exchanges: probe.listen("can/exchanges").unwrap(),
-        diagnostics: probe.listen("diagnostics").unwrap(),
-        probe,
-    }
+    })
 }
 
 fn emulated() -> DeviceLink<CanDevice> {
@@ -125,7 +116,7 @@ impl Source for Troubled {
     fn close(&mut self) {}
 }
 
-fn troubled() -> (Troubled, Bench) {
+fn troubled() -> (Troubled, Bench<Topics>) {
     let bus = Troubled::default();
     let mut live = bench(DeviceLink::new(CanDevice::new(bus.clone())), options([]));
     pass(&mut live.probe, 20);

@@ -3,32 +3,23 @@ use std::path::Path;
 
 use downbeat_executor::{Heard, ModuleOptions, Probe};
 use downbeat_modules::device::DeviceLink;
-use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
-use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::std_msgs::msg::Bool;
 use downbeat_sensors::gpio::{Edge, Gpio, GpioDevice, Pins};
 use fuzzing::{Random, rounds};
 
-use super::{last_status, last_value, options, pass, text, texts};
+use super::{Bench, bench_of, last_status, last_value, options, pass, text, texts};
 
-struct Bench {
-    probe: Probe,
+struct Topics {
     button: Heard<Bool>,
     edges: Heard<Edge>,
-    exchanges: Heard<BusExchange>,
-    diagnostics: Heard<DiagnosticArray>,
 }
 
-fn bench(link: DeviceLink<GpioDevice>, options: ModuleOptions) -> Bench {
-    let mut probe = Probe::new();
-    probe.add_with("pins", Gpio::emulated(link), options).unwrap();
-    Bench {
+fn bench(link: DeviceLink<GpioDevice>, options: ModuleOptions) -> Bench<Topics> {
+    bench_of(("pins", Gpio::emulated(link)), options, "gpio/exchanges", |probe| Topics {
         button: probe.listen("gpio/button").unwrap(),
         edges: probe.listen("gpio/edges").unwrap(),
-        exchanges: probe.listen("gpio/exchanges").unwrap(),
-        diagnostics: probe.listen("diagnostics").unwrap(),
-        probe,
-    }
+    })
 }
 
 fn emulated() -> DeviceLink<GpioDevice> {

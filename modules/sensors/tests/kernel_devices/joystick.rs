@@ -3,10 +3,9 @@ use std::io::Write;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use downbeat_executor::{Heard, ModuleOptions, Probe, Time};
+use downbeat_executor::{Heard, ModuleOptions, Time};
 use downbeat_modules::device::DeviceLink;
-use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
-use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::sensor_msgs::msg::Joy;
 use downbeat_sensors::joystick::{
     Axis, Button, Event, InputDevice, Joystick, Layout, RecordedEvents, Source,
@@ -14,27 +13,19 @@ use downbeat_sensors::joystick::{
 use fuzzing::{Random, rounds};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 
-use super::{last_status, last_value, options, pass, text};
+use super::{Bench, bench_of, last_status, last_value, options, pass, text};
 
 const KEY: u16 = 1;
 const ABSOLUTE: u16 = 3;
 
-struct Bench {
-    probe: Probe,
+struct Topics {
     joy: Heard<Joy>,
-    exchanges: Heard<BusExchange>,
-    diagnostics: Heard<DiagnosticArray>,
 }
 
-fn bench(link: DeviceLink<InputDevice>, options: ModuleOptions) -> Bench {
-    let mut probe = Probe::new();
-    probe.add_with("pad", Joystick::new(link), options).unwrap();
-    Bench {
+fn bench(link: DeviceLink<InputDevice>, options: ModuleOptions) -> Bench<Topics> {
+    bench_of(("pad", Joystick::new(link)), options, "joystick/exchanges", |probe| Topics {
         joy: probe.listen("joy").unwrap(),
-        exchanges: probe.listen("joystick/exchanges").unwrap(),
-        diagnostics: probe.listen("diagnostics").unwrap(),
-        probe,
-    }
+    })
 }
 
 fn emulated() -> DeviceLink<InputDevice> {

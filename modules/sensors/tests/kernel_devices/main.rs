@@ -7,10 +7,46 @@ mod gpio;
 mod joystick;
 mod teleop;
 
+use std::ops::Deref;
 use std::time::Duration;
 
-use downbeat_executor::{Heard, ModuleOptions, Probe, SettingValue};
+use downbeat_executor::{Heard, Module, ModuleOptions, Probe, SettingValue};
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+
+/// A module of a device, with what is heard of it: what all have, and topics of its own.
+struct Bench<T> {
+    probe: Probe,
+    exchanges: Heard<BusExchange>,
+    diagnostics: Heard<DiagnosticArray>,
+    topics: T,
+}
+
+/// Puts a module on a bench. `exchanges` is the topic of the exchanges with its device.
+fn bench_of<M: Module, T>(
+    (name, module): (&str, M),
+    options: ModuleOptions,
+    exchanges: &str,
+    listen: impl FnOnce(&mut Probe) -> T,
+) -> Bench<T> {
+    let mut probe = Probe::new();
+    probe.add_with(name, module, options).unwrap();
+    let topics = listen(&mut probe);
+    Bench {
+        topics,
+        exchanges: probe.listen(exchanges).unwrap(),
+        diagnostics: probe.listen("diagnostics").unwrap(),
+        probe,
+    }
+}
+
+impl<T> Deref for Bench<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.topics
+    }
+}
 
 fn options<const N: usize>(settings: [(&str, SettingValue); N]) -> ModuleOptions {
     let settings = settings.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();

@@ -2,6 +2,7 @@
 
 use super::super::protocol::{Instruction, Packet, Protocol, Receiver};
 use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LATE, LineSettings, Outcome};
+use crate::serial_port::{check_port, port_refusal};
 use downbeat_executor::Time;
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, StopBits};
 use std::io;
@@ -124,22 +125,22 @@ impl Bus for SerialBus {
     fn open(&mut self, port: &str) -> Exchange {
         let started = Instant::now();
         self.port = None;
-        let opened = serialport::new(port, self.line.baud)
-            .data_bits(DataBits::Eight)
-            .parity(Parity::None)
-            .stop_bits(StopBits::One)
-            .flow_control(FlowControl::None)
-            .timeout(WRITE_TIMEOUT)
-            .open();
+        let opened = check_port(port).and_then(|()| {
+            serialport::new(port, self.line.baud)
+                .data_bits(DataBits::Eight)
+                .parity(Parity::None)
+                .stop_bits(StopBits::One)
+                .flow_control(FlowControl::None)
+                .timeout(WRITE_TIMEOUT)
+                .open()
+                .map_err(|error| port_refusal(port, &error.into()))
+        });
         let end = match opened {
             Ok(opened) => {
                 self.port = Some(opened);
                 End::ok()
             }
-            Err(error) => {
-                let what = format!("opening the serial port {port}: {error}; check the setting \"port\"");
-                End::failed(Vec::new(), what)
-            }
+            Err(why) => End::failed(Vec::new(), why),
         };
         self.finish(started, ExchangeKind::Open, &[], end)
     }

@@ -24,13 +24,13 @@ pub struct AmentPrefix {
 
 impl Catalog {
     /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`, and the
-    /// `.idl` files in these folders beside which there is no such file. The folder's name is the package's. Returns how many
-    /// files were read.
+    /// `.idl` files in these folders beside which there is no such file. The package's name is that of [`Catalog::package_name`].
+    /// Returns how many files were read.
     ///
     /// # Errors
     /// Returns an error if a file cannot be read or parsed. A folder without interfaces is no error.
     pub fn add_package(&mut self, folder: &Path) -> Result<usize, Error> {
-        let package = name_of(folder);
+        let package = Self::package_name(folder);
         let mut count = 0;
         for kind in Kind::ALL {
             for file in interface_files(&folder.join(kind.as_str()), kind)? {
@@ -39,6 +39,13 @@ impl Catalog {
             }
         }
         Ok(count)
+    }
+
+    /// The name of the package in a folder: that in its `package.xml`, as for colcon, else that of the folder.
+    #[must_use]
+    pub fn package_name(folder: &Path) -> String {
+        let manifest = read(&folder.join("package.xml")).unwrap_or_default();
+        name_in_manifest(&manifest).map_or_else(|| name_of(folder), str::to_owned)
     }
 
     /// Adds every package below a folder of packages. Returns how many files were read.
@@ -103,7 +110,7 @@ impl Catalog {
 
     /// The interfaces of one kind of an installed package.
     fn add_installed(&mut self, folder: &Path, kind: Kind, found: &mut AmentPrefix) -> Result<(), Error> {
-        let package = name_of(folder);
+        let package = Self::package_name(folder);
         for file in interface_files(&folder.join(kind.as_str()), kind)? {
             match self.add_file(&package, kind, &file) {
                 Ok(()) => found.files += 1,
@@ -152,6 +159,23 @@ fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
+/// The first `<name>` of a `package.xml` that is no comment.
+fn name_in_manifest(mut text: &str) -> Option<&str> {
+    loop {
+        let tag = text.find("<name>")?;
+        match text.find("<!--") {
+            Some(comment) if comment < tag => {
+                text = &text[comment..];
+                text = &text[text.find("-->")?..];
+            }
+            _ => {
+                let (name, _) = text[tag + "<name>".len()..].split_once("</name>")?;
+                return Some(name.trim()).filter(|name| !name.is_empty());
+            }
+        }
+    }
+}
+
 /// How deep packages may lie in a workspace.
 const DEPTH: u32 = 8;
 
@@ -163,7 +187,7 @@ fn find_packages(folder: &Path, depth: u32, found: &mut BTreeMap<String, PathBuf
         is_package |= !interface_files(&folder.join(kind.as_str()), kind)?.is_empty();
     }
     if is_package {
-        let package = name_of(folder);
+        let package = Catalog::package_name(folder);
         return match found.insert(package.clone(), folder.to_owned()) {
             Some(first) => Err(Error::TwoPackages { package, first, second: folder.to_owned() }),
             None => Ok(()),

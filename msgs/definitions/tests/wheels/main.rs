@@ -174,7 +174,11 @@ fn a_schema_of_idl_blocks_as_rosbag2_writes_it_means_the_same() {
 #[test]
 fn rosidl_generates_our_descriptions_of_types_that_no_wheel_has() {
     let Some(peer) = Python::find() else { return };
-    let catalog = carried();
+    let mut catalog = carried();
+    // What `downbeat new --template messages` makes for `colcon build`.
+    let template =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../src/program/new/templates/messages/my_robot");
+    catalog.add_package(&template).unwrap();
     let published: BTreeSet<String> = files_of(&peer, "json").into_iter().map(|file| file.package).collect();
     let mut ours = names_of(&catalog);
     ours.retain(|name| !published.contains(name.split('/').next().unwrap()));
@@ -182,10 +186,10 @@ fn rosidl_generates_our_descriptions_of_types_that_no_wheel_has() {
     assert!(packages.contains("tf2_msgs"), "{packages:?}");
 
     let interfaces = Path::new(env!("CARGO_MANIFEST_DIR")).join("../interfaces");
-    let folders = packages
-        .iter()
-        .map(|package| format!("{}\n", interfaces.join(package).display()))
-        .collect::<String>();
+    let folder_of =
+        |package: &&str| if *package == "my_robot" { template.clone() } else { interfaces.join(package) };
+    let folders =
+        packages.iter().map(|package| format!("{}\n", folder_of(package).display())).collect::<String>();
     let mut described = BTreeSet::new();
     for line in ask(&peer, "describe", &folders).lines() {
         let (name, theirs) = line.split_once('\t').unwrap();

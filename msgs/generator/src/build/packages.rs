@@ -82,7 +82,7 @@ impl Found {
         watch: &mut dyn FnMut(String),
     ) -> Result<(), BuildError> {
         watch_package(folder, watch);
-        let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let package = Catalog::package_name(folder);
         if environment.enabled.contains(&package) {
             return Err(BuildError::Carried { folder: folder.into(), package });
         }

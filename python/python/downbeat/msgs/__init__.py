@@ -105,7 +105,8 @@ class _Finder(MetaPathFinder, Loader):
         hint = (
             f"did you mean {near[0]}?"
             if near
-            else "add a folder of definitions with downbeat.msgs.search(folder), or source a workspace that has it"
+            else "name their folder under `interfaces` in [robot] of the robot file, or with downbeat.msgs.search(folder), or source "
+            "a workspace that has it"
         )
         raise ModuleNotFoundError(f"no interfaces of a package {package} are known: {hint}", name=fullname)
 

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use downbeat_executor::Time;
 
 use super::source::{Frame, Granted, Source, Wanted};
+use crate::kernel;
 use capture::Capture;
 use driver::DeviceFile;
 
@@ -31,11 +32,13 @@ impl Source for V4l2 {
             let device = DeviceFile::open(path)?;
             Capture::start(device, &path.display().to_string(), wanted)
         };
-        let (capture, granted) = if wanted.device.starts_with('/') {
+        let all = cameras(Path::new(CLASS));
+        let is_named = all.iter().any(|camera| camera.name == wanted.device);
+        let is_path = wanted.device.starts_with('/') || (!is_named && kernel::is_file(&wanted.device));
+        let (capture, granted) = if is_path {
             let path = Path::new(&wanted.device);
-            attempt(path).map_err(|reason| format!("{reason}{}", others(&cameras(Path::new(CLASS)), path)))?
+            attempt(path).map_err(|reason| format!("{reason}{}", others(&all, path)))?
         } else {
-            let all = cameras(Path::new(CLASS));
             let mut refusal = None;
             // A camera often has a second device file for metadata, which has the same name.
             let named = all.iter().filter(|camera| camera.name == wanted.device);
@@ -136,5 +139,7 @@ mod tests {
         assert!(no_name.starts_with("no camera has the name \"No Such Camera\"; is it plugged in?"));
         let no_camera = refusal("/dev/null").unwrap_err();
         assert!(no_camera.starts_with("/dev/null is no video device"), "{no_camera}");
+        let file = refusal("Cargo.toml").unwrap_err();
+        assert!(file.starts_with("Cargo.toml is a file, not the device file of a camera"), "{file}");
     }
 }

@@ -1,0 +1,23 @@
+//! Requests to I²C buses, on Linux of any size.
+
+use std::io;
+use std::os::fd::AsFd;
+
+/// Directs reads and writes of a bus to the chip at this address.
+#[cfg(target_os = "linux")]
+#[expect(unsafe_code, reason = "an ioctl that rustix does not have")]
+pub(crate) fn select(bus: impl AsFd, address: u8) -> io::Result<()> {
+    /// `I2C_SLAVE` of linux/i2c-dev.h.
+    const SELECT: rustix::ioctl::Opcode = 0x0703;
+    // SAFETY: `I2C_SLAVE` takes an integer and accesses no memory of this process.
+    unsafe {
+        let request = rustix::ioctl::IntegerSetter::<SELECT>::new_usize(address.into());
+        rustix::ioctl::ioctl(bus, request)?;
+    }
+    Ok(())
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn select(_bus: impl AsFd, _address: u8) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
+}
