@@ -18,10 +18,10 @@ use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_network::mailbox::Mailbox;
+use downbeat_network::udp::{Target, Udp, address_of};
 
-use crate::mailbox::Mailbox;
 use crate::packets::{ANSWER_PORT, Answer, CONTROL_PORT, ControlPacket, Phase, SetPlay, State, Version};
-use crate::udp::{Target, Udp, address_of};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);

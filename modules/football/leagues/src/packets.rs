@@ -10,13 +10,13 @@
 //! Numbers are little-endian, without padding. A packet has exactly the length of its version.
 //!
 //! ```
-//! use downbeat_network::packets::{ControlPacket, State, Version};
+//! use downbeat_leagues::packets::{ControlPacket, State, Version};
 //!
 //! let packet = ControlPacket { state: State::Playing, ..ControlPacket::new(Version::Hsl20, [3, 7]) };
 //! let bytes = packet.build();
 //! assert_eq!(bytes.len(), 158);
 //! assert_eq!(ControlPacket::parse(&bytes)?, packet);
-//! # Ok::<(), downbeat_network::packets::PacketError>(())
+//! # Ok::<(), downbeat_leagues::packets::PacketError>(())
 //! ```
 //!
 //! # References

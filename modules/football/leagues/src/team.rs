@@ -25,10 +25,9 @@ use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::{Point, Quaternion, Vector3};
+use downbeat_network::mailbox::Mailbox;
+use downbeat_network::udp::{Target, Udp, address_of};
 use thiserror::Error;
-
-use crate::mailbox::Mailbox;
-use crate::udp::{Target, Udp, address_of};
 
 /// How often the socket is polled.
 const PERIOD: Duration = Duration::from_millis(20);

@@ -3,7 +3,7 @@
 
 use downbeat_football::football_interfaces::msg::{SeenRobot, TeamMessage};
 use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as Attributes;
-use downbeat_network::team::{LONGEST, decode, encode};
+use downbeat_leagues::team::{LONGEST, decode, encode};
 use fuzzing::{Random, rounds};
 
 fn message() -> TeamMessage {
