@@ -198,20 +198,4 @@ impl App {
         let options = ReplayOptions::of(&file);
         Ok(replay::replay(file, &Reader::open(bag.as_ref())?, &options)?)
     }
-
-    /// Runs the command line with all commands of `downbeat`. Errors are printed and lead to exit code 1.
-    /// Sets up logging, reports panics through it, and handles SIGINT, SIGTERM, SIGHUP and SIGQUIT of the process.
-    #[cfg(feature = "cli")]
-    #[must_use]
-    pub fn main(&self) -> std::process::ExitCode {
-        self.main_with(std::env::args_os())
-    }
-
-    /// Runs a command line as [`main`](Self::main) does, for programs that another language starts: the name of the program
-    /// comes first.
-    #[cfg(feature = "cli")]
-    #[must_use]
-    pub fn main_with(&self, line: impl IntoIterator<Item = std::ffi::OsString>) -> std::process::ExitCode {
-        crate::program::main(self, line)
-    }
 }

@@ -183,14 +183,14 @@ pub use error::{SetupError, Version};
 pub use exchange::{
     CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError, Job,
     JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
-    RestartRefused, ServiceInfo, ServiceType, Setting, SettingInfo, SettingRefused, SettingsChange, StandIn,
-    StepInput, Task, UnknownModule,
+    RestartRefused, ServiceInfo, ServiceType, Setting, SettingRefused, SettingsChange, StandIn, StepInput,
+    Task, UnknownModule,
 };
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
 pub use module::{
     Context, Inbox, LifeEvent, LifeStep, LifecycleState, Listening, Module, ModuleChange, ModuleId,
-    ModuleOptions, Port, Restart, Role, SettingType, SettingValue, Setup, StopRequest, Synchrony, Transition,
-    TransitionError, TransitionRefused,
+    ModuleOptions, Port, Restart, Role, SettingInfo, SettingType, SettingValue, Setup, StopRequest,
+    Synchrony, Transition, TransitionError, TransitionRefused,
 };
 pub use observe::{
     CycleStatistics, CycleTrace, Graph, GraphEdge, GraphModule, GraphOutlet, GraphService, GraphTopic,

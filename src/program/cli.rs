@@ -1,15 +1,13 @@
 //! The command line.
 
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::bridge::middleware::Engine;
 use crate::duration::parse as duration;
 use crate::features::{built_without, missing_option};
 use crate::inspect::Request;
-use crate::msgs::encoding::Encoding;
-use crate::robot::{Catalog, RobotFile, RobotFileError, RosArgs};
+use crate::robot::RosArgs;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
@@ -33,6 +31,8 @@ use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
 use super::new::NewArguments;
 use super::new_output::Force;
+use super::parameters::ParameterArguments;
+use super::run::RunArguments;
 use super::servo::ServoCommand;
 
 /// Robot software as small modules in one process, exposed to ROS 2 Jazzy, recorded and replayed.
@@ -207,82 +207,6 @@ pub(crate) enum Command {
     /// Run the library of a module with `isolate`. Robots start it.
     #[command(hide = true)]
     LibraryChild,
-}
-
-#[derive(Args)]
-pub(crate) struct RunArguments {
-    /// The robot file, for example robots/darwin_op.toml.
-    #[arg(value_name = "ROBOT.toml")]
-    pub(crate) robot: PathBuf,
-    /// Stop after this time: 500ms, 10s, 5m, 1h.
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    pub(crate) duration: Option<Duration>,
-    /// Run in simulated time, as fast as it can be computed; --duration is in that time. For robots without hardware.
-    #[arg(long)]
-    pub(crate) fast: bool,
-    /// Record the topics of the robot file's [record] into this new rosbag2 directory.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) record: Option<PathBuf>,
-    #[command(flatten)]
-    pub(crate) force: Force,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers,
-    /// instead of the encoding in the robot file's [record].
-    #[arg(long, value_name = "ENCODING", requires = "record")]
-    pub(crate) encoding: Option<Encoding>,
-    /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with that feature.
-    #[arg(long, value_name = "ENGINE")]
-    pub(crate) physics: Option<String>,
-    #[cfg(feature = "view")]
-    #[command(flatten)]
-    pub(crate) view: super::view::ViewArguments,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(crate) domain: Option<u16>,
-    /// Use this DDS engine instead of the robot file's: rtps, or rustdds if built with that feature.
-    #[arg(long, value_name = "ENGINE")]
-    pub(crate) engine: Option<Engine>,
-    /// End with the process at the other end of standard input, which started this one.
-    #[cfg(feature = "view")]
-    #[arg(long, hide = true)]
-    pub(crate) with_parent: bool,
-    #[command(flatten)]
-    pub(crate) parameters: ParameterArguments,
-}
-
-/// Values of settings that override the robot file.
-#[derive(Args)]
-pub(crate) struct ParameterArguments {
-    /// Take settings from this ROS 2 parameter file; they override the robot file. May be given more than
-    /// once: later ones take precedence.
-    #[arg(long = "params-file", value_name = "FILE.yaml")]
-    files: Vec<PathBuf>,
-    /// Set a module's setting to this value, in YAML; it overrides all files. May be given more than once.
-    #[arg(short = 'p', long = "param", value_name = "MODULE.SETTING:=VALUE")]
-    values: Vec<String>,
-}
-
-impl ParameterArguments {
-    /// As arguments for another process.
-    #[cfg(feature = "football")]
-    pub(crate) fn to_arguments(&self) -> Vec<OsString> {
-        let files =
-            self.files.iter().flat_map(|file| ["--params-file".into(), file.clone().into_os_string()]);
-        let values = self.values.iter().flat_map(|value| ["--param".into(), value.clone().into()]);
-        files.chain(values).collect()
-    }
-
-    pub(crate) fn read_robot(
-        &self,
-        path: &Path,
-        catalog: &Catalog,
-        ros: &RosArgs,
-    ) -> Result<RobotFile, RobotFileError> {
-        ros.warn_about_what_is_ignored();
-        let mut file = RobotFile::read_with(path, catalog, ros)?;
-        self.files.iter().try_for_each(|path| file.set_from_parameter_file(path))?;
-        self.values.iter().try_for_each(|value| file.set_from_argument(value))?;
-        Ok(file)
-    }
 }
 
 #[derive(Args)]

@@ -24,6 +24,7 @@ mod logging;
 mod look;
 mod new;
 mod new_output;
+mod parameters;
 mod run;
 mod screen;
 mod servo;
@@ -53,8 +54,24 @@ use logging::Log;
 use look::Environment;
 use screen::Screen;
 
+impl App {
+    /// Runs the command line with all commands of `downbeat`. Errors are printed and lead to exit code 1.
+    /// Sets up logging, reports panics through it, and handles SIGINT, SIGTERM, SIGHUP and SIGQUIT of the process.
+    #[must_use]
+    pub fn main(&self) -> ExitCode {
+        self.main_with(std::env::args_os())
+    }
+
+    /// Runs a command line as [`main`](Self::main) does, for programs that another language starts: the name of the program
+    /// comes first.
+    #[must_use]
+    pub fn main_with(&self, line: impl IntoIterator<Item = OsString>) -> ExitCode {
+        main(self, line)
+    }
+}
+
 /// Runs a command line, the name of the program first. Errors are printed on standard error and exit with code 1.
-pub(crate) fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitCode {
+fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = Cli::parse_with_ros_args(line);
     let screen = Screen::of_process().clone();
     let Cli { command, ros } = cli;

@@ -1,23 +1,67 @@
 //! `downbeat run`
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use clap::Args;
 
-use super::cli::RunArguments;
 use super::logging::Log;
-use super::new_output::Output;
+use super::new_output::{Force, Output};
+use super::parameters::ParameterArguments;
 use super::screen::Screen;
 use super::statistics::{Statistics, Times};
 use super::status::{Faults, Sources, StatusBlock};
 use super::stop::Stop;
 use crate::bags::{Recording, RecordingSummary};
-use crate::bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
+use crate::bridge::middleware::{Engine, MAX_DOMAIN_ID, ParticipantOptions};
 use crate::bridge::ros::{Node, NodeName, Participant};
+use crate::duration::parse as duration;
+use crate::msgs::encoding::Encoding;
 use crate::robot::{Catalog, RobotFile, RosArgs};
 #[cfg(feature = "view")]
 use crate::running::RunningRobot;
 use crate::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
+
+#[derive(Args)]
+pub(crate) struct RunArguments {
+    /// The robot file, for example robots/darwin_op.toml.
+    #[arg(value_name = "ROBOT.toml")]
+    pub(crate) robot: PathBuf,
+    /// Stop after this time: 500ms, 10s, 5m, 1h.
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    pub(crate) duration: Option<Duration>,
+    /// Run in simulated time, as fast as it can be computed; --duration is in that time. For robots without hardware.
+    #[arg(long)]
+    pub(crate) fast: bool,
+    /// Record the topics of the robot file's [record] into this new rosbag2 directory.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) record: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) force: Force,
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers,
+    /// instead of the encoding in the robot file's [record].
+    #[arg(long, value_name = "ENCODING", requires = "record")]
+    pub(crate) encoding: Option<Encoding>,
+    /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with that feature.
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) physics: Option<String>,
+    #[cfg(feature = "view")]
+    #[command(flatten)]
+    pub(crate) view: super::view::ViewArguments,
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(crate) domain: Option<u16>,
+    /// Use this DDS engine instead of the robot file's: rtps, or rustdds if built with that feature.
+    #[arg(long, value_name = "ENGINE")]
+    pub(crate) engine: Option<Engine>,
+    /// End with the process at the other end of standard input, which started this one.
+    #[cfg(feature = "view")]
+    #[arg(long, hide = true)]
+    pub(crate) with_parent: bool,
+    #[command(flatten)]
+    pub(crate) parameters: ParameterArguments,
+}
 
 pub(crate) fn run(
     arguments: &RunArguments,

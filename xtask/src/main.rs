@@ -8,6 +8,7 @@ mod physics;
 mod python;
 mod steps;
 mod test;
+mod tidy;
 mod walk;
 mod wheel;
 mod wire;
@@ -27,6 +28,8 @@ enum Command {
     /// Formatting, clippy, documentation and all tests, including those against real ROS 2 and other bag
     /// readers. Installs what they need under target/.
     Test,
+    /// The rules of the layout: what may use what, links, the code map. Part of the test run.
+    Tidy,
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
@@ -61,6 +64,7 @@ enum Command {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
+        Command::Tidy => tidy::tidy(),
         Command::Wire => wire::wire(),
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use crate::matrix::Notes;
 use crate::steps::{Steps, run};
-use crate::{node, python, wheel};
+use crate::{node, python, tidy, wheel};
 
 /// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in the Python
 /// environment.
@@ -26,6 +26,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     };
     let mut steps = Steps::default();
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
+    steps.step("the layout", tidy::tidy);
     steps.step("clippy", || {
         let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
         run(command.args(ALL).args(["--features", "downbeat/sqlite", "--", "--deny", "warnings"]))

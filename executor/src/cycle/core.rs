@@ -8,9 +8,9 @@ use crossbeam::sync::Parker;
 
 use super::agenda::{Asker, Ready};
 use super::detached::DetachedModule;
-use super::mechanism::Mechanisms;
-use super::phase::{CoreLife, CoreState, Pause, SyncPhase};
+use super::phase::{Mechanisms, SyncPhase};
 use super::stage::{Launcher, StageHolder};
+use super::state::{CoreLife, CoreState, Pause};
 use crate::module::{Input, Link, Place};
 use crate::observe::{CycleInfo, Measuring, spans_are_on};
 use crate::threads::{Watch, end_of, reason};

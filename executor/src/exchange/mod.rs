@@ -16,18 +16,18 @@ pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInp
 pub use modules::{RestartRefused, UnknownModule};
 pub(crate) use services::Services;
 pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, StandIn};
-pub use settings::{Setting, SettingInfo, SettingRefused, SettingsChange};
+pub use settings::{Setting, SettingRefused, SettingsChange};
 pub use timers::Task;
 
 use crate::cycle::Mechanisms;
-use crate::module::Views;
+use crate::module::{JOBS, MESSAGES, MODULES, SERVICES, SETTINGS, TIMERS, Views};
 
-/// Adds the built-in mechanisms, in the order of the sync phase and of their numbers.
+/// Adds the built-in mechanisms, in the order of the sync phase.
 pub(crate) fn add_built_in(mechanisms: &mut Mechanisms, views: &mut Views) {
-    mechanisms.add_idle(modules::Modules::default(), views);
-    mechanisms.add_idle(jobs::Jobs::default(), views);
-    mechanisms.add_idle(settings::Settings::default(), views);
-    mechanisms.add_idle(messages::Messages::default(), views);
-    mechanisms.add_idle(services::Services::default(), views);
-    mechanisms.add_idle(timers::Timers, views);
+    mechanisms.add_built_in(MODULES, modules::Modules::default(), views);
+    mechanisms.add_built_in(JOBS, jobs::Jobs::default(), views);
+    mechanisms.add_built_in(SETTINGS, settings::Settings::default(), views);
+    mechanisms.add_built_in(MESSAGES, messages::Messages::default(), views);
+    mechanisms.add_built_in(SERVICES, services::Services::default(), views);
+    mechanisms.add_built_in(TIMERS, timers::Timers, views);
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::behaviour::Behaviour;
 use super::causes::{Asked, Causes, MODULES, TIMERS};
+use super::input::Input;
 use super::link::Delivery;
 use super::port::{ModuleChange, ModuleIo, Port, Views};
 use crate::observe::{Badge, ModuleMeter, Span};
@@ -45,15 +46,6 @@ pub(crate) enum Hold {
     Held,
     /// Paused after the next run.
     Step,
-}
-
-/// The input of a run.
-#[derive(Clone, Copy)]
-pub(crate) enum Input<'a> {
-    /// Inside a cycle: the views of the mechanisms.
-    Views(&'a Views),
-    /// On a separate thread: batches of earlier cycles.
-    Batches(&'a [Delivery]),
 }
 
 impl ModuleCell {

@@ -1,6 +1,6 @@
 //! The context of a callback.
 
-use super::cell::Input;
+use super::input::Input;
 use super::link::Link;
 use super::port::{ModuleIo, Port};
 use crate::Time;

@@ -4,20 +4,27 @@ mod behaviour;
 mod causes;
 mod cell;
 mod context;
+mod host;
 mod id;
+mod input;
 mod lifecycle;
 mod link;
+mod log_limits;
 mod options;
 mod port;
+mod setting_info;
 mod setting_value;
 mod setup;
+mod uses;
 
 pub(crate) use behaviour::{Behaviour, ModuleBehaviour};
 pub(crate) use causes::{Asked, Causes, JOBS, MESSAGES, MODULES, SERVICES, SETTINGS, TIMERS};
-pub(crate) use cell::{Hold, Input, ModuleCell};
+pub(crate) use cell::{Hold, ModuleCell};
 pub use context::{Context, StopRequest};
+pub(crate) use host::{Host, Offer};
 pub use id::ModuleId;
-pub(crate) use id::{Direction, Place, Use, UseEnds};
+pub(crate) use id::Place;
+pub(crate) use input::Input;
 pub use lifecycle::{
     LifeEvent, LifeStep, LifecycleState, Listening, Transition, TransitionError, TransitionRefused,
 };
@@ -25,9 +32,11 @@ pub(crate) use link::{Delivery, Link, Post, StepOutcome, TopicInput};
 pub use options::{Inbox, ModuleOptions, Restart, Role, Synchrony};
 pub use port::{ModuleChange, Port};
 pub(crate) use port::{ModuleIo, Views};
+pub use setting_info::SettingInfo;
 pub use setting_value::{SettingType, SettingValue};
+pub(crate) use setup::Given;
 pub use setup::Setup;
-pub(crate) use setup::{Given, Host, Offer};
+pub(crate) use uses::{Direction, Use, UseEnds};
 
 use crate::SetupError;
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::causes::{Asked, MESSAGES};
 use super::link::Link;
-use crate::log::LogLimits;
+use super::log_limits::LogLimits;
 use crate::threads::drop_guarded;
 use crate::topics::{Outboxes, Topics};
 use crate::{ModuleId, Time};

@@ -1,13 +1,13 @@
 //! Declarations of a module when it is added to a core.
 
-use std::any::{Any, TypeId};
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::behaviour::Steps;
 use super::causes::Causes;
-use super::id::Use;
+use super::host::{Host, Offer};
 use super::options;
 use super::port::ModuleIo;
+use super::uses::Use;
 use crate::{Context, Module, SettingValue, SetupError, Version};
 
 /// Passed to [`Module::setup`](crate::Module::setup) for the declaration of the module's publications,
@@ -21,25 +21,6 @@ pub struct Setup<'a, M: Module> {
     given: Given,
     own_names: Vec<String>,
     setting_names: Vec<String>,
-}
-
-/// The core as seen by a module's setup.
-pub(crate) trait Host {
-    /// The mechanism with this number.
-    fn mechanism(&mut self, number: usize) -> Option<&mut dyn Any>;
-    /// The view of the mechanism with this number.
-    fn view(&mut self, number: usize) -> Option<&mut dyn Any>;
-    /// As [`view`](Self::view), for reading.
-    fn look(&self, number: usize) -> Option<&dyn Any>;
-    /// All mechanisms, by their numbers.
-    fn offers(&self) -> &[Offer];
-}
-
-/// A mechanism that modules can use.
-pub(crate) struct Offer {
-    pub(crate) name: &'static str,
-    pub(crate) version: Version,
-    pub(crate) mechanism: TypeId,
 }
 
 /// The named options given to a module.

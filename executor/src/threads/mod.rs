@@ -1,5 +1,6 @@
 //! Threads: CPUs, priorities, synchronisation and deadlines.
 
+mod error;
 pub(crate) mod gate;
 mod guard;
 mod options;
@@ -10,9 +11,10 @@ mod sync;
 mod system;
 mod watchdog;
 
+pub use error::ThreadError;
 pub use guard::Failure;
 pub(crate) use guard::{drop_guarded, end_of, reason, sentence, unpoisoned};
-pub use options::{ThreadError, ThreadOptions};
+pub use options::ThreadOptions;
 pub use receipt::Receipt;
 pub(crate) use receipt::{ReceiptSender, receipt};
 pub use spin::Spin;

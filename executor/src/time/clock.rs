@@ -2,10 +2,8 @@
 //! context.
 
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-
-use crate::threads::unpoisoned;
 
 use crate::Time;
 
@@ -57,7 +55,8 @@ impl Default for SystemClock {
 
 impl Clock for SystemClock {
     fn now(&self) -> Time {
-        let mut last = unpoisoned(self.last.lock());
+        // Nothing panics while it is locked.
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         let steady = Instant::now();
         let elapsed = i64::try_from((steady - last.steady).as_nanos()).unwrap_or(i64::MAX);
         let time_ns = follow(last.time_ns, elapsed, system_time_ns());

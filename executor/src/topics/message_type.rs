@@ -6,9 +6,6 @@ use std::fmt;
 use super::{AnyOutbox, Batch, Outbox, Topics};
 use crate::{SetupError, Time};
 
-/// A message whose type is known only to its topic.
-pub type AnyMessage = Box<dyn Any + Send>;
-
 /// A Rust message type as a value, for code that moves messages of hundreds of types into and out of a core,
 /// such as a bridge to a network. [`Core::inlet_of`](crate::Core::inlet_of) and
 /// [`Core::outlet_of`](crate::Core::outlet_of) are compiled once, [`Core::inlet`](crate::Core::inlet) and

@@ -4,7 +4,8 @@
 use std::any::Any;
 use std::marker::PhantomData;
 
-use super::message_type::AnyMessage;
+/// A message whose type is known only to its topic.
+pub type AnyMessage = Box<dyn Any + Send>;
 
 /// A module's key to one of its topics, from [`Setup::publish`](crate::Setup::publish).
 ///

@@ -9,8 +9,8 @@ use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
-use crate::udp::LONGEST;
-
+/// Longer datagrams are cut off, and thereby refused by those who read them; longer lines are dropped.
+pub const LONGEST: usize = 2048;
 /// The most datagrams or lines that are taken in one run of a module: more is a flood, which waits and overflows in the socket.
 const MOST_IN_ONE_RUN: usize = 32;
 /// How long a module waits before it opens a socket again.

@@ -8,11 +8,8 @@ use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
 
-pub use crate::mailbox::Request;
+pub use crate::mailbox::{LONGEST, Request};
 use crate::mailbox::{exchange_of, outcome_of};
-
-/// Longer datagrams are cut off, and thereby refused by those who read them.
-pub const LONGEST: usize = 2048;
 
 /// Where datagrams go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

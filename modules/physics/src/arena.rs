@@ -19,10 +19,10 @@
 //! ```
 
 use crate::camera::{Camera, Scene};
+use crate::error::SimulationError;
 use crate::harness::DARWIN_OP;
 use crate::machine::Machine;
 use crate::model::Model;
-use crate::simulation::SimulationError;
 use crate::world::{Motion, Posture, RapierWorld, RobotBodies, Start, Variation, World};
 use crate::world_file::WorldFile;
 use downbeat_executor::Time;

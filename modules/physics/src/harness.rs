@@ -1,7 +1,8 @@
 //! A simulated Darwin OP for tests: hardware module and world in one core, the bus in memory, time as fast as it can be computed.
 
+use crate::error::SimulationError;
 use crate::model::Model;
-use crate::simulation::{Request, Simulation, SimulationError, SimulationOptions, Snapshot};
+use crate::simulation::{Request, Simulation, SimulationOptions, Snapshot};
 use crate::world::{Engine, Posture, Start, Variation};
 use crate::world_file::WorldFile;
 use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, RunError, SetupError, Time};

@@ -32,6 +32,7 @@
 
 mod arena;
 pub mod camera;
+mod error;
 mod harness;
 mod machine;
 mod model;
@@ -43,9 +44,10 @@ mod world;
 mod world_file;
 
 pub use arena::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Picture, RobotTruth};
+pub use error::SimulationError;
 pub use harness::{DARWIN_OP, SimulatedRobot, SimulatedRunError};
 pub use model::{Body, Joint, Model, ModelError, Shape};
-pub use simulation::{Request, RunState, Simulation, SimulationError, SimulationOptions, Snapshot};
+pub use simulation::{Request, RunState, Simulation, SimulationOptions, Snapshot};
 pub use spawned::{Spawned, SpawnedShape};
 pub use world::{Engine, EngineError, Motion, Posture, Start, Variation};
 pub use world_file::{Ball, Block, Field, Floor, WorldFile, WorldFileError};

@@ -1,7 +1,7 @@
 //! What the servos turn and the IMU feels of a robot in a world.
 
+use crate::error::SimulationError;
 use crate::model::Model;
-use crate::simulation::SimulationError;
 use crate::world::{JointDrive, RobotBodies, Variation};
 use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
 use downbeat_modules::darwin_op_emulator::{ImuMotion, JointMotion, ServoCommand};

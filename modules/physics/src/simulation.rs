@@ -9,15 +9,14 @@
 //! limit in the description, both at 12 V. Engines solve (1) as a spring to the goal and a damper: the drive
 //! is limited by moving the goal nearer. Within the free play of the gear there is no torque.
 
+use crate::error::SimulationError;
 use crate::machine::Machine;
 use crate::model::Model;
 use crate::spawned::Spawned;
 use crate::world::{Engine, EngineError, Motion, Plan, Start, Variation, World};
 use crate::world_file::WorldFile;
 use downbeat_modules::darwin_op::tables::joints::COUNT;
-use downbeat_modules::darwin_op_emulator::{
-    Body, EmulatorError, FootForces, ImuMotion, JointMotion, ServoCommand,
-};
+use downbeat_modules::darwin_op_emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
 use downbeat_transforms::Isometry;
 use glam::DVec3;
 use parking_lot::Mutex;
@@ -39,43 +38,6 @@ pub struct SimulationOptions {
     pub variation: Variation,
     /// What computes how the bodies move.
     pub engine: Engine,
-}
-
-/// Why a robot cannot be simulated.
-#[derive(Debug, thiserror::Error)]
-pub enum SimulationError {
-    /// A servo has no joint to turn.
-    #[error("the robot \"{robot}\" has no joint \"{joint}\", which servo {servo} turns; add it to the URDF")]
-    Joint {
-        /// The name of the robot.
-        robot: String,
-        /// The name of the joint.
-        joint: &'static str,
-        /// The id of the servo.
-        servo: u8,
-    },
-    /// The step is too short or too long.
-    #[error("a step of {found:?} is not possible; it has to be 1 to 10 ms, in whole milliseconds")]
-    Step {
-        /// The given step.
-        found: Duration,
-    },
-    /// The engine cannot be used.
-    #[error(transparent)]
-    Engine(#[from] EngineError),
-    /// The port of the robot cannot be opened.
-    #[error(transparent)]
-    Port(#[from] EmulatorError),
-    /// The robot starts inside something.
-    #[error("the robot starts {depth:.3} m inside \"{other}\" of the world \"{world}\"; move one of them")]
-    Overlap {
-        /// The name of the world.
-        world: String,
-        /// What is in the way.
-        other: String,
-        /// How far, in m.
-        depth: f64,
-    },
 }
 
 /// A robot in its world. Clones are handles to the same one.

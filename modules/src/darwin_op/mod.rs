@@ -15,7 +15,8 @@ mod settings;
 
 pub use crate::servo_bus::{bus, protocol};
 
-pub use module::{CYCLE, DarwinOp};
+pub use module::DarwinOp;
+pub use settings::CYCLE;
 pub(crate) use settings::FEET;
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::bus::{Bus, SerialBus};
 use super::calibration::GyroCalibration;
 use super::protocol::{Id, Protocol, WriteEntry};
-use super::settings::{SettingKeys, Settings};
+use super::settings::{CYCLE, SettingKeys, Settings};
 use super::tables::units::{ACCELERATION_PER_LSB, IMU_CENTRE, volts_from_raw};
 use super::tables::{Field, cm730};
 use crate::servo_bus::{DevicePlan, Hardware, ImuReading, SLOW, Topics, header};
@@ -11,10 +11,7 @@ use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupErro
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
 use downbeat_msgs::std_msgs::msg::{ColorRGBA, Float64MultiArray};
 use downbeat_msgs::std_srvs::srv::SetBoolRequest;
-use std::time::Duration;
 
-/// The cycle of the hardware.
-pub const CYCLE: Duration = Duration::from_millis(8);
 /// LED colour.
 const GREEN: u16 = 0x1F << 5;
 

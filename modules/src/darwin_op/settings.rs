@@ -1,6 +1,5 @@
 //! The settings of the hardware module.
 
-use super::module::CYCLE;
 use super::tables::joints::{COUNT, JOINTS};
 use super::tables::units::{BoardAxis, BoardRevision, CENTRE_TICKS, ImuScale, ticks_from_radians};
 use crate::servo_bus::bus::LineSettings;
@@ -10,6 +9,9 @@ use crate::servo_bus::{BusPlan, DevicePlan, Guard, Joint, PowerSwitch, Registers
 use downbeat_executor::{Context, Module, Setting, Setup, SetupError};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// The cycle of the hardware.
+pub const CYCLE: Duration = Duration::from_millis(8);
 
 /// The keys to the settings.
 #[derive(Clone, Copy)]

@@ -8,12 +8,13 @@
 
 use crate::budget::{Budget, IsStopping, LIMIT, Over};
 use crate::functions;
+use crate::world::World;
 use parking_lot::RwLock;
 use rhai::packages::{Package, StandardPackage};
 use rhai::{
     AST, ASTNode, Dynamic, Engine, EvalAltResult, Expr, OptimizationLevel, ParseError, Position, Scope, Stmt,
 };
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
@@ -30,17 +31,6 @@ const LONGEST_TEXT: usize = 16 << 10;
 const LARGEST: usize = 4096;
 /// Variables and functions of a script.
 const MOST_NAMES: usize = 256;
-
-/// What expressions can ask for beside their variables.
-#[derive(Debug, Default)]
-pub(crate) struct World {
-    /// Since any epoch.
-    pub(crate) now: Duration,
-    /// When each active state was entered, by its id.
-    pub(crate) entered: BTreeMap<String, Duration>,
-    /// When each variable that holds messages last received one.
-    pub(crate) received: BTreeMap<String, Option<Duration>>,
-}
 
 /// Evaluates the expressions of one chart.
 pub(crate) struct Evaluator {

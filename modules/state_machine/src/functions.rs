@@ -3,7 +3,7 @@
 //! Angles are in rad, lengths in m, times in s; frames as in REP-103. Points are maps with `x`, `y` and perhaps `z`, such as
 //! geometry_msgs/Point; orientations are maps with `x`, `y`, `z`, `w`, such as geometry_msgs/Quaternion.
 
-use crate::expressions::World;
+use crate::world::World;
 use parking_lot::RwLock;
 use rhai::{Dynamic, Engine, EvalAltResult, FLOAT, INT, ImmutableString, Map, Position};
 use std::f64::consts::{PI, TAU};

@@ -33,6 +33,7 @@ mod functions;
 mod interpreter;
 mod module;
 mod values;
+mod world;
 
 downbeat_msgs::include_interfaces!();
 

@@ -14,8 +14,8 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::open;
-use crate::program::cli::ParameterArguments;
 use crate::program::logging::Log;
+use crate::program::parameters::ParameterArguments;
 
 #[derive(Args)]
 pub(crate) struct ReplayArguments {

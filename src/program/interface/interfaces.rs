@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 
-use super::list::{ament_packages, packages_at};
+use super::packages::{ament_packages, packages_at};
 use super::{Registered, SourceArguments, TypeArguments};
 use crate::msgs::definitions::{
     ActionDefinition, Catalog, DefinitionEncoding, Kind, MessageDefinition, ServiceDefinition, TypeName,

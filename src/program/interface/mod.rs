@@ -5,6 +5,7 @@ mod description;
 mod generate;
 mod interfaces;
 mod list;
+mod packages;
 mod show;
 
 use std::path::PathBuf;

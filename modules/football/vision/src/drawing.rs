@@ -1,8 +1,8 @@
 //! Pictures for people: what was seen, and which colour belongs to what.
 
 use crate::colours::{Class, Table};
-use crate::detector::{Seen, TeamColour};
 use crate::picture::Picture;
+use crate::seen::{Seen, TeamColour};
 use glam::DVec2;
 
 /// A picture that is drawn into; red, green, blue, row by row.

@@ -23,15 +23,16 @@ mod markings;
 mod module;
 mod picture;
 mod round;
+mod seen;
 mod upright;
 mod view;
 
 pub use colours::{Class, ClassRange, Colours, ColoursError, Table};
-pub use detector::{
-    Detector, Exposure, Seen, SeenBall, SeenCircle, SeenIntersection, SeenLine, SeenPost, SeenRobot,
-    TeamColour,
-};
+pub use detector::Detector;
 pub use learn::{LearnError, Samples};
 pub use module::Vision;
 pub use picture::{Encoding, Picture, PictureError};
+pub use seen::{
+    Exposure, Seen, SeenBall, SeenCircle, SeenIntersection, SeenLine, SeenPost, SeenRobot, TeamColour,
+};
 pub use view::{Camera, CameraError, View};

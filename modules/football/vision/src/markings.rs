@@ -4,8 +4,8 @@
 //! straight and the circle is round with a known radius, and fitted there by RANSAC.
 
 use crate::colours::Class;
-use crate::detector::{SeenCircle, SeenIntersection, SeenLine};
 use crate::labels::{Labels, boundary_at};
+use crate::seen::{SeenCircle, SeenIntersection, SeenLine};
 use crate::view::View;
 use downbeat_football::{Field, IntersectionKind};
 use fastrand::Rng;

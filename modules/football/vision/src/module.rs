@@ -1,8 +1,9 @@
 //! The detector as a module.
 
 use crate::colours::Colours;
-use crate::detector::{Detector, Exposure, Seen, SeenIntersection, SeenRobot, TeamColour};
+use crate::detector::Detector;
 use crate::picture::Picture;
+use crate::seen::{Exposure, Seen, SeenIntersection, SeenRobot, TeamColour};
 use crate::view::{Camera, CameraError, View};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::Field;

@@ -1,8 +1,8 @@
 //! Balls: candidates of the ball's colour, verified by the size that the ball has on the floor at their place.
 
 use crate::colours::Class;
-use crate::detector::SeenBall;
 use crate::labels::{Labels, boundary_at};
+use crate::seen::SeenBall;
 use crate::view::View;
 use downbeat_football::{Ball, BallColour};
 use glam::DVec2;

@@ -1,8 +1,8 @@
 //! What stands on the field: goal posts and robots.
 
 use crate::colours::Class;
-use crate::detector::{SeenBall, SeenPost, SeenRobot, TeamColour};
 use crate::labels::{Labels, boundary_at};
+use crate::seen::{SeenBall, SeenPost, SeenRobot, TeamColour};
 use crate::view::View;
 use downbeat_football::{Field, GoalColour};
 use glam::DVec2;

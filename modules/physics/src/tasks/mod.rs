@@ -15,8 +15,9 @@ mod robot;
 
 pub use robot::{Place, WalkingRobot};
 
+use crate::error::SimulationError;
 use crate::harness::SimulatedRunError;
-use crate::simulation::{SimulationError, SimulationOptions};
+use crate::simulation::SimulationOptions;
 use crate::world::{Posture, Variation};
 use crate::world_file::Ball;
 use downbeat_executor::{InletError, SetupError};

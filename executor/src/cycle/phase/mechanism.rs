@@ -202,8 +202,16 @@ impl Mechanisms {
         self.add_idle(mechanism, views);
     }
 
-    /// Adds a mechanism that runs only if it has requests.
-    pub(crate) fn add_idle<M: Mechanism>(&mut self, mechanism: M, views: &mut Views) {
+    /// Adds a mechanism of the core, which runs only if it has requests.
+    ///
+    /// # Panics
+    /// If its number is not the next one.
+    pub(crate) fn add_built_in<M: Mechanism>(&mut self, number: usize, mechanism: M, views: &mut Views) {
+        assert_eq!(number, self.list.len(), "the place of the mechanism \"{}\"", M::NAME);
+        self.add_idle(mechanism, views);
+    }
+
+    fn add_idle<M: Mechanism>(&mut self, mechanism: M, views: &mut Views) {
         views.add(mechanism.view());
         self.offers.push(Offer { name: M::NAME, version: M::VERSION, mechanism: TypeId::of::<M>() });
         self.list.push(Some(Box::new(mechanism)));

@@ -1,0 +1,407 @@
+//! What may use what: the lists of the layout.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::Problems;
+
+/// The packages, and those on which each may build; tests may use more. Those of the product stand from bottom to top.
+pub(super) const PACKAGES: &[(&str, &[&str])] = &[
+    ("downbeat-executor", &[]),
+    ("downbeat-msgs-definitions", &[]),
+    ("downbeat-msgs-generator", &["downbeat-msgs-definitions"]),
+    ("downbeat-msgs-derive", &["downbeat-msgs-definitions", "downbeat-msgs-generator"]),
+    ("downbeat-msgs", &["downbeat-msgs-definitions", "downbeat-msgs-derive", "downbeat-msgs-generator"]),
+    ("downbeat-bags", &["downbeat-msgs"]),
+    ("downbeat-rtps", &[]),
+    ("downbeat-edge", &["downbeat-executor", "downbeat-msgs"]),
+    ("downbeat-bridge", &["downbeat-edge", "downbeat-executor", "downbeat-msgs", "downbeat-rtps"]),
+    ("downbeat-view", &["downbeat-bags", "downbeat-edge", "downbeat-executor", "downbeat-msgs"]),
+    ("downbeat-conformance", &["downbeat-bridge", "downbeat-msgs"]),
+    ("downbeat-transforms", &["downbeat-executor", "downbeat-msgs"]),
+    ("downbeat-kinematics", &["downbeat-msgs", "downbeat-transforms"]),
+    ("downbeat-actions", &["downbeat-executor", "downbeat-msgs"]),
+    (
+        "downbeat-modules",
+        &[
+            "downbeat-actions",
+            "downbeat-executor",
+            "downbeat-kinematics",
+            "downbeat-msgs",
+            "downbeat-transforms",
+        ],
+    ),
+    ("downbeat-sensors", &["downbeat-executor", "downbeat-modules", "downbeat-msgs"]),
+    ("downbeat-football", &["downbeat-msgs", "downbeat-msgs-generator"]),
+    ("downbeat-network", &["downbeat-edge", "downbeat-executor", "downbeat-modules", "downbeat-msgs"]),
+    (
+        "downbeat-leagues",
+        &["downbeat-executor", "downbeat-football", "downbeat-modules", "downbeat-msgs", "downbeat-network"],
+    ),
+    (
+        "downbeat-physics",
+        &[
+            "downbeat-actions",
+            "downbeat-executor",
+            "downbeat-kinematics",
+            "downbeat-modules",
+            "downbeat-msgs",
+            "downbeat-transforms",
+        ],
+    ),
+    ("downbeat-vision", &["downbeat-executor", "downbeat-football", "downbeat-msgs", "downbeat-transforms"]),
+    (
+        "downbeat-localisation",
+        &["downbeat-executor", "downbeat-football", "downbeat-msgs", "downbeat-transforms"],
+    ),
+    (
+        "downbeat-player",
+        &[
+            "downbeat-executor",
+            "downbeat-football",
+            "downbeat-kinematics",
+            "downbeat-modules",
+            "downbeat-msgs",
+        ],
+    ),
+    (
+        "downbeat-match",
+        &[
+            "downbeat-executor",
+            "downbeat-football",
+            "downbeat-modules",
+            "downbeat-msgs",
+            "downbeat-physics",
+            "downbeat-player",
+            "downbeat-transforms",
+        ],
+    ),
+    (
+        "downbeat-state-machine",
+        &["downbeat-edge", "downbeat-executor", "downbeat-msgs", "downbeat-msgs-generator"],
+    ),
+    ("downbeat-library-abi", &["downbeat-executor"]),
+    (
+        "downbeat-library-host",
+        &["downbeat-edge", "downbeat-executor", "downbeat-library-abi", "downbeat-msgs"],
+    ),
+    (
+        "downbeat-library",
+        &["downbeat-actions", "downbeat-edge", "downbeat-executor", "downbeat-library-abi", "downbeat-msgs"],
+    ),
+    (
+        "downbeat",
+        &[
+            "downbeat-bags",
+            "downbeat-bridge",
+            "downbeat-edge",
+            "downbeat-executor",
+            "downbeat-football",
+            "downbeat-leagues",
+            "downbeat-library-host",
+            "downbeat-localisation",
+            "downbeat-match",
+            "downbeat-modules",
+            "downbeat-msgs",
+            "downbeat-network",
+            "downbeat-physics",
+            "downbeat-player",
+            "downbeat-sensors",
+            "downbeat-state-machine",
+            "downbeat-view",
+            "downbeat-vision",
+        ],
+    ),
+    ("downbeat-python", &["downbeat", "downbeat-bags", "downbeat-edge", "downbeat-msgs", "shared-build"]),
+    // What builds, tests, measures and demonstrates it.
+    ("benches", &["downbeat", "downbeat-executor"]),
+    ("benches-bags", &["downbeat", "downbeat-bags", "downbeat-executor", "downbeat-msgs"]),
+    ("benches-ros2", &["downbeat-bridge", "downbeat-executor", "downbeat-msgs", "fuzzing"]),
+    ("camera", &["downbeat"]),
+    ("downbeat-library-example", &["downbeat-library", "user-msgs"]),
+    ("downbeat-start", &[]),
+    ("embedding", &["downbeat"]),
+    ("executor_alone", &["downbeat-executor"]),
+    ("fuzzing", &[]),
+    ("own_device", &["downbeat", "downbeat-msgs"]),
+    ("own_message", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
+    ("python-peer", &[]),
+    ("readme-runner", &[]),
+    ("service_and_action", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
+    ("shared-build", &["downbeat-msgs"]),
+    ("swarm", &["downbeat"]),
+    ("two_modules", &["downbeat"]),
+    ("user-msgs", &["downbeat-msgs", "downbeat-msgs-generator"]),
+    ("xtask", &["downbeat-start"]),
+];
+
+/// The folders of `executor/src` from top to bottom; each uses only those below it.
+const EXECUTOR: &[&str] = &[
+    "tutorial",
+    "probe",
+    "api",
+    "log",
+    "exchange",
+    "launchers",
+    "cycle",
+    "module",
+    "topics",
+    "observe",
+    "queue",
+    "threads",
+    "time",
+    "error",
+];
+
+/// Circles of files that exist. Each may only shrink; one that is gone is removed here.
+const KNOWN_CIRCLES: &[&[&str]] = &[
+    &["bags/src/reader/file.rs", "bags/src/reader/sqlite.rs", "bags/src/reader/walk.rs"],
+    &["bags/src/recording/control.rs", "bags/src/recording/queue.rs"],
+    &[
+        "bags/src/writer/channels.rs",
+        "bags/src/writer/chunk.rs",
+        "bags/src/writer/file.rs",
+        "bags/src/writer/split.rs",
+        "bags/src/writer/summary.rs",
+    ],
+    &[
+        "bags/src/writer/error.rs",
+        "bags/src/writer/layout.rs",
+        "bags/src/writer/mod.rs",
+        "bags/src/writer/options.rs",
+        "bags/src/writer/sqlite/options.rs",
+    ],
+    &["benches/ros2/src/contestant.rs", "benches/ros2/src/meeting.rs", "benches/ros2/src/peer.rs"],
+    &["bridge/conformance/src/engine.rs", "bridge/conformance/src/peer.rs"],
+    &[
+        "edge/src/action.rs",
+        "edge/src/foreign/declarations.rs",
+        "edge/src/foreign/module.rs",
+        "edge/src/foreign/versions.rs",
+        "edge/src/interfaces.rs",
+        "edge/src/service.rs",
+    ],
+    &["bridge/rtps/src/driver/interfaces.rs", "bridge/rtps/src/driver/sockets.rs"],
+    &[
+        "bridge/rtps/src/protocol/discovery/announcing.rs",
+        "bridge/rtps/src/protocol/discovery/endpoints.rs",
+        "bridge/rtps/src/protocol/discovery/liveliness.rs",
+        "bridge/rtps/src/protocol/participant.rs",
+        "bridge/rtps/src/protocol/peers.rs",
+        "bridge/rtps/src/protocol/routes.rs",
+        "bridge/rtps/src/protocol/validation.rs",
+    ],
+    &["bridge/rtps/src/wire/inline_qos.rs", "bridge/rtps/src/wire/message.rs"],
+    &["bridge/src/expose/endpoints.rs", "bridge/src/expose/qos_events.rs"],
+    &["bridge/src/middleware/error.rs", "bridge/src/middleware/options.rs"],
+    &[
+        "bridge/src/ros/graph.rs",
+        "bridge/src/ros/network.rs",
+        "bridge/src/ros/node.rs",
+        "bridge/src/ros/participant.rs",
+    ],
+    &["bridge/src/rosout/collector.rs", "bridge/src/rosout/of_node.rs", "bridge/src/rosout/publisher.rs"],
+    &[
+        "bridge/view/src/bag/mod.rs",
+        "bridge/view/src/bag/playback.rs",
+        "bridge/view/src/page/asks.rs",
+        "bridge/view/src/server.rs",
+        "bridge/view/src/session.rs",
+        "bridge/view/src/source.rs",
+    ],
+    &["modules/network/src/mailbox.rs", "modules/network/src/udp.rs"],
+    &["modules/network/src/mqtt/broker.rs", "modules/network/src/mqtt/connection.rs"],
+    &["modules/physics/src/machine.rs", "modules/physics/src/simulation.rs"],
+    &[
+        "modules/physics/src/spawned.rs",
+        "modules/physics/src/world/mod.rs",
+        "modules/physics/src/world/rapier.rs",
+        "modules/physics/src/world_file.rs",
+    ],
+    &["modules/src/darwin_op/module.rs", "modules/src/darwin_op/settings.rs"],
+    &["modules/src/motions/file.rs", "modules/src/motions/path.rs"],
+    &["modules/src/servo_bus/diagnostics.rs", "modules/src/servo_bus/module.rs"],
+    &[
+        "modules/src/servo_emulator/emulator.rs",
+        "modules/src/servo_emulator/memory.rs",
+        "modules/src/servo_emulator/pseudo_terminal.rs",
+    ],
+    &["modules/state_machine/src/expressions.rs", "modules/state_machine/src/functions.rs"],
+    &[
+        "modules/football/vision/src/detector.rs",
+        "modules/football/vision/src/markings.rs",
+        "modules/football/vision/src/round.rs",
+        "modules/football/vision/src/upright.rs",
+    ],
+    &[
+        "msgs/definitions/src/catalog/files.rs",
+        "msgs/definitions/src/catalog/mod.rs",
+        "msgs/definitions/src/definition.rs",
+        "msgs/definitions/src/definition_text/portable.rs",
+        "msgs/definitions/src/definition_text/read.rs",
+        "msgs/definitions/src/derived.rs",
+        "msgs/definitions/src/idl/mod.rs",
+        "msgs/definitions/src/lib.rs",
+        "msgs/definitions/src/parse/mod.rs",
+    ],
+    &["msgs/definitions/src/error.rs", "msgs/definitions/src/name.rs"],
+    &["msgs/derive/src/cdr.rs", "msgs/derive/src/expand.rs"],
+    &[
+        "msgs/src/cdr/plain.rs",
+        "msgs/src/cdr/reader.rs",
+        "msgs/src/cdr/values.rs",
+        "msgs/src/cdr/view.rs",
+        "msgs/src/cdr/writer.rs",
+    ],
+    &[
+        "msgs/src/description/field.rs",
+        "msgs/src/description/text.rs",
+        "msgs/src/interface_set.rs",
+        "msgs/src/message.rs",
+    ],
+    &[
+        "msgs/src/dynamic/fit.rs",
+        "msgs/src/dynamic/layout.rs",
+        "msgs/src/dynamic/message.rs",
+        "msgs/src/dynamic/value.rs",
+    ],
+    &["msgs/src/dynamic/text/python.rs", "msgs/src/dynamic/text/scalar.rs", "msgs/src/dynamic/text/yaml.rs"],
+    &["msgs/src/foxglove/rules.rs", "msgs/src/foxglove/special.rs"],
+    &["msgs/src/interchange/schema.rs", "msgs/src/interchange/value.rs"],
+    &["python/src/bags/reading.rs", "python/src/bags/table.rs"],
+    &["python/src/messages/buffer.rs", "python/src/messages/types.rs"],
+    &[
+        "python/src/messages/convert.rs",
+        "python/src/messages/decode.rs",
+        "python/src/messages/encode.rs",
+        "python/src/messages/message.rs",
+    ],
+    &["python/src/modules/loader.rs", "python/src/modules/python_module.rs"],
+    &[
+        "src/app.rs",
+        "src/program/bag/export/mod.rs",
+        "src/program/bag/record/mod.rs",
+        "src/program/bag/replay.rs",
+        "src/program/cli.rs",
+        "src/program/football/mod.rs",
+        "src/program/football/robot.rs",
+        "src/program/interface/interfaces.rs",
+        "src/program/interface/list.rs",
+        "src/program/look/action.rs",
+        "src/program/look/clock.rs",
+        "src/program/look/definitions.rs",
+        "src/program/look/echo.rs",
+        "src/program/look/lifecycle.rs",
+        "src/program/look/network.rs",
+        "src/program/look/node.rs",
+        "src/program/look/param/mod.rs",
+        "src/program/look/publish.rs",
+        "src/program/look/rate.rs",
+        "src/program/look/service.rs",
+        "src/program/look/topic.rs",
+        "src/program/mod.rs",
+        "src/program/run.rs",
+    ],
+    &["src/program/output.rs", "src/program/screen.rs", "src/program/stop/mod.rs"],
+    &["src/replay/comparison.rs", "src/replay/runs.rs"],
+    &["src/replay/coverage.rs", "src/replay/plan.rs", "src/replay/report.rs"],
+    &[
+        "src/robot/catalog.rs",
+        "src/robot/feature_kinds.rs",
+        "src/robot/file/expose/lifecycle.rs",
+        "src/robot/file/expose/qos.rs",
+        "src/robot/file/expose/service.rs",
+        "src/robot/file/expose/topic.rs",
+        "src/robot/file/expose.rs",
+        "src/robot/file/features.rs",
+        "src/robot/file/mod.rs",
+        "src/robot/file/source.rs",
+        "src/robot/file/table.rs",
+        "src/robot/kind.rs",
+        "src/robot/parameters/file.rs",
+        "src/robot/parameters/mod.rs",
+        "src/robot/ros_args.rs",
+        "src/robot/sensors.rs",
+        "src/robot/versions/live.rs",
+        "src/robot/versions/mod.rs",
+        "src/robot/versions/recorded.rs",
+    ],
+];
+
+/// The problem of a file that uses one of a higher folder, by `names`.
+pub(super) fn upward(from: &str, to: &str, names: &BTreeSet<String>) -> Option<String> {
+    let (above, below) = (rank(to)?, rank(from)?);
+    let names = names.iter().cloned().collect::<Vec<_>>().join(", ");
+    (above < below)
+        .then(|| format!("{from}: uses {names} of {to}, which is above it (xtask/src/tidy/layers.rs)"))
+}
+
+fn rank(file: &str) -> Option<usize> {
+    let inside = file.strip_prefix("executor/src/")?;
+    let folder = inside.split(['/', '.']).next()?;
+    EXECUTOR.iter().position(|known| *known == folder)
+}
+
+/// For which names a file uses another.
+pub(super) type Tied = BTreeMap<(String, String), BTreeSet<String>>;
+
+/// Circles that are not known, with the names that tie them, and known ones that are gone.
+pub(super) fn new_circles(found: &BTreeSet<Vec<String>>, tied: &Tied) -> Problems {
+    compare(found, KNOWN_CIRCLES, tied)
+}
+
+fn compare(found: &BTreeSet<Vec<String>>, known: &[&[&str]], tied: &Tied) -> Problems {
+    let is_part =
+        |circle: &[String], known: &[&str]| circle.iter().all(|file| known.contains(&file.as_str()));
+    let new = found.iter().filter(|circle| !known.iter().any(|known| is_part(circle, known)));
+    let gone = known.iter().filter(|known| !found.iter().any(|circle| is_part(circle, known)));
+    let ties = |circle: &[String]| {
+        let ties = tied.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
+        let line = |((from, to), names): (&(String, String), &BTreeSet<String>)| {
+            let names: Vec<_> = names.iter().map(String::as_str).collect();
+            format!("\n    {from} uses {} of {to}", names.join(", "))
+        };
+        ties.map(line).collect::<String>()
+    };
+    let new = new
+        .map(|circle| format!("{}: files that use each other in a circle{}", circle.join(" "), ties(circle)));
+    new.chain(gone.map(|known| {
+        format!("{}: no longer a circle; remove it from xtask/src/tidy/layers.rs", known.join(" "))
+    }))
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packages_stand_above_those_on_which_they_build() {
+        for (index, (name, uses)) in
+            PACKAGES.iter().enumerate().take_while(|(_, (name, _))| *name != "benches")
+        {
+            let is_below = |used: &&str| PACKAGES[..index].iter().any(|(below, _)| below == used);
+            let above: Vec<_> = uses.iter().filter(|used| !is_below(used)).collect();
+            assert!(above.is_empty() || *name == "downbeat-python", "{name} stands below {above:?}");
+        }
+    }
+
+    #[test]
+    fn a_folder_uses_those_below_it() {
+        let names = BTreeSet::from(["Core".to_owned()]);
+        assert_eq!(upward("executor/src/cycle/core.rs", "executor/src/time/mod.rs", &names), None);
+        let problem = upward("executor/src/topics/topic.rs", "executor/src/cycle/core.rs", &names);
+        assert!(problem.is_some_and(|text| text.starts_with("executor/src/topics/topic.rs: uses Core of")));
+    }
+
+    #[test]
+    fn a_known_circle_may_shrink_but_not_grow_and_not_be_forgotten() {
+        let circle = |files: &[&str]| BTreeSet::from([files.iter().map(|file| (*file).to_owned()).collect()]);
+        let known: &[&[&str]] = &[&["a.rs", "b.rs", "c.rs"]];
+        let tie = ("d.rs".to_owned(), "a.rs".to_owned());
+        let tied = Tied::from([(tie, BTreeSet::from(["Thing".to_owned()]))]);
+        assert_eq!(compare(&circle(&["a.rs", "b.rs"]), known, &tied), Problems::new());
+        let grown = compare(&circle(&["a.rs", "b.rs", "d.rs"]), known, &tied);
+        assert!(grown.len() == 2 && grown[0].ends_with("\n    d.rs uses Thing of a.rs"), "{grown:?}");
+        assert_eq!(compare(&BTreeSet::new(), known, &tied).len(), 1);
+    }
+}

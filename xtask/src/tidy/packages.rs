@@ -1,0 +1,133 @@
+//! The packages of the workspace and what they depend on, as Cargo sees them.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+use serde::Deserialize;
+
+use super::Problems;
+
+/// What `cargo metadata` says of this workspace.
+pub(super) struct Workspace {
+    pub(super) packages: Vec<Package>,
+}
+
+pub(super) struct Package {
+    pub(super) name: String,
+    pub(super) folder: PathBuf,
+    /// The roots of its libraries and programs.
+    pub(super) roots: Vec<PathBuf>,
+    /// The packages of the workspace that it is built with; tests may use more.
+    uses: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Metadata {
+    packages: Vec<Described>,
+}
+
+#[derive(Deserialize)]
+struct Described {
+    name: String,
+    manifest_path: PathBuf,
+    targets: Vec<Target>,
+    dependencies: Vec<Dependency>,
+}
+
+#[derive(Deserialize)]
+struct Target {
+    kind: Vec<String>,
+    src_path: PathBuf,
+}
+
+#[derive(Deserialize)]
+struct Dependency {
+    name: String,
+    kind: Option<String>,
+    path: Option<PathBuf>,
+}
+
+impl Workspace {
+    pub(super) fn load(root: &Path) -> anyhow::Result<Self> {
+        let mut command = Command::new(env!("CARGO"));
+        command.args(["metadata", "--no-deps", "--format-version", "1"]).current_dir(root);
+        let output = command.output().context("cannot run cargo metadata")?;
+        if !output.status.success() {
+            bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
+        }
+        Self::parse(&output.stdout)
+    }
+
+    fn parse(metadata: &[u8]) -> anyhow::Result<Self> {
+        let Metadata { packages } =
+            serde_json::from_slice(metadata).context("cargo metadata is not understood")?;
+        Ok(Self { packages: packages.into_iter().map(Package::from).collect() })
+    }
+
+    /// Dependencies that `allowed` does not list: for each package those that it may use.
+    pub(super) fn arrows_between_packages(&self, allowed: &[(&str, &[&str])]) -> Problems {
+        let mut problems = Problems::new();
+        for Package { name, uses, .. } in &self.packages {
+            let Some((_, may_use)) = allowed.iter().find(|(package, _)| package == name) else {
+                problems.push(format!("{name}: the list of packages in xtask/src/tidy/layers.rs lacks it"));
+                continue;
+            };
+            let forbidden = uses.iter().filter(|used| !may_use.contains(&used.as_str()));
+            problems.extend(forbidden.map(|used| {
+                format!("{name}: depends on {used}, which xtask/src/tidy/layers.rs does not allow")
+            }));
+        }
+        let exists = |name: &str| self.packages.iter().any(|package| package.name == name);
+        let gone = allowed.iter().filter(|(package, _)| !exists(package));
+        problems.extend(gone.map(|(name, _)| {
+            format!("{name}: xtask/src/tidy/layers.rs lists it, but there is no such package")
+        }));
+        problems
+    }
+}
+
+impl From<Described> for Package {
+    fn from(described: Described) -> Self {
+        let Described { name, manifest_path, targets, dependencies } = described;
+        let is_product = |target: &Target| {
+            target.kind.iter().any(|kind| matches!(kind.as_str(), "lib" | "bin" | "cdylib" | "proc-macro"))
+        };
+        let used =
+            |dependency: &Dependency| dependency.path.is_some() && dependency.kind.as_deref() != Some("dev");
+        Self {
+            name,
+            folder: manifest_path.parent().unwrap_or(Path::new("")).to_owned(),
+            roots: targets.into_iter().filter(is_product).map(|target| target.src_path).collect(),
+            uses: dependencies.into_iter().filter(used).map(|dependency| dependency.name).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_dependency_that_is_not_listed_is_a_problem_and_one_of_tests_is_not() {
+        let dependency = |name: &str, kind: Option<&str>| serde_json::json!({"name": name, "kind": kind, "path": format!("/{name}")});
+        let package = |name: &str, dependencies: Vec<serde_json::Value>| {
+            serde_json::json!({
+                "name": name, "manifest_path": format!("/{name}/Cargo.toml"), "targets": [], "dependencies": dependencies,
+            })
+        };
+        let metadata = serde_json::json!({"packages": [
+            package("engine", vec![dependency("wire", None), dependency("robot", None)]),
+            package("wire", vec![dependency("robot", Some("dev"))]),
+            package("robot", vec![]),
+        ]});
+        let workspace = Workspace::parse(metadata.to_string().as_bytes()).unwrap();
+        let problems =
+            workspace.arrows_between_packages(&[("engine", &["wire"]), ("wire", &[]), ("old", &[])]);
+        assert_eq!(problems.len(), 3, "{problems:?}");
+        assert!(problems[0].starts_with("engine: depends on robot"), "{problems:?}");
+        assert!(problems[1].starts_with("robot: the list"), "{problems:?}");
+        assert!(problems[2].starts_with("old: "), "{problems:?}");
+    }
+}
