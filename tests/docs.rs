@@ -317,7 +317,7 @@ impl Place {
         let exposed = "[expose]\nexpose_service = true\nservices = [\"torque\"]\n";
         let demo = robot_file(&folder, |text| text.replace("[expose]\n", exposed));
         std::fs::create_dir(folder.join("robots/servos")).unwrap();
-        for name in ["player.scxml", "player.toml", "so101.toml", "servos/so101.toml"] {
+        for name in ["ball_chaser.scxml", "ball_chaser.toml", "so101.toml", "servos/so101.toml"] {
             let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(name);
             std::fs::copy(from, folder.join("robots").join(name)).unwrap();
         }

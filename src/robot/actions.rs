@@ -137,8 +137,8 @@ mod tests {
     use super::*;
     use crate::robot::RobotFile;
     use crate::robot::file::Source;
+    use downbeat_actions::{ActionClient, ActionServer};
     use downbeat_executor::{Core, Module, Setup, SetupError};
-    use downbeat_modules::actions::{ActionClient, ActionServer};
     use downbeat_msgs::tf2_msgs::action::LookupTransform;
     use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! The kinds of modules that features of this program add.
 
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_darwin_op::emulator::MemoryPorts;
 
 use super::Kind;
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use common::{Bench, free_port, options};
-use downbeat_modules::device::DeviceLink;
+use downbeat_device::DeviceLink;
 use downbeat_msgs::std_msgs::msg::String as Line;
 use downbeat_network::tcp::Tcp;
 use downbeat_network::tcp_lines::TcpLines;

@@ -9,13 +9,13 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use common::{Bench, free_port, options};
+use downbeat_device::DeviceLink;
 use downbeat_executor::{ModuleOptions, SettingValue};
 use downbeat_football::football_interfaces::msg::{GameState, TeamMessage};
 use downbeat_leagues::game_controller::GameController;
 use downbeat_leagues::game_controller_sender::GameControllerSender;
 use downbeat_leagues::packets::{Answer, ControlPacket, State, Version};
 use downbeat_leagues::team::{self, TeamCommunication};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_network::udp::Udp;
 

@@ -2,14 +2,13 @@
 //! Pictures are simulated: without noise, and without the robot itself.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use downbeat_darwin_op::falls::Falls;
+use downbeat_darwin_op::gait::Gait;
 use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue, Time};
 use downbeat_football::soccer_model_msgs::msg::Ball as BallEstimate;
+use downbeat_imu_filter::ImuFilter;
+use downbeat_kinematics::robot_state_publisher::RobotStatePublisher;
 use downbeat_localisation::Localisation;
-use downbeat_modules::falls::Falls;
-use downbeat_modules::gait::Gait;
-use downbeat_modules::imu_filter::ImuFilter;
-use downbeat_modules::joint_command_mux::JointCommandMux;
-use downbeat_modules::robot_state_publisher::RobotStatePublisher;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use downbeat_msgs::geometry_msgs::msg::{PoseStamped, PoseWithCovarianceStamped};
@@ -19,6 +18,7 @@ use downbeat_physics::camera::{Camera, Scene};
 use downbeat_physics::{Ball, DARWIN_OP, Field, SimulatedRobot, SimulationOptions, WorldFile};
 use downbeat_player::head::Head;
 use downbeat_player::walk_to::WalkTo;
+use downbeat_servos::joint_command_mux::JointCommandMux;
 use downbeat_vision::Vision;
 use glam::{DQuat, DVec2, DVec3};
 use std::sync::{Arc, Mutex};

@@ -3,6 +3,7 @@
 #![allow(missing_docs)]
 
 use clap::Parser;
+use downbeat_darwin_op::emulator::MemoryPorts;
 use downbeat_edge::Interfaces;
 use downbeat_edge::foreign::ForeignModule;
 use downbeat_executor::{
@@ -10,10 +11,9 @@ use downbeat_executor::{
     Snapshot, Time,
 };
 use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_kinematics::robot_state_publisher::RobotStatePublisher;
 use downbeat_localisation::Localisation;
 use downbeat_match::{FootballMatch, player};
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
-use downbeat_modules::robot_state_publisher::RobotStatePublisher;
 use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_state_machine::StateMachineOptions;

@@ -3,7 +3,7 @@
 
 use downbeat_executor::Time;
 use downbeat_football::football_interfaces::msg::TeamMessage;
-use downbeat_modules::servo_emulator::Random;
+use downbeat_servos::servo_emulator::Random;
 use std::time::Duration;
 
 /// Messages that are being transmitted.

@@ -3,7 +3,7 @@
 use crate::game::{Event, Order, Phase, Team, Truth};
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::GameState;
-use downbeat_modules::servo_emulator::Random;
+use downbeat_servos::servo_emulator::Random;
 use glam::DVec2;
 use std::f64::consts::TAU;
 use std::time::Duration;

@@ -6,6 +6,7 @@ use crate::field_world::world_of;
 use crate::game::{Order, Seat, Team, Truth};
 use crate::official::Official;
 use crate::referee::{Referee, Rules};
+use downbeat_darwin_op::emulator::MemoryPorts;
 use downbeat_executor::{
     Context, Job, JobError, Module, Publication, Received, Setting, SettingType, Setup, SetupError, Time,
     TransitionError,
@@ -14,7 +15,6 @@ use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
 use downbeat_football::soccer_model_msgs::msg::{Robot as OtherRobot, RobotArray};
 use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as RobotAttributes;
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::geometry_msgs::msg::{Point, PointStamped, Pose, PoseStamped, Quaternion};
 use downbeat_msgs::nav_msgs::msg::Odometry;

@@ -1,17 +1,17 @@
 //! The modules of a football player: a robot that walks, kicks, gets up, turns its head and localises itself.
 
+use downbeat_darwin_op::emulator::MemoryPorts;
+use downbeat_darwin_op::falls::Falls;
+use downbeat_darwin_op::gait::Gait;
+use downbeat_darwin_op::hardware::DarwinOp;
+use downbeat_darwin_op::motions::MotionPlayer;
 use downbeat_executor::{Core, Module, ModuleOptions, SettingValue, SetupError};
-use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
-use downbeat_modules::falls::Falls;
-use downbeat_modules::gait::Gait;
-use downbeat_modules::imu_filter::ImuFilter;
-use downbeat_modules::joint_command_mux::JointCommandMux;
-use downbeat_modules::motions::MotionPlayer;
+use downbeat_imu_filter::ImuFilter;
 use downbeat_player::head::Head;
 use downbeat_player::team::Team;
 use downbeat_player::truth::TruthBeliefs;
 use downbeat_player::walk_to::WalkTo;
+use downbeat_servos::joint_command_mux::JointCommandMux;
 
 /// The topics of joint commands, in the order of precedence.
 const SOURCES: [&str; 4] =

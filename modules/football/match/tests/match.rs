@@ -1,12 +1,12 @@
 //! Matches of players with a referee.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use downbeat_darwin_op::emulator::MemoryPorts;
 use downbeat_executor::{
     Clock, Core, Inbox, Launcher, Linear, ManualClock, ModuleOptions, Pool, Received, SettingValue, Time,
 };
 use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
 use downbeat_match::{FootballMatch, player};
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
 use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseStamped, PoseWithCovarianceStamped};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use std::sync::{Arc, Mutex};

@@ -19,9 +19,9 @@
 use crate::beliefs::{Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
 use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
-use downbeat_modules::servo_emulator::Random;
 use downbeat_msgs::geometry_msgs::msg::{PoseStamped, PoseWithCovarianceStamped, Quaternion};
 use downbeat_msgs::nav_msgs::msg::Odometry;
+use downbeat_servos::servo_emulator::Random;
 use glam::DVec2;
 
 /// Publishes the truth with noise; see the [module page](self).

@@ -6,8 +6,8 @@ use std::marker::PhantomData;
 use std::os::unix::fs::FileTypeExt;
 use std::time::{Duration, Instant};
 
+use downbeat_device::Device;
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};

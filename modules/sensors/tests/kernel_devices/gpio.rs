@@ -1,8 +1,8 @@
 use std::fs;
 use std::path::Path;
 
+use downbeat_device::DeviceLink;
 use downbeat_executor::{Heard, ModuleOptions, Probe};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::Bool;
