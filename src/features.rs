@@ -38,11 +38,17 @@ const SENSORS: &[&str] = &[
     "lidar_emulator",
 ];
 
-const FEATURES: [Feature; 11] = [
+const FEATURES: [Feature; 12] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
         kinds: &["football_match", "head", "localisation", "team", "truth_beliefs", "vision", "walk_to"],
+        ..NOTHING
+    },
+    Feature {
+        name: "leagues",
+        is_built_in: cfg!(feature = "leagues"),
+        kinds: &["game_controller", "game_controller_sender", "team_communication"],
         ..NOTHING
     },
     Feature { name: "mqtt", is_built_in: cfg!(feature = "mqtt"), kinds: &["mqtt"], ..NOTHING },
@@ -50,7 +56,7 @@ const FEATURES: [Feature; 11] = [
     Feature {
         name: "network",
         is_built_in: cfg!(feature = "network"),
-        kinds: &["game_controller", "game_controller_sender", "tcp_lines", "team_communication", "udp_lines"],
+        kinds: &["tcp_lines", "udp_lines"],
         ..NOTHING
     },
     Feature {
@@ -153,6 +159,7 @@ mod tests {
                         Cargo.toml), or install the wheel of `cargo xtask wheel`, which has it";
         assert_eq!(without("darwin_op_simulator").unwrap(), expected);
         assert!(without("walk_to").unwrap().starts_with("built without \"football\": "));
+        assert!(without("game_controller").unwrap().starts_with("built without \"leagues\": "));
         assert!(without("udp_lines").unwrap().starts_with("built without \"network\": "));
         assert!(without("mqtt").unwrap().starts_with("built without \"mqtt\": "));
         assert_eq!(without("darwin"), None);
@@ -191,6 +198,26 @@ mod tests {
         }
         let project = include_str!("../python/pyproject.toml");
         assert!(project.contains("features = [\"full\"]"), "maturin builds with them");
+    }
+
+    #[test]
+    fn a_program_that_talks_to_a_broker_contains_no_football() {
+        let packages = |feature| {
+            let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+            let mut command = std::process::Command::new(cargo);
+            command.args(["tree", "--locked", "--offline", "--edges", "normal", "--prefix", "none"]);
+            command.args(["--package", "downbeat", "--features", feature]);
+            let output = command.current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            String::from_utf8(output.stdout).unwrap()
+        };
+        for feature in ["network", "mqtt"] {
+            let packages = packages(feature);
+            assert!(packages.contains("downbeat-network v"), "{packages}");
+            let football = packages.lines().find(|package| package.contains("/modules/football/"));
+            assert_eq!(football, None, "{feature}");
+        }
+        assert!(packages("leagues").contains("/modules/football/leagues)"));
     }
 
     #[test]

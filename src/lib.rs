@@ -13,6 +13,7 @@ mod failure;
 mod features;
 pub mod inspect;
 pub mod journal;
+pub mod modules;
 pub mod playback;
 #[cfg(feature = "cli")]
 mod program;
@@ -26,11 +27,10 @@ pub mod table;
 pub use app::{App, AppError};
 pub use downbeat_bags as bags;
 pub use downbeat_bridge as bridge;
+pub use downbeat_device as device;
 pub use downbeat_edge as edge;
 pub use downbeat_executor as executor;
 pub use downbeat_library_host as library_host;
-pub use downbeat_modules as modules;
-pub use downbeat_modules::device;
 pub use downbeat_msgs as msgs;
 #[cfg(feature = "view")]
 pub use downbeat_view as view;

@@ -220,7 +220,7 @@ fn colours_are_learned_from_the_marks_of_the_page() {
     let page = include_str!("../docs/vision.md");
     let start = page.find("# marks.toml").unwrap();
     let marks = &page[start..start + page[start..].find("```").unwrap()];
-    const FRAME: &str = "modules/vision/tests/data/darwin_op_frame.png";
+    const FRAME: &str = "modules/football/vision/tests/data/darwin_op_frame.png";
     let frame = Path::new(env!("CARGO_MANIFEST_DIR")).join(FRAME);
     std::fs::copy(frame, folder.path().join("darwin_op_frame.png")).unwrap();
     let calibrate = |marks: &str, more: &[&str]| {

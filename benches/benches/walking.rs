@@ -4,17 +4,17 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use downbeat_darwin_op::emulator::{self, EmulatorOptions, Timing};
+use downbeat_darwin_op::falls::Falls;
+use downbeat_darwin_op::gait::Gait;
+use downbeat_darwin_op::hardware::bus::{Bus, Exchange, RecordedBus};
+use downbeat_darwin_op::hardware::{CYCLE, DarwinOp};
+use downbeat_darwin_op::motions::MotionPlayer;
 use downbeat_executor::{Core, Inbox, Inlet, ManualClock, ModuleOptions, Received, Time};
-use downbeat_modules::darwin_op::bus::{Bus, Exchange, RecordedBus};
-use downbeat_modules::darwin_op::{CYCLE, DarwinOp};
-use downbeat_modules::darwin_op_emulator::{Emulator, EmulatorOptions, Timing};
-use downbeat_modules::falls::Falls;
-use downbeat_modules::gait::Gait;
-use downbeat_modules::imu_filter::ImuFilter;
-use downbeat_modules::joint_command_mux::JointCommandMux;
-use downbeat_modules::motions::MotionPlayer;
+use downbeat_imu_filter::ImuFilter;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::Twist;
+use downbeat_servos::joint_command_mux::JointCommandMux;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -62,7 +62,7 @@ impl Robot {
 /// The recorded bus answers of the emulated robot.
 fn recording() -> Vec<Exchange> {
     let options = EmulatorOptions { timing: Timing::Stepped, ..EmulatorOptions::default() };
-    let emulator = Emulator::in_memory(&options, None);
+    let emulator = emulator::in_memory(&options, None);
     let mut robot = Robot::new(Box::new(emulator.bus()));
     let exchanges = Arc::<Mutex<Vec<Exchange>>>::default();
     let kept = Arc::clone(&exchanges);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault, has_unit};
+use crate::modules::darwin_op_emulator::{self, Emulator, EmulatorOptions, Fault, has_unit};
 use crate::modules::servo_bus::Description;
 use crate::modules::servo_bus::protocol::Id;
 use anyhow::Context;
@@ -12,7 +12,7 @@ use super::stop::Stop;
 
 pub(crate) fn darwin_op(link: PathBuf, seed: u64, faults: &[String]) -> anyhow::Result<()> {
     let stop = Stop::new()?;
-    let emulator = Emulator::start(options(&link, seed, faults, has_unit)?)?;
+    let emulator = darwin_op_emulator::start(options(&link, seed, faults, has_unit)?)?;
     tracing::info!("an emulated Darwin OP is at {}", link.display());
     serve(&stop, emulator);
     Ok(())

@@ -152,8 +152,8 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::robot::file::Source;
+    use downbeat_actions::{ActionClient, ActionServer};
     use downbeat_executor::{Core, Module, Setup, SetupError};
-    use downbeat_modules::actions::{ActionClient, ActionServer};
     use downbeat_msgs::tf2_msgs::action::LookupTransform;
     use std::path::Path;
 

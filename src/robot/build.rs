@@ -4,7 +4,7 @@ use downbeat_bridge::expose::Exposure;
 use downbeat_executor::{
     Core, Idle, Linear, Pool, Scheduled, SetupError, ThreadError, ThreadOptions, Threads, TopicInfo,
 };
-use downbeat_modules::controllers::claims::Claims;
+use downbeat_servos::controllers::claims::Claims;
 
 use super::LauncherChoice;
 use super::commanders::rival_commanders;

@@ -55,7 +55,7 @@ impl Catalog {
     pub fn built_in() -> Self {
         let kinds = super::kind::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
         let own = downbeat_state_machine::INTERFACES;
-        #[cfg(any(feature = "football", feature = "network"))]
+        #[cfg(feature = "leagues")]
         let own = (own, downbeat_football::INTERFACES);
         #[cfg(feature = "sensors")]
         let own = (own, downbeat_sensors::INTERFACES);

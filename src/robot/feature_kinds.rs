@@ -1,6 +1,6 @@
 //! The kinds of modules that features of this program add.
 
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_darwin_op::emulator::MemoryPorts;
 
 use super::Kind;
 
@@ -14,6 +14,8 @@ pub(super) fn of_features(ports: &MemoryPorts) -> impl Iterator<Item = Kind> {
     let kinds = simulator(ports.clone()).into_iter();
     #[cfg(feature = "football")]
     let kinds = kinds.chain(football(ports.clone()));
+    #[cfg(feature = "leagues")]
+    let kinds = kinds.chain(leagues());
     #[cfg(feature = "network")]
     let kinds = kinds.chain(network());
     #[cfg(feature = "mqtt")]
@@ -84,15 +86,12 @@ fn football(ports: MemoryPorts) -> [Kind; 7] {
     ]
 }
 
-#[cfg(feature = "network")]
-fn network() -> [Kind; 5] {
-    use downbeat_network::game_controller::GameController;
-    use downbeat_network::game_controller_sender::GameControllerSender;
-    use downbeat_network::tcp::Tcp;
-    use downbeat_network::tcp_lines::TcpLines;
-    use downbeat_network::team::TeamCommunication;
+#[cfg(feature = "leagues")]
+fn leagues() -> [Kind; 3] {
+    use downbeat_leagues::game_controller::GameController;
+    use downbeat_leagues::game_controller_sender::GameControllerSender;
+    use downbeat_leagues::team::TeamCommunication;
     use downbeat_network::udp::Udp;
-    use downbeat_network::udp_lines::UdpLines;
     [
         Kind::device(
             "game_controller",
@@ -112,6 +111,16 @@ fn network() -> [Kind; 5] {
             Udp::default,
             TeamCommunication::new,
         ),
+    ]
+}
+
+#[cfg(feature = "network")]
+fn network() -> [Kind; 2] {
+    use downbeat_network::tcp::Tcp;
+    use downbeat_network::tcp_lines::TcpLines;
+    use downbeat_network::udp::Udp;
+    use downbeat_network::udp_lines::UdpLines;
+    [
         Kind::device("tcp_lines", "lines of text on TCP, as topics", Tcp::default, TcpLines::new),
         Kind::device("udp_lines", "lines of text on UDP, as topics", Udp::default, UdpLines::new),
     ]

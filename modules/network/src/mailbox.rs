@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
 use std::time::Duration;
 
+use downbeat_device::{Device, DeviceLink};
 use downbeat_executor::{Context, Publication, Time};
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
@@ -29,28 +29,26 @@ pub enum Request {
 }
 
 /// A module's socket: receives what has come, and reports failures once.
-pub(crate) struct Mailbox<D: Device> {
+pub struct Mailbox<D: Device> {
     link: DeviceLink<D>,
     failure: String,
     not_before: Time,
 }
 
 impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
-    pub(crate) fn new(link: DeviceLink<D>) -> Self {
+    /// A mailbox on this link.
+    #[must_use]
+    pub fn new(link: DeviceLink<D>) -> Self {
         Self { link, failure: String::new(), not_before: Time::ZERO }
     }
 
     /// The socket, unless this is a replay.
-    pub(crate) fn device(&mut self) -> Option<&mut D> {
+    pub fn device(&mut self) -> Option<&mut D> {
         self.link.device()
     }
 
-    /// What has come since the last run.
-    pub(crate) fn receive<P>(
-        &mut self,
-        topic: Publication<BusExchange>,
-        ctx: &mut Context<'_, P>,
-    ) -> Vec<Vec<u8>> {
+    /// What has come since the last run, at most 32 datagrams or lines: more is a flood, which waits. Publishes the exchanges on `topic`.
+    pub fn receive<P>(&mut self, topic: Publication<BusExchange>, ctx: &mut Context<'_, P>) -> Vec<Vec<u8>> {
         let mut datagrams = Vec::new();
         if ctx.now() < self.not_before {
             return datagrams;
@@ -69,12 +67,8 @@ impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
         datagrams
     }
 
-    pub(crate) fn send<P>(
-        &mut self,
-        bytes: Vec<u8>,
-        topic: Publication<BusExchange>,
-        ctx: &mut Context<'_, P>,
-    ) {
+    /// Sends a datagram or a line, and publishes on `topic` what became of it.
+    pub fn send<P>(&mut self, bytes: Vec<u8>, topic: Publication<BusExchange>, ctx: &mut Context<'_, P>) {
         let exchange = self.link.exchange(&Request::Send(bytes), topic, ctx);
         if exchange.outcome == BusExchange::FAILED {
             self.report("send", exchange.error, ctx.now());

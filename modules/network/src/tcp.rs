@@ -4,8 +4,8 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
+use downbeat_device::Device;
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
 

@@ -3,8 +3,8 @@
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 
+use downbeat_device::Device;
 use downbeat_executor::{Module, Setting, Setup, SetupError, Time};
-use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
 
@@ -90,10 +90,10 @@ pub fn keep_free_port() -> io::Result<(UdpSocket, u16)> {
 }
 
 /// The address that a setting of a module gives.
-pub(crate) fn address_of<M: Module>(
-    setup: &Setup<'_, M>,
-    setting: Setting<String>,
-) -> Result<Ipv4Addr, SetupError> {
+///
+/// # Errors
+/// Refuses a value that is no IPv4 address.
+pub fn address_of<M: Module>(setup: &Setup<'_, M>, setting: Setting<String>) -> Result<Ipv4Addr, SetupError> {
     let address = setup.value(setting).and_then(|address| address.parse().ok());
     address.ok_or_else(|| setup.refuse_value(setting, "it is no IPv4 address, such as 192.168.1.255"))
 }

@@ -11,8 +11,8 @@
 use std::net::{SocketAddr, SocketAddrV4};
 use std::time::Duration;
 
+use downbeat_device::{Device, DeviceLink};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError};
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::String as Line;
 

@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use downbeat_device::DeviceLink;
 use downbeat_edge::Interfaces;
 use downbeat_executor::{Core, Inbox, Inlet, ManualClock, ModuleOptions, OutletInbox, SettingValue, Time};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::std_msgs::msg::{Bool, Float64, String as Text};

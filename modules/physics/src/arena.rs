@@ -25,12 +25,12 @@ use crate::machine::Machine;
 use crate::model::Model;
 use crate::world::{Motion, Posture, RapierWorld, RobotBodies, Start, Variation, World};
 use crate::world_file::WorldFile;
+use downbeat_darwin_op::emulator::{
+    self, Body, Emulator, EmulatorOptions, FootForces, ImuMotion, JointMotion, ServoCommand, Timing,
+};
+use downbeat_darwin_op::hardware::tables::joints::{COUNT, JOINTS};
 use downbeat_executor::Time;
 use downbeat_kinematics::Robot;
-use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
-use downbeat_modules::darwin_op_emulator::{
-    Body, Emulator, EmulatorOptions, FootForces, ImuMotion, JointMotion, ServoCommand, Timing,
-};
 use downbeat_transforms::Isometry;
 use glam::DVec3;
 use parking_lot::Mutex;
@@ -243,8 +243,8 @@ impl Arena {
             let timing = if is_measured { Timing::Measured } else { Timing::Stepped };
             let options = EmulatorOptions { seed, timing, link, ..EmulatorOptions::default() };
             match timing {
-                Timing::Measured => Emulator::start_with(options, body),
-                _ => Ok(Emulator::in_memory(&options, Some(body))),
+                Timing::Measured => emulator::start_with(options, body),
+                _ => Ok(emulator::in_memory(&options, Some(body))),
             }
         });
         let emulators = emulators.collect::<Result<_, _>>()?;

@@ -1,6 +1,6 @@
 //! Errors of simulations.
 
-use downbeat_modules::darwin_op_emulator::EmulatorError;
+use downbeat_darwin_op::emulator::EmulatorError;
 use std::time::Duration;
 
 use crate::world::EngineError;

@@ -5,12 +5,12 @@ use crate::model::Model;
 use crate::simulation::{Request, Simulation, SimulationOptions, Snapshot};
 use crate::world::{Engine, Posture, Start, Variation};
 use crate::world_file::WorldFile;
+use downbeat_darwin_op::emulator::{self, Emulator, EmulatorOptions, Timing};
+use downbeat_darwin_op::hardware::DarwinOp;
+use downbeat_darwin_op::hardware::tables::joints::JOINTS;
+use downbeat_darwin_op::hardware::tables::units::radians_from_ticks;
 use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, RunError, SetupError, Time};
 use downbeat_kinematics::Robot;
-use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op::tables::joints::JOINTS;
-use downbeat_modules::darwin_op::tables::units::radians_from_ticks;
-use downbeat_modules::darwin_op_emulator::{Emulator, EmulatorOptions, Timing};
 use std::time::Duration;
 
 /// The description of the Darwin OP that comes with downbeat.
@@ -39,7 +39,7 @@ impl Start {
     /// The Darwin OP's walking-ready stand, at the origin.
     #[must_use]
     pub fn walking_ready() -> Self {
-        let angle = |joint: &downbeat_modules::darwin_op::tables::joints::Joint| {
+        let angle = |joint: &downbeat_darwin_op::hardware::tables::joints::Joint| {
             (joint.name.to_owned(), radians_from_ticks(joint.walking_ready_ticks, 0))
         };
         let angles = JOINTS.iter().map(angle).collect();
@@ -52,7 +52,7 @@ impl Start {
 ///
 /// ```
 /// use std::time::Duration;
-/// use downbeat_modules::stand_nod_wave::StandNodWave;
+/// use downbeat_darwin_op::stand_nod_wave::StandNodWave;
 /// use downbeat_physics::{SimulatedRobot, SimulationOptions};
 ///
 /// let mut robot = SimulatedRobot::new(SimulationOptions::darwin_op(), 1)?;
@@ -102,7 +102,7 @@ impl SimulatedRobot {
     pub fn new(options: SimulationOptions, seed: u64) -> Result<Self, SimulationError> {
         let simulation = Simulation::new(options)?;
         let options = EmulatorOptions { seed, timing: Timing::Stepped, ..EmulatorOptions::default() };
-        let emulator = Emulator::in_memory(&options, Some(simulation.body()));
+        let emulator = emulator::in_memory(&options, Some(simulation.body()));
         let clock = ManualClock::new(START);
         let core = Core::new().with_clock(clock.clone());
         Ok(Self { core, clock, emulator, simulation, has_hardware: false })

@@ -2,7 +2,7 @@
 //! module and everything above it cannot tell the simulated robot from a real one.
 //!
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
-//! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_modules::darwin_op_emulator::Body)) in its world;
+//! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_darwin_op::emulator::Body)) in its world;
 //! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera, services;
 //! - [`Arena`] is a world with several robots and a ball;
 //! - [`tasks`] are what a walking robot has to be able to do;
@@ -10,8 +10,8 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use downbeat_modules::joint_command_mux::JointCommandMux;
-//! use downbeat_modules::stand_nod_wave::StandNodWave;
+//! use downbeat_servos::joint_command_mux::JointCommandMux;
+//! use downbeat_darwin_op::stand_nod_wave::StandNodWave;
 //! use downbeat_physics::{Ball, SimulatedRobot, SimulationOptions};
 //!
 //! let mut options = SimulationOptions::darwin_op();

@@ -3,8 +3,8 @@
 use crate::error::SimulationError;
 use crate::model::Model;
 use crate::world::{JointDrive, RobotBodies, Variation};
-use downbeat_modules::darwin_op::tables::joints::{COUNT, JOINTS};
-use downbeat_modules::darwin_op_emulator::{ImuMotion, JointMotion, ServoCommand};
+use downbeat_darwin_op::emulator::{ImuMotion, JointMotion, ServoCommand};
+use downbeat_darwin_op::hardware::tables::joints::{COUNT, JOINTS};
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec3};
 use std::collections::VecDeque;

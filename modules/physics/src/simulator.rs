@@ -20,13 +20,12 @@ use crate::simulation::{Request, Simulation, SimulationOptions, Snapshot};
 use crate::spawned::Spawned;
 use crate::world::{Engine, Motion, Posture, Start, Variation};
 use crate::world_file::WorldFile;
+use downbeat_darwin_op::emulator::{self, Emulator, EmulatorOptions, Fault, MemoryPorts, Timing};
 use downbeat_executor::{
     Context, Job, JobError, Module, Publication, Received, Setting, SettingType, Setup, SetupError, Time,
     TransitionError,
 };
 use downbeat_kinematics::Robot;
-use downbeat_modules::darwin_op_emulator::{Emulator, EmulatorOptions, Fault, MemoryPorts, Timing};
-use downbeat_modules::stamps::{Stale, given_at};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use downbeat_msgs::geometry_msgs::msg::{
@@ -35,6 +34,7 @@ use downbeat_msgs::geometry_msgs::msg::{
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_servos::stamps::{Stale, given_at};
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec3};
 use services::Services;
@@ -190,7 +190,7 @@ impl Module for DarwinOpSimulator {
             faults: settings.faults(setup)?,
         };
         // Here and not when it is activated: the hardware module may look for it in the same cycle.
-        let emulator = is_memory.then(|| Emulator::in_memory(&options, Some(simulation.body())));
+        let emulator = is_memory.then(|| emulator::in_memory(&options, Some(simulation.body())));
         if let Some(emulator) = &emulator {
             self.ports
                 .offer(&link, emulator)
@@ -227,7 +227,7 @@ impl Module for DarwinOpSimulator {
 
     fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
         if let Some(parts) = self.parts.as_mut().filter(|parts| parts.emulator.is_none()) {
-            parts.emulator = Some(Emulator::start_with(parts.options.clone(), parts.simulation.body())?);
+            parts.emulator = Some(emulator::start_with(parts.options.clone(), parts.simulation.body())?);
         }
         self.report(ctx);
         Ok(())

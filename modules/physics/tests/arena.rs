@@ -1,14 +1,14 @@
 //! Robots that share a world.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use downbeat_darwin_op::gait::Gait;
+use downbeat_darwin_op::hardware::DarwinOp;
 use downbeat_executor::{Core, Inbox, ManualClock, ModuleOptions, Received, Time};
-use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::gait::Gait;
-use downbeat_modules::imu_filter::ImuFilter;
-use downbeat_modules::joint_command_mux::JointCommandMux;
+use downbeat_imu_filter::ImuFilter;
 use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::sensor_msgs::msg::Imu;
 use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, Ball, Posture};
+use downbeat_servos::joint_command_mux::JointCommandMux;
 use glam::{DQuat, DVec2, DVec3};
 use parking_lot::Mutex;
 use std::sync::Arc;

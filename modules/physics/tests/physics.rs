@@ -1,9 +1,9 @@
 //! A Darwin OP in a world, with the module that drives a real one.
 #![allow(clippy::unwrap_used)]
 
+use downbeat_darwin_op::stand_nod_wave::StandNodWave;
 use downbeat_executor::{Inbox, ModuleOptions, Received};
 use downbeat_kinematics::Robot;
-use downbeat_modules::stand_nod_wave::StandNodWave;
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::Float64MultiArray;
 use downbeat_physics::{

@@ -1,9 +1,9 @@
 //! The simulator as a module, and what it offers to tools.
 #![allow(clippy::unwrap_used)]
 
+use downbeat_darwin_op::emulator::MemoryPorts;
+use downbeat_darwin_op::hardware::DarwinOp;
 use downbeat_executor::{Clock, Core, Inbox, ManualClock, ModuleOptions, Received, SettingValue, Time};
-use downbeat_modules::darwin_op::DarwinOp;
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
 use downbeat_msgs::geometry_msgs::msg::{Point, PoseStamped, Vector3Stamped};
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};

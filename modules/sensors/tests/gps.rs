@@ -6,8 +6,8 @@ mod common;
 use std::time::{Duration, Instant};
 
 use common::{Run, settings, text};
+use downbeat_device::DeviceLink;
 use downbeat_executor::Probe;
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::geometry_msgs::msg::TwistStamped;
 use downbeat_msgs::sensor_msgs::msg::{NavSatFix, NavSatStatus, TimeReference};

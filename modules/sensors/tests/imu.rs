@@ -6,8 +6,8 @@ mod common;
 use std::time::Duration;
 
 use common::{Run, settings, text};
+use downbeat_device::DeviceLink;
 use downbeat_executor::{ModuleOptions, Probe, SettingValue};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::Message;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::sensor_msgs::msg::{Imu as ImuMessage, MagneticField, Temperature};

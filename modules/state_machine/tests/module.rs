@@ -71,7 +71,7 @@ fn in_scxml(chart: &str) -> String {
 }
 
 /// The example of the page.
-const PLAYER: &str = include_str!("../../../robots/player.scxml");
+const PLAYER: &str = include_str!("../../../robots/ball_chaser.scxml");
 
 #[test]
 fn a_chart_starts_without_an_event() {

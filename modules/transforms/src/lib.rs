@@ -2,7 +2,7 @@
 //!
 //! [`TransformBuffer`] stores the transforms from `/tf` and `/tf_static` and looks up the transform between
 //! two frames at a time. It is plain data: no thread, no lock, no clock. [`listen`] fills the buffer of a
-//! module, [`TransformBroadcaster`] publishes.
+//! module, [`TransformBroadcaster`] publishes. [`transform_server`] answers lookups of other nodes.
 //!
 //! ```
 //! use downbeat_executor::Time;
@@ -50,6 +50,7 @@ mod error;
 mod geometry;
 mod lookup;
 mod modules;
+pub mod transform_server;
 
 pub use buffer::{FrameInfo, Taken, TransformBuffer};
 pub use error::{LookupError, TimeDirection, TransformRefused};

@@ -13,8 +13,8 @@ const TEMPLATE: &str = "my_robot";
 
 /// Keywords of Rust, crates available in every program, and names that cargo rejects.
 const TAKEN: &str = "abstract alloc as async await become box break build const continue core crate deps do downbeat \
-    downbeat_actions downbeat_bags downbeat_bridge downbeat_executor downbeat_modules downbeat_msgs downbeat_transforms dyn else enum \
-    examples extern false final fn for gen if impl in incremental let loop macro main match mod move mut \
+    downbeat_actions downbeat_bags downbeat_bridge downbeat_darwin_op downbeat_device downbeat_executor downbeat_imu_filter \
+    downbeat_kinematics downbeat_msgs downbeat_servos downbeat_transforms dyn else enum examples extern false final fn for gen if impl in incremental let loop macro main match mod move mut \
     override priv proc_macro pub ref return self static std struct super test tests trait true try type \
     typeof unsafe unsized use virtual where while yield";
 

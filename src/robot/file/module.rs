@@ -10,7 +10,7 @@ use downbeat_executor::{
     Inbox, LifecycleState, ModuleOptions, Restart, SettingValue, Synchrony, ThreadOptions,
 };
 
-use downbeat_modules::darwin_op_emulator::MemoryPorts;
+use downbeat_darwin_op::emulator::MemoryPorts;
 
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, launcher, suggestion};

@@ -29,7 +29,7 @@ pub(super) fn problems(root: &Path) -> anyhow::Result<Problems> {
         }
     }
     let map = read("ARCHITECTURE.md")?;
-    for folder in ["", "executor/src", "modules", "bridge"] {
+    for folder in ["", "executor/src", "modules", "modules/football", "bridge"] {
         for entry in std::fs::read_dir(root.join(folder))? {
             let path = entry?.path();
             let name = path.strip_prefix(root).unwrap_or(&path).display().to_string();

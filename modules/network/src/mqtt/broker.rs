@@ -8,8 +8,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use downbeat_device::Device;
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use parking_lot::Mutex;

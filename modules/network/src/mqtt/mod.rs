@@ -32,9 +32,9 @@ mod route;
 
 use std::time::Duration;
 
+use downbeat_device::{Device, DeviceLink};
 use downbeat_edge::{Interfaces, KnownType};
 use downbeat_executor::{AnyPublication, Context, Module, Publication, Setting, Setup, SetupError, Time};
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::encoding::Codec;
 use downbeat_msgs::std_msgs::msg::Bool;

@@ -21,7 +21,7 @@ use crate::simulation::SimulationOptions;
 use crate::world::{Posture, Variation};
 use crate::world_file::Ball;
 use downbeat_executor::{InletError, SetupError};
-use downbeat_modules::servo_emulator::Random;
+use downbeat_servos::servo_emulator::Random;
 use std::f64::consts::PI;
 use std::fmt;
 use std::time::Duration;

@@ -2,14 +2,14 @@
 
 use super::{Conditions, Failure};
 use crate::harness::SimulatedRobot;
+use downbeat_darwin_op::falls::Falls;
+use downbeat_darwin_op::gait::Gait;
+use downbeat_darwin_op::motions::MotionPlayer;
 use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue};
-use downbeat_modules::falls::Falls;
-use downbeat_modules::gait::Gait;
-use downbeat_modules::imu_filter::ImuFilter;
-use downbeat_modules::joint_command_mux::JointCommandMux;
-use downbeat_modules::motions::MotionPlayer;
+use downbeat_imu_filter::ImuFilter;
 use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::std_msgs::msg::String as Text;
+use downbeat_servos::joint_command_mux::JointCommandMux;
 use glam::DVec3;
 use parking_lot::Mutex;
 use std::sync::Arc;

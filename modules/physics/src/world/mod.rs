@@ -9,7 +9,7 @@ pub(crate) use rapier::{RapierWorld, overlap};
 use crate::model::Model;
 use crate::spawned::Spawned;
 use crate::world_file::WorldFile;
-use downbeat_modules::darwin_op_emulator::FootForces;
+use downbeat_darwin_op::emulator::FootForces;
 use downbeat_transforms::Isometry;
 use glam::DVec3;
 use std::fmt;

@@ -12,7 +12,7 @@ use super::{
 use crate::model::{Model, Shape};
 use crate::spawned::{Spawned, SpawnedShape};
 use crate::world_file::WorldFile;
-use downbeat_modules::darwin_op_emulator::FootForces;
+use downbeat_darwin_op::emulator::FootForces;
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d::parry::query;

@@ -34,8 +34,8 @@ mod v4l2;
 
 use std::time::Duration;
 
+use downbeat_device::{Device, DeviceLink};
 use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError, Time};
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};

@@ -26,8 +26,8 @@ mod source;
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use downbeat_device::{Device, DeviceLink};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::Header;

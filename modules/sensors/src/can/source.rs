@@ -6,8 +6,8 @@ use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use downbeat_device::Device;
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 use super::frame::{Filter, LENGTH};

@@ -27,8 +27,8 @@ mod source;
 
 use std::time::Duration;
 
+use downbeat_device::{Device, DeviceLink};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::Message;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;

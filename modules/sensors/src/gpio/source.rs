@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
+use downbeat_device::Device;
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 

@@ -7,7 +7,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::time::Duration;
 
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
-use downbeat_modules::servo_emulator::Random;
+use downbeat_servos::servo_emulator::Random;
 
 use super::sentence::line;
 use crate::serial::{EmulatedDevice, EmulatedPorts, Served};

@@ -7,10 +7,10 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::fs::FileTypeExt;
 use std::time::{Duration, Instant};
 
+use downbeat_device::Device;
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
-use downbeat_modules::servo_emulator::{Fault, FaultSchedule};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
+use downbeat_servos::servo_emulator::{Fault, FaultSchedule};
 use parking_lot::Mutex;
 use std::sync::{Arc, Weak};
 

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_executor::{Module, Setup, SetupError};
-use downbeat_modules::servo_emulator::{Fault, Random};
+use downbeat_servos::servo_emulator::{Fault, Random};
 use parking_lot::Mutex;
 
 use super::bus::{Emulated, EmulatedBuses, EmulatedChip};

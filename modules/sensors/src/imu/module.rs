@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use downbeat_device::counted::Counted;
+use downbeat_device::{Device, DeviceLink};
 use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError, Time, TransitionError};
-use downbeat_modules::counted::Counted;
-use downbeat_modules::device::{Device, DeviceLink};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, Vector3};

@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
-use downbeat_modules::servo_emulator::Random;
+use downbeat_servos::servo_emulator::Random;
 
 use super::ldrobot::{MEASUREMENTS, Packet};
 use super::rplidar::{Command, Node};

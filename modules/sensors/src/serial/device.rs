@@ -4,9 +4,9 @@ use std::io::{self, ErrorKind, Write};
 use std::marker::PhantomData;
 use std::time::{Duration, Instant};
 
+use downbeat_device::Device;
+use downbeat_device::serial_port::{check_port, port_refusal};
 use downbeat_executor::Time;
-use downbeat_modules::device::Device;
-use downbeat_modules::serial_port::{check_port, port_refusal};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use downbeat_executor::Time;
-use downbeat_modules::servo_emulator::{Fault, FaultSchedule};
+use downbeat_servos::servo_emulator::{Fault, FaultSchedule};
 use parking_lot::Mutex;
 
 use crate::memory::{NameInUse, Registry, is_memory};

@@ -7,7 +7,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use downbeat_executor::{Module, Setting, Setup, SetupError};
-use downbeat_modules::servo_emulator::{EmulatorError, Fault, PseudoTerminal};
+use downbeat_servos::servo_emulator::{EmulatorError, Fault, PseudoTerminal};
 
 use super::emulated::{Emulated, EmulatedDevice, EmulatedPorts, Offered};
 

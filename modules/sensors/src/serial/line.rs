@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
+use downbeat_device::DeviceLink;
+use downbeat_device::counted::Counted;
 use downbeat_executor::{Context, Publication, Time};
-use downbeat_modules::counted::Counted;
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::KeyValue;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 

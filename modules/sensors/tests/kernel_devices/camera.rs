@@ -2,8 +2,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use downbeat_device::DeviceLink;
 use downbeat_executor::{Heard, ModuleOptions, Probe, Time};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use downbeat_sensors::camera::{

@@ -1,8 +1,8 @@
 use std::fs;
 use std::sync::{Arc, Mutex};
 
+use downbeat_device::DeviceLink;
 use downbeat_executor::{Heard, ModuleOptions, Probe, Time};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_sensors::can::{CanBus, CanDevice, CandumpLog, Frame, LENGTH, Sent, SocketCan, Source, Wanted};
 use fuzzing::{Random, rounds};

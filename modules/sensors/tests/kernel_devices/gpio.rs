@@ -1,8 +1,8 @@
 use std::fs;
 use std::path::Path;
 
+use downbeat_device::DeviceLink;
 use downbeat_executor::{Heard, ModuleOptions, Probe};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::std_msgs::msg::Bool;
 use downbeat_sensors::gpio::{Edge, Gpio, GpioDevice, Pins};

@@ -3,8 +3,8 @@ use std::io::Write;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use downbeat_device::DeviceLink;
 use downbeat_executor::{Heard, ModuleOptions, Time};
-use downbeat_modules::device::DeviceLink;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 use downbeat_msgs::sensor_msgs::msg::Joy;
 use downbeat_sensors::joystick::{

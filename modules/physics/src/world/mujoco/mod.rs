@@ -9,7 +9,7 @@ use super::rapier::RapierWorld;
 use super::{ARMATURE, EngineError, GRAVITY, JointDrive, Motion, Plan, RobotBodies, World};
 use crate::model::Model;
 use crate::world_file::WorldFile;
-use downbeat_modules::darwin_op_emulator::FootForces;
+use downbeat_darwin_op::emulator::FootForces;
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec3};
 use library::{Object, Simulated, Vector};

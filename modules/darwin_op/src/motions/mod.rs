@@ -1,0 +1,405 @@
+//! Plays key-frame motions by name: stand, sit, get up, kick, wave.
+//!
+//! | name | type | |
+//! | --- | --- | --- |
+//! | `play_motion` | action `downbeat_interfaces/PlayMotion` | plays a motion; it can be canceled |
+//! | `motions/play` (in) | `std_msgs/String` | the same by topic; an empty name stops the motion |
+//! | `motions/stop` (in) | `std_msgs/Empty` | stops the motion: for modules, so that `motions/play` is left to those outside |
+//! | `motions/playing` | `std_msgs/String` | the motion that plays, or an empty name; when it changes and once a second |
+//! | `motions/joint_commands` | `sensor_msgs/JointState` | positions of the joints that the motion moves, every 8 ms |
+//! | `joint_states`, `joint_goals` (in) | `sensor_msgs/JointState` | where a motion starts |
+//! | `imu/data` (in) | `sensor_msgs/Imu` | with orientation: for motions that keep their balance |
+//! | `walking` (in) | `std_msgs/Bool` | a motion waits until the robot has stopped |
+//!
+//! | setting | |
+//! | --- | --- |
+//! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in |
+//! | `speed` | the speed of all motions, as a fraction of what the file says |
+//!
+//! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind or give way: they
+//! act as with s times the P gain.
+//!
+//! In a motion with `balance` the ankles turn against a fall: see [`mod@file`].
+//!
+//! A motion starts at the present pose. A new motion interrupts the one that plays and starts where it was. After
+//! its last frame the joints keep their goals.
+
+mod balance;
+pub mod file;
+mod path;
+
+pub use file::{Motion, MotionFileError, Motions};
+pub use path::{FIRST_SPEED, Path};
+
+use crate::hardware::CYCLE;
+use crate::hardware::tables::joints::JOINTS;
+use crate::present_pose::{PresentPose, command, stand};
+use balance::Attitude;
+use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
+use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
+use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
+use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
+use downbeat_servos::step::standstill;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The motions of the Darwin OP.
+pub const DARWIN_OP: &str = include_str!("../../../../robots/darwin_op_motions.toml");
+
+/// Plays key-frame motions; see the [module page](self).
+#[derive(Default)]
+pub struct MotionPlayer {
+    motions: Motions,
+    server: ActionServer<PlayMotion>,
+    pose: PresentPose,
+    attitude: Option<Attitude>,
+    is_walking: bool,
+    playing: Option<Playing>,
+    /// When the topic of the motion that plays is published next.
+    report_at: Time,
+}
+
+/// The keys of [`MotionPlayer`].
+pub struct Ports {
+    commands: Publication<JointState>,
+    playing: Publication<Text>,
+    speed: Setting<f64>,
+}
+
+/// A motion that plays or waits.
+struct Playing {
+    name: String,
+    motion: Arc<Motion>,
+    /// The goal that asked for it; `None` if the topic did.
+    goal: Option<GoalId>,
+    /// `None` while it waits until the robot stands still.
+    path: Option<Path>,
+    /// When it was asked for, and when it last advanced.
+    asked: Time,
+    last: Time,
+    /// The time in the motion, in s.
+    time: f64,
+    feedback_at: f64,
+}
+
+/// How long a motion waits for the robot to stop walking.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// For how long the stiffness rises at the start of a motion and falls at its end, in s.
+const RAMP_S: f64 = 0.4;
+/// The period of feedback, in s.
+const FEEDBACK_S: f64 = 0.1;
+/// The period of the topic of the motion that plays.
+const REPORT: Duration = Duration::from_secs(1);
+
+impl MotionPlayer {
+    fn on_play(&mut self, name: Received<'_, Text>, ctx: &mut Context<'_, Ports>) {
+        if name.data.is_empty() {
+            self.end("stopped", ctx);
+        } else if self.is_known(&name.data) {
+            self.play(&name.data, None, ctx);
+        }
+    }
+
+    /// Returns true for names of motions; others are logged.
+    fn is_known(&self, name: &str) -> bool {
+        let is_known = self.motions.get(name).is_some();
+        if !is_known {
+            let names: Vec<&str> = self.motions.names().collect();
+            let name: String = name.chars().take(64).collect();
+            tracing::warn!("there is no motion \"{name}\"; the motions are {}", names.join(", "));
+        }
+        is_known
+    }
+
+    fn begin(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
+        if let Some(name) = self.server.goal(id).map(|goal| goal.goal().name.clone()) {
+            self.play(&name, Some(id), ctx);
+        }
+    }
+
+    fn play(&mut self, name: &str, goal: Option<GoalId>, ctx: &mut Context<'_, Ports>) {
+        let Some(motion) = self.motions.get(name).map(Arc::clone) else { return };
+        self.end(&format!("interrupted by \"{name}\""), ctx);
+        let (asked, last) = (ctx.now(), ctx.now());
+        let name = name.to_owned();
+        let path = None;
+        self.playing = Some(Playing { name, motion, goal, path, asked, last, time: 0.0, feedback_at: 0.0 });
+        self.report(ctx);
+    }
+
+    /// Ends the motion that plays, if any, before its end.
+    fn end(&mut self, why: &str, ctx: &mut Context<'_, Ports>) {
+        let Some(playing) = self.playing.take() else { return };
+        tracing::info!("motion \"{}\": {why}", playing.name);
+        let goal = playing.goal.and_then(|id| self.server.goal(id));
+        if let Some((id, is_canceling)) = goal.map(|goal| (goal.id(), goal.is_canceling())) {
+            let result = PlayMotionResult { message: why.to_owned() };
+            let ended = match is_canceling {
+                true => self.server.canceled(ctx, id, result),
+                false => self.server.abort(ctx, id, result),
+            };
+            ended.unwrap_or_else(|error| tracing::error!("{error}"));
+        }
+        self.report(ctx);
+    }
+
+    fn on_canceling(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
+        if self.playing.as_ref().is_some_and(|playing| playing.goal == Some(id)) {
+            self.end("canceled", ctx);
+        }
+    }
+
+    fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        let now = ctx.now();
+        if now >= self.report_at {
+            self.report(ctx);
+        }
+        let speed = *ctx.get(ctx.ports.speed);
+        let Some(playing) = &mut self.playing else { return };
+        let Some(path) = &playing.path else {
+            if self.is_walking && now.saturating_since(playing.asked) > PATIENCE {
+                self.end("the robot did not stop walking", ctx);
+            } else if !self.is_walking && self.pose.is_known() {
+                let start = self.pose.start(now, &stand());
+                playing.path = Some(Path::new(&playing.motion, &start, FIRST_SPEED));
+                playing.last = now;
+            }
+            return;
+        };
+        if standstill(playing.last, now).is_zero() {
+            playing.time += now.saturating_since(playing.last).as_secs_f64() * speed;
+        }
+        playing.last = now;
+        let pose = path.pose(playing.time);
+        // Goals beyond the pose, by a multiple of what is missing, act like a higher P gain.
+        let ramp = (playing.time.min(path.duration() - playing.time) / RAMP_S).clamp(0.0, 1.0);
+        let excess = (playing.motion.stiffness - 1.0) * ramp;
+        let measured = self.pose.measured(&pose);
+        let mut goals = std::array::from_fn(|index| {
+            let joint = &JOINTS[index];
+            let goal = pose[index] + (pose[index] - measured[index]) * excess;
+            if excess > 0.0 { goal.clamp(joint.min_rad(), joint.max_rad()) } else { goal }
+        });
+        if let (Some(gains), Some(attitude)) = (playing.motion.balance, self.attitude) {
+            balance::balance(&mut goals, &pose, attitude, gains);
+        }
+        ctx.publish(ctx.ports.commands, command(now, &goals, |index| path.moves()[index]));
+        let is_over = playing.time >= path.duration();
+        if let Some(id) = playing.goal.filter(|_| is_over || playing.time >= playing.feedback_at) {
+            playing.feedback_at = playing.time + FEEDBACK_S;
+            let progress = (playing.time / path.duration()).min(1.0) as f32;
+            let published = self.server.publish_feedback(ctx, id, PlayMotionFeedback { progress });
+            published.unwrap_or_else(|error| tracing::error!("{error}"));
+        }
+        if is_over {
+            let goal = playing.goal;
+            self.playing = None;
+            if let Some(id) = goal {
+                let ended = self.server.succeed(ctx, id, PlayMotionResult::default());
+                ended.unwrap_or_else(|error| tracing::error!("{error}"));
+            }
+            self.report(ctx);
+        }
+    }
+
+    fn report(&mut self, ctx: &mut Context<'_, Ports>) {
+        self.report_at = ctx.now() + REPORT;
+        let data = self.playing.as_ref().map(|playing| playing.name.clone()).unwrap_or_default();
+        ctx.publish(ctx.ports.playing, Text { data });
+    }
+}
+
+impl Module for MotionPlayer {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        let file = setup.read_only_setting(
+            "file",
+            String::new(),
+            "file of motions, relative to the robot file; empty for the built-in motions of the Darwin OP",
+        )?;
+        let motions = match setup.value(file).map(String::as_str).unwrap_or_default() {
+            "" => Motions::parse("robots/darwin_op_motions.toml", DARWIN_OP),
+            path => Motions::read(path),
+        };
+        self.motions = motions.map_err(|error| setup.refuse_value(file, error.to_string()))?;
+        let ports = Ports {
+            commands: setup.publish("motions/joint_commands")?,
+            playing: setup.publish("motions/playing")?,
+            speed: setup.setting_in(
+                "speed",
+                1.0,
+                0.05..=1.0,
+                "of all motions, as a fraction of what the file says",
+            )?,
+        };
+        setup.subscribe("joint_states", |player: &mut Self, states: Received<'_, JointState>, _| {
+            player.pose.take_states(&states);
+        })?;
+        setup.subscribe("joint_goals", |player: &mut Self, goals: Received<'_, JointState>, ctx| {
+            player.pose.take_goals(&goals, ctx.now());
+        })?;
+        setup.subscribe("imu/data", |player: &mut Self, imu: Received<'_, Imu>, _| {
+            player.attitude = Attitude::of(&imu);
+        })?;
+        setup.subscribe("walking", |player: &mut Self, walking: Received<'_, Bool>, _| {
+            player.is_walking = walking.data;
+        })?;
+        setup.subscribe("motions/play", Self::on_play)?;
+        setup.subscribe::<Empty, _>("motions/stop", |player, _, ctx| player.end("stopped", ctx))?;
+        ActionServer::builder(|player: &mut Self| &mut player.server)
+            .on_goal(|player, _, goal, _| match player.is_known(&goal.name) {
+                true => GoalResponse::AcceptAndExecute,
+                false => GoalResponse::Reject,
+            })
+            .on_accepted(Self::begin)
+            .on_cancel(|_, _, _| CancelResponse::Accept)
+            .on_canceling(Self::on_canceling)
+            .declare(setup, "play_motion", &mut self.server)?;
+        setup.every(CYCLE, Self::tick)?;
+        Ok(ports)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::testing::{Collector, core_at_zero};
+    use downbeat_executor::{Core, Inlet, ManualClock, ModuleOptions};
+
+    struct Robot {
+        core: Core,
+        clock: ManualClock,
+        play: Inlet<Text>,
+        walking: Inlet<Bool>,
+        commands: Collector<JointState>,
+        playing: Collector<Text>,
+    }
+
+    impl Robot {
+        fn new() -> Self {
+            Self::with_file("")
+        }
+
+        fn with_file(path: &str) -> Self {
+            let (mut core, clock) = core_at_zero();
+            let settings = [("file".to_owned(), path.to_owned().into())].into();
+            let options = ModuleOptions { settings, ..ModuleOptions::default() };
+            core.add_with("motions", MotionPlayer::default(), options).unwrap();
+            let states = core.inlet("joint_states").unwrap();
+            states.publish(command(Time::ZERO, &stand(), |_| true)).unwrap();
+            let (play, walking) = (core.inlet("motions/play").unwrap(), core.inlet("walking").unwrap());
+            let commands = Collector::add(&mut core, "motions/joint_commands");
+            let playing = Collector::add(&mut core, "motions/playing");
+            let mut robot = Self { core, clock, play, walking, commands, playing };
+            robot.run(0.1);
+            robot.playing.take();
+            robot
+        }
+
+        fn run(&mut self, seconds: f64) {
+            for _ in 0..(seconds / 0.008).round() as usize {
+                self.clock.advance(CYCLE);
+                (0..3).for_each(|_| self.core.cycle().unwrap());
+            }
+        }
+
+        fn play(&self, name: &str) {
+            self.play.publish(Text { data: name.to_owned() }).unwrap();
+        }
+
+        fn names_played(&self) -> Vec<String> {
+            let mut names: Vec<String> = self.playing.take().into_iter().map(|name| name.data).collect();
+            names.dedup();
+            names
+        }
+    }
+
+    #[test]
+    fn the_built_in_motions_are_valid() {
+        let motions = Motions::parse("robots/darwin_op_motions.toml", DARWIN_OP).unwrap();
+        for name in
+            ["stand", "sit", "wave", "get_up_front", "get_up_back", "get_up_left", "kick_left", "kick_right"]
+        {
+            assert!(motions.get(name).is_some(), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_motion_is_played_by_topic_from_the_present_pose_to_its_end() {
+        let mut robot = Robot::new();
+        robot.play("sit");
+        robot.run(0.5);
+        let commands = robot.commands.take();
+        let knee = |command: &JointState| {
+            command.position[command.name.iter().position(|name| name == "r_knee").unwrap()]
+        };
+        assert!((knee(&commands[0]) - stand()[12]).abs() < 0.01, "it starts at the stand");
+        robot.run(30.0);
+        assert!(knee(robot.commands.take().last().unwrap()) > 1.5, "it sits");
+        assert_eq!(robot.names_played(), ["sit", ""]);
+    }
+
+    #[test]
+    fn a_motion_waits_until_the_robot_has_stopped_walking() {
+        let mut robot = Robot::new();
+        robot.walking.publish(Bool { data: true }).unwrap();
+        robot.run(0.1);
+        robot.play("sit");
+        robot.run(1.0);
+        assert_eq!(robot.commands.take(), []);
+        robot.walking.publish(Bool { data: false }).unwrap();
+        robot.run(0.1);
+        assert_ne!(robot.commands.take(), []);
+        robot.walking.publish(Bool { data: true }).unwrap();
+        robot.play("sit");
+        robot.run(6.0);
+        assert_eq!(robot.names_played(), ["sit", "", "sit", ""], "it gives up");
+    }
+
+    #[test]
+    fn an_empty_name_stops_a_motion_and_another_one_interrupts_it() {
+        let mut robot = Robot::new();
+        robot.play("wave");
+        robot.run(0.5);
+        robot.play("sit");
+        robot.run(0.5);
+        robot.play("");
+        robot.run(0.1);
+        robot.commands.take();
+        robot.run(0.5);
+        assert_eq!(robot.commands.take(), []);
+        assert_eq!(robot.names_played(), ["wave", "", "sit", ""]);
+    }
+
+    #[test]
+    fn the_goals_of_a_stiff_motion_exceed_its_poses_by_what_the_joints_give_way() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let nod = "[[nod.frame]]\nduration_s = 1.0\npause_s = 2.0\nradians = { head_tilt = 0.2 }\n";
+        std::fs::write(&file, format!("[nod]\nstiffness = 3.0\n{nod}")).unwrap();
+        let path = file.path().to_str().unwrap().to_owned();
+        let mut robot = Robot::with_file(&path);
+        robot.play("nod");
+        robot.run(1.5);
+        let given_way = stand()[19];
+        let goal = robot.commands.take().last().unwrap().position[0];
+        assert!((goal - (0.2 + 2.0 * (0.2 - given_way))).abs() < 1e-9, "{goal}");
+        robot.run(2.0);
+        let goal = robot.commands.take().last().unwrap().position[0];
+        assert!((goal - 0.2).abs() < 0.02, "at the end it is the pose: {goal}");
+    }
+
+    #[test]
+    fn a_bad_file_is_refused_with_its_line() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(&file, "[nod]\n[[nod.frame]]\nduration_s = 1.0\ndegrees = { head = 10 }\n").unwrap();
+        let path = file.path().to_str().unwrap().to_owned();
+        let options =
+            ModuleOptions { settings: [("file".to_owned(), path.into())].into(), ..ModuleOptions::default() };
+        let refused = core_at_zero().0.add_with("motions", MotionPlayer::default(), options).unwrap_err();
+        assert!(refused.to_string().contains(":4: there is no joint \"head\""), "{refused}");
+    }
+}

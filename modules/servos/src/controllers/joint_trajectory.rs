@@ -1,0 +1,777 @@
+//! Follows trajectories of joints, as the `joint_trajectory_controller` of ros2_control does.
+//!
+//! `NAME` is the name of the module:
+//!
+//! | name | type | |
+//! | --- | --- | --- |
+//! | `NAME/follow_joint_trajectory` | action control_msgs/FollowJointTrajectory | a trajectory with tolerances; a new goal replaces the one before, which is aborted |
+//! | `NAME/joint_trajectory` (in) | trajectory_msgs/JointTrajectory | a trajectory without an answer |
+//! | `NAME/controller_state` | control_msgs/JointTrajectoryControllerState | reference, feedback and error of all joints |
+//! | `joint_states` (in) | sensor_msgs/JointState | rad or m |
+//! | `joint_commands` | sensor_msgs/JointState | positions and velocities of all its joints, at `rate_hz`, from the first trajectory on |
+//!
+//! | setting | default | |
+//! | --- | --- | --- |
+//! | `joints` | | names of the joints |
+//! | `rate_hz` | 125 | rate of commands |
+//! | `state_rate_hz` | 25 | rate of the state and of feedback |
+//! | `allow_partial_joints_goal` | false | trajectories may name some of the joints |
+//! | `allow_nonzero_velocity_at_trajectory_end` | false | |
+//! | `stamp_timeout` | 0.5 | s by which the stamp of a trajectory may lie in the past; 0 any |
+//! | `constraints.goal_time` | 0 | s that the joints have to reach the goal after the end of the trajectory; 0 waits |
+//! | `constraints.stopped_velocity_tolerance` | 0.01 | rad/s or m/s at the goal; 0 is not checked |
+//! | `constraints.JOINT.trajectory`, `constraints.JOINT.goal` | 0 | tolerance of the position on the way and at the goal, rad or m; 0 is not checked |
+//!
+//! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than `stamp_timeout`, or more than a minute
+//! ahead, is refused: its beginning would be skipped, or the clocks differ. It begins from the command so far, so that a replaced trajectory
+//! causes no jump; without one, and after an activation, from the measured position. A goal that is cancelled or aborted holds the
+//! position in which it ends. Deactivating the controller aborts its goal. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
+//!
+//! Differences from ros2_control: only positions are commanded, with the velocity beside them; trajectories of
+//! velocities alone are refused; `open_loop_control`, speed scaling, and joints of several degrees of freedom do not exist.
+//!
+//! # References
+//! `joint_trajectory_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst`,
+//! `src/joint_trajectory_controller.cpp`.
+
+use std::time::Duration;
+
+use super::claims::OwnClaims;
+use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
+use super::{header, joint_names, own};
+use crate::stamps::Stale;
+use crate::step::standstill;
+use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
+use downbeat_executor::{
+    Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
+};
+use downbeat_msgs::builtin_interfaces::msg::Duration as DurationMessage;
+use downbeat_msgs::control_msgs::action::{
+    FollowJointTrajectory, FollowJointTrajectoryFeedback, FollowJointTrajectoryGoal,
+    FollowJointTrajectoryResult,
+};
+use downbeat_msgs::control_msgs::msg::{JointTolerance, JointTrajectoryControllerState};
+use downbeat_msgs::sensor_msgs::msg::JointState;
+use downbeat_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
+
+/// Follows trajectories of joints; see the [module page](self).
+#[derive(Default)]
+pub struct JointTrajectoryController {
+    server: ActionServer<FollowJointTrajectory>,
+    joints: Vec<String>,
+    /// What each joint does; `None` until it is known.
+    measured: Vec<Option<JointSample>>,
+    /// What is commanded; empty before the first trajectory.
+    commanded: Vec<JointSample>,
+    following: Option<Following>,
+    last_state: Option<Time>,
+    stale: Stale,
+    claims: OwnClaims,
+}
+
+/// How far ahead a trajectory may begin.
+const LONGEST_WAIT: Duration = Duration::from_secs(60);
+
+/// A trajectory on its way.
+struct Following {
+    trajectory: Trajectory,
+    start: Time,
+    last: Time,
+    /// The state in which it begins.
+    begin: Vec<JointSample>,
+    /// `None` for one that came from the topic.
+    goal: Option<GoalId>,
+    tolerances: Tolerances,
+}
+
+/// How far joints may be from the trajectory; 0 for any distance. By joint.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Tolerances {
+    path: Vec<Tolerance>,
+    goal: Vec<Tolerance>,
+    goal_time: Duration,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Tolerance {
+    position: f64,
+    velocity: f64,
+}
+
+/// The keys of [`JointTrajectoryController`].
+pub struct Ports {
+    commands: Publication<JointState>,
+    state: Publication<JointTrajectoryControllerState>,
+    state_rate_hz: Setting<f64>,
+    allow_partial: Setting<bool>,
+    allow_moving_end: Setting<bool>,
+    stamp_timeout: Setting<f64>,
+    goal_time: Setting<f64>,
+    stopped_velocity: Setting<f64>,
+    /// Of the position on the way and at the goal, by joint.
+    constraints: Vec<[Setting<f64>; 2]>,
+}
+
+impl JointTrajectoryController {
+    fn on_joint_states(&mut self, state: Received<'_, JointState>, _: &mut Context<'_, Ports>) {
+        for (index, name) in state.name.iter().enumerate() {
+            let position = state.position.get(index).copied().filter(|position| position.is_finite());
+            if let (Some(joint), Some(position)) =
+                (self.joints.iter().position(|joint| joint == name), position)
+            {
+                let velocity = state.velocity.get(index).copied().filter(|velocity| velocity.is_finite());
+                let velocity = velocity.unwrap_or(0.0);
+                self.measured[joint] = Some(JointSample { position, velocity, acceleration: 0.0 });
+            }
+        }
+    }
+
+    fn on_trajectory(&mut self, message: Received<'_, JointTrajectory>, ctx: &mut Context<'_, Ports>) {
+        match self.follow(&message, None, ctx) {
+            Ok(()) => {}
+            Err(refusal @ (Refusal::Old { .. } | Refusal::Ahead { .. })) => {
+                self.stale.drop_for("joint_trajectory", &refusal.to_string());
+            }
+            Err(refusal) => tracing::warn!("a trajectory from the topic is not followed: {refusal}"),
+        }
+    }
+
+    fn on_goal(&mut self, goal: &FollowJointTrajectoryGoal, ctx: &Context<'_, Ports>) -> GoalResponse {
+        match self.check(&goal.trajectory, ctx) {
+            Ok(_) => GoalResponse::AcceptAndExecute,
+            Err(refusal) => {
+                if let Refusal::Old { .. } | Refusal::Ahead { .. } = refusal {
+                    self.stale.drop_for("follow_joint_trajectory", &refusal.to_string());
+                } else {
+                    tracing::warn!("a goal is rejected: {refusal}");
+                }
+                GoalResponse::Reject
+            }
+        }
+    }
+
+    fn on_accepted(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
+        let Some(goal) = self.server.goal(id).map(|goal| goal.goal().trajectory.clone()) else { return };
+        // It was checked in the same run.
+        if let Err(refusal) = self.follow(&goal, Some(id), ctx) {
+            self.abort(id, FollowJointTrajectoryResult::INVALID_GOAL, refusal.to_string(), ctx);
+        }
+    }
+
+    fn on_canceling(&mut self, id: GoalId, ctx: &mut Context<'_, Ports>) {
+        if self.following.as_ref().is_some_and(|following| following.goal == Some(id)) {
+            self.hold();
+        }
+        report(self.server.canceled(ctx, id, FollowJointTrajectoryResult::default()));
+    }
+
+    /// The trajectory, its start and the state in which it would begin.
+    fn check(
+        &self,
+        message: &JointTrajectory,
+        ctx: &Context<'_, Ports>,
+    ) -> Result<(Trajectory, Time, Vec<JointSample>), Refusal> {
+        let ports = ctx.ports;
+        let allowed =
+            Allowed { partial: *ctx.get(ports.allow_partial), moving_end: *ctx.get(ports.allow_moving_end) };
+        let trajectory = Trajectory::new(message, &self.joints, allowed)?;
+        let begin = match self.commanded.is_empty() {
+            false => self.commanded.clone(),
+            true => self.measured_state().ok_or_else(|| Refusal::Unknown { joint: self.first_unknown() })?,
+        };
+        let stamp = Time::from_nanos(message.header.stamp.as_nanos());
+        let start = if stamp == Time::ZERO { ctx.now() } else { stamp };
+        if start + trajectory.duration() < ctx.now() {
+            let late = ctx.now().saturating_since(start + trajectory.duration());
+            return Err(Refusal::Past { late_s: late.as_secs_f64() });
+        }
+        let (age, ahead) = (ctx.now().saturating_since(start), start.saturating_since(ctx.now()));
+        let timeout_s = *ctx.get(ports.stamp_timeout);
+        if timeout_s > 0.0 && age > Duration::from_secs_f64(timeout_s) {
+            return Err(Refusal::Old { age_s: age.as_secs_f64(), timeout_s });
+        }
+        if ahead > LONGEST_WAIT {
+            return Err(Refusal::Ahead { ahead_s: ahead.as_secs_f64(), most_s: LONGEST_WAIT.as_secs() });
+        }
+        Ok((trajectory, start, begin))
+    }
+
+    fn follow(
+        &mut self,
+        message: &JointTrajectory,
+        goal: Option<GoalId>,
+        ctx: &mut Context<'_, Ports>,
+    ) -> Result<(), Refusal> {
+        let (trajectory, start, begin) = self.check(message, ctx)?;
+        let tolerances = self.tolerances(goal, ctx);
+        if let Some(before) = self.following.take().and_then(|before| before.goal) {
+            let reason = "a new trajectory has replaced it";
+            self.abort(before, FollowJointTrajectoryResult::SUCCESSFUL, reason.to_owned(), ctx);
+        }
+        self.commanded.clone_from(&begin);
+        self.following = Some(Following { trajectory, start, last: ctx.now(), begin, goal, tolerances });
+        Ok(())
+    }
+
+    /// The tolerances of the settings, and of the goal where it has some.
+    fn tolerances(&self, goal: Option<GoalId>, ctx: &Context<'_, Ports>) -> Tolerances {
+        let velocity = *ctx.get(ctx.ports.stopped_velocity);
+        let of = |which: usize, velocity: f64| {
+            let constraints = ctx.ports.constraints.iter();
+            constraints.map(|keys| Tolerance { position: *ctx.get(keys[which]), velocity }).collect()
+        };
+        let goal_time = Duration::from_secs_f64(*ctx.get(ctx.ports.goal_time));
+        let mut tolerances = Tolerances { path: of(0, 0.0), goal: of(1, velocity), goal_time };
+        if let Some(goal) = goal.and_then(|id| self.server.goal(id)).map(|goal| goal.goal()) {
+            apply(&goal.path_tolerance, &self.joints, &mut tolerances.path);
+            apply(&goal.goal_tolerance, &self.joints, &mut tolerances.goal);
+            let goal_time = u64::try_from(goal.goal_time_tolerance.as_nanos()).unwrap_or(0);
+            if goal_time > 0 {
+                tolerances.goal_time = Duration::from_nanos(goal_time);
+            }
+        }
+        tolerances
+    }
+
+    fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
+        if !self.claims.are_granted(ctx) {
+            return;
+        }
+        self.advance(ctx);
+        if !self.commanded.is_empty() {
+            let mut command = JointState { header: header(ctx.now(), ""), ..JointState::default() };
+            command.name.clone_from(&self.joints);
+            command.position.extend(self.commanded.iter().map(|state| state.position));
+            command.velocity.extend(self.commanded.iter().map(|state| state.velocity));
+            ctx.publish(ctx.ports.commands, command);
+        }
+        let period = Duration::from_secs_f64(1.0 / *ctx.get(ctx.ports.state_rate_hz));
+        if self.last_state.is_none_or(|last| ctx.now() >= last + period) {
+            self.last_state = Some(ctx.now());
+            self.publish_state(ctx);
+        }
+    }
+
+    /// Moves the command on along the trajectory, and ends it where it ends.
+    fn advance(&mut self, ctx: &mut Context<'_, Ports>) {
+        let now = ctx.now();
+        if let Some(following) = &mut self.following {
+            following.start = following.start + standstill(std::mem::replace(&mut following.last, now), now);
+        }
+        let Some(following) = &self.following else { return };
+        let Following { trajectory, start, begin, goal, tolerances, .. } = following;
+        let end = *start + trajectory.duration();
+        trajectory.sample(begin, now.saturating_since(*start), &mut self.commanded);
+        let (commanded, measured) = (&self.commanded, self.measured_state());
+        let Some(measured) = measured else { return };
+        let outside = |tolerances: &[Tolerance]| violation(&self.joints, commanded, &measured, tolerances);
+        let (goal, is_over) = (*goal, now >= end);
+        if !is_over {
+            if let Some(violation) = outside(&tolerances.path) {
+                self.give_up(goal, FollowJointTrajectoryResult::PATH_TOLERANCE_VIOLATED, violation, ctx);
+            }
+            return;
+        }
+        let late = now.saturating_since(end);
+        match outside(&tolerances.goal) {
+            None => {
+                self.following = None;
+                if let Some(id) = goal {
+                    let result = FollowJointTrajectoryResult {
+                        error_string: "the goal is reached".to_owned(),
+                        ..FollowJointTrajectoryResult::default()
+                    };
+                    report(self.server.succeed(ctx, id, result));
+                }
+            }
+            Some(violation) if tolerances.goal_time > Duration::ZERO && late > tolerances.goal_time => {
+                let violation =
+                    format!("{violation}, {:.3} s after the end of the trajectory", late.as_secs_f64());
+                self.give_up(goal, FollowJointTrajectoryResult::GOAL_TOLERANCE_VIOLATED, violation, ctx);
+            }
+            // A trajectory of the topic has nobody who waits for it to be reached.
+            Some(_) if goal.is_none() => self.following = None,
+            Some(_) => {}
+        }
+    }
+
+    fn give_up(&mut self, goal: Option<GoalId>, code: i32, reason: String, ctx: &mut Context<'_, Ports>) {
+        tracing::warn!("a trajectory is given up: {reason}");
+        self.hold();
+        if let Some(id) = goal {
+            self.abort(id, code, reason, ctx);
+        }
+    }
+
+    /// Stays where the command is.
+    fn hold(&mut self) {
+        self.following = None;
+        for state in &mut self.commanded {
+            *state = JointSample { position: state.position, ..JointSample::default() };
+        }
+    }
+
+    fn abort(&mut self, id: GoalId, error_code: i32, error_string: String, ctx: &mut Context<'_, Ports>) {
+        let result = FollowJointTrajectoryResult { error_code, error_string };
+        report(self.server.abort(ctx, id, result));
+    }
+
+    /// `None` while the position of a joint is not known.
+    fn measured_state(&self) -> Option<Vec<JointSample>> {
+        self.measured.iter().copied().collect()
+    }
+
+    fn first_unknown(&self) -> String {
+        let unknown = self.measured.iter().position(Option::is_none);
+        unknown.map(|joint| self.joints[joint].clone()).unwrap_or_default()
+    }
+
+    fn publish_state(&self, ctx: &mut Context<'_, Ports>) {
+        let Some(measured) = self.measured_state() else { return };
+        let reference = if self.commanded.is_empty() { &measured } else { &self.commanded };
+        let since_start = self.following.as_ref().map_or(Duration::ZERO, |following| {
+            ctx.now().saturating_since(following.start).min(following.trajectory.duration())
+        });
+        let point = |states: &[JointSample]| point(states, since_start);
+        let error: Vec<_> =
+            reference.iter().zip(&measured).map(|(to, from)| difference(*to, *from)).collect();
+        let (reference, feedback, error) = (point(reference), point(&measured), point(&error));
+        if let Some(id) = self.following.as_ref().and_then(|following| following.goal) {
+            let feedback = FollowJointTrajectoryFeedback {
+                header: header(ctx.now(), ""),
+                joint_names: self.joints.clone(),
+                desired: reference.clone(),
+                actual: feedback.clone(),
+                error: error.clone(),
+                ..FollowJointTrajectoryFeedback::default()
+            };
+            report(self.server.publish_feedback(ctx, id, feedback));
+        }
+        let state = JointTrajectoryControllerState {
+            header: header(ctx.now(), ""),
+            joint_names: self.joints.clone(),
+            output: reference.clone(),
+            reference,
+            feedback,
+            error,
+            speed_scaling_factor: 1.0,
+            ..JointTrajectoryControllerState::default()
+        };
+        ctx.publish(ctx.ports.state, state);
+    }
+}
+
+impl Module for JointTrajectoryController {
+    type Ports = Ports;
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        self.joints = joint_names(setup, "joints", "names of the joints, as `joint_states` has them")?;
+        self.measured = vec![None; self.joints.len()];
+        let rate_hz: Setting<f64> =
+            setup.read_only_setting("rate_hz", 125.0, "Hz; how often joints are commanded")?;
+        let rate = setup.value(rate_hz).copied().unwrap_or(0.0);
+        if !(1.0..=10_000.0).contains(&rate) {
+            return Err(setup.refuse_value(rate_hz, format!("{rate} Hz is not within 1 and 10000 Hz")));
+        }
+        let mut constraints = Vec::with_capacity(self.joints.len());
+        for joint in &self.joints {
+            let mut tolerance = |part: &str, when: &str| {
+                let description =
+                    format!("rad or m; largest distance of {joint} from the trajectory {when}; 0 for any");
+                setup.setting_in(&format!("constraints.{joint}.{part}"), 0.0, 0.0..=1e6, &description)
+            };
+            constraints.push([tolerance("trajectory", "on the way")?, tolerance("goal", "at the goal")?]);
+        }
+        let (trajectories, state) = (own(setup, "joint_trajectory"), own(setup, "controller_state"));
+        let ports = Ports {
+            commands: setup.publish("joint_commands")?,
+            state: setup.publish(&state)?,
+            state_rate_hz: setup.setting_in(
+                "state_rate_hz",
+                25.0,
+                0.1..=10_000.0,
+                "Hz; rate of state and feedback",
+            )?,
+            allow_partial: setup.setting(
+                "allow_partial_joints_goal",
+                false,
+                "trajectories may name some of the joints; the others hold their positions",
+            )?,
+            allow_moving_end: setup.setting(
+                "allow_nonzero_velocity_at_trajectory_end",
+                false,
+                "trajectories may end in motion; the joints stop there at once",
+            )?,
+            stamp_timeout: setup.setting_in(
+                "stamp_timeout",
+                0.5,
+                0.0..=3600.0,
+                "s; by how much the stamp of a trajectory may lie in the past; 0 for any",
+            )?,
+            goal_time: setup.setting_in(
+                "constraints.goal_time",
+                0.0,
+                0.0..=3600.0,
+                "s; time to reach the goal after the end of the trajectory; 0 waits without limit",
+            )?,
+            stopped_velocity: setup.setting_in(
+                "constraints.stopped_velocity_tolerance",
+                0.01,
+                0.0..=1e6,
+                "rad/s or m/s; largest velocity at the goal; 0 for any",
+            )?,
+            constraints,
+        };
+        setup.subscribe("joint_states", Self::on_joint_states)?;
+        setup.subscribe(&trajectories, Self::on_trajectory)?;
+        let action = own(setup, "follow_joint_trajectory");
+        ActionServer::builder(|module: &mut Self| &mut module.server)
+            .on_goal(|module, _, goal, ctx| module.on_goal(goal, ctx))
+            .on_accepted(Self::on_accepted)
+            .on_cancel(|_, _, _| CancelResponse::Accept)
+            .on_canceling(Self::on_canceling)
+            .declare(setup, &action, &mut self.server)?;
+        setup.every(Duration::from_secs_f64(1.0 / rate), Self::tick)?;
+        self.claims = OwnClaims::declare(setup, "joint_commands", &self.joints);
+        Ok(ports)
+    }
+
+    fn activate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        self.claims.take(ctx)?;
+        // Joints may have been elsewhere since: the first trajectory begins where they are now.
+        self.commanded.clear();
+        self.measured.fill(None);
+        Ok(())
+    }
+
+    fn deactivate(&mut self, ctx: &mut Context<'_, Ports>) -> Result<(), TransitionError> {
+        if let Some(goal) = self.following.take().and_then(|following| following.goal) {
+            let reason = "the controller was deactivated".to_owned();
+            self.abort(goal, FollowJointTrajectoryResult::SUCCESSFUL, reason, ctx);
+        }
+        self.claims.give_back(ctx);
+        Ok(())
+    }
+}
+
+/// Why a trajectory is not begun.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    #[error(transparent)]
+    Trajectory(#[from] TrajectoryError),
+    #[error("the trajectory ended {late_s:.3} s ago; use a later stamp, or a stamp of 0 to begin at once")]
+    Past { late_s: f64 },
+    #[error(
+        "its stamp is {age_s:.3} s old, more than the stamp_timeout of {timeout_s} s; use a stamp of 0 to begin at once"
+    )]
+    Old { age_s: f64, timeout_s: f64 },
+    #[error(
+        "its stamp is {ahead_s:.3} s in the future, more than {most_s} s; check the clocks, or use a stamp of 0"
+    )]
+    Ahead { ahead_s: f64, most_s: u64 },
+    #[error("the position of the joint \"{joint}\" is not known yet: `joint_states` does not have it")]
+    Unknown { joint: String },
+}
+
+/// Puts the tolerances of a goal in place of those of the settings: 0 leaves them, negative values remove them.
+fn apply(given: &[JointTolerance], joints: &[String], tolerances: &mut [Tolerance]) {
+    let value = |given: f64, known: &mut f64| match given {
+        given if given > 0.0 => *known = given,
+        given if given < 0.0 => *known = 0.0,
+        _ => {}
+    };
+    for tolerance in given {
+        if let Some(joint) = joints.iter().position(|joint| *joint == tolerance.name) {
+            value(tolerance.position, &mut tolerances[joint].position);
+            value(tolerance.velocity, &mut tolerances[joint].velocity);
+        }
+    }
+}
+
+/// The first joint that is outside of its tolerance, as a sentence.
+fn violation(
+    joints: &[String],
+    commanded: &[JointSample],
+    measured: &[JointSample],
+    tolerances: &[Tolerance],
+) -> Option<String> {
+    let states = commanded.iter().zip(measured).zip(tolerances).zip(joints);
+    states.into_iter().find_map(|(((to, from), tolerance), joint)| {
+        let error = difference(*to, *from);
+        let is_outside = |error: f64, tolerance: f64| tolerance > 0.0 && error.abs() > tolerance;
+        if is_outside(error.position, tolerance.position) {
+            let (error, most) = (error.position, tolerance.position);
+            return Some(format!(
+                "the position of the joint \"{joint}\" is off by {error:.4}, at most {most} is allowed"
+            ));
+        }
+        if is_outside(error.velocity, tolerance.velocity) {
+            let (error, most) = (error.velocity, tolerance.velocity);
+            return Some(format!(
+                "the velocity of the joint \"{joint}\" is off by {error:.4}, at most {most} is allowed"
+            ));
+        }
+        None
+    })
+}
+
+fn difference(to: JointSample, from: JointSample) -> JointSample {
+    JointSample {
+        position: to.position - from.position,
+        velocity: to.velocity - from.velocity,
+        acceleration: to.acceleration - from.acceleration,
+    }
+}
+
+fn point(states: &[JointSample], since_start: Duration) -> JointTrajectoryPoint {
+    JointTrajectoryPoint {
+        positions: states.iter().map(|state| state.position).collect(),
+        velocities: states.iter().map(|state| state.velocity).collect(),
+        accelerations: states.iter().map(|state| state.acceleration).collect(),
+        time_from_start: DurationMessage::from_nanos(
+            i64::try_from(since_start.as_nanos()).unwrap_or(i64::MAX),
+        ),
+        ..JointTrajectoryPoint::default()
+    }
+}
+
+/// A goal that is ended or given feedback twice is a fault of this module; it must not stop the joints.
+fn report(outcome: Result<(), downbeat_actions::GoalError>) {
+    if let Err(error) = outcome {
+        tracing::error!("{error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::testing::{Collector, core_at_zero};
+    use downbeat_executor::{Clock, Core, ManualClock, ModuleOptions, SettingValue};
+    use downbeat_msgs::action_msgs::srv::{CancelGoalRequest, CancelGoalResponse};
+    use downbeat_msgs::control_msgs::action::{
+        FollowJointTrajectoryGetResultRequest, FollowJointTrajectoryGetResultResponse,
+        FollowJointTrajectorySendGoalRequest, FollowJointTrajectorySendGoalResponse,
+    };
+    use downbeat_msgs::unique_identifier_msgs::msg::UUID;
+    use std::collections::BTreeMap;
+    use std::sync::mpsc::{Receiver, channel};
+
+    const SUCCEEDED: i8 = 4;
+    const CANCELED: i8 = 5;
+    const ABORTED: i8 = 6;
+
+    /// An arm of two joints that follows its commands one period later, unless it is stuck.
+    struct Arm {
+        core: Core,
+        clock: ManualClock,
+        commands: Collector<JointState>,
+        state: downbeat_executor::Inlet<JointState>,
+        position: Vec<f64>,
+        is_stuck: bool,
+    }
+
+    impl Arm {
+        fn new(settings: &[(&str, f64)]) -> Self {
+            let (mut core, clock) = core_at_zero();
+            let names = vec!["shoulder".to_owned(), "elbow".to_owned()];
+            let mut settings: BTreeMap<String, SettingValue> =
+                settings.iter().map(|(name, value)| ((*name).to_owned(), (*value).into())).collect();
+            settings.insert("joints".into(), names.into());
+            let options = ModuleOptions { settings, ..ModuleOptions::default() };
+            core.add_with("arm", JointTrajectoryController::default(), options).unwrap();
+            let commands = Collector::add(&mut core, "joint_commands");
+            let state = core.inlet("joint_states").unwrap();
+            let mut arm = Self { core, clock, commands, state, position: vec![0.0, 0.0], is_stuck: false };
+            arm.run(0.1);
+            arm
+        }
+
+        fn run(&mut self, seconds: f64) {
+            for _ in 0..(seconds * 125.0_f64).round() as u32 {
+                let name = vec!["shoulder".into(), "elbow".into()];
+                let position = self.position.clone();
+                self.state.publish(JointState { name, position, ..JointState::default() }).unwrap();
+                self.clock.advance(Duration::from_millis(8));
+                (0..3).for_each(|_| self.core.cycle().unwrap());
+                if let Some(command) = self.commands.take().pop().filter(|_| !self.is_stuck) {
+                    self.position = command.position;
+                }
+            }
+        }
+
+        fn call<Q: Send + 'static, R: Send + 'static>(&mut self, part: &str, request: Q) -> Receiver<R> {
+            let name = format!("arm/follow_joint_trajectory/_action/{part}");
+            let caller = self.core.caller::<Q, R>(&name).unwrap();
+            let (sender, answer) = channel();
+            caller.call(request, Duration::MAX, move |result| drop(sender.send(result.unwrap()))).unwrap();
+            (0..4).for_each(|_| self.core.cycle().unwrap());
+            answer
+        }
+
+        /// Sends a goal; returns where its result arrives, or `None` if it is rejected.
+        fn send(&mut self, number: u8, goal: FollowJointTrajectoryGoal) -> Option<Receiver<Response>> {
+            let goal_id = UUID { uuid: [number; 16] };
+            let request = FollowJointTrajectorySendGoalRequest { goal_id, goal };
+            let accepted: Receiver<FollowJointTrajectorySendGoalResponse> = self.call("send_goal", request);
+            let request = FollowJointTrajectoryGetResultRequest { goal_id };
+            accepted.try_recv().unwrap().accepted.then(|| self.call("get_result", request))
+        }
+    }
+
+    type Response = FollowJointTrajectoryGetResultResponse;
+
+    fn to(seconds: i64, shoulder: f64, elbow: f64) -> FollowJointTrajectoryGoal {
+        let point = JointTrajectoryPoint {
+            positions: vec![shoulder, elbow],
+            velocities: vec![0.0, 0.0],
+            time_from_start: DurationMessage::from_nanos(seconds * 1_000_000_000),
+            ..JointTrajectoryPoint::default()
+        };
+        let joint_names = vec!["shoulder".into(), "elbow".into()];
+        let trajectory = JointTrajectory { joint_names, points: vec![point], ..JointTrajectory::default() };
+        FollowJointTrajectoryGoal { trajectory, ..FollowJointTrajectoryGoal::default() }
+    }
+
+    #[test]
+    fn a_goal_is_followed_and_succeeds() {
+        let mut arm = Arm::new(&[("constraints.shoulder.goal", 0.01), ("constraints.elbow.trajectory", 0.2)]);
+        let feedback =
+            Collector::<downbeat_msgs::control_msgs::action::FollowJointTrajectoryFeedbackMessage>::add(
+                &mut arm.core,
+                "arm/follow_joint_trajectory/_action/feedback",
+            );
+        let result = arm.send(1, to(1, 0.5, -1.0)).unwrap();
+        arm.run(0.5);
+        assert!(
+            (arm.position[0] - 0.25).abs() < 0.02 && (arm.position[1] + 0.5).abs() < 0.04,
+            "{:?}",
+            arm.position
+        );
+        assert!(result.try_recv().is_err());
+        arm.run(0.6);
+        let response = result.try_recv().unwrap();
+        assert_eq!((response.status, response.result.error_code), (SUCCEEDED, 0));
+        assert_eq!(arm.position, [0.5, -1.0]);
+        let feedback = feedback.take();
+        assert!(feedback.len() > 20, "{}", feedback.len());
+        assert_eq!(feedback[0].feedback.joint_names, ["shoulder", "elbow"]);
+    }
+
+    #[test]
+    fn a_clock_that_is_set_ahead_moves_nothing_at_once() {
+        let mut arm = Arm::new(&[]);
+        let result = arm.send(1, to(2, 0.5, -1.0)).unwrap();
+        arm.run(0.8);
+        for _ in 0..3 {
+            let before = arm.position[0];
+            arm.clock.advance(Duration::from_secs(3600));
+            arm.run(0.2);
+            let moved = arm.position[0] - before;
+            assert!((0.02..0.1).contains(&moved), "{moved}");
+        }
+        assert!(result.try_recv().is_err());
+        arm.run(1.0);
+        assert_eq!(result.try_recv().unwrap().status, SUCCEEDED);
+        assert_eq!(arm.position, [0.5, -1.0]);
+    }
+
+    #[test]
+    fn a_joint_that_does_not_follow_violates_its_path_tolerance() {
+        let mut arm = Arm::new(&[("constraints.elbow.trajectory", 0.2)]);
+        arm.is_stuck = true;
+        let result = arm.send(1, to(2, 0.0, -1.0)).unwrap();
+        arm.run(2.0);
+        let response = result.try_recv().unwrap();
+        assert_eq!((response.status, response.result.error_code), (ABORTED, -4));
+        assert!(
+            response.result.error_string.contains("\"elbow\" is off by -0.2"),
+            "{}",
+            response.result.error_string
+        );
+        arm.is_stuck = false;
+        arm.run(1.0);
+        assert!(arm.position[1] > -0.25, "it holds where it was given up: {:?}", arm.position);
+    }
+
+    #[test]
+    fn a_goal_that_is_not_reached_in_time_is_aborted() {
+        let mut arm = Arm::new(&[]);
+        arm.is_stuck = true;
+        let mut goal = to(1, 0.5, 0.0);
+        goal.goal_tolerance =
+            vec![JointTolerance { name: "shoulder".into(), position: 0.1, ..Default::default() }];
+        goal.goal_time_tolerance = DurationMessage::from_nanos(500_000_000);
+        let result = arm.send(1, goal).unwrap();
+        arm.run(1.4);
+        assert!(result.try_recv().is_err(), "it has half a second more");
+        arm.run(0.2);
+        let response = result.try_recv().unwrap();
+        assert_eq!((response.status, response.result.error_code), (ABORTED, -5));
+    }
+
+    #[test]
+    fn a_new_goal_replaces_the_one_before_without_a_jump() {
+        let mut arm = Arm::new(&[]);
+        let first = arm.send(1, to(1, 1.0, 0.0)).unwrap();
+        arm.run(0.5);
+        let before = arm.position[0];
+        let second = arm.send(2, to(1, 0.0, 0.0)).unwrap();
+        let response = first.try_recv().unwrap();
+        assert_eq!(response.status, ABORTED);
+        assert!(response.result.error_string.contains("replaced"));
+        arm.run(0.016);
+        assert!((arm.position[0] - before).abs() < 0.05, "{before} {}", arm.position[0]);
+        arm.run(1.2);
+        assert_eq!(second.try_recv().unwrap().status, SUCCEEDED);
+    }
+
+    #[test]
+    fn a_canceled_goal_holds_its_position() {
+        let mut arm = Arm::new(&[]);
+        let result = arm.send(1, to(1, 1.0, 0.0)).unwrap();
+        arm.run(0.4);
+        let mut request = CancelGoalRequest::default();
+        request.goal_info.goal_id = UUID { uuid: [1; 16] };
+        let canceled: Receiver<CancelGoalResponse> = arm.call("cancel_goal", request);
+        assert_eq!(canceled.try_recv().unwrap().return_code, CancelGoalResponse::ERROR_NONE);
+        assert_eq!(result.try_recv().unwrap().status, CANCELED);
+        let held = arm.position[0];
+        arm.run(1.0);
+        assert!((arm.position[0] - held).abs() < 0.02 && held > 0.2 && held < 0.6, "{held}");
+    }
+
+    #[test]
+    fn goals_that_cannot_be_followed_are_rejected_and_nothing_moves() {
+        let mut arm = Arm::new(&[]);
+        let mut past = to(1, 1.0, 0.0);
+        past.trajectory.header.stamp.sec = 10;
+        assert!(arm.send(1, past).is_none());
+        assert!(arm.send(2, to(1, f64::NAN, 0.0)).is_none());
+        for (id, seconds_ago) in [(3, 2), (4, -100)] {
+            // Still going on, but its beginning was skipped; and one of another clock.
+            let mut stale = to(5, 1.0, 0.0);
+            stale.trajectory.header = header(arm.clock.now(), "");
+            stale.trajectory.header.stamp.sec -= seconds_ago;
+            assert!(arm.send(id, stale).is_none(), "{seconds_ago}");
+        }
+        arm.run(0.1);
+        assert_eq!(arm.position, [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_trajectory_from_the_topic_is_followed() {
+        let mut arm = Arm::new(&[]);
+        let trajectory = arm.core.inlet("arm/joint_trajectory").unwrap();
+        trajectory.publish(to(1, 0.3, 0.1).trajectory).unwrap();
+        arm.run(1.1);
+        assert_eq!(arm.position, [0.3, 0.1]);
+    }
+
+    #[test]
+    fn joints_must_be_named() {
+        let (mut core, _clock) = core_at_zero();
+        let refused = core.add("arm", JointTrajectoryController::default()).unwrap_err().to_string();
+        assert!(refused.contains("joints") && refused.contains("names no joint"), "{refused}");
+    }
+}
