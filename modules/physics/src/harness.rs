@@ -13,8 +13,8 @@ use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, RunError, Setu
 use downbeat_kinematics::Robot;
 use std::time::Duration;
 
-/// The description of the Darwin OP that comes with downbeat.
-pub const DARWIN_OP: &str = include_str!("../../../robots/darwin_op.urdf");
+/// The description of the Darwin OP that comes with downbeat; the file is a link to that of the robot files.
+pub const DARWIN_OP: &str = include_str!("../darwin_op.urdf");
 
 impl SimulationOptions {
     /// A Darwin OP in the walking-ready stand on a floor, in steps of 4 ms.

@@ -71,7 +71,7 @@ fn in_scxml(chart: &str) -> String {
 }
 
 /// The example of the page.
-const PLAYER: &str = include_str!("../../../robots/ball_chaser.scxml");
+const PLAYER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/ball_chaser.scxml");
 
 #[test]
 fn a_chart_starts_without_an_event() {
@@ -85,7 +85,7 @@ fn a_chart_starts_without_an_event() {
 
 #[test]
 fn a_player_walks_to_the_ball_and_kicks() {
-    let mut robot = Robot::new(PLAYER).unwrap();
+    let mut robot = Robot::new(&std::fs::read_to_string(PLAYER).unwrap()).unwrap();
     let walks = robot.receive::<Twist>("cmd_vel");
     let motions = robot.receive::<Text>("motions/play");
     let states = robot.receive::<StateMachineState>("mind/state");

@@ -45,7 +45,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// The motions of the Darwin OP.
-pub const DARWIN_OP: &str = include_str!("../../../../robots/darwin_op_motions.toml");
+pub const DARWIN_OP: &str = include_str!("../../darwin_op_motions.toml");
 
 /// Plays key-frame motions; see the [module page](self).
 #[derive(Default)]
@@ -220,7 +220,7 @@ impl Module for MotionPlayer {
             "file of motions, relative to the robot file; empty for the built-in motions of the Darwin OP",
         )?;
         let motions = match setup.value(file).map(String::as_str).unwrap_or_default() {
-            "" => Motions::parse("robots/darwin_op_motions.toml", DARWIN_OP),
+            "" => Motions::parse("darwin_op_motions.toml", DARWIN_OP),
             path => Motions::read(path),
         };
         self.motions = motions.map_err(|error| setup.refuse_value(file, error.to_string()))?;
@@ -320,7 +320,7 @@ mod tests {
 
     #[test]
     fn the_built_in_motions_are_valid() {
-        let motions = Motions::parse("robots/darwin_op_motions.toml", DARWIN_OP).unwrap();
+        let motions = Motions::parse("darwin_op_motions.toml", DARWIN_OP).unwrap();
         for name in
             ["stand", "sit", "wave", "get_up_front", "get_up_back", "get_up_left", "kick_left", "kick_right"]
         {

@@ -179,12 +179,12 @@ const LARGEST: f64 = 120.0;
 impl Field {
     /// The fields that the program knows by name, with their files.
     pub const BUILT_IN: [(&'static str, &'static str); 6] = [
-        ("darwin_op_2014", include_str!("../../../../robots/fields/darwin_op_2014.toml")),
-        ("kid_size_2013", include_str!("../../../../robots/fields/kid_size_2013.toml")),
-        ("spl_2020", include_str!("../../../../robots/fields/spl_2020.toml")),
-        ("hsl_small_2026", include_str!("../../../../robots/fields/hsl_small_2026.toml")),
-        ("hsl_middle_2026", include_str!("../../../../robots/fields/hsl_middle_2026.toml")),
-        ("teen", include_str!("../../../../robots/fields/teen.toml")),
+        ("darwin_op_2014", include_str!("../fields/darwin_op_2014.toml")),
+        ("kid_size_2013", include_str!("../fields/kid_size_2013.toml")),
+        ("spl_2020", include_str!("../fields/spl_2020.toml")),
+        ("hsl_small_2026", include_str!("../fields/hsl_small_2026.toml")),
+        ("hsl_middle_2026", include_str!("../fields/hsl_middle_2026.toml")),
+        ("teen", include_str!("../fields/teen.toml")),
     ];
 
     /// The field of a setting: the default for an empty text, a built-in one by its name, otherwise that in the file of this path.
