@@ -380,7 +380,8 @@ mod tests {
         let mut core = core();
         let points = Collector::<PointStamped>::add(&mut core, "centre_of_mass");
         let mut incomplete = standing();
-        incomplete.position[5] = f64::NAN;
+        let elbow = incomplete.name.iter().position(|name| name == "l_el").unwrap();
+        incomplete.position[elbow] = f64::NAN;
         publish(&mut core, incomplete);
         assert!(points.take().is_empty());
         let request = ForwardKinematicsRequest::default();
