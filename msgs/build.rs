@@ -1,5 +1,5 @@
-//! Writes the Rust types of the packages in `interfaces/` whose features are enabled, and for the tests those of a
-//! package in `tests/data/`.
+//! Writes the Rust types of the packages in `interfaces/` whose features are enabled, and for the tests those
+//! of a package in `tests/data/`.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};

@@ -134,8 +134,8 @@ impl App {
         })
     }
 
-    /// Registers a launcher, which robot files name as `kind` in `[launcher]`. `make` receives the CPUs and priorities that the robot
-    /// file sets.
+    /// Registers a launcher, which robot files name as `kind` in `[launcher]`. `make` receives the CPUs and
+    /// priorities that the robot file sets.
     #[must_use]
     pub fn launcher<L: Launcher + 'static>(
         self,
@@ -174,7 +174,8 @@ impl App {
     /// Starts the robot of a robot file on its own threads: its core, its node in the ROS domain of the
     /// environment, and the socket for `downbeat top`. It runs until the result is stopped or dropped.
     ///
-    /// For a recording, another domain, no node or inlets, use [`App::robot_file`] and [`PreparedRobot`] instead.
+    /// For a recording, another domain, no node or inlets, use [`App::robot_file`] and [`PreparedRobot`]
+    /// instead.
     ///
     /// # Errors
     /// Returns an error if the file is invalid or a part of the robot cannot be started.

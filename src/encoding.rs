@@ -142,7 +142,8 @@ impl RecordedType {
                 message_encoding: format.message_encoding.clone(),
             });
         };
-        // Other programs that write Foxglove's schemas do not use ROS 2 types. In JSON, their messages have Foxglove's fields.
+        // Other programs that write Foxglove's schemas do not use ROS 2 types. In JSON, their messages have
+        // Foxglove's fields.
         let is_foxglove = matches!(encoding, Encoding::FoxgloveProtobuf | Encoding::FoxgloveFlatBuffers);
         let foreign = foxglove::types().find(|(_, name)| is_foxglove && *name == topic.info.type_name);
         let found = interfaces.find_message(foreign.map_or(&topic.info.type_name, |(ros, _)| ros));

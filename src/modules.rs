@@ -15,7 +15,8 @@
 //! - [`falls`]: detects falls and gets up;
 //! - [`joint_command_mux`]: decides which commands joints get;
 //! - [`joint_state_merger`]: joint states of several buses as one;
-//! - [`kinematics`]: robot descriptions; a module that answers where links are and how joints bring them elsewhere;
+//! - [`kinematics`]: robot descriptions; a module that answers where links are and how joints bring them
+//!   elsewhere;
 //! - [`robot_state_publisher`]: transforms of all links;
 //! - [`stand_nod_wave`]: a small motion;
 //! - [`actions`] and [`transforms`]: actions that modules serve and use; where frames are over time;

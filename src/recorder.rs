@@ -37,12 +37,13 @@ pub enum WhenFull {
     Wait,
 }
 
-/// Records these topics of a core until it stops, through outlets that share a thread: serializing delays no cycle, and the last
-/// messages of every module are recorded.
+/// Records these topics of a core until it stops, through outlets that share a thread: serializing delays no
+/// cycle, and the last messages of every module are recorded.
 ///
-/// Messages are stamped with the time of the cycle that published them. Topics whose messages are not registered are skipped;
-/// [`Unrecorded`] lists them. `qos_of` returns the offered QoS of a topic for the bag. A message that the encoding cannot represent
-/// (a time before 1970 in FlatBuffers) is logged and skipped.
+/// Messages are stamped with the time of the cycle that published them. Topics whose messages are not
+/// registered are skipped; [`Unrecorded`] lists them. `qos_of` returns the offered QoS of a topic for the
+/// bag. A message that the encoding cannot represent (a time before 1970 in FlatBuffers) is logged and
+/// skipped.
 ///
 /// # Errors
 /// If the recording has ended, or this build lacks the encoding.
@@ -61,7 +62,8 @@ pub fn record(
     Ok(())
 }
 
-/// As [`record`], of a core that may run, and while the returned outlets are there. More topics may be added to a recording later.
+/// As [`record`], of a core that may run, and while the returned outlets are there. More topics may be added
+/// to a recording later.
 ///
 /// # Errors
 /// Those of [`record`], and if the core does not answer.
@@ -195,7 +197,8 @@ impl Bag {
             WhenFull::Lose => self.sender.record(topic, time, time, data),
             WhenFull::Wait => self.sender.record_blocking(topic, time, time, data),
         };
-        // The recording counts lost messages and reports them at its end; a warning for each would only add to the load.
+        // The recording counts lost messages and reports them at its end; a warning for each would only add
+        // to the load.
         if let Err(error) = recorded {
             tracing::debug!("{error}");
         }

@@ -2,8 +2,8 @@
 //! description of servos and world file in `toml` blocks. Rust snippets are compiled as documentation tests
 //! (`src/lib.rs`).
 //!
-//! A `ros2` command is replaced by the `downbeat` command with the same arguments. The reader's home directory is empty, and what each
-//! command takes is kept in `target/first_hour/steps`.
+//! A `ros2` command is replaced by the `downbeat` command with the same arguments. The reader's home
+//! directory is empty, and what each command takes is kept in `target/first_hour/steps`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -291,7 +291,8 @@ fn a_client_of_a_library_in_rust_always_has_an_answer() {
     assert_always_answered(folder.path(), &Case { domain: 174, keys, action: None });
 }
 
-/// The goals of a library in Rust, whose action has a type of its own, and requests to cancel them: those of the program.
+/// The goals of a library in Rust, whose action has a type of its own, and requests to cancel them: those of
+/// the program.
 #[test]
 fn a_goal_of_a_library_in_rust_always_ends() {
     let library = std::env::current_exe().unwrap().with_file_name("libdownbeat_library_example.so");

@@ -68,7 +68,8 @@ pub struct Check {
 }
 
 /// Reads a whole bag: checksums, counts, definitions and every message. `progress` is called with the number
-/// of messages read. Definitions that the bag lacks are looked up in the built-in interfaces; see [`check_with`].
+/// of messages read. Definitions that the bag lacks are looked up in the built-in interfaces; see
+/// [`check_with`].
 ///
 /// # Errors
 /// Returns an error if a file can no longer be opened.

@@ -38,13 +38,14 @@ pub struct Copied {
     pub summary: RecordingSummary,
     /// The parts that could not be read and are missing in the new bag.
     pub unreadable: Vec<ReaderError>,
-    /// The topics with messages that do not match the definition of their type, or whose definition is damaged and not known from
-    /// elsewhere. They are copied nevertheless.
+    /// The topics with messages that do not match the definition of their type, or whose definition is
+    /// damaged and not known from elsewhere. They are copied nevertheless.
     pub undecodable: Vec<Problem>,
     /// The number of messages whose publish time was dropped, because the storage of the new bag only has the
     /// receive time.
     pub without_publish_time: u64,
-    /// The topics whose definition was damaged or incomplete and is complete in the new bag, with what was taken from where.
+    /// The topics whose definition was damaged or incomplete and is complete in the new bag, with what was
+    /// taken from where.
     pub completed: Vec<String>,
 }
 
@@ -255,8 +256,8 @@ impl<'a> MergedBags<'a> {
         Ok(Merged { streams, errors: VecDeque::new() })
     }
 
-    /// The last messages of topics at a time, in nanoseconds since the epoch: of each topic as many as `wanted`
-    /// says, by its position in [`MergedBags::topics`]. See [`Reader::last_messages`].
+    /// The last messages of topics at a time, in nanoseconds since the epoch: of each topic as many as
+    /// `wanted` says, by its position in [`MergedBags::topics`]. See [`Reader::last_messages`].
     ///
     /// # Errors
     /// Returns an error if a bag can no longer be opened.

@@ -37,7 +37,8 @@
 //! messages are bytes. Times are nanoseconds since the epoch, as in ROS.
 //!
 //! The formats are those of ROS 2 Jazzy: metadata version 9 (`rosbag2_storage`), MCAP with profile `ros2`
-//! (`rosbag2_storage_mcap`), and with the feature `sqlite` SQLite with schema version 4 (`rosbag2_storage_sqlite3`).
+//! (`rosbag2_storage_mcap`), and with the feature `sqlite` SQLite with schema version 4
+//! (`rosbag2_storage_sqlite3`).
 
 mod check;
 mod compare;

@@ -5,8 +5,9 @@ use std::ops::Range;
 
 use lz4_flex::frame::FrameDecoder;
 
-/// Decompresses all frames in `compressed` up to the first error, and to at most `limit` bytes and one more. Returns
-/// the content, and the problem, as the end of a sentence about the chunk. Memory grows with the output.
+/// Decompresses all frames in `compressed` up to the first error, and to at most `limit` bytes and one more.
+/// Returns the content, and the problem, as the end of a sentence about the chunk. Memory grows with the
+/// output.
 pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Option<String>) {
     let mut content = Vec::new();
     let read = FrameDecoder::new(compressed).take(limit.saturating_add(1)).read_to_end(&mut content);
@@ -18,10 +19,12 @@ pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Opti
     (content, problem)
 }
 
-/// Decompresses what is whole in damaged frames, whose blocks are decompressed one by one. Returns the content and the ranges of it that are
-/// missing: these are filled with zeros, as long as the damaged blocks should be if all of the content has `declared` bytes.
+/// Decompresses what is whole in damaged frames, whose blocks are decompressed one by one. Returns the
+/// content and the ranges of it that are missing: these are filled with zeros, as long as the damaged blocks
+/// should be if all of the content has `declared` bytes.
 ///
-/// Reads no frame whose blocks refer to each other (without `B.Indep`): behind a damaged block their content could be wrong unnoticed.
+/// Reads no frame whose blocks refer to each other (without `B.Indep`): behind a damaged block their content
+/// could be wrong unnoticed.
 pub(crate) fn decompress_whole_blocks(
     compressed: &[u8],
     declared: u64,
@@ -94,7 +97,8 @@ impl<'a> FrameHeader<'a> {
         })
     }
 
-    /// The range of the block at that place of the frame, with its length and its checksum; `None` at the end, and if its length is damaged.
+    /// The range of the block at that place of the frame, with its length and its checksum; `None` at the
+    /// end, and if its length is damaged.
     fn block(&self, frame: &[u8], at: usize) -> Option<Range<usize>> {
         let size = u32::from_le_bytes(*frame.get(at..)?.first_chunk()?);
         // The highest bit tells that it is not compressed.
@@ -107,7 +111,8 @@ impl<'a> FrameHeader<'a> {
     fn decompress(&self, frame: &[u8], block: Range<usize>) -> Option<Vec<u8>> {
         let alone = self.bytes.chain(&frame[block]).chain(&[0; 4][..]);
         let mut content = Vec::new();
-        // The size and the checksum of the whole frame are not those of one block, which is found after its content.
+        // The size and the checksum of the whole frame are not those of one block, which is found after its
+        // content.
         let read = FrameDecoder::new(alone).take(self.largest as u64).read_to_end(&mut content);
         (read.is_ok() || !content.is_empty()).then_some(content)
     }

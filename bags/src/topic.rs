@@ -21,9 +21,9 @@ pub struct TopicDescription {
     pub type_name: String,
     /// The `ros2msg` text of the type, including its dependencies.
     ///
-    /// Empty if unknown. A reader converts definitions in IDL and texts of services, and leaves it empty for messages that are
-    /// not CDR. A writer writes its portable form ([`portable_definition_text`]; IDL for types of services), or
-    /// nothing of it if [`TopicDescription::format`] has a schema.
+    /// Empty if unknown. A reader converts definitions in IDL and texts of services, and leaves it empty for
+    /// messages that are not CDR. A writer writes its portable form ([`portable_definition_text`]; IDL for
+    /// types of services), or nothing of it if [`TopicDescription::format`] has a schema.
     pub definition: String,
     /// Type hash as in REP-2016, `RIHS01_…`; empty if unknown.
     pub type_hash: String,
@@ -58,7 +58,8 @@ impl TopicDescription {
         self.message_encoding() == "json"
     }
 
-    /// The definition of its messages in CDR: the recorded one, completed from `known` where it is damaged or incomplete.
+    /// The definition of its messages in CDR: the recorded one, completed from `known` where it is damaged or
+    /// incomplete.
     ///
     /// # Errors
     /// Returns an error if there is no definition that agrees with the recorded text and hash.
@@ -71,8 +72,8 @@ impl TopicDescription {
         known.recorded(&self.type_name, &schema.encoding, &text, &self.type_hash)
     }
 
-    /// The same topic with its definition completed from `known`, if the recorded text is damaged or incomplete, and what was taken from
-    /// where.
+    /// The same topic with its definition completed from `known`, if the recorded text is damaged or
+    /// incomplete, and what was taken from where.
     pub(crate) fn completed(&self, known: &Definitions) -> Option<(Self, String)> {
         if !self.is_cdr() || self.schema().data.is_empty() {
             return None;
@@ -106,8 +107,8 @@ impl TopicDescription {
         let converted = self.converted(encoding, &text);
         let is_known = converted.is_some();
         self.definition = converted.unwrap_or_default();
-        // The text of a service stands for the text of its events, which contains as much; IDL may contain more. A text that
-        // could not be read is kept as it is.
+        // The text of a service stands for the text of its events, which contains as much; IDL may contain
+        // more. A text that could not be read is kept as it is.
         if !is_known || (encoding == "ros2idl" && self.schema().data != data) {
             keep(self);
         }
@@ -177,8 +178,8 @@ impl TopicDescription {
     }
 }
 
-/// A serialisation other than CDR, or CDR whose type is described by something other than a `ros2msg` text (`ros2idl`), as
-/// an MCAP file describes it.
+/// A serialisation other than CDR, or CDR whose type is described by something other than a `ros2msg` text
+/// (`ros2idl`), as an MCAP file describes it.
 ///
 /// The type of the topic is still that of ROS 2; a channel stores it as `topic_type` with the
 /// `topic_type_hash`.
@@ -190,8 +191,8 @@ pub struct MessageFormat {
     pub schema: Schema,
 }
 
-/// A topic of one [`Writer`](crate::Writer), one [`Recording`](crate::Recording) or one [`Reader`](crate::Reader):
-/// its position in the list of topics there.
+/// A topic of one [`Writer`](crate::Writer), one [`Recording`](crate::Recording) or one
+/// [`Reader`](crate::Reader): its position in the list of topics there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicId(u16);
 

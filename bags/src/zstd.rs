@@ -37,11 +37,11 @@ pub(crate) fn compress(content: &[u8]) -> Vec<u8> {
     compress_to_vec(content, CompressionLevel::Fastest)
 }
 
-/// Decompresses the frames in `compressed` up to the first damaged block, and to about `limit` bytes. Returns the
-/// content, and the problem, as the end of a sentence about the chunk.
+/// Decompresses the frames in `compressed` up to the first damaged block, and to about `limit` bytes. Returns
+/// the content, and the problem, as the end of a sentence about the chunk.
 ///
-/// The lengths in the frames are not trusted: memory grows with the decompressed data, and exceeds `limit` by at
-/// most a block (128 KiB) and a window.
+/// The lengths in the frames are not trusted: memory grows with the decompressed data, and exceeds `limit` by
+/// at most a block (128 KiB) and a window.
 pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Option<String>) {
     /// Most content is not larger than this, so that its memory does not have to grow.
     const USUAL_RATIO: usize = 16;
@@ -52,8 +52,8 @@ pub(crate) fn decompress_prefix(compressed: &[u8], limit: u64) -> (Vec<u8>, Opti
     let Err(problem) = unpack(&mut rest, &mut content, limit, too_many) else { return (content, None) };
     let mut whole = Vec::new();
     let mut rest = compressed;
-    // The decoder keeps a window of a frame until its end, which a damaged frame does not reach: its intact blocks
-    // are decoded again, followed by an empty last one.
+    // The decoder keeps a window of a frame until its end, which a damaged frame does not reach: its intact
+    // blocks are decoded again, followed by an empty last one.
     while let Some(blocks) = intact_blocks(rest, limit) {
         let mut frames = rest;
         let is_ended = finish_after(&mut frames, blocks, &mut whole);

@@ -42,8 +42,8 @@ const LOOK: Duration = Duration::from_millis(500);
 
 /// Publishes the graph of the network in a core until it is dropped.
 ///
-/// The graph enters the core as a message from outside does: all modules receive it in the same cycle, and a bag that holds
-/// the topic repeats it.
+/// The graph enters the core as a message from outside does: all modules receive it in the same cycle, and a
+/// bag that holds the topic repeats it.
 pub struct NetworkWatch {
     /// `None` once it is dropped.
     watched: Option<Arc<Watched>>,

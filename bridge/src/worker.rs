@@ -1,5 +1,5 @@
-//! The thread of a participant for all work beside the engine: handlers of requests and replies, time limits, parameters,
-//! lifecycles, the watch of the network.
+//! The thread of a participant for all work beside the engine: handlers of requests and replies, time limits,
+//! parameters, lifecycles, the watch of the network.
 //!
 //! Nothing on it blocks: what has to wait is a future, which the worker polls when it is woken.
 
@@ -19,7 +19,8 @@ use std::time::{Duration, Instant};
 /// The longest wait for the next job while nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
 
-/// A running thread. Dropping it stops and joins the thread; jobs and tasks that have not run by then are dropped.
+/// A running thread. Dropping it stops and joins the thread; jobs and tasks that have not run by then are
+/// dropped.
 pub struct Worker {
     link: WorkerLink,
     thread: Option<JoinHandle<()>>,

@@ -21,7 +21,8 @@ use std::time::Duration;
 
 const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 
-/// Serves `count`: works on its goals as `work` says, keeps results for 3 s, and holds on to a goal of order 13.
+/// Serves `count`: works on its goals as `work` says, keeps results for 3 s, and holds on to a goal of order
+/// 13.
 #[derive(Default)]
 struct Counter {
     server: ActionServer<Fibonacci>,

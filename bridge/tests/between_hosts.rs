@@ -1,5 +1,5 @@
-//! Real peers on another host. Network namespaces stand for the hosts, so this needs root; between them is a switch, or a line
-//! that loses 2 % of the frames and takes 20 ms.
+//! Real peers on another host. Network namespaces stand for the hosts, so this needs root; between them is a
+//! switch, or a line that loses 2 % of the frames and takes 20 ms.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -19,8 +19,8 @@ use std::collections::BTreeSet;
 use std::process::Command;
 use std::time::Duration;
 
-/// Runs `test` in a process on host 0 of two hosts; the test function that calls this does nothing else. What it
-/// checks is checked with a peer of Python, which has to be installed then.
+/// Runs `test` in a process on host 0 of two hosts; the test function that calls this does nothing else. What
+/// it checks is checked with a peer of Python, which has to be installed then.
 fn between_hosts<T: FnOnce(&Hosts)>(line: Line, checks: Vec<Check>, test: T) {
     if let Some(hosts) = Hosts::around() {
         // The process that made the hosts notes the checks.

@@ -1,4 +1,5 @@
-//! What we send, as `tshark` decodes it: a recorded conversation of topics, fragments, a service and removals.
+//! What we send, as `tshark` decodes it: a recorded conversation of topics, fragments, a service and
+//! removals.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -61,7 +62,8 @@ fn tshark(file: &Path, arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// All that we say: two of us, with a service, with latched texts, with fragments, with a text that comes too late.
+/// All that we say: two of us, with a service, with latched texts, with fragments, with a text that comes too
+/// late.
 fn converse() {
     let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT }.keep_last(2);
     let mut peer = ours::start(DOMAIN);
@@ -114,7 +116,8 @@ fn tshark_decodes_a_conversation_of_ours_without_a_malformed_packet() {
     assert_eq!(tshark(&file, &["-Y", &malformed]), "");
     let submessages = tshark(&file, &["-T", "fields", "-e", "rtps.sm.id", "-E", "aggregator=,"]);
     let found: BTreeSet<&str> = submessages.split([',', '\n']).collect();
-    // INFO_TS, INFO_DST, DATA, DATA_FRAG, HEARTBEAT, ACKNACK, GAP: the names of these numbers stand in RTPS 2.5, 9.4.5.1.
+    // INFO_TS, INFO_DST, DATA, DATA_FRAG, HEARTBEAT, ACKNACK, GAP: the names of these numbers stand in RTPS
+    // 2.5, 9.4.5.1.
     for id in ["0x09", "0x0e", "0x15", "0x16", "0x07", "0x06", "0x08"] {
         assert!(found.contains(id), "no submessage {id} among {found:?}");
     }

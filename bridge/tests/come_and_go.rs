@@ -1,4 +1,5 @@
-//! Endpoints, nodes and processes that come, go, are killed or stopped: what each side knows of the other, and when.
+//! Endpoints, nodes and processes that come, go, are killed or stopped: what each side knows of the other,
+//! and when.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -23,7 +24,8 @@ use std::time::{Duration, Instant};
 
 /// Longer than a lease of 20 s, after which Fast DDS and we forget who is silent.
 const LONGER_THAN_A_LEASE: Duration = Duration::from_secs(25);
-/// "At once" on a busy machine, far below every lease and every period of announcements and heartbeats but the shortest.
+/// "At once" on a busy machine, far below every lease and every period of announcements and heartbeats but
+/// the shortest.
 const AT_ONCE: Duration = Duration::from_secs(2);
 
 fn join(domain_id: u16) -> (Participant, Node) {
@@ -178,7 +180,8 @@ fn cyclone_finds_a_type_hash_at_every_endpoint_of_a_node() {
         .iter()
         .map(|(name, of)| node.publish(name, &MessageType::new(of).unwrap(), QosProfile::DEFAULT).unwrap())
         .collect();
-    // Servers and clients have two endpoints each; services have events; the graph has two, and the node its description.
+    // Servers and clients have two endpoints each; services have events; the graph has two, and the node its
+    // description.
     let count = 2 * (served.len() + clients.len()) + served.len() + published.len() + 2 + 2;
     let mut found = Vec::new();
     wait_until("Cyclone knows all endpoints", || {
@@ -270,7 +273,8 @@ fn we_forget_rclpy_when_its_lease_is_over_after_it_was_killed() {
     let talker = Talker::join(&on_loopback(93), QosProfile::DEFAULT);
     talker.meet(&mut killed, 10);
     drop(killed);
-    // More than any window: a reader that is dead delays nobody. On a busy machine a sample waits until those before are sent.
+    // More than any window: a reader that is dead delays nobody. On a busy machine a sample waits until those
+    // before are sent.
     for number in 0..10_000 {
         wait_until("the window is open", || talker.ours.publish(text_of(number, 100)).is_ok());
     }

@@ -1,4 +1,5 @@
-//! Services with the second vendor of DDS, in the words of rmw_cyclonedds_cpp: requests and responses carry a header.
+//! Services with the second vendor of DDS, in the words of rmw_cyclonedds_cpp: requests and responses carry a
+//! header.
 #![allow(clippy::unwrap_used)]
 
 mod common;

@@ -43,8 +43,8 @@ struct Robot {
     _participant: Participant,
 }
 
-/// Modules `arm`, `camera` (detached) and `secret`, of which the last is not selected; a node `/robot`, and `/arm` of that
-/// module alone.
+/// Modules `arm`, `camera` (detached) and `secret`, of which the last is not selected; a node `/robot`, and
+/// `/arm` of that module alone.
 fn robot(domain_id: u16) -> Robot {
     let clock = NodeClock::default();
     let mut core = Core::new().with_clock(clock.clone());

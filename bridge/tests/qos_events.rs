@@ -1,4 +1,5 @@
-//! Events of the quality of service of exposed topics: counted, received by modules, and the same as rclpy receives.
+//! Events of the quality of service of exposed topics: counted, received by modules, and the same as rclpy
+//! receives.
 #![allow(clippy::unwrap_used)]
 
 mod common;

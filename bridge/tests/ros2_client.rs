@@ -1,4 +1,5 @@
-//! The crate `ros2-client`, the other ROS 2 client in Rust, as a peer: topics, services, parameters and actions both ways.
+//! The crate `ros2-client`, the other ROS 2 client in Rust, as a peer: topics, services, parameters and
+//! actions both ways.
 #![allow(clippy::unwrap_used)]
 
 mod common;

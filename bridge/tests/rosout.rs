@@ -201,7 +201,8 @@ impl Writer for BrokenWriter {
 #[test]
 fn a_line_that_cannot_be_sent_does_not_become_another_line() {
     let rosout = Rosout::new();
-    // The layer has to be that of all threads for this test to mean anything; it runs in a process of its own.
+    // The layer has to be that of all threads for this test to mean anything; it runs in a process of its
+    // own.
     tracing_subscriber::registry().with(rosout.layer()).init();
     let (_participant, node) = node(Arc::new(Broken(Hub::new().join())));
     let before = rosout.status().failed;

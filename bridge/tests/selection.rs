@@ -1,5 +1,5 @@
-//! What is exposed, how much of it, under which names and on which nodes, and changing it while the core runs; over the
-//! engine in memory.
+//! What is exposed, how much of it, under which names and on which nodes, and changing it while the core
+//! runs; over the engine in memory.
 #![allow(clippy::unwrap_used)]
 
 mod common;

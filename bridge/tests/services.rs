@@ -151,7 +151,8 @@ fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
     let Some(mut rclpy) = Peer::start(56, "LOCALHOST") else { return };
     let _check = check("Services", "first response of a new server", With::Rclpy, Way::In);
     for start in 0..starts {
-        // Fast DDS believes in a server that left for as long as its lease runs, so each has a name of its own.
+        // Fast DDS believes in a server that left for as long as its lease runs, so each has a name of its
+        // own.
         let name = format!("/light_{start}");
         rclpy.ask(json!({"do": "client", "service": name, "type": "std_srvs/srv/SetBool"}));
         let (_participant, node) = downbeat(56);

@@ -1,5 +1,5 @@
-//! Samples of 10 bytes to 8 MB, to and from every engine at hand: rclpy on Fast DDS, Cyclone DDS in two versions, rustdds,
-//! ourselves. What is asserted is that they arrive, never how fast.
+//! Samples of 10 bytes to 8 MB, to and from every engine at hand: rclpy on Fast DDS, Cyclone DDS in two
+//! versions, rustdds, ourselves. What is asserted is that they arrive, never how fast.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -101,7 +101,8 @@ fn best_effort_samples_of_every_size_pass_between_two_of_us() {
     some_arrive(107, &mut ours::start(107));
 }
 
-/// Publishes with a period, as a camera does, with the buffers and the queue of a stock subscription at the other end.
+/// Publishes with a period, as a camera does, with the buffers and the queue of a stock subscription at the
+/// other end.
 fn stream(domain_id: u16, size: usize, count: usize, period: Duration) {
     let Some(mut peer) = Peer::start(domain_id, "LOCALHOST") else { return };
     let talker = Talker::join(&on_loopback(domain_id), QosProfile::DEFAULT);

@@ -1,5 +1,5 @@
-//! Leaving a domain ends every thread and closes every socket that joining it began. Alone in its program, since it
-//! counts those of the process.
+//! Leaving a domain ends every thread and closes every socket that joining it began. Alone in its program,
+//! since it counts those of the process.
 #![allow(clippy::unwrap_used)]
 
 mod common;

@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-/// An action type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownAction::of`]): the types of its
-/// three services and two topics.
+/// An action type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type
+/// ([`KnownAction::of`]): the types of its three services and two topics.
 #[derive(Clone, Copy)]
 pub struct KnownAction {
     entry: &'static Entry,

@@ -35,7 +35,8 @@ impl CoreAccess<'_> {
         }
     }
 
-    /// The settings of a module with their values; `None` if there is no such module, or the core does not answer.
+    /// The settings of a module with their values; `None` if there is no such module, or the core does not
+    /// answer.
     #[must_use]
     pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
         match self {

@@ -15,8 +15,8 @@ use std::fmt;
 use std::path::Path;
 use std::sync::{Arc, LazyLock, OnceLock};
 
-/// The registry of message, service and action types, looked up by name, hash or Rust type: those that `downbeat-msgs` carries, and
-/// those that the program registers. Clones share one table.
+/// The registry of message, service and action types, looked up by name, hash or Rust type: those that
+/// `downbeat-msgs` carries, and those that the program registers. Clones share one table.
 ///
 /// ```
 /// use downbeat_edge::Interfaces;
@@ -34,8 +34,8 @@ use std::sync::{Arc, LazyLock, OnceLock};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// A name has one definition. Two Rust types of the same name and hash, such as a `sensor_msgs/msg/Imu` that another crate
-/// generated, count as one type, which is found by either Rust type.
+/// A name has one definition. Two Rust types of the same name and hash, such as a `sensor_msgs/msg/Imu` that
+/// another crate generated, count as one type, which is found by either Rust type.
 #[derive(Clone)]
 pub struct Interfaces {
     tables: Arc<Tables>,
@@ -119,23 +119,25 @@ impl Interfaces {
         Ok(Self { tables, registered: Arc::default(), learned: Arc::clone(&self.learned) })
     }
 
-    /// The same interfaces for one robot of several in a program: what clones of these learn later is not known there, nor the
-    /// other way round.
+    /// The same interfaces for one robot of several in a program: what clones of these learn later is not
+    /// known there, nor the other way round.
     #[must_use]
     pub fn separate(&self) -> Self {
         Self { learned: Arc::new(Learned::clone(&self.learned)), ..self.clone() }
     }
 
-    /// Adds the definitions in a folder: of a package, of all packages below it, or of an ament prefix. Messages, services and
-    /// actions of which only the definition is known pass through as bytes.
+    /// Adds the definitions in a folder: of a package, of all packages below it, or of an ament prefix.
+    /// Messages, services and actions of which only the definition is known pass through as bytes.
     ///
     /// # Errors
-    /// If the folder has no interfaces or two packages of one name, or a definition is invalid or differs from a known one.
+    /// If the folder has no interfaces or two packages of one name, or a definition is invalid or differs
+    /// from a known one.
     pub fn learn_folder(&self, folder: &Path) -> Result<(), Error> {
         self.learned.add_folder(folder)
     }
 
-    /// Adds a definition that a module carries: `text` is that of a message, service or action with all dependencies, as in bags.
+    /// Adds a definition that a module carries: `text` is that of a message, service or action with all
+    /// dependencies, as in bags.
     ///
     /// ```
     /// use downbeat_edge::Interfaces;
@@ -173,7 +175,8 @@ impl Interfaces {
         }
     }
 
-    /// The name and the definition text, with all dependencies, of the message, service or action that a name is of or a part of.
+    /// The name and the definition text, with all dependencies, of the message, service or action that a name
+    /// is of or a part of.
     ///
     /// # Errors
     /// If no definition is known.
@@ -206,8 +209,8 @@ impl Interfaces {
         })
     }
 
-    /// The message of that name: a registered one, one of a registered action, or one of which only the definition is known, which
-    /// passes through ([`KnownType::raw`]).
+    /// The message of that name: a registered one, one of a registered action, or one of which only the
+    /// definition is known, which passes through ([`KnownType::raw`]).
     ///
     /// # Errors
     /// [`UnknownType`] where there is none.
@@ -240,8 +243,8 @@ impl Interfaces {
         found.or_else(|| self.definitions().find_text(name).ok().map(|(_, hash)| hash))
     }
 
-    /// The type with which a module should use a topic: if the topic carries another Rust type of the same definition as `message`, that.
-    /// The topic is named as the module names it, before remapping.
+    /// The type with which a module should use a topic: if the topic carries another Rust type of the same
+    /// definition as `message`, that. The topic is named as the module names it, before remapping.
     #[must_use]
     pub fn message_on<M: Module>(
         &self,
@@ -271,8 +274,8 @@ impl Interfaces {
         }
     }
 
-    /// Opens an inlet for serialized messages. If two Rust types have the definition of `message`, the one that the topic carries is
-    /// used.
+    /// Opens an inlet for serialized messages. If two Rust types have the definition of `message`, the one
+    /// that the topic carries is used.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid or the topic carries another message.
@@ -293,8 +296,8 @@ impl Interfaces {
         self.tables.messages.values().copied()
     }
 
-    /// The service of that name, such as `std_srvs/srv/SetBool`: a registered one, one of an action, or one of which only the
-    /// definition is known, whose requests and responses pass through as bytes.
+    /// The service of that name, such as `std_srvs/srv/SetBool`: a registered one, one of an action, or one
+    /// of which only the definition is known, whose requests and responses pass through as bytes.
     ///
     /// # Errors
     /// [`UnknownType`] with the nearest registered name where there is none.
@@ -317,7 +320,8 @@ impl Interfaces {
         })
     }
 
-    /// The type of a service of a core, if its request and response types are registered or pass through as bytes.
+    /// The type of a service of a core, if its request and response types are registered or pass through as
+    /// bytes.
     #[must_use]
     pub fn service_of(&self, service: &ServiceInfo) -> Option<KnownService> {
         let types = (service.request_type, service.response_type);
@@ -356,8 +360,8 @@ impl Interfaces {
         self.tables.services.values().copied()
     }
 
-    /// The action of that name, such as `tf2_msgs/action/LookupTransform`: a registered one, or one of which only the definition is
-    /// known.
+    /// The action of that name, such as `tf2_msgs/action/LookupTransform`: a registered one, or one of which
+    /// only the definition is known.
     ///
     /// # Errors
     /// [`UnknownType`] with the nearest registered name where there is none.
@@ -390,7 +394,8 @@ impl Interfaces {
         self.tables.actions.values().copied()
     }
 
-    /// The messages, services and actions that the program registered, by name: descriptions with the definition texts.
+    /// The messages, services and actions that the program registered, by name: descriptions with the
+    /// definition texts.
     pub fn registered(&self) -> impl Iterator<Item = &'static Description> {
         let carried = Self::carried();
         let descriptions = self.tables.descriptions.iter();
@@ -416,8 +421,9 @@ impl Interfaces {
         Arc::clone(self.registered.get_or_init(read))
     }
 
-    /// The places where definitions are looked up at run time: the registered interfaces, those that `downbeat-msgs` carries, the
-    /// folders and modules that the program has learned from, and the ament prefixes of the environment.
+    /// The places where definitions are looked up at run time: the registered interfaces, those that
+    /// `downbeat-msgs` carries, the folders and modules that the program has learned from, and the ament
+    /// prefixes of the environment.
     #[must_use]
     pub fn definitions(&self) -> Definitions {
         let built_in = Definitions::new().with(self.registered_definitions()).with_carried();

@@ -1,5 +1,5 @@
-//! Interfaces of which a program knows the definition only: from folders, from the libraries and modules that carry them, and from
-//! ament prefixes.
+//! Interfaces of which a program knows the definition only: from folders, from the libraries and modules that
+//! carry them, and from ament prefixes.
 
 use downbeat_msgs::definitions::{Error, Kind, TypeName};
 use downbeat_msgs::dynamic::{Definitions, InterfaceDefinition, InterfaceFolders, Schemas, TypeLookupError};

@@ -18,8 +18,8 @@ use std::num::NonZeroUsize;
 use std::sync::{Arc, OnceLock};
 use thiserror::Error;
 
-/// A message type of ROS 2: one with a Rust type ([`Interfaces`](crate::Interfaces), [`KnownType::of`]), or one whose messages pass
-/// through as bytes ([`KnownType::raw`]).
+/// A message type of ROS 2: one with a Rust type ([`Interfaces`](crate::Interfaces), [`KnownType::of`]), or
+/// one whose messages pass through as bytes ([`KnownType::raw`]).
 #[derive(Clone, Copy)]
 pub struct KnownType {
     entry: &'static Entry,
@@ -32,7 +32,8 @@ pub trait Sink: Send + 'static {
         true
     }
 
-    /// Takes a message: the time of the cycle that published it; encapsulation header (little-endian) and body.
+    /// Takes a message: the time of the cycle that published it; encapsulation header (little-endian) and
+    /// body.
     fn take(&mut self, time: Time, cdr: Bytes);
 }
 
@@ -88,8 +89,8 @@ pub enum EncodedInletError {
     },
 }
 
-/// A message as bytes, with the name of its type: what a topic of a core carries whose type is not compiled in. Modules read its
-/// fields by the definition of the type:
+/// A message as bytes, with the name of its type: what a topic of a core carries whose type is not compiled
+/// in. Modules read its fields by the definition of the type:
 ///
 /// ```
 /// use downbeat_edge::{KnownType, RawMessage};
@@ -167,8 +168,8 @@ impl KnownType {
         Self { entry: Of::<T>::ENTRY }
     }
 
-    /// The type of that name as one that passes through: its messages are [`RawMessage`]s in a core. If its definition is not in
-    /// `definitions`, [`KnownType::learn`] can add it later.
+    /// The type of that name as one that passes through: its messages are [`RawMessage`]s in a core. If its
+    /// definition is not in `definitions`, [`KnownType::learn`] can add it later.
     ///
     /// # Errors
     /// If that is no name of a message type, or there are too many raw types.
@@ -183,7 +184,8 @@ impl KnownType {
         }
     }
 
-    /// The type of that definition, which may be that of a message of a service or an action, as one that passes through.
+    /// The type of that definition, which may be that of a message of a service or an action, as one that
+    /// passes through.
     pub(crate) fn defined(definition: TypeDefinition) -> Result<Self, RawTypeError> {
         let name = definition.message_type.name().to_string();
         let raw = Self::interned(&name, &definition.hash)?;
@@ -191,7 +193,8 @@ impl KnownType {
         Ok(raw)
     }
 
-    /// The raw type of that name that the program has met; if there are several, the one that `choose` returns.
+    /// The raw type of that name that the program has met; if there are several, the one that `choose`
+    /// returns.
     pub(crate) fn met(name: &str, choose: impl FnOnce() -> Option<Self>) -> Option<Self> {
         let of_name = TYPES.lock().get(name).cloned()?;
         match of_name.as_slice() {
@@ -200,8 +203,8 @@ impl KnownType {
         }
     }
 
-    /// The raw type of that name and hash. With an empty hash, the first one of that name; with another one, the one whose definition
-    /// is unknown so far, if no other has it.
+    /// The raw type of that name and hash. With an empty hash, the first one of that name; with another one,
+    /// the one whose definition is unknown so far, if no other has it.
     fn interned(name: &str, hash: &str) -> Result<Self, RawTypeError> {
         let mut types = TYPES.lock();
         let of_name = types.get(name).map(Vec::as_slice).unwrap_or_default();
@@ -240,7 +243,8 @@ impl KnownType {
         }
     }
 
-    /// The `ros2msg` text with all dependencies, as rosbag2 stores it; empty for a raw type whose definition is unknown.
+    /// The `ros2msg` text with all dependencies, as rosbag2 stores it; empty for a raw type whose definition
+    /// is unknown.
     #[must_use]
     pub fn definition(self) -> &'static str {
         match &self.entry.rust {
@@ -284,11 +288,12 @@ impl KnownType {
         }
     }
 
-    /// Serializes the messages of `topic` and passes them to `sink`, with the time of the cycle that published them, until the outlet
-    /// is dropped. A raw type passes on only messages of this type.
+    /// Serializes the messages of `topic` and passes them to `sink`, with the time of the cycle that
+    /// published them, until the outlet is dropped. A raw type passes on only messages of this type.
     ///
     /// # Errors
-    /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not answer.
+    /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not
+    /// answer.
     pub fn outlet(
         self,
         core: &mut CoreAccess<'_>,
@@ -329,7 +334,8 @@ impl KnownType {
     /// Opens an inlet for serialized messages into a core that may be running.
     ///
     /// # Errors
-    /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not answer.
+    /// [`SetupError`] when the name is not valid, the topic carries another type, or the core does not
+    /// answer.
     pub fn inlet_with(
         self,
         core: &mut CoreAccess<'_>,
@@ -340,8 +346,8 @@ impl KnownType {
         Ok(EncodedInlet { topic: topic.into(), message_type: self, inlet })
     }
 
-    /// Serializes the default value of the type: a message that every reader accepts, for tests and probes. For a raw type
-    /// whose definition is unknown it has no body.
+    /// Serializes the default value of the type: a message that every reader accepts, for tests and probes.
+    /// For a raw type whose definition is unknown it has no body.
     #[must_use]
     pub fn default_cdr(self) -> Vec<u8> {
         match &self.entry.rust {
@@ -363,7 +369,8 @@ impl KnownType {
         }
     }
 
-    /// Decodes a message, encapsulation header (of either byte order) and body. The bytes of a raw type are not checked.
+    /// Decodes a message, encapsulation header (of either byte order) and body. The bytes of a raw type are
+    /// not checked.
     ///
     /// # Errors
     /// If the bytes are no such message.
@@ -374,8 +381,8 @@ impl KnownType {
         }
     }
 
-    /// Checks a serialized message of a raw type whose definition is known, and returns it as plain little-endian CDR. Other messages
-    /// are checked when they are decoded.
+    /// Checks a serialized message of a raw type whose definition is known, and returns it as plain
+    /// little-endian CDR. Other messages are checked when they are decoded.
     ///
     /// # Errors
     /// If the bytes are no such message.
@@ -389,7 +396,8 @@ impl KnownType {
         Ok(cdr)
     }
 
-    /// Whether a message that a module received is of this type: raw messages of all types have one Rust type.
+    /// Whether a message that a module received is of this type: raw messages of all types have one Rust
+    /// type.
     #[must_use]
     pub fn is_type_of(self, message: &dyn Any) -> bool {
         message.downcast_ref::<RawMessage>().is_none_or(|raw| raw.message_type() == self)
@@ -448,7 +456,8 @@ impl EncodedInlet {
         self.message_type
     }
 
-    /// Decodes a message, encapsulation header (of either byte order) and body, and passes it to the core. Never blocks.
+    /// Decodes a message, encapsulation header (of either byte order) and body, and passes it to the core.
+    /// Never blocks.
     ///
     /// # Errors
     /// [`EncodedInletError`] when the bytes are no such message, or the core refuses it.

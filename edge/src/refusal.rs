@@ -1,8 +1,8 @@
 //! How a response of a service type says that its request was refused.
 //!
-//! ROS 2 has no refusals: a client waits until a response comes. So every refusal becomes a response, and the fields of
-//! the type decide how much of it a client sees. They are found by their names in the definition, so types that are known only at run
-//! time are treated alike.
+//! ROS 2 has no refusals: a client waits until a response comes. So every refusal becomes a response, and the
+//! fields of the type decide how much of it a client sees. They are found by their names in the definition,
+//! so types that are known only at run time are treated alike.
 
 use crate::KnownService;
 use downbeat_msgs::action_msgs::msg::GoalStatus;
@@ -116,8 +116,8 @@ impl Refusals {
         self.response.is_some() && (!self.verdicts.is_empty() || self.reason.is_some())
     }
 
-    /// The serialized response to a request that was refused for `reason`: all other fields have their defaults. Without a
-    /// definition it is empty.
+    /// The serialized response to a request that was refused for `reason`: all other fields have their
+    /// defaults. Without a definition it is empty.
     #[must_use]
     pub fn response(&self, reason: &str) -> Vec<u8> {
         let Some(response) = &self.response else { return vec![0, 1, 0, 0] };
@@ -253,7 +253,8 @@ impl Fields {
         self.only(false).map(|leaf| (leaf.path.clone(), Value::Bool(false)))
     }
 
-    /// A text of an unusual name next to a verdict is the reason as well; alone, it may be what was asked for.
+    /// A text of an unusual name next to a verdict is the reason as well; alone, it may be what was asked
+    /// for.
     fn reason(&self, has_verdict: bool) -> Option<String> {
         let only = || self.only(true).filter(|_| has_verdict);
         self.named(REASON, REASON_OUTSIDE, true).or_else(only).map(|leaf| leaf.path.clone())

@@ -20,8 +20,9 @@ use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// A service type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type ([`KnownService::of`]). Requests and
-/// responses of a type of which only the definition is known pass through as bytes, which are checked.
+/// A service type of ROS 2, found through [`Interfaces`](crate::Interfaces) or by its Rust type
+/// ([`KnownService::of`]). Requests and responses of a type of which only the definition is known pass
+/// through as bytes, which are checked.
 #[derive(Clone, Copy)]
 pub struct KnownService {
     entry: &'static Entry,
@@ -60,8 +61,9 @@ pub struct EncodedStandIn(Box<AnswerEncoded>);
 
 /// A server outside the core.
 pub trait RemoteCall: Send + 'static {
-    /// Takes a request, which any thread may serialize. The implementation calls `on_answer` once, from any thread, with the
-    /// serialized response or with the reason why there is none. It runs on the thread of the core, which it must not block.
+    /// Takes a request, which any thread may serialize. The implementation calls `on_answer` once, from any
+    /// thread, with the serialized response or with the reason why there is none. It runs on the thread of
+    /// the core, which it must not block.
     fn call(
         &mut self,
         request: Box<dyn FnOnce() -> Bytes + Send>,
@@ -150,9 +152,11 @@ impl KnownService {
         Self { entry: Of::<S>::ENTRY }
     }
 
-    /// A service of the definition, which may be that of an action: one whose requests and responses pass through.
+    /// A service of the definition, which may be that of an action: one whose requests and responses pass
+    /// through.
     pub(crate) fn defined(definition: &InterfaceDefinition, name: &str) -> Result<Self, RawTypeError> {
-        // A hash is of the name too. Types live as long as the program; the messages limit how many there are.
+        // A hash is of the name too. Types live as long as the program; the messages limit how many there
+        // are.
         static SERVICES: Mutex<BTreeMap<&'static str, &'static Entry>> = Mutex::new(BTreeMap::new());
         let unusable = |error: TypeLookupError| RawTypeError::Definition(Box::new(error));
         let (hash, definition_text) = definition.described(name).map_err(unusable)?;
@@ -210,7 +214,8 @@ impl KnownService {
         }
     }
 
-    /// The type of its responses, for reading and writing them field by field; `None` while its definition is unknown.
+    /// The type of its responses, for reading and writing them field by field; `None` while its definition is
+    /// unknown.
     #[must_use]
     pub fn response_type(self) -> Option<DynamicType> {
         match self.entry {
@@ -219,8 +224,8 @@ impl KnownService {
         }
     }
 
-    /// Serializes an event of the service: encapsulation header (little-endian) and body. An event without content is the same
-    /// whatever the type.
+    /// Serializes an event of the service: encapsulation header (little-endian) and body. An event without
+    /// content is the same whatever the type.
     ///
     /// # Errors
     /// When the content is no request or response of the type.
@@ -255,7 +260,8 @@ impl KnownService {
         Ok(EncodedCaller { service: service.into(), call: call.into() })
     }
 
-    /// Prepares a service that modules call and whose requests `call` takes. [`RemoteServices::add_to`] completes it.
+    /// Prepares a service that modules call and whose requests `call` takes. [`RemoteServices::add_to`]
+    /// completes it.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid.
@@ -292,7 +298,8 @@ impl KnownService {
         })
     }
 
-    /// Makes each [`ModuleEvent`](downbeat_executor::ModuleEvent) of a service of modules carry its request or response as CDR.
+    /// Makes each [`ModuleEvent`](downbeat_executor::ModuleEvent) of a service of modules carry its request
+    /// or response as CDR.
     ///
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
@@ -386,8 +393,8 @@ impl EncodedCaller {
         &self.service
     }
 
-    /// Calls the service with a request of either byte order. `on_answer` is called once: on the thread of the core, which it must
-    /// not block, or on this thread if the call fails at once. Never blocks.
+    /// Calls the service with a request of either byte order. `on_answer` is called once: on the thread of
+    /// the core, which it must not block, or on this thread if the call fails at once. Never blocks.
     pub fn call(
         &self,
         cdr: &[u8],

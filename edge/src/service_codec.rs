@@ -1,5 +1,5 @@
-//! How the requests and responses of a service pass between values in a core and bytes: as Rust values of a service type that is
-//! compiled in, or as they are.
+//! How the requests and responses of a service pass between values in a core and bytes: as Rust values of a
+//! service type that is compiled in, or as they are.
 
 use crate::{KnownType, RawMessage};
 use bytes::Bytes;

@@ -343,7 +343,8 @@ impl Foreign for Keeper {
 
 #[test]
 fn a_request_is_answered_whatever_the_module_does_with_it() {
-    /// Calls `enable`, lets the robot run, and returns the message of the response that a client of ROS 2 has.
+    /// Calls `enable`, lets the robot run, and returns the message of the response that a client of ROS 2
+    /// has.
     fn answer(robot: &mut Robot) -> String {
         let service = Interfaces::carried().service("std_srvs/srv/SetBool").unwrap();
         let (sender, answer) = channel();

@@ -1,7 +1,7 @@
 //! Reads files that a user names: robot files, descriptions, charts, parameters and the like.
 //!
-//! A pipe, a device or a socket in the place of a file would block the program or fill its memory, and so would a file
-//! of many gigabytes. They are refused by kind and size before anything is read.
+//! A pipe, a device or a socket in the place of a file would block the program or fill its memory, and so
+//! would a file of many gigabytes. They are refused by kind and size before anything is read.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read};

@@ -40,8 +40,8 @@ pub fn deserializer(text: &str) -> Result<Deserializer<'_>, Error> {
 /// The tags whose values the parser either does not pass on, or reads other than YAML 1.1.
 const LOCAL_TAGS: [&str; 4] = ["binary", "bool", "int", "float"];
 
-/// Replaces tags such as `!!binary` by `!binary `: the parser passes on only tags of the latter kind. Quotes and comments are left alone, and
-/// so are the places of everything else.
+/// Replaces tags such as `!!binary` by `!binary `: the parser passes on only tags of the latter kind. Quotes
+/// and comments are left alone, and so are the places of everything else.
 #[must_use]
 pub fn with_local_tags(yaml: &str) -> Cow<'_, str> {
     if !yaml.contains("!!") {
@@ -58,7 +58,8 @@ pub fn with_local_tags(yaml: &str) -> Cow<'_, str> {
     };
     let mut replaced = String::with_capacity(yaml.len());
     let (mut quote, mut is_escaped, mut is_comment, mut previous, mut skipped) = (None, false, false, ' ', 0);
-    // The last character that is neither white space nor in a comment: a value begins after a few of them only.
+    // The last character that is neither white space nor in a comment: a value begins after a few of them
+    // only.
     let mut last = ':';
     for (at, c) in yaml.char_indices() {
         if at < skipped {

@@ -45,7 +45,8 @@ impl Probe {
         Ok(Self(Mutex::new(State { probe: CoreProbe::new(), catalog, heard: BTreeMap::new() })))
     }
 
-    /// Adds a module: of a class, or of a kind by its name. Of `settings`, those that are keys of the kind are such.
+    /// Adds a module: of a class, or of a kind by its name. Of `settings`, those that are keys of the kind
+    /// are such.
     fn add(
         &self,
         py: Python<'_>,

@@ -107,7 +107,8 @@ struct ReplayReport(replays::ReplayReport);
 
 #[pymethods]
 impl ReplayReport {
-    /// Raises `AssertionError` with the report unless the replay equals the bag on every topic of the modules.
+    /// Raises `AssertionError` with the report unless the replay equals the bag on every topic of the
+    /// modules.
     fn assert_same(&self) -> PyResult<()> {
         let checked = self.0.clone().check(replays::Strictness::EveryTopic);
         checked.map_err(|different| PyAssertionError::new_err(different.to_string()))

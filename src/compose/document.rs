@@ -20,8 +20,8 @@ pub(crate) struct Document {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "snake_case", deny_unknown_fields)]
 pub(crate) enum Edit {
-    /// Adds a module of a kind, with the keys of `[[module]]` that the kind has; named like the kind if no name is given, with a
-    /// number if that name is in use.
+    /// Adds a module of a kind, with the keys of `[[module]]` that the kind has; named like the kind if no
+    /// name is given, with a number if that name is in use.
     AddModule {
         kind: String,
         name: Option<String>,
@@ -34,7 +34,8 @@ pub(crate) enum Edit {
     RenameModule { module: String, name: String },
     /// Moves a module to a place in the order of the file, from 0.
     MoveModule { module: String, to: usize },
-    /// Gives a setting a value; without one, removes it. With `is_double`, whole numbers are written with a decimal point.
+    /// Gives a setting a value; without one, removes it. With `is_double`, whole numbers are written with a
+    /// decimal point.
     SetSetting {
         module: String,
         setting: String,
@@ -52,7 +53,8 @@ pub(crate) enum Edit {
     },
     /// Gives a port the name of a topic, service or action; without one, its own name.
     SetTopic { module: String, port: String, topic: Option<String> },
-    /// Sets a value by the keys that lead to it, such as `["launcher", "threads"]`; without a value, removes it.
+    /// Sets a value by the keys that lead to it, such as `["launcher", "threads"]`; without a value, removes
+    /// it.
     Set {
         path: Vec<String>,
         #[serde(default)]

@@ -1,5 +1,5 @@
-//! An editor of robot files behind a page: a document, edits that keep comments and order, a check after each edit, and the robot
-//! that runs what is edited.
+//! An editor of robot files behind a page: a document, edits that keep comments and order, a check after each
+//! edit, and the robot that runs what is edited.
 //!
 //! The page asks by name, with arguments as JSON:
 //!
@@ -16,9 +16,9 @@
 //! | `stop` | | `output` after it has stopped |
 //! | `output` | `after`? | `{is_running, lines, next, url?, bag?, exit_code?}`, the lines from number `after` on |
 //!
-//! A document is `{revision, path, name, is_new, is_dirty, is_changed_on_disk, can_undo, can_redo, text, sections, picture, layout}`:
-//! `sections` are the tables `robot`, `launcher`, `expose`, `record`, `replay` and `view` as JSON, `picture` has modules, topics,
-//! wires and problems.
+//! A document has `revision`, `path`, `name`, `is_new`, `is_dirty`, `is_changed_on_disk`, `can_undo`,
+//! `can_redo`, `text`, `sections`, `picture` and `layout`: `sections` are the tables `robot`, `launcher`,
+//! `expose`, `record`, `replay` and `view` as JSON, `picture` has modules, topics, wires and problems.
 //!
 //! Edits are objects with `op`:
 //!

@@ -57,7 +57,8 @@ pub(crate) struct ShownTopic {
     pub(crate) has_source: bool,
     /// True if a module subscribes to it or calls it.
     has_sink: bool,
-    /// The list of `[expose]` in which it may be: for what modules publish or serve, and for what they only receive or call.
+    /// The list of `[expose]` in which it may be: for what modules publish or serve, and for what they only
+    /// receive or call.
     list: &'static str,
     is_exposed: bool,
     /// The pattern that exposes it, if it is not named.

@@ -588,7 +588,8 @@ fn templates_have_no_problems() {
         let composer = composer(folder.path(), None);
         let document = edit(&composer, json!([{ "op": "template", "name": template.name }])).unwrap();
         let found: Vec<_> = errors(&document);
-        // A robot without modules does not start, which the page says by its list of templates; C++ is built first.
+        // A robot without modules does not start, which the page says by its list of templates; C++ is built
+        // first.
         let is_ready = !matches!(template.name, "empty" | "cpp");
         assert_eq!(found.is_empty(), is_ready, "{}: {found:?}", template.name);
     }

@@ -153,8 +153,9 @@ impl Client {
         self.value_of(Request::TakeBack { topics })
     }
 
-    /// Watches fields of a topic, and no others of it, until this client is dropped: paths of numbers such as `position[3]`, or
-    /// `position[head_tilt]` by the name of the element. Without fields, only [`numbers`](Self::numbers) are known of the topic.
+    /// Watches fields of a topic, and no others of it, until this client is dropped: paths of numbers such as
+    /// `position[3]`, or `position[head_tilt]` by the name of the element. Without fields, only
+    /// [`numbers`](Self::numbers) are known of the topic.
     ///
     /// # Errors
     /// Returns an error if the robot has ended or has no such topic or field.
@@ -170,7 +171,8 @@ impl Client {
         self.value_of(Request::Unwatch { topic: topic.to_owned() })
     }
 
-    /// Returns which numbers the latest message of a watched topic has; `None` if there was no message since it is watched.
+    /// Returns which numbers the latest message of a watched topic has; `None` if there was no message since
+    /// it is watched.
     ///
     /// # Errors
     /// Returns an error if the robot has ended or the topic is not watched.

@@ -156,7 +156,8 @@ impl SocketDirectory {
         Ok(robots)
     }
 
-    /// Returns the robots that have a node and no socket, by their names and process ids: they start, or could create none.
+    /// Returns the robots that have a node and no socket, by their names and process ids: they start, or
+    /// could create none.
     ///
     /// # Errors
     /// Returns an error if the directory cannot be read.
@@ -179,7 +180,8 @@ impl SocketDirectory {
         Ok(starting)
     }
 
-    /// Reserves a node name in a domain for a robot of this process, until the claim is dropped or the process ends.
+    /// Reserves a node name in a domain for a robot of this process, until the claim is dropped or the
+    /// process ends.
     ///
     /// Two nodes with the same name in one domain answer each other's requests, and their messages cannot be
     /// distinguished. Robots of other users and on other machines are not checked.

@@ -88,12 +88,13 @@ pub enum Request {
         /// Names of topics in ROS 2 or in the robot, or patterns.
         topics: Vec<String>,
     },
-    /// Watches fields of a topic, and no others of it, until the client disconnects. Answered with `null`. The robot reads its
-    /// messages only while they are watched.
+    /// Watches fields of a topic, and no others of it, until the client disconnects. Answered with `null`.
+    /// The robot reads its messages only while they are watched.
     Watch {
         /// The topic in the robot.
         topic: String,
-        /// Paths of numbers, such as `position[3]`, or `position[head_tilt]` by the name of the element; see [`Watch::watch`].
+        /// Paths of numbers, such as `position[3]`, or `position[head_tilt]` by the name of the element; see
+        /// [`Watch::watch`].
         fields: Vec<String>,
     },
     /// Ends watching a topic. Answered with `null`.
@@ -107,7 +108,8 @@ pub enum Request {
         /// The topic.
         topic: String,
     },
-    /// Requests the values of the watched fields since the last such request. Answered with a list of [`TopicValues`].
+    /// Requests the values of the watched fields since the last such request. Answered with a list of
+    /// [`TopicValues`].
     Values,
 }
 

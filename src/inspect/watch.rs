@@ -81,12 +81,12 @@ impl Watch {
         Self { core, interfaces, inbox, topics: BTreeMap::new() }
     }
 
-    /// Watches these fields of a topic, and no others of it. Without fields, only the latest message is kept, for
-    /// [`numbers`](Self::numbers).
+    /// Watches these fields of a topic, and no others of it. Without fields, only the latest message is kept,
+    /// for [`numbers`](Self::numbers).
     ///
     /// # Errors
-    /// Returns a message if there is no such topic or no number at one of the fields, with the most similar name; if these are too
-    /// many; or if the core does not answer. What was watched before stays.
+    /// Returns a message if there is no such topic or no number at one of the fields, with the most similar
+    /// name; if these are too many; or if the core does not answer. What was watched before stays.
     pub fn watch(&mut self, topic: &str, fields: &[String]) -> Result<(), String> {
         if fields.len() > Self::MOST_FIELDS {
             return Err(format!("at most {} fields of a topic can be watched", Self::MOST_FIELDS));
@@ -110,8 +110,8 @@ impl Watch {
         self.topics.remove(topic.trim_start_matches('/'));
     }
 
-    /// Lists the numbers in the latest message of a watched topic, at most [`MOST_NUMBERS`](Self::MOST_NUMBERS); `None` if there was no
-    /// message since it is watched.
+    /// Lists the numbers in the latest message of a watched topic, at most
+    /// [`MOST_NUMBERS`](Self::MOST_NUMBERS); `None` if there was no message since it is watched.
     ///
     /// # Errors
     /// Returns a message if the topic is not watched, or its latest message cannot be read.
@@ -178,7 +178,8 @@ fn no_definition(type_name: &str) -> String {
     format!("the definition of {type_name} is not known")
 }
 
-/// Passes the messages of a topic to its feed, on the thread of the inbox. Only messages that are read are serialized.
+/// Passes the messages of a topic to its feed, on the thread of the inbox. Only messages that are read are
+/// serialized.
 struct Reading {
     of: KnownType,
     feed: Arc<Mutex<Feed>>,

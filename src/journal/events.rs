@@ -1,4 +1,5 @@
-//! Events of a cycle besides messages and settings: requests, answers, commands to modules and results of jobs.
+//! Events of a cycle besides messages and settings: requests, answers, commands to modules and results of
+//! jobs.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -24,7 +25,8 @@ pub(crate) fn encode_services(core: &mut Core, interfaces: &Interfaces) -> Resul
     Ok(())
 }
 
-/// A service whose calls no bag holds though a replay needs them: of plain Rust types, between modules of which one is detached.
+/// A service whose calls no bag holds though a replay needs them: of plain Rust types, between modules of
+/// which one is detached.
 pub(crate) struct UnrecordedService {
     pub(crate) service: String,
     /// The Rust types of request and answer.

@@ -1,8 +1,9 @@
-//! Journals: runs, cycles, settings and events of a running robot as ROS messages, so that a bag holds them and a replay repeats
-//! them.
+//! Journals: runs, cycles, settings and events of a running robot as ROS messages, so that a bag holds them
+//! and a replay repeats them.
 //!
-//! The executor reports runs of detached modules, changed settings and events on topics of its own, as Rust types. A journal publishes
-//! each report as a ROS message on another topic, which robot files name, and which is recorded, like any topic.
+//! The executor reports runs of detached modules, changed settings and events on topics of its own, as Rust
+//! types. A journal publishes each report as a ROS message on another topic, which robot files name, and
+//! which is recorded, like any topic.
 
 pub(crate) mod events;
 
@@ -41,8 +42,9 @@ const EVENT_JOURNAL: &str = "event_journal";
 /// The names of the modules that publish them.
 pub(crate) const MODULE_NAMES: [&str; 4] = [CYCLE_JOURNAL, STEP_JOURNAL, SETTINGS_JOURNAL, EVENT_JOURNAL];
 
-/// Adds the journals to a core that has all its modules. Requests and answers are recorded with their content where their types are
-/// registered. A core that spins has no journal of its cycles: there would be millions, nearly all of them idle.
+/// Adds the journals to a core that has all its modules. Requests and answers are recorded with their content
+/// where their types are registered. A core that spins has no journal of its cycles: there would be millions,
+/// nearly all of them idle.
 ///
 /// # Errors
 /// If the core has modules or topics of these names.
@@ -113,11 +115,11 @@ fn settings_message(change: &SettingsChange) -> ModuleSettings {
     }
 }
 
-/// Publishes the times of all cycles on [`CYCLES`], many at once, and on [`MESSAGES`] which messages joined in cycles that are not
-/// the first at their time.
+/// Publishes the times of all cycles on [`CYCLES`], many at once, and on [`MESSAGES`] which messages joined
+/// in cycles that are not the first at their time.
 ///
-/// It must be the last module that joins a core: then it is the first to stop, and its last message contains the cycles before the
-/// end began.
+/// It must be the last module that joins a core: then it is the first to stop, and its last message contains
+/// the cycles before the end began.
 #[derive(Default)]
 pub struct CycleJournal {
     first: u64,

@@ -87,9 +87,11 @@ fn complete_from(reader: &Reader) -> i64 {
 
 /// What a bag contains about the cycles.
 pub(crate) enum Cycles {
-    /// The time of each cycle, up to those in which the robot began to stop if the recording was not interrupted.
+    /// The time of each cycle, up to those in which the robot began to stop if the recording was not
+    /// interrupted.
     Recorded {
-        /// The number of the first one: not 0 if the recording began while the robot ran, or the bag is a part of another.
+        /// The number of the first one: not 0 if the recording began while the robot ran, or the bag is a
+        /// part of another.
         first: u64,
         times: Vec<i64>,
         /// See [`Cycles::end`].
@@ -133,7 +135,8 @@ impl Cycles {
         Ok(Self::Recorded { first, times, end })
     }
 
-    /// The first cycle that a bag may begin with: that of its first message if cycles before that are older than the bag, else 0.
+    /// The first cycle that a bag may begin with: that of its first message if cycles before that are older
+    /// than the bag, else 0.
     fn begin_in(reader: &Reader, first: &CycleTimes) -> u64 {
         let is_older = first.times.first().is_some_and(|time| *time <= complete_from(reader));
         // No robot has run for so many.
@@ -148,7 +151,8 @@ impl Cycles {
         }
     }
 
-    /// The time up to which messages of modules are not compared, if the bag does not begin with the robot: they are of inputs before it.
+    /// The time up to which messages of modules are not compared, if the bag does not begin with the robot:
+    /// they are of inputs before it.
     pub(crate) fn begin(&self) -> Option<i64> {
         self.first().filter(|_| self.first_number() > 0)
     }
@@ -165,8 +169,8 @@ impl Cycles {
         }
     }
 
-    /// The time from which messages of modules are not compared. The cycles in which the robot stopped are not
-    /// recorded; an interrupted recording may also lack the messages of its last cycle.
+    /// The time from which messages of modules are not compared. The cycles in which the robot stopped are
+    /// not recorded; an interrupted recording may also lack the messages of its last cycle.
     pub(crate) fn end(&self) -> i64 {
         match self {
             Self::Recorded { end, .. } => *end,
@@ -233,7 +237,8 @@ impl LaterMessages {
         }
     }
 
-    /// How many of the messages that wait join in this cycle: all but those that join in later cycles at the same time.
+    /// How many of the messages that wait join in this cycle: all but those that join in later cycles at the
+    /// same time.
     pub(crate) fn due(&mut self, waiting: usize, moment: Moment) -> usize {
         while self.0.front().is_some_and(|(cycle, _)| *cycle <= moment.cycle) {
             self.0.pop_front();

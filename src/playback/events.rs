@@ -23,7 +23,8 @@ pub(crate) struct Events {
     modules: Vec<String>,
 }
 
-/// The services of a robot, also those that its modules have later: their types, and the modules that serve them.
+/// The services of a robot, also those that its modules have later: their types, and the modules that serve
+/// them.
 #[derive(Clone, Copy)]
 pub(crate) struct WiredServices<'a> {
     pub(crate) types: &'a BTreeMap<String, KnownService>,

@@ -87,7 +87,8 @@ impl Follower<'_> {
         Ok(count - first)
     }
 
-    /// Runs a cycle. Its inputs were applied before, so that they join in its sync phase as they did when they were recorded.
+    /// Runs a cycle. Its inputs were applied before, so that they join in its sync phase as they did when
+    /// they were recorded.
     fn cycle(&mut self, time: i64) -> Result<(), PlaybackError> {
         self.clock.set(Time::from_nanos(time));
         self.reached.set(time);

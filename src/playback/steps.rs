@@ -103,8 +103,8 @@ pub(crate) fn first_step(
     Ok(steps.iter().find(|step| step.module == module).map(|step| step.stamp.as_nanos()))
 }
 
-/// A run of the module, and those of the life before that ended after it began: a module that was replaced takes what had come to it,
-/// and does nothing with it.
+/// A run of the module, and those of the life before that ended after it began: a module that was replaced
+/// takes what had come to it, and does nothing with it.
 struct Lived {
     step: ModuleStep,
     passed_by: Vec<ModuleStep>,
@@ -123,7 +123,8 @@ fn steps_of(module: &str, reader: &Reader, extract: &mut Extract) -> Result<Vec<
     }
 }
 
-/// Leaves out the ends of all lives but the last. `reloads` are the times of the runs in which the module replaced itself.
+/// Leaves out the ends of all lives but the last. `reloads` are the times of the runs in which the module
+/// replaced itself.
 fn lives_of(steps: Vec<ModuleStep>, reloads: &[i64]) -> Vec<Lived> {
     let (mut lived, mut passed_by) = (Vec::<Lived>::new(), Vec::new());
     let last = steps.len().saturating_sub(1);

@@ -129,7 +129,8 @@ pub(crate) enum Command {
     Check(CheckArguments),
     /// Describe kinds of modules: what they are for, their settings, topics, services and actions.
     Describe(DescribeArguments),
-    /// Compose a robot in a browser: its modules as a graph, checked while you edit. Prints the address of the page.
+    /// Compose a robot in a browser: its modules as a graph, checked while you edit. Prints the address of
+    /// the page.
     #[cfg(feature = "view")]
     Compose(ComposeArguments),
     /// (Not in this program, built without "view".) Compose a robot in a browser.
@@ -147,14 +148,16 @@ pub(crate) enum Command {
     View(NotBuiltIn),
     /// Show what a running robot exposes to ROS 2, expose more, or remove topics.
     Expose(ExposeArguments),
-    /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without running it.
+    /// Show the nodes, topics and services of the ROS 2 network, or draw the modules of a robot file without
+    /// running it.
     Graph(GraphArguments),
     /// Check the chart of a state machine and draw it: for Graphviz, or for Mermaid.
     Chart(ChartArguments),
     /// Inspect, record, play and process bags.
     #[command(subcommand)]
     Bag(BagCommand),
-    /// Inspect ROS 2 interfaces: list them, show one, its hash, its description; decode a message; write C and C++ structs.
+    /// Inspect ROS 2 interfaces: list them, show one, its hash, its description; decode a message; write C
+    /// and C++ structs.
     ///
     /// Definitions come from --from, then from AMENT_PREFIX_PATH, then from this program: a package is taken
     /// completely from the first source that has it.
@@ -188,7 +191,8 @@ pub(crate) enum Command {
     /// (Not in this program, built without "football".) Calibrate the vision of football players.
     #[cfg(not(feature = "football"))]
     Vision(NotBuiltIn),
-    /// Create your own project: a robot, or with --template a rover, an arm, a camera, a robot in Python or C++, or messages.
+    /// Create your own project: a robot, or with --template a rover, an arm, a camera, a robot in Python or
+    /// C++, or messages.
     New(NewArguments),
     /// Convert robot descriptions.
     #[command(subcommand)]
@@ -232,10 +236,12 @@ pub(crate) struct DescribeArguments {
     /// The kinds; all without one. With --robot, modules by name or kind.
     #[arg(value_name = "KIND")]
     pub(crate) kinds: Vec<String>,
-    /// Describe the modules of this robot file, with its settings: also those in Python and in shared libraries.
+    /// Describe the modules of this robot file, with its settings: also those in Python and in shared
+    /// libraries.
     #[arg(long, short = 'a', value_name = "ROBOT.toml", conflicts_with = "set")]
     pub(crate) robot: Option<PathBuf>,
-    /// Describe the kind with this setting, or key of its [[module]], in YAML: ports may depend on it. May be given more than once.
+    /// Describe the kind with this setting, or key of its [[module]], in YAML: ports may depend on it. May be
+    /// given more than once.
     #[arg(short = 'p', long = "param", value_name = "NAME:=VALUE")]
     pub(crate) set: Vec<String>,
     /// Print JSON; docs/compose.md describes its form.
@@ -268,7 +274,8 @@ pub(crate) struct TopArguments {
     /// Print one snapshot as JSON and exit, with or without --once.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Plot a field over time, up to six: "joint_states:position[3]", or by element name "joint_states:position[head_tilt]".
+    /// Plot a field over time, up to six: "joint_states:position[3]", or by element name
+    /// "joint_states:position[head_tilt]".
     #[cfg(feature = "top")]
     #[arg(long, value_name = "TOPIC:FIELD", conflicts_with_all = ["once", "json"])]
     pub(crate) plot: Vec<super::topic_field::TopicField>,
@@ -471,9 +478,9 @@ pub(crate) enum EmulateCommand {
         seed: u64,
         /// A fault to emulate, with its time span since the start; may be given more than once.
         ///
-        /// dead-servo:5@3s..6s (servo 5 without power), drop:0.01 (each answer lost with a probability of 1 %),
-        /// drop:3x@500ms.. (the next three answers lost), flip:0.001@10s..20s (a bit of a byte of an answer
-        /// flipped), close-port@8s..9s (unplugged, and plugged in again).
+        /// dead-servo:5@3s..6s (servo 5 without power), drop:0.01 (each answer lost with a probability of 1
+        /// %), drop:3x@500ms.. (the next three answers lost), flip:0.001@10s..20s (a bit of a byte of an
+        /// answer flipped), close-port@8s..9s (unplugged, and plugged in again).
         #[arg(long, value_name = "FAULT")]
         fault: Vec<String>,
     },

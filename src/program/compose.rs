@@ -73,7 +73,8 @@ fn serve_lines(composer: &Arc<Composer>, stop: &Stop) -> anyhow::Result<()> {
     ended.map_or(Ok(()), |answered| answered.unwrap_or_else(|_| anyhow::bail!("answering a line panicked")))
 }
 
-/// Answers `{"id": …, "ask": …, …}` by `{"id": …, "ok": …}` or `{"id": …, "error": …}`, in the order of the questions.
+/// Answers `{"id": …, "ask": …, …}` by `{"id": …, "ok": …}` or `{"id": …, "error": …}`, in the order of the
+/// questions.
 fn answer_lines(composer: &Composer) -> anyhow::Result<()> {
     for line in std::io::stdin().lock().lines() {
         let line = match line {

@@ -56,21 +56,23 @@ use screen::Screen;
 
 impl App {
     /// Runs the command line with all commands of `downbeat`. Errors are printed and lead to exit code 1.
-    /// Sets up logging, reports panics through it, and handles SIGINT, SIGTERM, SIGHUP and SIGQUIT of the process.
+    /// Sets up logging, reports panics through it, and handles SIGINT, SIGTERM, SIGHUP and SIGQUIT of the
+    /// process.
     #[must_use]
     pub fn main(&self) -> ExitCode {
         self.main_with(std::env::args_os())
     }
 
-    /// Runs a command line as [`main`](Self::main) does, for programs that another language starts: the name of the program
-    /// comes first.
+    /// Runs a command line as [`main`](Self::main) does, for programs that another language starts: the name
+    /// of the program comes first.
     #[must_use]
     pub fn main_with(&self, line: impl IntoIterator<Item = OsString>) -> ExitCode {
         main(self, line)
     }
 }
 
-/// Runs a command line, the name of the program first. Errors are printed on standard error and exit with code 1.
+/// Runs a command line, the name of the program first. Errors are printed on standard error and exit with
+/// code 1.
 fn main(app: &App, line: impl IntoIterator<Item = OsString>) -> ExitCode {
     let cli = Cli::parse_with_ros_args(line);
     let screen = Screen::of_process().clone();
@@ -195,7 +197,8 @@ fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {
     )
 }
 
-/// Reports panics like the standard library, but through the screen: a halted terminal must not halt the module that panics.
+/// Reports panics like the standard library, but through the screen: a halted terminal must not halt the
+/// module that panics.
 fn report_panics() {
     std::panic::set_hook(Box::new(|panic| {
         let thread = std::thread::current();

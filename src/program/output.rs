@@ -27,8 +27,8 @@ macro_rules! eprintln {
     ($($text:tt)*) => { $crate::program::output::print_error(format_args!("{}\n", format_args!($($text)*))) };
 }
 
-/// Writes to standard output. If it is closed, commands that wait for a stop are asked to stop, and others exit quietly, since they have
-/// nothing else to do; on other errors the process ends with an error.
+/// Writes to standard output. If it is closed, commands that wait for a stop are asked to stop, and others
+/// exit quietly, since they have nothing else to do; on other errors the process ends with an error.
 ///
 /// Control characters are escaped, since names may come from untrusted sources.
 pub(crate) fn print(text: fmt::Arguments<'_>) {
@@ -42,7 +42,8 @@ pub(crate) fn print(text: fmt::Arguments<'_>) {
     }
 }
 
-/// How often writing to standard output began and ended. Other threads than the one that runs the command do not write.
+/// How often writing to standard output began and ended. Other threads than the one that runs the command do
+/// not write.
 static WRITES: AtomicU64 = AtomicU64::new(0);
 
 /// Which write to standard output is in progress, if any.

@@ -31,7 +31,8 @@ pub(crate) struct RunArguments {
     /// Stop after this time: 500ms, 10s, 5m, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
-    /// Run in simulated time, as fast as it can be computed; --duration is in that time. For robots without hardware.
+    /// Run in simulated time, as fast as it can be computed; --duration is in that time. For robots without
+    /// hardware.
     #[arg(long)]
     pub(crate) fast: bool,
     /// Record the topics of the robot file's [record] into this new rosbag2 directory.
@@ -43,7 +44,8 @@ pub(crate) struct RunArguments {
     /// instead of the encoding in the robot file's [record].
     #[arg(long, value_name = "ENCODING", requires = "record")]
     pub(crate) encoding: Option<Encoding>,
-    /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with that feature.
+    /// Let this engine move the simulated world, instead of the robot file's: rapier, or mujoco if built with
+    /// that feature.
     #[arg(long, value_name = "ENGINE")]
     pub(crate) physics: Option<String>,
     #[cfg(feature = "view")]

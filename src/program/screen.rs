@@ -16,8 +16,8 @@ use crate::msgs::printable;
 
 /// Standard error, shared by the log and the status block. The block is only drawn on terminals.
 ///
-/// A thread writes, since a terminal that was halted (Ctrl-S) and a pipe whose reader does not read block writers: they must not halt the
-/// module that logs.
+/// A thread writes, since a terminal that was halted (Ctrl-S) and a pipe whose reader does not read block
+/// writers: they must not halt the module that logs.
 #[derive(Clone)]
 pub(crate) struct Screen {
     shared: Arc<Shared>,
@@ -87,12 +87,14 @@ impl Screen {
         }
     }
 
-    /// Writes lines of the log above the block. Never blocks: lines that the terminal does not take are dropped, and counted.
+    /// Writes lines of the log above the block. Never blocks: lines that the terminal does not take are
+    /// dropped, and counted.
     pub(crate) fn log(&self, stream: Stream, lines: String) {
         self.shared.put(|pending| pending.add(stream, lines));
     }
 
-    /// Waits until everything is written. Commands that handle stop requests give up on a terminal that takes nothing.
+    /// Waits until everything is written. Commands that handle stop requests give up on a terminal that takes
+    /// nothing.
     pub(crate) fn flush(&self) {
         let mut pending = self.shared.pending.lock();
         let (mut written, mut since) = (pending.written, Instant::now());

@@ -74,7 +74,8 @@ pub(crate) struct PortArguments {
     /// The speed, in bit/s; may be given more than once. Default: all usual ones.
     #[arg(long, value_name = "BPS")]
     baud: Vec<u32>,
-    /// The protocol: dynamixel1, dynamixel2, feetech_sts, feetech_scs; may be given more than once. Default: all.
+    /// The protocol: dynamixel1, dynamixel2, feetech_sts, feetech_scs; may be given more than once. Default:
+    /// all.
     #[arg(long, value_name = "PROTOCOL")]
     protocol: Vec<Protocol>,
     /// How long a device may take to answer.

@@ -1,7 +1,7 @@
 //! Output that has its name only when it is whole.
 //!
-//! It is written beside its place, under a name with [`ENDING`], and moved there at the end. An error and a signal remove what is
-//! unfinished; what a killed process leaves is known by its name.
+//! It is written beside its place, under a name with [`ENDING`], and moved there at the end. An error and a
+//! signal remove what is unfinished; what a killed process leaves is known by its name.
 
 use std::ffi::OsString;
 use std::fs;
@@ -20,7 +20,8 @@ use super::stop;
 /// The end of the name of what is unfinished.
 const ENDING: &str = ".unfinished";
 
-/// What is unfinished in this process. The thread that ends the process keeps the lock, so that nothing is written or finished after it.
+/// What is unfinished in this process. The thread that ends the process keeps the lock, so that nothing is
+/// written or finished after it.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// A directory or file that is being written. Removed when dropped.
@@ -36,8 +37,9 @@ pub(crate) struct Unfinished {
 }
 
 impl Unfinished {
-    /// Makes the folder for a directory. The directory itself, [`written`](Self::written), does not exist yet; its name is already right, as
-    /// bags name their files after it. Existing output is replaced at the end; `inputs` never are.
+    /// Makes the folder for a directory. The directory itself, [`written`](Self::written), does not exist
+    /// yet; its name is already right, as bags name their files after it. Existing output is replaced at the
+    /// end; `inputs` never are.
     pub(crate) fn directory<'a>(
         path: &Path,
         (force, output): (Force, Output),
@@ -138,7 +140,8 @@ fn remove(path: &Path) {
     }
 }
 
-/// Ends the process at the first signal that asks for it, without what is unfinished: for commands that run until they are done.
+/// Ends the process at the first signal that asks for it, without what is unfinished: for commands that run
+/// until they are done.
 pub(crate) fn end_on_signals() -> anyhow::Result<()> {
     let end = |signal: i32| {
         let unfinished = UNFINISHED.lock();

@@ -23,8 +23,8 @@ pub(crate) enum VisionCommand {
 
 #[derive(Args)]
 pub(crate) struct CalibrateArguments {
-    /// What is where in which pictures: [[picture]] with file = "a.png", or bag, topic and at; and for each of orange, yellow,
-    /// green, white, blue and red discs [x, y, radius] in pixels.
+    /// What is where in which pictures: [[picture]] with file = "a.png", or bag, topic and at; and for each
+    /// of orange, yellow, green, white, blue and red discs [x, y, radius] in pixels.
     #[arg(value_name = "MARKS.toml")]
     marks: PathBuf,
     /// The new file of colours, for the setting `colours` of modules of the kind vision.

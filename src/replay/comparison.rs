@@ -208,8 +208,8 @@ impl Comparison {
         }
     }
 
-    /// Each replayed message must be among the recorded ones, those of a module in the same order; other messages may be
-    /// between them.
+    /// Each replayed message must be among the recorded ones, those of a module in the same order; other
+    /// messages may be between them.
     fn compare_in_any_order(&mut self) {
         let starts = std::mem::take(&mut self.starts);
         // Recorded messages that were found.

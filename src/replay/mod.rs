@@ -3,8 +3,8 @@
 //!
 //! Modules that run inside the cycle are replayed together, in the recorded cycles (`cycle_times`) at exactly
 //! their times; messages of other modules and of ROS 2 join in the cycle in which they were recorded. Each
-//! detached module is replayed separately from its recorded runs (`module_steps`); in a bag that was recorded in
-//! simulated time, detached modules ran inside the cycle, and are replayed there. Modules see nothing of
+//! detached module is replayed separately from its recorded runs (`module_steps`); in a bag that was recorded
+//! in simulated time, detached modules ran inside the cycle, and are replayed there. Modules see nothing of
 //! each other but messages, so if every part of a robot repeats bit for bit, the whole robot does. Modules
 //! that drive a device run with the recorded answers of the device if their kind records them. Otherwise they
 //! are left out, and the messages that they published become input. If a simulation was recorded in simulated
@@ -13,8 +13,9 @@
 //!
 //! Modules inside the cycle are compared until the robot began to stop, detached ones to their end.
 //!
-//! Modules start with the settings with which they were recorded, except for those that are given on the command line. Modules in other
-//! languages run in the versions in which they were recorded, and change at the same places; the last version is the file as it is now.
+//! Modules start with the settings with which they were recorded, except for those that are given on the
+//! command line. Modules in other languages run in the versions in which they were recorded, and change at
+//! the same places; the last version is the file as it is now.
 //!
 //! Settings that were changed while the robot ran (`module_settings`) change again in the same cycles.
 //! Requests and responses from outside, commands to modules and results of jobs (`module_events`) are
@@ -62,14 +63,15 @@ pub struct ReplayOptions {
     pub last_version: LastVersion,
 }
 
-/// What a replay does with simulated devices: emulators and simulators, and modules whose device is behind a port in memory.
+/// What a replay does with simulated devices: emulators and simulators, and modules whose device is behind a
+/// port in memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Simulators {
     /// Simulators are left out, and modules that drive a simulated device run with its recorded answers.
     #[default]
     LeftOut,
-    /// Simulators run again from their seeds, modules drive them again, and all that they publish is compared, pictures too. Only for
-    /// bags that were recorded in simulated time.
+    /// Simulators run again from their seeds, modules drive them again, and all that they publish is
+    /// compared, pictures too. Only for bags that were recorded in simulated time.
     RunAgain,
 }
 

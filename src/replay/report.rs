@@ -27,7 +27,8 @@ pub struct ReplayReport {
     pub left_out: Vec<LeftOut>,
     /// The modules in other languages whose sources are not as they were when the bag was recorded.
     pub changed_sources: Vec<String>,
-    /// Sentences about modules that were replaced by newer versions during the recording, and about versions that are missing.
+    /// Sentences about modules that were replaced by newer versions during the recording, and about versions
+    /// that are missing.
     pub versions: Vec<String>,
     /// The settings that the robot file or the command line give other values than the recording began with.
     pub changed_settings: Vec<ChangedSetting>,
@@ -35,8 +36,8 @@ pub struct ReplayReport {
     pub inputs: Vec<String>,
     /// The topics that they received during the recording and that are not in the bag. Includes
     /// `module_settings` and `module_events` if the bag lacks them: changed settings, requests, commands and
-    /// results of jobs are then not repeated; and `cycle_messages` if the bag was recorded in simulated time without it: messages
-    /// then join in the first cycle at their time.
+    /// results of jobs are then not repeated; and `cycle_messages` if the bag was recorded in simulated time
+    /// without it: messages then join in the first cycle at their time.
     pub missing_inputs: Vec<String>,
     /// The topics that were compared.
     pub topics: Vec<TopicReport>,

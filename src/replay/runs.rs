@@ -89,7 +89,8 @@ pub(super) fn detached(
     Ok(steps.count)
 }
 
-/// Adds the wanted modules to a core. Modules that drive a device get its recorded answers, unless the device is simulated again.
+/// Adds the wanted modules to a core. Modules that drive a device get its recorded answers, unless the device
+/// is simulated again.
 fn build(
     file: &RobotFile,
     reader: &Reader,

@@ -192,7 +192,8 @@ impl RobotFile {
 }
 
 impl Robot {
-    /// What the core has. Where a module could not be made that starts when its file is saved, a name of the file may mean nothing yet.
+    /// What the core has. Where a module could not be made that starts when its file is saved, a name of the
+    /// file may mean nothing yet.
     pub(crate) fn survey(&self) -> Survey {
         let survey = Survey::of(&self.core);
         if self.late_modules().is_empty() { survey } else { survey.lenient() }

@@ -85,7 +85,8 @@ impl Catalog {
         Ok(())
     }
 
-    /// Adds a launcher. `make` is called for each core, with the CPUs and priorities that the robot file gives its threads.
+    /// Adds a launcher. `make` is called for each core, with the CPUs and priorities that the robot file
+    /// gives its threads.
     ///
     /// # Errors
     /// Returns an error if there is a launcher with this name.

@@ -11,8 +11,9 @@ use super::file::{ModuleEntry, RobotFile};
 /// The kind that decides between commands.
 const MUX: &str = "joint_command_mux";
 
-/// Returns a sentence with path and line for each topic of commands on which several modules command the same joints: of their
-/// commands the last one applies, so the joints go back and forth; of two controllers, which claim their joints, one is deactivated.
+/// Returns a sentence with path and line for each topic of commands on which several modules command the same
+/// joints: of their commands the last one applies, so the joints go back and forth; of two controllers, which
+/// claim their joints, one is deactivated.
 pub(super) fn rival_commanders(file: &RobotFile, core: &Core) -> Vec<String> {
     let graph = core.graph();
     let entry = |module: usize| {
@@ -37,7 +38,8 @@ pub(super) fn rival_commanders(file: &RobotFile, core: &Core) -> Vec<String> {
         }
         // What a device publishes are measurements.
         publishers.retain(|publisher| !publisher.kind.uses_device());
-        // The reference of a controller that commands the servos: only other controllers publish nothing but commands.
+        // The reference of a controller that commands the servos: only other controllers publish nothing but
+        // commands.
         if !is_obeyed {
             publishers.retain(|publisher| publisher.kind.claims_joints());
         }
@@ -70,8 +72,8 @@ fn claim_joints(first: &ModuleEntry, second: &ModuleEntry) -> bool {
     first.kind.claims_joints() && second.kind.claims_joints()
 }
 
-/// Two of the modules that have joints in common, and these; `None` where the joints of one are unknown. Controllers that claim their
-/// joints do not meet if one of them does not start active.
+/// Two of the modules that have joints in common, and these; `None` where the joints of one are unknown.
+/// Controllers that claim their joints do not meet if one of them does not start active.
 fn rivals<'a>(
     core: &Core,
     publishers: &[&'a ModuleEntry],

@@ -16,7 +16,8 @@ use crate::journal;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// Topics that every node of ROS 2 has under the same name, whatever its namespace: `diagnostic_updater` and `tf2_ros` make them absolute.
+/// Topics that every node of ROS 2 has under the same name, whatever its namespace: `diagnostic_updater` and
+/// `tf2_ros` make them absolute.
 const ABSOLUTE: [&str; 3] = ["diagnostics", "tf", "tf_static"];
 
 /// The name of a topic of the core in ROS 2, before it is expanded and remapped.
@@ -45,11 +46,12 @@ impl RobotFile {
     }
 
     /// The exposures of these topics; those named `taken` are exposed already. Patterns match the topics
-    /// that carry ROS messages, go their way, and are not named or matched before; never those of the executor.
+    /// that carry ROS messages, go their way, and are not named or matched before; never those of the
+    /// executor.
     ///
     /// # Errors
-    /// If a topic is not there, nobody publishes what is to go out, the type is another, or a pattern matches nothing;
-    /// with path and line.
+    /// If a topic is not there, nobody publishes what is to go out, the type is another, or a pattern matches
+    /// nothing; with path and line.
     pub(crate) fn exposures_of(
         &self,
         entries: &[ExposeEntry],
@@ -81,7 +83,8 @@ impl RobotFile {
         Ok(found.into_iter().map(|(_, exposure)| exposure).collect())
     }
 
-    /// The topics that a pattern of the file matches and does not expose, since they carry no registered message: a sentence for each.
+    /// The topics that a pattern of the file matches and does not expose, since they carry no registered
+    /// message: a sentence for each.
     pub(super) fn passed_over(&self, topics: &[TopicInfo]) -> Vec<String> {
         let mut sentences = Vec::new();
         for entry in self.expose.topics.iter().filter(|entry| entry.type_name.is_none()) {
@@ -114,7 +117,8 @@ impl RobotFile {
         exposures.iter().map(|exposure| self.exposed_endpoint(exposure, 1)).collect()
     }
 
-    /// Reads the keys `out` and `in` of `[expose]`, to expose more of a running robot. Patterns do not match what is exposed already.
+    /// Reads the keys `out` and `in` of `[expose]`, to expose more of a running robot. Patterns do not match
+    /// what is exposed already.
     ///
     /// # Errors
     /// If the text is not valid, its topics cannot be exposed, or the core does not answer.
@@ -243,7 +247,8 @@ impl<'a> Selection<'a> {
         Ok(())
     }
 
-    /// A topic of bytes, which no module need have: what comes in may go out again under another name, or into a bag.
+    /// A topic of bytes, which no module need have: what comes in may go out again under another name, or
+    /// into a bag.
     fn select_raw(&mut self, entry: &ExposeEntry, name: &str) -> Result<()> {
         let refuse = |problem: String| self.file.source.error(entry.line, problem);
         let type_name = entry.type_name.as_deref().unwrap_or_default();

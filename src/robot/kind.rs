@@ -116,8 +116,8 @@ impl ModuleSource {
         Self { module: module.into(), folder: folder.into(), ..Self::default() }
     }
 
-    /// The file to read for this file of the module: itself or, in a replay of an earlier version, another one with the content that it
-    /// had.
+    /// The file to read for this file of the module: itself or, in a replay of an earlier version, another
+    /// one with the content that it had.
     #[must_use]
     pub fn file_to_read(&self, file: &Path) -> PathBuf {
         self.replaced.get(file).map_or_else(|| file.to_owned(), Clone::clone)
@@ -181,9 +181,10 @@ impl Kind {
         Self::with_add(name, about, Arc::new(add))
     }
 
-    /// Creates a kind of modules in another language. Beside the keys of every module, a robot file must give a module of it
-    /// the first of these `keys` and may give it the second; `load` loads the module they name, at the start and after each panic. `files` lists the files that its
-    /// behaviour depends on: bags hold their hashes, and a replay reports those that have changed.
+    /// Creates a kind of modules in another language. Beside the keys of every module, a robot file must give
+    /// a module of it the first of these `keys` and may give it the second; `load` loads the module they
+    /// name, at the start and after each panic. `files` lists the files that its behaviour depends on: bags
+    /// hold their hashes, and a replay reports those that have changed.
     ///
     /// Modules of the kind run detached by default.
     pub fn foreign(
@@ -256,8 +257,8 @@ impl Kind {
         Self { synchrony, ..self }
     }
 
-    /// Declares that these settings name files: in a robot file, they are relative to its folder. A text with a line
-    /// break is left as it is, for settings that hold either a file or its content.
+    /// Declares that these settings name files: in a robot file, they are relative to its folder. A text with
+    /// a line break is left as it is, for settings that hold either a file or its content.
     #[must_use]
     pub fn with_files(self, settings: &[&str]) -> Self {
         Self { files: settings.iter().map(|&setting| setting.to_owned()).collect(), ..self }
@@ -312,8 +313,8 @@ impl Kind {
         Self { replayed: Some(ReplayedDevice { topic: topic.into(), add }), ..self }
     }
 
-    /// Like [`Kind::device`], for modules that find types of messages by their names: `make` is also given the interfaces of the
-    /// robot.
+    /// Like [`Kind::device`], for modules that find types of messages by their names: `make` is also given
+    /// the interfaces of the robot.
     pub fn device_with_interfaces<D: Device, M: Module>(
         name: impl Into<Arc<str>>,
         about: impl Into<Arc<str>>,
@@ -335,8 +336,9 @@ impl Kind {
         )
     }
 
-    /// Brings a panel to the page of the robot: a JavaScript module whose default export has `create(root, robot, view)`
-    /// (docs/panels.md). `topics` are those that it shows, as the module names them (`~` is its own name); the panel learns their names in the robot.
+    /// Brings a panel to the page of the robot: a JavaScript module whose default export has
+    /// `create(root, robot, view)` (docs/panels.md). `topics` are those that it shows, as the module names
+    /// them (`~` is its own name); the panel learns their names in the robot.
     #[must_use]
     pub fn with_panel(
         self,
@@ -383,8 +385,8 @@ impl Kind {
         ModuleOptions { synchrony: self.synchrony, ..ModuleOptions::default() }
     }
 
-    /// Adds a module of this kind to a core. The module can be restarted after a panic. `source` is used by kinds of modules in
-    /// other languages.
+    /// Adds a module of this kind to a core. The module can be restarted after a panic. `source` is used by
+    /// kinds of modules in other languages.
     ///
     /// # Errors
     /// See [`Core::add_restartable`].
@@ -403,7 +405,8 @@ impl Kind {
         self.panel.as_ref()
     }
 
-    /// The keys that a robot file gives a module of this kind: those that it must have, and those that it may have.
+    /// The keys that a robot file gives a module of this kind: those that it must have, and those that it may
+    /// have.
     #[must_use]
     pub fn keys(&self) -> [&'static [&'static str]; 2] {
         self.source.as_ref().map_or([&[], &[]], |source| source.keys)
@@ -496,7 +499,8 @@ impl ReplayedDevice {
         format!("/{}", options.resolved(&self.topic).trim_start_matches('/'))
     }
 
-    /// Adds the module with these answers, the messages of the topic in CDR. The outer error reports invalid answers.
+    /// Adds the module with these answers, the messages of the topic in CDR. The outer error reports invalid
+    /// answers.
     pub(crate) fn add_to(
         &self,
         core: &mut Core,

@@ -11,8 +11,8 @@ use serde_json::Value;
 use super::actions::SEND_GOAL;
 use super::{Catalog, Kind, ModuleSource};
 
-/// The version of the JSON that [`KindProfile`] is written as. It grows when a reader of the version before would misread it; new
-/// keys alone do not change it.
+/// The version of the JSON that [`KindProfile`] is written as. It grows when a reader of the version before
+/// would misread it; new keys alone do not change it.
 pub const PROFILE_SCHEMA: u32 = 1;
 
 /// A kind of module as it describes itself.
@@ -92,10 +92,12 @@ pub struct SettingProfile {
     pub name: String,
     /// What it is for, with its unit.
     pub description: String,
-    /// `bool`, `integer`, `double`, `text`, or a list of one of them (`bools`, `bytes`, `integers`, `doubles`, `texts`).
+    /// `bool`, `integer`, `double`, `text`, or a list of one of them (`bools`, `bytes`, `integers`,
+    /// `doubles`, `texts`).
     #[serde(rename = "type")]
     pub value_type: &'static str,
-    /// The value unless a robot file gives another; `None` if the setting exists only with settings that were given.
+    /// The value unless a robot file gives another; `None` if the setting exists only with settings that were
+    /// given.
     pub default: Option<Value>,
     /// The numbers that are allowed, from and to.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -154,9 +156,8 @@ pub enum PortRole {
 }
 
 impl Catalog {
-    /// Describes a kind with the settings and source of one module: it is added to a core that never runs, under the name in
-    /// `source`, or that of the kind. `None` if there is no
-    /// such kind.
+    /// Describes a kind with the settings and source of one module: it is added to a core that never runs,
+    /// under the name in `source`, or that of the kind. `None` if there is no such kind.
     #[must_use]
     pub fn profile(
         &self,
@@ -229,8 +230,8 @@ impl Draft {
         }
     }
 
-    /// The same with all settings that the module asks for: it refuses the first that is missing, and declares and asks for
-    /// further ones only when that is given.
+    /// The same with all settings that the module asks for: it refuses the first that is missing, and
+    /// declares and asks for further ones only when that is given.
     fn with_required(
         catalog: &Catalog,
         kind: &Kind,

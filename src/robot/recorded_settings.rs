@@ -19,7 +19,8 @@ type Recorded = BTreeMap<String, BTreeMap<String, Setting>>;
 #[derive(Debug, Serialize, Deserialize)]
 struct Setting {
     value: Value,
-    /// Whether the robot file or the command line gave it; otherwise it is the module's default, or was set while the robot ran.
+    /// Whether the robot file or the command line gave it; otherwise it is the module's default, or was set
+    /// while the robot ran.
     given: bool,
     /// Whether it was set while the robot ran, before the recording began.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -41,7 +42,8 @@ enum Value {
     Texts(Vec<String>),
 }
 
-/// A setting whose value in the robot file, or on the command line, is not the one with which the recording began.
+/// A setting whose value in the robot file, or on the command line, is not the one with which the recording
+/// began.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChangedSetting {
     /// The module.
@@ -52,8 +54,8 @@ pub struct ChangedSetting {
     pub recorded: Option<SettingValue>,
     /// The value that is given now; `None` if none is.
     pub now: Option<SettingValue>,
-    /// True if it was given for the replay, on the command line or in a parameter file, and so is used. Otherwise the recorded value
-    /// is, unless there is none.
+    /// True if it was given for the replay, on the command line or in a parameter file, and so is used.
+    /// Otherwise the recorded value is, unless there is none.
     pub is_explicit: bool,
 }
 
@@ -99,8 +101,9 @@ impl RecordedSettings {
     }
 }
 
-/// Gives the modules of a robot file the settings with which they were recorded, except for settings that were given for the replay
-/// and those that name files. Returns what differs. A bag without settings changes nothing.
+/// Gives the modules of a robot file the settings with which they were recorded, except for settings that
+/// were given for the replay and those that name files. Returns what differs. A bag without settings changes
+/// nothing.
 pub(crate) fn use_recorded_settings(file: &mut RobotFile, bag: &Metadata) -> Vec<ChangedSetting> {
     let recorded = bag.custom_data.get(KEY).and_then(|text| serde_json::from_str::<Recorded>(text).ok());
     let mut recorded = recorded.unwrap_or_default();

@@ -99,7 +99,8 @@ impl Survey {
         self
     }
 
-    /// The same for a file whose names need not all mean something: [`problems`](Self::problems) has those that do not.
+    /// The same for a file whose names need not all mean something: [`problems`](Self::problems) has those
+    /// that do not.
     #[must_use]
     pub(crate) fn lenient(self) -> Self {
         Self { problems: Some(RefCell::default()), ..self }

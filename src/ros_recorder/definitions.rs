@@ -26,8 +26,8 @@ pub(crate) struct Definition {
     pub(crate) hash: String,
 }
 
-/// The definition that is at hand: of a type with the announced hash where there is one, from `AMENT_PREFIX_PATH`, or from
-/// what is registered in this program.
+/// The definition that is at hand: of a type with the announced hash where there is one, from
+/// `AMENT_PREFIX_PATH`, or from what is registered in this program.
 ///
 /// # Errors
 /// In words: where it was looked up, and what was found there.
@@ -80,7 +80,8 @@ impl Inquiry {
         }
     }
 
-    /// Goes a step on, without waiting. Returns what came of it when there is something: a definition, or why there is none.
+    /// Goes a step on, without waiting. Returns what came of it when there is something: a definition, or why
+    /// there is none.
     pub(super) fn poll(
         &mut self,
         participant: &Participant,

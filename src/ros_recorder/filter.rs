@@ -140,8 +140,8 @@ mod tests {
         Regex::new(text).ok()
     }
 
-    // The cases are those of rosbag2_transport/test/rosbag2_transport/test_topic_filter.cpp in spirit: what is asked for in one
-    // way is not asked for in another.
+    // The cases are those of rosbag2_transport/test/rosbag2_transport/test_topic_filter.cpp in spirit: what
+    // is asked for in one way is not asked for in another.
     #[test]
     fn topics_are_chosen_by_name_type_and_regex() {
         let by_name = TopicFilter { topics: names(&["/a"]), ..TopicFilter::default() };

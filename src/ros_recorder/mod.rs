@@ -1,9 +1,9 @@
 //! Recording ROS 2 topics from the network, of types that this program may never have seen.
 //!
-//! A [`RosRecorder`] looks which topics there are ([`TopicFilter`]), subscribes to each as its publishers offer it
-//! ([`QosOverrides`] aside), finds the definition of its type, and gives its messages to a
-//! [`Recording`](downbeat_bags::Recording). [`serve`] lets others pause, split and stop it, as they do with the recorder of
-//! rosbag2.
+//! A [`RosRecorder`] looks which topics there are ([`TopicFilter`]), subscribes to each as its publishers
+//! offer it ([`QosOverrides`] aside), finds the definition of its type, and gives its messages to a
+//! [`Recording`](downbeat_bags::Recording). [`serve`] lets others pause, split and stop it, as they do with
+//! the recorder of rosbag2.
 
 mod channel;
 mod definitions;

@@ -23,8 +23,8 @@ pub struct RecorderServices {
     _services: Vec<Service>,
 }
 
-/// Offers `~/pause`, `~/resume`, `~/is_paused`, `~/split_bagfile`, `~/stop` and, where a recording keeps messages for it,
-/// `~/snapshot`. A split and a snapshot are answered when they are done.
+/// Offers `~/pause`, `~/resume`, `~/is_paused`, `~/split_bagfile`, `~/stop` and, where a recording keeps
+/// messages for it, `~/snapshot`. A split and a snapshot are answered when they are done.
 ///
 /// # Errors
 /// If the middleware refuses a service.

@@ -1,7 +1,7 @@
 //! `~/expose`: `downbeat expose` for ROS 2.
 //!
-//! The service has the type `rcl_interfaces/srv/SetParametersAtomically`, so that it can be called without a package of ours. A request
-//! is one entry of `[expose]` in a robot file, a parameter for each key:
+//! The service has the type `rcl_interfaces/srv/SetParametersAtomically`, so that it can be called without a
+//! package of ours. A request is one entry of `[expose]` in a robot file, a parameter for each key:
 //!
 //! ```sh
 //! ros2 service call /darwin_op/expose rcl_interfaces/srv/SetParametersAtomically "{parameters: [
@@ -9,8 +9,9 @@
 //!   {name: rate_hz, value: {type: 3, double_value: 10.0}}]}"
 //! ```
 //!
-//! `out` or `in` has the name of the topic, a pattern, or a list of them; the other keys are those of robot files, with a dot where a
-//! key is of a table, as in `qos.reliability`. `remove` alone takes back what is exposed under its names or patterns.
+//! `out` or `in` has the name of the topic, a pattern, or a list of them; the other keys are those of robot
+//! files, with a dot where a key is of a table, as in `qos.reliability`. `remove` alone takes back what is
+//! exposed under its names or patterns.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -45,7 +46,8 @@ pub(crate) struct ExposeService {
 type Job = (SetParametersAtomicallyRequest, Reply<SetParametersAtomically>);
 
 impl ExposeService {
-    /// Offers the service on a node. Requests are answered on a thread of their own, since each waits for the end of a cycle.
+    /// Offers the service on a node. Requests are answered on a thread of their own, since each waits for the
+    /// end of a cycle.
     pub(crate) fn start(node: &Node, robot: Arc<InspectedRobot>) -> Result<Self, StartError> {
         let (jobs, received) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new()

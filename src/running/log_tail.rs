@@ -33,7 +33,8 @@ impl LogTail {
         state.next += 1;
     }
 
-    /// The lines from this number on that are still there, with their numbers and loggers, and how many are gone.
+    /// The lines from this number on that are still there, with their numbers and loggers, and how many are
+    /// gone.
     #[cfg(feature = "view")]
     pub(super) fn since(&self, number: u64) -> (Vec<(u64, LogLine, String)>, u64) {
         let state = self.state.lock();

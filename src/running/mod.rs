@@ -1,5 +1,5 @@
-//! A robot while it runs: its core on a thread of its own, its node in ROS 2, its recording, and the socket through which
-//! `downbeat top` looks at it.
+//! A robot while it runs: its core on a thread of its own, its node in ROS 2, its recording, and the socket
+//! through which `downbeat top` looks at it.
 //!
 //! [`App::start`](crate::App::start) does all of it at once:
 //!
@@ -10,8 +10,8 @@
 //! # Ok::<(), downbeat::Failure>(())
 //! ```
 //!
-//! [`PreparedRobot`] does it step by step, for a program that has things of its own to add to the core. Nothing here is
-//! global: any number of robots run in a process, each with its node.
+//! [`PreparedRobot`] does it step by step, for a program that has things of its own to add to the core.
+//! Nothing here is global: any number of robots run in a process, each with its node.
 
 mod expose_service;
 mod inspected;
@@ -163,10 +163,10 @@ impl PreparedRobot {
         Self::on(Core::new().with_clock(clock.clone()), file, clock)
     }
 
-    /// Builds a core with the modules of the file that runs in simulated time, as fast as it can be computed, from
-    /// [`SIMULATION_START`] for this duration, or until it is stopped. Two runs give the same messages if nothing comes from
-    /// outside. Modules with devices need devices that live in that time, such as the simulated Darwin OP. The time is published
-    /// on `/clock`.
+    /// Builds a core with the modules of the file that runs in simulated time, as fast as it can be computed,
+    /// from [`SIMULATION_START`] for this duration, or until it is stopped. Two runs give the same messages
+    /// if nothing comes from outside. Modules with devices need devices that live in that time, such as the
+    /// simulated Darwin OP. The time is published on `/clock`.
     ///
     /// # Errors
     /// If a module cannot be set up as the file says.
@@ -213,7 +213,8 @@ impl PreparedRobot {
         })
     }
 
-    /// Creates the node with all that the robot file exposes. If `log` is given, the log of the program is published on `/rosout`.
+    /// Creates the node with all that the robot file exposes. If `log` is given, the log of the program is
+    /// published on `/rosout`.
     ///
     /// # Errors
     /// If the domain cannot be joined, or something cannot be exposed as the file says.
@@ -235,9 +236,10 @@ impl PreparedRobot {
         Ok(())
     }
 
-    /// Starts the servers for Foxglove, Lichtblick, PlotJuggler and the page that the robot file's `[view]` asks for. Call it last, so
-    /// that viewers see all topics and services from the start, and the page the recording. If `log` is given, the page shows the
-    /// log of the program. Once this was called, `downbeat view` can open the page of the running robot.
+    /// Starts the servers for Foxglove, Lichtblick, PlotJuggler and the page that the robot file's `[view]`
+    /// asks for. Call it last, so that viewers see all topics and services from the start, and the page the
+    /// recording. If `log` is given, the page shows the log of the program. Once this was called,
+    /// `downbeat view` can open the page of the running robot.
     ///
     /// # Errors
     /// If the address is in use, or a service cannot be shown.
@@ -405,8 +407,8 @@ impl Drop for RunningRobot {
     }
 }
 
-/// Adds the diagnostics of the process, unless the robot file disables them. They come before the robot's modules, so that their
-/// topic can be exposed.
+/// Adds the diagnostics of the process, unless the robot file disables them. They come before the robot's
+/// modules, so that their topic can be exposed.
 pub(crate) fn add_diagnostics(
     core: &mut Core,
     file: &RobotFile,

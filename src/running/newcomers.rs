@@ -1,4 +1,5 @@
-//! Exposes and records what modules bring while the robot runs: one that could not be made at the start, or a newer version.
+//! Exposes and records what modules bring while the robot runs: one that could not be made at the start, or a
+//! newer version.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -81,7 +82,8 @@ impl Newcomers {
         }
     }
 
-    /// Takes in what a module declares that is about to join, so that its first messages are recorded and reach ROS 2.
+    /// Takes in what a module declares that is about to join, so that its first messages are recorded and
+    /// reach ROS 2.
     pub(super) fn expect(&self, file: &RobotFile, declared: &Declarations, options: &ModuleOptions) {
         if let Some(survey) = self.survey() {
             self.take_in(file, survey.with(declared, options));

@@ -154,8 +154,8 @@ impl RobotNode {
     }
 }
 
-/// Gives the other nodes of the robot file what every node has, parameters and `/rosout`, and those of a module its settings and
-/// its log.
+/// Gives the other nodes of the robot file what every node has, parameters and `/rosout`, and those of a
+/// module its settings and its log.
 fn furnish(
     robot: &Robot,
     participant: &Participant,

@@ -41,10 +41,12 @@ impl RecordPlan {
     }
 }
 
-/// The key in the metadata of bags that were recorded in simulated time: detached modules ran inside the cycle.
+/// The key in the metadata of bags that were recorded in simulated time: detached modules ran inside the
+/// cycle.
 pub(crate) const SIMULATED_TIME: &str = "simulated_time";
 
-/// The key in the metadata of bags whose recording began while the robot ran: the time, in nanoseconds, from which on all topics are in it.
+/// The key in the metadata of bags whose recording began while the robot ran: the time, in nanoseconds, from
+/// which on all topics are in it.
 pub(crate) const RECORDED_FROM: &str = "recorded_from";
 
 /// What of a robot can be recorded, from the start or while it runs.

@@ -1,7 +1,7 @@
 //! Starts modules again whose files were saved after they had stopped.
 //!
-//! A module that runs looks at its files itself, and replaces itself in its own time. One that has stopped cannot: its callback raised an
-//! exception, it could not be loaded, or it refused to become active.
+//! A module that runs looks at its files itself, and replaces itself in its own time. One that has stopped
+//! cannot: its callback raised an exception, it could not be loaded, or it refused to become active.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

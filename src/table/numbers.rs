@@ -16,16 +16,17 @@ use super::{MOST_ELEMENTS, Visit, visit};
 pub struct NumberField {
     /// Its path: `position[3]`.
     pub field: String,
-    /// The name of the element, if the message has an array of names beside the array of the number: `head_tilt`.
+    /// The name of the element, if the message has an array of names beside the array of the number:
+    /// `head_tilt`.
     pub element: Option<String>,
 }
 
-/// Arrays that name the elements of the arrays beside them: in `JointState`, and in `JointTrajectory`, `MultiDOFJointState` and
-/// others.
+/// Arrays that name the elements of the arrays beside them: in `JointState`, and in `JointTrajectory`,
+/// `MultiDOFJointState` and others.
 pub(crate) const ELEMENT_NAMES: [&str; 2] = ["name", "joint_names"];
 
-/// Lists the numbers and booleans of a message, at most `most`, in the order of its fields. Bytes, and arrays of more than
-/// [`MOST_ELEMENTS`], are left out.
+/// Lists the numbers and booleans of a message, at most `most`, in the order of its fields. Bytes, and arrays
+/// of more than [`MOST_ELEMENTS`], are left out.
 pub(crate) fn numbers_of(message: &DynamicMessage, most: usize) -> Vec<NumberField> {
     let mut found = Found { numbers: Vec::new(), names: BTreeMap::new(), most };
     visit(message.as_message(), &mut found);
@@ -72,7 +73,8 @@ pub(crate) fn number(value: ValueRef<'_>) -> Option<f64> {
     }
 }
 
-/// Reads the finite number at a path of a message: `position[3]`, or by the name of an element, `position[head_tilt]`.
+/// Reads the finite number at a path of a message: `position[3]`, or by the name of an element,
+/// `position[head_tilt]`.
 ///
 /// # Errors
 /// Returns a sentence about what is there instead.
@@ -90,8 +92,8 @@ pub(crate) fn number_at(message: &DynamicView<'_>, path: &str) -> Result<f64, St
     })
 }
 
-/// Checks that messages of a type can have a number at a path. Elements of sequences are not checked, because the type does not tell
-/// how many there are.
+/// Checks that messages of a type can have a number at a path. Elements of sequences are not checked, because
+/// the type does not tell how many there are.
 ///
 /// # Errors
 /// Returns a sentence about the problem, with the most similar name of a field.

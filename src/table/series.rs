@@ -49,12 +49,13 @@ pub enum SeriesError {
 /// The most points of one series.
 pub const MOST_POINTS: usize = 100_000;
 
-/// Reads fields of a topic (`position[3]`) over all of these bags, merged by time. If there are more messages than `points`,
-/// the time of the bags is divided, and each part has its lowest and its highest value, so that no peak disappears.
-/// Unreadable messages are skipped.
+/// Reads fields of a topic (`position[3]`) over all of these bags, merged by time. If there are more messages
+/// than `points`, the time of the bags is divided, and each part has its lowest and its highest value, so
+/// that no peak disappears. Unreadable messages are skipped.
 ///
 /// # Errors
-/// Returns an error if the bags lack the topic or its definition, or no message has a number in one of the fields.
+/// Returns an error if the bags lack the topic or its definition, or no message has a number in one of the
+/// fields.
 pub fn series(
     bags: &[Reader],
     topic: &str,

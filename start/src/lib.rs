@@ -1,13 +1,14 @@
 //! The program `downbeat` of a checkout, compiled as the projects of users compile it.
 //!
-//! Cargo compiles the packages of a workspace for that workspace: what the checkout compiles for itself, the project of a user
-//! would compile again. So the program and the extension module of the Python package are packages outside of the workspace, in
-//! `program`, as projects are: with the same folder for what is compiled, the same profiles and versions, all of them share
-//! everything but their own crates.
+//! Cargo compiles the packages of a workspace for that workspace: what the checkout compiles for itself, the
+//! project of a user would compile again. So the program and the extension module of the Python package are
+//! packages outside of the workspace, in `program`, as projects are: with the same folder for what is
+//! compiled, the same profiles and versions, all of them share everything but their own crates.
 
 use std::path::Path;
 
-/// Gives the program the versions that the workspace has. Cargo leaves out of the copy what the program does not need.
+/// Gives the program the versions that the workspace has. Cargo leaves out of the copy what the program does
+/// not need.
 ///
 /// # Errors
 /// If the lock file cannot be copied; the text says why.

@@ -1,4 +1,5 @@
-//! A new user: an empty home directory, nothing of ROS in the environment, and what she types with the seconds that it takes.
+//! A new user: an empty home directory, nothing of ROS in the environment, and what she types with the
+//! seconds that it takes.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,8 @@ use std::process::Command;
 /// Where the steps of all pages are collected. `cargo xtask test` prints them as one list.
 const STEPS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/target/first_hour/steps");
 
-/// Variables that would let a program find what a new user does not have: ROS 2, settings of this program, the cargo that runs the test.
+/// Variables that would let a program find what a new user does not have: ROS 2, settings of this program,
+/// the cargo that runs the test.
 const FOREIGN: [&str; 10] = [
     "AMENT_",
     "CARGO_MANIFEST_",
@@ -48,7 +50,8 @@ impl NewUser {
         Self { home: home.to_owned(), name, steps: Vec::new() }
     }
 
-    /// Gives a command the environment of this user, on the network of this machine alone. The programs of the tests come before others.
+    /// Gives a command the environment of this user, on the network of this machine alone. The programs of
+    /// the tests come before others.
     pub fn settle(&self, command: &mut Command, domain: &str) {
         for (variable, _) in std::env::vars_os() {
             let name = variable.to_string_lossy();

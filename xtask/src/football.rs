@@ -14,7 +14,8 @@ pub(crate) struct FootballArguments {
     /// Only this proof; may be repeated
     #[arg(long, value_enum)]
     only: Vec<Proof>,
-    /// How many seeds each proof takes, in place of its own number: walks, placements, matches; of vision 100 pictures for each
+    /// How many seeds each proof takes, in place of its own number: walks, placements, matches; of vision 100
+    /// pictures for each
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     seeds: Option<u64>,
     /// The simulated length of the recorded matches, in s

@@ -33,8 +33,8 @@ enum Command {
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
-    /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and a million
-    /// mutations of small bag files.
+    /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
+    /// a million mutations of small bag files.
     Bags,
     /// The wheel of the Python package, for release, under target/wheels; prints its path.
     Wheel {
@@ -42,18 +42,18 @@ enum Command {
         #[arg(long)]
         test: bool,
     },
-    /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each, minutes; prints how
-    /// many succeed. See `--help` behind `--` for options: seeds, tasks, and the engine.
+    /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each,
+    /// minutes; prints how many succeed. See `--help` behind `--` for options: seeds, tasks, and the engine.
     Physics {
         /// Options of the run
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// The long proofs of the football player, about an hour: vision, localisation, an empty goal, matches, recorded matches. Prints
-    /// each figure beside its goal, and fails if one misses it.
+    /// The long proofs of the football player, about an hour: vision, localisation, an empty goal, matches,
+    /// recorded matches. Prints each figure beside its goal, and fails if one misses it.
     Football(football::FootballArguments),
-    /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the falls or
-    /// the physics; then runs the tests that replay it.
+    /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the
+    /// falls or the physics; then runs the tests that replay it.
     RecordWalk,
     /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,

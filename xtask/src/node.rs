@@ -1,4 +1,5 @@
-//! The npm packages of the tests: Foxglove's bag reader and its client for viewers, and what looks at our own page.
+//! The npm packages of the tests: Foxglove's bag reader and its client for viewers, and what looks at our own
+//! page.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -13,8 +13,8 @@ const VERSION: &str = "3.11";
 /// The same, which is also the oldest that the wheel supports.
 const OLDEST: (u32, u32) = (3, 11);
 
-/// Creates the environment of ROS 2 Jazzy if it is missing or its requirements have changed and returns the path
-/// of its interpreter.
+/// Creates the environment of ROS 2 Jazzy if it is missing or its requirements have changed and returns the
+/// path of its interpreter.
 pub(crate) fn interpreter() -> anyhow::Result<PathBuf> {
     environment("target/venv", "xtask/requirements.txt")
 }
@@ -24,8 +24,8 @@ pub(crate) fn kilted_interpreter() -> anyhow::Result<PathBuf> {
     environment("target/venv_kilted", "xtask/requirements_kilted.txt")
 }
 
-/// Creates the environment that builds the wheel if it is missing, and returns the path of its interpreter. It needs none of ROS 2,
-/// and any Python that the wheel supports.
+/// Creates the environment that builds the wheel if it is missing, and returns the path of its interpreter.
+/// It needs none of ROS 2, and any Python that the wheel supports.
 pub(crate) fn tools(packages: &[&str]) -> anyhow::Result<PathBuf> {
     let venv = workspace().join("target/wheel-tools");
     let interpreter = venv.join("bin/python");

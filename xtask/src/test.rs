@@ -41,8 +41,8 @@ impl FirstHour {
     }
 }
 
-/// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in the Python
-/// environment.
+/// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in
+/// the Python environment.
 const ALL: &[&str] = &[
     "--features",
     "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/sensors,downbeat/tables",

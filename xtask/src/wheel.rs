@@ -1,4 +1,5 @@
-//! The Python package: built as a wheel, installed into an environment of its own, tested by pytest, which calls mypy.
+//! The Python package: built as a wheel, installed into an environment of its own, tested by pytest, which
+//! calls mypy.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -15,8 +16,8 @@ const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
 
-/// Builds the wheel for release and returns its path. Cargo compiles it with what `cargo run` in the checkout has compiled
-/// already, and shows its progress.
+/// Builds the wheel for release and returns its path. Cargo compiles it with what `cargo run` in the checkout
+/// has compiled already, and shows its progress.
 pub(crate) fn build() -> anyhow::Result<PathBuf> {
     downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
     pack("release", &[])
@@ -26,7 +27,8 @@ pub(crate) fn build() -> anyhow::Result<PathBuf> {
 fn pack(profile: &str, options: &[&str]) -> anyhow::Result<PathBuf> {
     let python = python::tools(&[MATURIN, NUMPY])?;
     let first = maturin(&python, profile, options)?;
-    // The stubs of messages are written by what was just built, and are part of the wheel: it is packed again, not compiled again.
+    // The stubs of messages are written by what was just built, and are part of the wheel: it is packed
+    // again, not compiled again.
     let unpacked = workspace().join("target/wheels/unpacked");
     remove(&unpacked)?;
     run(Command::new(&python).args(["-m", "zipfile", "--extract"]).args([&first, &unpacked]))?;

@@ -57,8 +57,8 @@ pub struct Metadata {
     pub custom_data: BTreeMap<String, String>,
     /// `jazzy`; empty before version 8.
     pub ros_distro: String,
-    /// What could not be understood of the entries of topics and files, and was replaced by a default or left out: a
-    /// sentence for each. Not written.
+    /// What could not be understood of the entries of topics and files, and was replaced by a default or left
+    /// out: a sentence for each. Not written.
     pub oddities: Vec<String>,
 }
 

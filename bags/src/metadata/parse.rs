@@ -169,7 +169,8 @@ impl Default for Time {
 
 impl From<Time> for Option<Duration> {
     fn from(time: Time) -> Self {
-        // What Fast DDS and Connext wrote for infinite in Foxy (rosbag2_storage/qos.cpp); Cyclone's equals INFINITE.
+        // What Fast DDS and Connext wrote for infinite in Foxy (rosbag2_storage/qos.cpp); Cyclone's equals
+        // INFINITE.
         const FAST_DDS_FOXY: (u64, u64) = (0x7FFF_FFFF, 0xFFFF_FFFF);
         const CONNEXT_FOXY: (u64, u64) = (0x7FFF_FFFF, 0x7FFF_FFFF);
         let pair = (time.sec, time.nsec);

@@ -7,8 +7,8 @@ use downbeat_msgs::qos::{
 };
 use serde::de::{Deserialize, Deserializer, Visitor};
 
-/// One policy: the names are those of `rmw/qos_string_conversions.h` (metadata version 9), the numbers those of
-/// `rmw/types.h` (older versions).
+/// One policy: the names are those of `rmw/qos_string_conversions.h` (metadata version 9), the numbers those
+/// of `rmw/types.h` (older versions).
 macro_rules! policy {
     ($(#[$doc:meta])* $name:ident, $what:literal: $($(#[$variant_doc:meta])* $variant:ident = $number:literal $text:expr),+ $(,)?) => {
         $(#[$doc])*

@@ -51,8 +51,8 @@ const LZ4_MAGIC: &[u8] = &[0x04, 0x22, 0x4d, 0x18];
 /// The bytes at the start of a chunk's body from which [`length_of`] determines its length.
 pub(super) const LONGEST_HEAD: usize = FIXED + NAME_LENGTH + LONGEST_NAME + DATA_LENGTH;
 
-/// The length of the body that starts with `head`, if this is that of a chunk: the chunk declares the length of
-/// its content, apart from the length of the record.
+/// The length of the body that starts with `head`, if this is that of a chunk: the chunk declares the length
+/// of its content, apart from the length of the record.
 pub(super) fn length_of(head: &[u8]) -> Option<u64> {
     let name_length = number(head, FIXED, NAME_LENGTH)?;
     let name = head.get(FIXED + NAME_LENGTH..)?.get(..usize::try_from(name_length).ok()?)?;

@@ -53,8 +53,8 @@ impl MessageIndex {
         self.messages.range(offset.saturating_add(1)..).map(|(offset, _)| *offset)
     }
 
-    /// The messages from `offset` on that are not in `read`, by channel: their number, and the times of the first
-    /// and the last.
+    /// The messages from `offset` on that are not in `read`, by channel: their number, and the times of the
+    /// first and the last.
     pub(super) fn without(&self, offset: u64, read: &[u64]) -> impl Iterator<Item = (u16, u64, u64, u64)> {
         let mut lost = BTreeMap::new();
         for (offset, (channel, time)) in self.messages.range(offset..) {

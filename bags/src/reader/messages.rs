@@ -170,8 +170,8 @@ impl Messages {
 
     /// The last messages of each topic, as many as `wanted` says, sorted by time; and what could not be read.
     ///
-    /// Reads backwards, only segments that may contain a missing message: a few if the file says which topics a
-    /// segment has.
+    /// Reads backwards, only segments that may contain a missing message: a few if the file says which topics
+    /// a segment has.
     pub(super) fn last(mut self, wanted: &BTreeMap<TopicId, usize>) -> (Vec<BagMessage>, Vec<ReaderError>) {
         let until = self.selection.until;
         let latest = |segment: &Segment| signed(segment.last).min(until);
@@ -395,7 +395,8 @@ impl Ord for Pending {
     }
 }
 
-/// Converts the bounds of a part of a file to ROS times, which are signed; times after the year 2262 saturate.
+/// Converts the bounds of a part of a file to ROS times, which are signed; times after the year 2262
+/// saturate.
 pub(super) fn signed(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }

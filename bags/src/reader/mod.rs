@@ -211,8 +211,8 @@ impl Reader {
         self.files.iter().flat_map(|file| &file.truncations)
     }
 
-    /// What could not be understood of the descriptions of topics and files, and was replaced by a default or left
-    /// out: a sentence for each, which names the topic.
+    /// What could not be understood of the descriptions of topics and files, and was replaced by a default or
+    /// left out: a sentence for each, which names the topic.
     pub fn oddities(&self) -> impl ExactSizeIterator<Item = &str> {
         self.oddities.iter().map(String::as_str)
     }
@@ -225,8 +225,8 @@ impl Reader {
         Messages::open(self, selection)
     }
 
-    /// The last messages of topics at a time, in nanoseconds since the epoch: of each topic as many as `wanted`
-    /// says. Reads only the parts of the files that may contain them, backwards.
+    /// The last messages of topics at a time, in nanoseconds since the epoch: of each topic as many as
+    /// `wanted` says. Reads only the parts of the files that may contain them, backwards.
     ///
     /// Returns the messages sorted by time, and the parts that could not be read.
     ///

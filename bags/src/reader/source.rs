@@ -125,8 +125,8 @@ const LARGEST_RATIO: u64 = 10_000;
 const LARGEST_RATIO_OF_LARGE: u64 = 100;
 const ALWAYS: u64 = 1 << 30;
 
-/// Decompresses a file that rosbag2 compressed as a whole (`--compression-mode file`). If it is damaged, keeps the data
-/// before the error, and returns its length and the problem.
+/// Decompresses a file that rosbag2 compressed as a whole (`--compression-mode file`). If it is damaged,
+/// keeps the data before the error, and returns its length and the problem.
 pub(super) fn unpack_file(packed: &Source) -> io::Result<(Source, Option<(u64, String)>)> {
     let length = packed.length()?;
     let of_large = length.saturating_mul(LARGEST_RATIO_OF_LARGE).max(ALWAYS);

@@ -72,7 +72,8 @@ struct Profiles {
 }
 
 impl Profiles {
-    /// The profiles in the text; none if it is invalid, which is noted, since they are only needed for playing.
+    /// The profiles in the text; none if it is invalid, which is noted, since they are only needed for
+    /// playing.
     fn of(&mut self, text: &str, topic: &str, path: &Path) -> Vec<RecordedQos> {
         let read = self.read.entry(text.to_owned());
         let read = read.or_insert_with(|| qos_from_yaml(text, path).map_err(|error| error.to_string()));

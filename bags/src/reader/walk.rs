@@ -1,7 +1,7 @@
 //! Reads a file record by record, because it has no usable summary.
 //!
-//! A record whose length or kind is damaged does not end the file: the walk continues at the next bytes that are a
-//! record, and a chunk is recognised by its own header, which repeats its length.
+//! A record whose length or kind is damaged does not end the file: the walk continues at the next bytes that
+//! are a record, and a chunk is recognised by its own header, which repeats its length.
 
 use std::io;
 
@@ -188,8 +188,8 @@ fn has_plausible_length(place: &Place) -> bool {
     }
 }
 
-/// The offset of the next record behind a damaged one, if there is any. In a file with chunks, messages are not
-/// searched outside of them: a damaged chunk contains some.
+/// The offset of the next record behind a damaged one, if there is any. In a file with chunks, messages are
+/// not searched outside of them: a damaged chunk contains some.
 fn resume_after(
     input: &mut RecordFile,
     offset: u64,
@@ -318,7 +318,8 @@ fn add_torn(
     Ok(())
 }
 
-/// Adds a message outside of chunks, or extends the last segment if it is a run of messages that continues here.
+/// Adds a message outside of chunks, or extends the last segment if it is a run of messages that continues
+/// here.
 fn add_run(segments: &mut Vec<Segment>, place: &Place, (first, last): (u64, u64), continues_run: bool) {
     let length = RECORD_HEADER + place.body_length;
     match segments.last_mut() {

@@ -117,7 +117,8 @@ struct Shared {
 static RECORDINGS: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
 /// Finishes all bags that this process records, for a process that is about to end without dropping its
-/// [`Recording`]s. Further messages are rejected. Waits at most `patience`; returns the bags that are not finished by then.
+/// [`Recording`]s. Further messages are rejected. Waits at most `patience`; returns the bags that are not
+/// finished by then.
 #[must_use = "the returned bags are not finished"]
 pub fn finish_all(patience: Duration) -> Vec<PathBuf> {
     let until = Instant::now() + patience;

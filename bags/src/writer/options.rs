@@ -41,8 +41,8 @@ pub struct WriterOptions {
     pub flush_interval: Duration,
     /// When the bag continues in a new file.
     pub split: SplitLimits,
-    /// The maximum number of files: when it is exceeded, the oldest file is deleted. Its messages are no longer counted,
-    /// but `custom_data` contains their number (`deleted_messages`).
+    /// The maximum number of files: when it is exceeded, the oldest file is deleted. Its messages are no
+    /// longer counted, but `custom_data` contains their number (`deleted_messages`).
     pub max_bag_files: Option<NonZeroUsize>,
     /// When to sync written data to disk.
     pub sync: SyncPolicy,
@@ -102,7 +102,8 @@ impl WriterOptions {
     /// 1 s.
     pub const DEFAULT_FLUSH_INTERVAL: Duration = Duration::from_secs(1);
 
-    /// One file without compression, [`Self::DEFAULT_CHUNK_SIZE`], [`Self::DEFAULT_FLUSH_INTERVAL`], no custom data.
+    /// One file without compression, [`Self::DEFAULT_CHUNK_SIZE`], [`Self::DEFAULT_FLUSH_INTERVAL`], no
+    /// custom data.
     #[must_use]
     pub fn new() -> Self {
         Self {

@@ -172,7 +172,8 @@ fn schemas_and_channels_equal_those_of_the_real_recorder() {
         assert_eq!(ours.schemas.len(), real.schemas.len(), "{name}");
         for ((our_header, our_text), (header, text)) in ours.schemas.iter().zip(&real.schemas) {
             if header.name.contains("/srv/") {
-                // The real recorder writes a text that other readers, `rosbags` among them, refuse together with the whole bag.
+                // The real recorder writes a text that other readers, `rosbags` among them, refuse together
+                // with the whole bag.
                 assert_eq!((&*header.encoding, &*our_header.encoding), ("unknown", "ros2idl"), "{name}");
                 continue;
             }

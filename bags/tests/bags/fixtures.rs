@@ -82,8 +82,8 @@ fn a_real_bag_written_again_has_the_same_metadata_and_messages() {
     assert_eq!(metadata(&copy), metadata(&fixture("jazzy_mcap")));
     let again = Reader::open(&copy).unwrap();
     assert_eq!(messages(&again), messages(&reader));
-    // The type of the service's events is not a message, so the real recorder has no ros2msg text for it; ours is IDL, without
-    // comments.
+    // The type of the service's events is not a message, so the real recorder has no ros2msg text for it;
+    // ours is IDL, without comments.
     let definitions = |reader: &Reader| -> Vec<String> {
         let topics = reader.topics().iter().filter(|topic| !topic.info.type_name.contains("/srv/"));
         topics.map(|topic| topic.info.definition.clone()).collect()
@@ -99,7 +99,8 @@ fn a_real_bag_written_again_has_the_same_metadata_and_messages() {
 #[test]
 fn info_equals_the_output_of_ros2_bag_info() {
     let _check = noted("`bag info` prints the same", With::Rosbag2, Way::In);
-    // From `ros2 bag info jazzy_mcap` of Jazzy; see tests/data/README.md. The program adds the last line break.
+    // From `ros2 bag info jazzy_mcap` of Jazzy; see tests/data/README.md. The program adds the last line
+    // break.
     let expected = fs::read_to_string(fixture("jazzy_mcap_info.txt")).unwrap();
     let reader = Reader::open(fixture("jazzy_mcap")).unwrap();
     assert_eq!(format!("{}\n", BagInfo::of(&reader).unwrap()), expected);

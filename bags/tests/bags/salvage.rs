@@ -171,7 +171,8 @@ fn a_damaged_record_header_of_a_chunk_loses_nothing() {
     for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
         let whole = one_chunk(folder.path(), McapOptions { compression, ..plain() });
         let (start, ..) = chunk(&whole);
-        // Opcode, length, and the fields of the chunk: times, size, checksum, compression, length of the content.
+        // Opcode, length, and the fields of the chunk: times, size, checksum, compression, length of the
+        // content.
         for at in (0..49).filter(|at| compression_is_named(compression) || *at < 41) {
             for bit in [1, 0x10, 0x80] {
                 for is_interrupted in [false, true] {
@@ -272,7 +273,8 @@ fn lz4_blocks_behind_a_damaged_one_are_read() {
     writer.finish().unwrap();
     let whole = fs::read(bag.join("whole_0.mcap")).unwrap();
     let chunk = records(&whole, 8).into_iter().find(|(opcode, ..)| *opcode == 6).unwrap();
-    // Its header, the name of its compression, and the length of its data are before the frame, whose header has a size.
+    // Its header, the name of its compression, and the length of its data are before the frame, whose header
+    // has a size.
     let first = chunk.1 + 9 + 28 + (4 + 3) + 8 + (7 + 8);
     let size_at =
         |at: usize| u32::from_le_bytes(whole[at..at + 4].try_into().unwrap()) as usize & 0x7fff_ffff;

@@ -332,8 +332,8 @@ fn nothing_but_publish_times_is_lost_from_mcap_to_sqlite_and_back() {
     }
 }
 
-/// The topics of a bag, without the definitions of service events: they are written as IDL, without comments. The hash
-/// says that they mean the same.
+/// The topics of a bag, without the definitions of service events: they are written as IDL, without comments.
+/// The hash says that they mean the same.
 fn portable(reader: &Reader) -> Vec<RecordedTopic> {
     let mut topics = reader.topics().to_vec();
     for topic in topics.iter_mut().filter(|topic| topic.info.type_name.contains("/srv/")) {

@@ -16,7 +16,8 @@ pub struct Engine {
     pub join: Box<Join>,
     /// Whether participants of other processes are reached.
     pub has_network: bool,
-    /// A program whose `main` is [`peer::main`](crate::peer::main) with this engine; cases with processes need it.
+    /// A program whose `main` is [`peer::main`](crate::peer::main) with this engine; cases with processes
+    /// need it.
     pub peer: Option<PathBuf>,
     /// The cases that it is known to fail.
     pub known_failures: &'static [KnownFailure],

@@ -1,5 +1,5 @@
-//! What an engine behind [`Middleware`](downbeat_bridge::middleware::Middleware) must do, as cases that any engine can be held
-//! against.
+//! What an engine behind [`Middleware`](downbeat_bridge::middleware::Middleware) must do, as cases that any
+//! engine can be held against.
 //!
 //! ```
 //! use downbeat_conformance::{CASES, engines, run};

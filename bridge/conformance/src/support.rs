@@ -1,11 +1,13 @@
-//! What the cases share: endpoints whose samples go into a channel, and waiting on a condition with a watchdog.
+//! What the cases share: endpoints whose samples go into a channel, and waiting on a condition with a
+//! watchdog.
 
 use bytes::Bytes;
 use downbeat_bridge::middleware::{Endpoint, EndpointEvent, EventHandler, Middleware, Reader, Sample};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-/// Generous: the machine may be busy, and transient local data of a late reader takes seconds with some engines.
+/// Generous: the machine may be busy, and transient local data of a late reader takes seconds with some
+/// engines.
 pub(crate) const WATCHDOG: Duration = Duration::from_secs(30);
 
 /// Polls a condition that has no event to wait on.

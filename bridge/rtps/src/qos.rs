@@ -1,7 +1,7 @@
 //! Quality of service of an endpoint, and the rule that decides whether a writer and a reader match.
 //!
-//! A writer must offer at least what a reader requests (DDS 1.4, section 2.2.3). History, lifespan and user data have no
-//! influence. Topic and type names are compared by the caller.
+//! A writer must offer at least what a reader requests (DDS 1.4, section 2.2.3). History, lifespan and user
+//! data have no influence. Topic and type names are compared by the caller.
 
 use std::time::Duration;
 
@@ -214,8 +214,8 @@ fn names_match(a: &str, b: &str) -> bool {
         }
 }
 
-/// POSIX `fnmatch` without flags or escapes, in time proportional to the product of the lengths: only the last `*` is ever
-/// tried again.
+/// POSIX `fnmatch` without flags or escapes, in time proportional to the product of the lengths: only the
+/// last `*` is ever tried again.
 fn fits(pattern: &[u8], name: &[u8]) -> bool {
     let (mut at, mut in_name) = (0, 0);
     let mut last_star = None;

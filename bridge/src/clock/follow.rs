@@ -10,8 +10,8 @@ use downbeat_msgs::{Message, cdr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 
-/// A clock that shows what `/clock` said last, as that of a ROS 2 node with `use_sim_time`: 0 until there was a message, and
-/// still between two of them. Clones show the same.
+/// A clock that shows what `/clock` said last, as that of a ROS 2 node with `use_sim_time`: 0 until there was
+/// a message, and still between two of them. Clones show the same.
 #[derive(Clone, Debug, Default)]
 pub struct FollowedClock {
     shared: Arc<Shared>,
@@ -38,7 +38,8 @@ impl FollowedClock {
         Self::default()
     }
 
-    /// Follows `/clock`, best effort, keep last 1, for the core that has this clock. The time may jump, and go back.
+    /// Follows `/clock`, best effort, keep last 1, for the core that has this clock. The time may jump, and
+    /// go back.
     ///
     /// # Errors
     /// [`NodeError`] when the subscription cannot be created.

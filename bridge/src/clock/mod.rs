@@ -1,5 +1,5 @@
-//! `/clock`, both ways: the core's time for others, and the time of a simulator or of a bag player for the core
-//! (`use_sim_time`).
+//! `/clock`, both ways: the core's time for others, and the time of a simulator or of a bag player for the
+//! core (`use_sim_time`).
 //!
 //! ```
 //! use downbeat_bridge::clock::FollowedClock;

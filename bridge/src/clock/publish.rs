@@ -20,8 +20,8 @@ pub const DEFAULT_RATE_HZ: f64 = 40.0;
 /// It has no inputs.
 const INBOX: NonZeroUsize = NonZeroUsize::MIN;
 
-/// Publishes the core's time on `/clock` every `period` of that time, best effort, keep last 1: adds the detached observer
-/// [`MODULE_NAME`] to the core. It ends with the core.
+/// Publishes the core's time on `/clock` every `period` of that time, best effort, keep last 1: adds the
+/// detached observer [`MODULE_NAME`] to the core. It ends with the core.
 ///
 /// # Errors
 /// [`ExposeError`] where the publisher cannot be created, or the core has such a module already.

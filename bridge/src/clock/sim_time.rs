@@ -73,8 +73,8 @@ impl SimTime {
         self.clock.is_following.load(Ordering::SeqCst)
     }
 
-    /// Starts or stops following `/clock`. As in rclcpp time is then 0 until one was received. The time of the
-    /// core jumps: see [`Clock::now`] for what timers do.
+    /// Starts or stops following `/clock`. As in rclcpp time is then 0 until one was received. The time of
+    /// the core jumps: see [`Clock::now`] for what timers do.
     ///
     /// # Errors
     /// [`SimTimeError`] when the subscription cannot be created.

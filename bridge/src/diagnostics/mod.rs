@@ -1,5 +1,5 @@
-//! Reports of a process on `diagnostics` (REP-107): its core, its modules, its ROS 2 endpoints, and what else it is
-//! asked to look at.
+//! Reports of a process on `diagnostics` (REP-107): its core, its modules, its ROS 2 endpoints, and what else
+//! it is asked to look at.
 //!
 //! ```
 //! use downbeat_bridge::diagnostics::ProcessDiagnostics;

@@ -43,8 +43,8 @@ struct Sources {
 }
 
 impl ProcessDiagnostics {
-    /// Adds the detached observer [`MODULE_NAME`], which publishes on [`TOPIC`]. Names of components begin with `name`, that of
-    /// the node.
+    /// Adds the detached observer [`MODULE_NAME`], which publishes on [`TOPIC`]. Names of components begin
+    /// with `name`, that of the node.
     ///
     /// # Errors
     /// If the core has such a module, or the topic carries another type.
@@ -78,7 +78,8 @@ impl ProcessDiagnostics {
         self.sources.lock().services = Some(status);
     }
 
-    /// Reports what `look` returns too. It is called once a second on the thread of the module, and must not block.
+    /// Reports what `look` returns too. It is called once a second on the thread of the module, and must not
+    /// block.
     pub fn watch(&self, look: impl FnMut() -> Vec<DiagnosticStatus> + Send + 'static) {
         self.sources.lock().others.push(Box::new(look));
     }

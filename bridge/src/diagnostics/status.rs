@@ -1,4 +1,5 @@
-//! From counts to levels: what has come since the last look decides, so that a warning ends when its cause does.
+//! From counts to levels: what has come since the last look decides, so that a warning ends when its cause
+//! does.
 
 use crate::expose::{EndpointReport, OfferedService};
 use crate::middleware::{Direction, QosPolicyKind};

@@ -1,7 +1,7 @@
 //! Actions of modules offered to ROS 2, and actions of ROS 2 that modules use.
 //!
-//! An action is three services and two topics, and nothing else: what exposes those exposes it. Names and quality of service are
-//! those of `rcl_action` (branch jazzy: `names.c`, `default_qos.h`).
+//! An action is three services and two topics, and nothing else: what exposes those exposes it. Names and
+//! quality of service are those of `rcl_action` (branch jazzy: `names.c`, `default_qos.h`).
 
 use super::{Exposure, ServiceExposure};
 use crate::edge::KnownAction;

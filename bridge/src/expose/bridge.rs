@@ -18,8 +18,8 @@ const CAPACITY: NonZeroUsize = NonZeroUsize::new(1000).unwrap();
 
 /// Creates the endpoints of all exposures on `node`, each fed by an outlet of `core` or feeding an inlet.
 ///
-/// The endpoints are removed when the core stops; the node when its last handle is dropped after that. [`Bridge::start`] returns a
-/// handle to change what is exposed while the core runs.
+/// The endpoints are removed when the core stops; the node when its last handle is dropped after that.
+/// [`Bridge::start`] returns a handle to change what is exposed while the core runs.
 ///
 /// # Errors
 /// [`ExposeError`] when a topic cannot be exposed.
@@ -27,8 +27,8 @@ pub fn expose(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Br
     Ok(Bridge::start(core, node, exposures)?.status())
 }
 
-/// Exposes topics of a core on a node, and changes while the core runs which. Clones share one bridge, which keeps its node in the
-/// graph.
+/// Exposes topics of a core on a node, and changes while the core runs which. Clones share one bridge, which
+/// keeps its node in the graph.
 #[derive(Clone)]
 pub struct Bridge {
     node: Node,
@@ -81,8 +81,8 @@ impl Bridge {
         &self.node
     }
 
-    /// Exposes more while the core runs: all of the exposures or, if one fails, none. Waits for the end of a cycle, so it must not be
-    /// called on the core's own thread.
+    /// Exposes more while the core runs: all of the exposures or, if one fails, none. Waits for the end of a
+    /// cycle, so it must not be called on the core's own thread.
     ///
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed, or the core does not run.
@@ -94,7 +94,8 @@ impl Bridge {
         Ok(reports)
     }
 
-    /// Removes the endpoints for which `is_meant` returns true from the graph of ROS 2, and returns their last reports.
+    /// Removes the endpoints for which `is_meant` returns true from the graph of ROS 2, and returns their
+    /// last reports.
     pub fn remove(&self, is_meant: impl Fn(&ExposedEndpoint) -> bool) -> Vec<EndpointReport> {
         let _changes = self.changes.lock();
         self.endpoints.remove(is_meant)

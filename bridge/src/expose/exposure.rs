@@ -28,10 +28,11 @@ pub struct Exposure {
     pub node: Option<NodeName>,
 }
 
-/// Which messages of a topic pass: the latest of a cycle, of these every n-th, of these no more than the rate allows. For a network
-/// or a display that needs fewer messages than the robot has.
+/// Which messages of a topic pass: the latest of a cycle, of these every n-th, of these no more than the rate
+/// allows. For a network or a display that needs fewer messages than the robot has.
 ///
-/// The time is that of the executor, so the same run lets the same messages pass. Serialized with the keys of robot files.
+/// The time is that of the executor, so the same run lets the same messages pass. Serialized with the keys of
+/// robot files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(from = "LimitKeys", into = "LimitKeys")]
 pub struct Limits {

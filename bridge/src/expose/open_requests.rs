@@ -1,7 +1,7 @@
 //! Requests of ROS 2 that a core has and has not answered yet.
 //!
-//! Their time limits are those of the system's steady clock: the time of a core may stand still or pass slowly, and with it the limits
-//! that the core keeps, while clients of ROS 2 wait.
+//! Their time limits are those of the system's steady clock: the time of a core may stand still or pass
+//! slowly, and with it the limits that the core keeps, while clients of ROS 2 wait.
 
 use crate::middleware::rpc::Responder;
 use crate::worker::{TimeLimited, WorkerLink};

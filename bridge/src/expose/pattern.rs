@@ -3,8 +3,8 @@
 use std::fmt;
 use thiserror::Error;
 
-/// A name, or a pattern for names: `*` stands for any characters of one part of a name, `**` as a part of its own for
-/// any number of parts, none among them.
+/// A name, or a pattern for names: `*` stands for any characters of one part of a name, `**` as a part of its
+/// own for any number of parts, none among them.
 ///
 /// ```
 /// use downbeat_bridge::expose::TopicPattern;
@@ -85,7 +85,8 @@ impl TopicPattern {
         self.captures(name).is_some()
     }
 
-    /// `new_name` with each wildcard replaced by what it matched in `name`; `None` if the pattern does not match.
+    /// `new_name` with each wildcard replaced by what it matched in `name`; `None` if the pattern does not
+    /// match.
     #[must_use]
     pub fn rename(&self, name: &str, new_name: &str) -> Option<String> {
         let mut captures = self.captures(name)?.into_iter();

@@ -13,8 +13,9 @@ use std::collections::HashSet;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
-/// The topic of a core on which a bridge publishes events of the quality of service of its endpoints: messages of
-/// `downbeat_interfaces/msg/QosEvent`. They enter through an inlet, so a replay repeats recorded ones.
+/// The topic of a core on which a bridge publishes events of the quality of service of its endpoints:
+/// messages of `downbeat_interfaces/msg/QosEvent`. They enter through an inlet, so a replay repeats recorded
+/// ones.
 pub const QOS_EVENTS_TOPIC: &str = "bridge/qos_events";
 
 /// The maximum number of events that wait for the core; older ones are dropped, and counted by the topic.
@@ -105,7 +106,8 @@ impl EndpointQos {
         let _ = self.events.inlet.publish(message);
     }
 
-    /// Counts an event, and returns a warning for the first of its kind; `None` if rmw has no such event. (The node warns of endpoints that do not match.)
+    /// Counts an event, and returns a warning for the first of its kind; `None` if rmw has no such event.
+    /// (The node warns of endpoints that do not match.)
     fn note(&self, event: &EndpointEvent) -> Option<(QosEvent, Option<String>)> {
         let mut state = self.state.lock();
         let State { counts, current, alive, silent } = &mut *state;

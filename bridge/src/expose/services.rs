@@ -98,7 +98,8 @@ enum WeakService {
 }
 
 impl ServicesStatus {
-    /// The services that are offered to ROS 2: name, type, answered and refused requests, and the last reason.
+    /// The services that are offered to ROS 2: name, type, answered and refused requests, and the last
+    /// reason.
     #[must_use]
     pub fn offered(&self) -> Vec<OfferedService> {
         let services = self.services.read();
@@ -127,11 +128,12 @@ impl ServicesStatus {
     }
 }
 
-/// Offers services of modules on `node`, and adds observers to `core`: [`CALLS_MODULE_NAME`] serves those that modules call,
-/// [`SERVICES_MODULE_NAME`] has the settings of service introspection.
+/// Offers services of modules on `node`, and adds observers to `core`: [`CALLS_MODULE_NAME`] serves those
+/// that modules call, [`SERVICES_MODULE_NAME`] has the settings of service introspection.
 ///
-/// ROS 2 has no response for a refused request, and its clients wait until one comes. So each request is answered: where a module
-/// refuses it, panics, is removed or takes too long, with the response that [`Refusals`] makes for its type.
+/// ROS 2 has no response for a refused request, and its clients wait until one comes. So each request is
+/// answered: where a module refuses it, panics, is removed or takes too long, with the response that
+/// [`Refusals`] makes for its type.
 ///
 /// The endpoints are removed when the core stops.
 ///
@@ -146,8 +148,9 @@ pub fn expose_services(
     expose_services_with(core, node, offered, called, ServiceIntrospection::default())
 }
 
-/// The same, with service introspection; settings of [`SERVICES_MODULE_NAME`] change that while the core runs:
-/// [`ServiceIntrospection::OF_SERVICES`] and [`ServiceIntrospection::OF_CLIENTS`], "disabled", "metadata" or "contents".
+/// The same, with service introspection; settings of [`SERVICES_MODULE_NAME`] change that while the core
+/// runs: [`ServiceIntrospection::OF_SERVICES`] and [`ServiceIntrospection::OF_CLIENTS`], "disabled",
+/// "metadata" or "contents".
 ///
 /// # Errors
 /// [`ExposeError`] when a service cannot be exposed.
@@ -207,7 +210,8 @@ impl ExposedServices {
         Ok(services)
     }
 
-    /// Exposes more while the core runs. Waits for the end of a cycle, so it must not be called on the core's own thread.
+    /// Exposes more while the core runs. Waits for the end of a cycle, so it must not be called on the core's
+    /// own thread.
     ///
     /// # Errors
     /// [`ExposeError`] when a service cannot be exposed, or the core does not run.

@@ -1,6 +1,7 @@
 //! The states and transitions of rcl_lifecycle, and where a module is among them.
 //!
-//! Ids, labels and the order in which services list them are those of `rcl_lifecycle/src/default_state_machine.c`.
+//! Ids, labels and the order in which services list them are those of
+//! `rcl_lifecycle/src/default_state_machine.c`.
 
 use downbeat_executor::{LifeStep, LifecycleState, Transition};
 use downbeat_msgs::lifecycle_msgs::msg::{
@@ -151,7 +152,8 @@ impl RosTransition {
         }
     }
 
-    /// The transition that a request means in a state: by its label if there is one, otherwise by its id, as in rclcpp.
+    /// The transition that a request means in a state: by its label if there is one, otherwise by its id, as
+    /// in rclcpp.
     pub(super) fn requested(request: &TransitionMessage, state: RosState) -> Option<Self> {
         state.transitions().find(|transition| match request.label.as_str() {
             "" => transition.id == request.id,
@@ -176,8 +178,8 @@ impl Track {
 
     /// Goes on by a step; returns the transitions of rcl that it takes, from and to.
     ///
-    /// A module that says no has failed, and one that panics is in error: what an rclcpp node is that answers `FAILURE` or
-    /// throws. Only a restart ends that error, and no transition describes it.
+    /// A module that says no has failed, and one that panics is in error: what an rclcpp node is that answers
+    /// `FAILURE` or throws. Only a restart ends that error, and no transition describes it.
     pub(super) fn follow(&mut self, step: LifeStep) -> Vec<(RosState, RosState)> {
         let path = match step {
             LifeStep::Begins { transition, from } => vec![from.into(), RosState::during(transition)],

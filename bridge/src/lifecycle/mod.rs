@@ -1,7 +1,8 @@
 //! Modules with a lifecycle as managed nodes of ROS 2, for `ros2 lifecycle` and lifecycle managers.
 //!
-//! A module has the states of a managed node (<https://design.ros2.org/articles/node_lifecycle.html>). Here it is shown as
-//! its own node, with the five services of rclcpp_lifecycle, which change the state of the module, and `~/transition_event`.
+//! A module has the states of a managed node (<https://design.ros2.org/articles/node_lifecycle.html>). Here
+//! it is shown as its own node, with the five services of rclcpp_lifecycle, which change the state of the
+//! module, and `~/transition_event`.
 //!
 //! ```
 //! use downbeat_bridge::lifecycle::{LifecycleExposure, expose_lifecycle};

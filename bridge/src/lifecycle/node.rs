@@ -16,7 +16,8 @@ use parking_lot::Mutex;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-/// How long a module may take for a transition before the answer is that it failed; it may still be made later.
+/// How long a module may take for a transition before the answer is that it failed; it may still be made
+/// later.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How many requests for transitions wait; more are answered with a failure.

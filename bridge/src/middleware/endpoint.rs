@@ -19,7 +19,8 @@ impl Gid {
         prefix
     }
 
-    /// The two bytes with which the identities of all participants of one DDS implementation begin (RTPS 2.5, 9.3.1.5).
+    /// The two bytes with which the identities of all participants of one DDS implementation begin (RTPS 2.5,
+    /// 9.3.1.5).
     #[must_use]
     pub fn vendor(self) -> [u8; 2] {
         [self.0[0], self.0[1]]
@@ -47,17 +48,17 @@ pub struct Endpoint {
     pub type_name: String,
     /// What is offered or requested.
     pub qos: QosProfile,
-    /// How many samples a writer may hold for readers that have not acknowledged them. Bounds the memory that a
-    /// dead or best-effort reader can cost: about this number times the size of a sample. A transient local writer
-    /// holds no more than the greater of 64 and its history depth.
+    /// How many samples a writer may hold for readers that have not acknowledged them. Bounds the memory that
+    /// a dead or best-effort reader can cost: about this number times the size of a sample. A transient local
+    /// writer holds no more than the greater of 64 and its history depth.
     pub send_window: u32,
     /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can announce it.
     pub type_hash: Option<String>,
 }
 
 impl Endpoint {
-    /// A window for small samples: at 125 Hz it outlasts the 20 s that Fast DDS takes to notice a killed process,
-    /// and at 1 kB it holds 4 MB.
+    /// A window for small samples: at 125 Hz it outlasts the 20 s that Fast DDS takes to notice a killed
+    /// process, and at 1 kB it holds 4 MB.
     pub const SEND_WINDOW: u32 = 4096;
     /// A window for images, clouds and maps: 64 MB at 1 MB a sample.
     pub const SEND_WINDOW_LARGE_SAMPLES: u32 = 64;

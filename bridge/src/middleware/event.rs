@@ -23,7 +23,8 @@ pub enum EndpointEvent {
         /// The other endpoint.
         peer: Gid,
     },
-    /// Another endpoint is on the topic, but the offered quality of service does not satisfy the requested one.
+    /// Another endpoint is on the topic, but the offered quality of service does not satisfy the requested
+    /// one.
     IncompatibleQos {
         /// The other endpoint.
         peer: Gid,
@@ -37,7 +38,8 @@ pub enum EndpointEvent {
         /// The DDS name of its type.
         type_name: Arc<str>,
     },
-    /// The writer wrote no sample within the offered deadline, or the reader received none within the requested one.
+    /// The writer wrote no sample within the offered deadline, or the reader received none within the
+    /// requested one.
     DeadlineMissed {
         /// The number of missed deadlines.
         count: u32,
@@ -51,8 +53,8 @@ pub enum EndpointEvent {
         /// The new liveliness.
         now: Aliveness,
     },
-    /// A matched reader knows no samples of the writer any more: its participant had lost this one, for example during
-    /// a pause longer than its lease, and has found it again.
+    /// A matched reader knows no samples of the writer any more: its participant had lost this one, for
+    /// example during a pause longer than its lease, and has found it again.
     BegunAnew {
         /// The reader.
         peer: Gid,
@@ -106,8 +108,8 @@ impl QosPolicyKind {
         }
     }
 
-    /// The first policy that prevents a match of a writer that offers one profile and a reader that requests the other
-    /// (DDS 1.4, 2.2.3, the column *RxO*); `None` if they match.
+    /// The first policy that prevents a match of a writer that offers one profile and a reader that requests
+    /// the other (DDS 1.4, 2.2.3, the column *RxO*); `None` if they match.
     #[must_use]
     pub fn between(offered: &QosProfile, requested: &QosProfile) -> Option<Self> {
         let endless = |time: Option<Duration>| time.unwrap_or(Duration::MAX);

@@ -1,13 +1,13 @@
 //! Raw topics over a publish and subscribe engine, behind a trait that other engines can implement.
 //!
-//! The interface consists of topic names, type names and bytes. ROS names, message types and the node graph belong to
-//! [`crate::ros`]. The bytes are a complete serialized payload: the four bytes of the CDR encapsulation header and the body,
-//! as returned by `rclpy.serialization.serialize_message`.
+//! The interface consists of topic names, type names and bytes. ROS names, message types and the node graph
+//! belong to [`crate::ros`]. The bytes are a complete serialized payload: the four bytes of the CDR
+//! encapsulation header and the body, as returned by `rclpy.serialization.serialize_message`.
 //!
-//! The engines behind [`Middleware`] are [`rtps`], the engine of this project, which communicates with every ROS 2 node; the
-//! crate rustdds, with the feature of that name; and [`in_process`], a hub in memory for tests without a network. The package
-//! in `conformance/` tests all of them, including requests and replies ([`rpc`]), which are samples that refer to the related
-//! sample.
+//! The engines behind [`Middleware`] are [`rtps`], the engine of this project, which communicates with every
+//! ROS 2 node; the crate rustdds, with the feature of that name; and [`in_process`], a hub in memory for
+//! tests without a network. The package in `conformance/` tests all of them, including requests and replies
+//! ([`rpc`]), which are samples that refer to the related sample.
 
 pub mod in_process;
 pub mod rpc;
@@ -29,15 +29,15 @@ use bytes::Bytes;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Receives the samples of one reader, in the order of each writer. It runs on a thread of the middleware that
-/// all readers of the participant share, so it must pass the sample on and return.
+/// Receives the samples of one reader, in the order of each writer. It runs on a thread of the middleware
+/// that all readers of the participant share, so it must pass the sample on and return.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 
 /// Handles changes of the matched endpoints. It runs on a thread of the middleware, so it must not block.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
-/// A participant of a domain: creates endpoints, and discovers those of others. Its readers also receive from its own writers,
-/// so nodes of one process communicate with each other.
+/// A participant of a domain: creates endpoints, and discovers those of others. Its readers also receive from
+/// its own writers, so nodes of one process communicate with each other.
 ///
 /// Dropping it makes it leave the domain. Drop its endpoints before.
 pub trait Middleware: Send + Sync {
@@ -50,8 +50,8 @@ pub trait Middleware: Send + Sync {
     /// [`MiddlewareError`] when the engine refuses the endpoint or its quality of service.
     fn create_writer(&self, endpoint: &Endpoint) -> Result<Box<dyn Writer>, MiddlewareError>;
 
-    /// Creates a reader that gives each sample to `on_sample`. Once the returned reader is dropped, `on_sample`
-    /// is not called any more.
+    /// Creates a reader that gives each sample to `on_sample`. Once the returned reader is dropped,
+    /// `on_sample` is not called any more.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the engine refuses the endpoint or its quality of service.
@@ -64,13 +64,14 @@ pub trait Middleware: Send + Sync {
     /// The endpoints of other participants that are known at this moment.
     fn remote_endpoints(&self) -> Vec<RemoteEndpoint>;
 
-    /// The participants that were discovered, whether or not their endpoints are known yet. `None` where the engine does not tell.
+    /// The participants that were discovered, whether or not their endpoints are known yet. `None` where the
+    /// engine does not tell.
     fn remote_participants(&self) -> Option<Vec<[u8; 12]>> {
         None
     }
 
-    /// Leaves the domain at once, for a process that is about to end without dropping it. Without an effect in engines that cannot, whose
-    /// peers then wait for the lease to expire.
+    /// Leaves the domain at once, for a process that is about to end without dropping it. Without an effect
+    /// in engines that cannot, whose peers then wait for the lease to expire.
     fn leave(&self) {}
 }
 
@@ -79,7 +80,8 @@ pub trait Writer: Send + Sync {
     /// The identity of this endpoint.
     fn gid(&self) -> Gid;
 
-    /// The number of matched readers. A reliable reader counts once it has answered this writer, and so receives what is written now.
+    /// The number of matched readers. A reliable reader counts once it has answered this writer, and so
+    /// receives what is written now.
     fn matched(&self) -> usize;
 
     /// The matched readers.
@@ -88,12 +90,12 @@ pub trait Writer: Send + Sync {
     /// Registers a handler for changes of the matched readers, in place of the handler before.
     fn on_match(&self, handler: MatchHandler);
 
-    /// Registers a handler for events of this endpoint: first the present state, then its changes. It replaces the handler
-    /// before.
+    /// Registers a handler for events of this endpoint: first the present state, then its changes. It
+    /// replaces the handler before.
     fn on_event(&self, handler: EventHandler);
 
-    /// Writes one sample, stamped with the present time. Never blocks: a sample that does not fit the send window
-    /// (a reliable reader has died and its lease still runs) is refused.
+    /// Writes one sample, stamped with the present time. Never blocks: a sample that does not fit the send
+    /// window (a reliable reader has died and its lease still runs) is refused.
     ///
     /// # Errors
     /// [`WriteError`] when this sample was not written.
@@ -107,11 +109,12 @@ pub trait Writer: Send + Sync {
     /// [`WriteError`] when this sample was not written.
     fn write_with(&self, cdr: Bytes, options: WriteOptions) -> Result<i64, WriteError>;
 
-    /// Asserts the liveliness of this writer without a sample, if it is manual. An engine may support samples as the only
-    /// assertion.
+    /// Asserts the liveliness of this writer without a sample, if it is manual. An engine may support samples
+    /// as the only assertion.
     fn assert_liveliness(&self) {}
 
-    /// Waits until every matched reliable reader has acknowledged all samples, at most for `timeout`. Returns true if all have.
+    /// Waits until every matched reliable reader has acknowledged all samples, at most for `timeout`. Returns
+    /// true if all have.
     fn flush(&self, timeout: Duration) -> bool;
 }
 
@@ -129,8 +132,8 @@ pub trait Reader: Send + Sync {
     /// Registers a handler for changes of the matched writers, in place of the handler before.
     fn on_match(&self, handler: MatchHandler);
 
-    /// Registers a handler for events of this endpoint: first the present state, then its changes. It replaces the handler
-    /// before.
+    /// Registers a handler for events of this endpoint: first the present state, then its changes. It
+    /// replaces the handler before.
     fn on_event(&self, handler: EventHandler);
 }
 

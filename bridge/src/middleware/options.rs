@@ -13,7 +13,8 @@ pub const MAX_DOMAIN_ID: u16 = 232;
 pub enum DiscoveryRange {
     /// No other participants are discovered.
     Off,
-    /// Only participants on this machine: discovery and announced addresses are those of the loopback interface.
+    /// Only participants on this machine: discovery and announced addresses are those of the loopback
+    /// interface.
     Localhost,
     /// Everybody that multicast reaches, and this machine.
     Subnet,
@@ -127,8 +128,8 @@ impl ParticipantOptions {
         }
     }
 
-    /// The options in `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS` and `ROS_SECURITY_*`.
-    /// An empty variable counts as unset.
+    /// The options in `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY`,
+    /// `ROS_STATIC_PEERS` and `ROS_SECURITY_*`. An empty variable counts as unset.
     ///
     /// # Errors
     /// [`OptionsError`] when a variable holds no valid value.
@@ -179,7 +180,8 @@ impl ParticipantOptions {
         Ok(Self { discovery_range, static_peers, wants_security, ..Self::new(domain_id) })
     }
 
-    /// Requests of the environment that are not supported, each as a sentence for the log with an alternative.
+    /// Requests of the environment that are not supported, each as a sentence for the log with an
+    /// alternative.
     #[must_use]
     pub fn not_honoured(&self) -> Vec<String> {
         let mut sentences = Vec::new();

@@ -14,7 +14,8 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Calls a service of type `S` that nodes of other processes offer. See [`Service`](super::Service) for an example.
+/// Calls a service of type `S` that nodes of other processes offer. See [`Service`](super::Service) for an
+/// example.
 pub struct Client<S> {
     raw: RawClient,
     service: PhantomData<fn() -> S>,
@@ -53,8 +54,8 @@ impl<S: downbeat_msgs::Service> Client<S> {
         self.raw.configure_introspection(node, introspection, qos, clock)
     }
 
-    /// Asks. `on_reply` is called once, with the answer or why there is none, on the thread that the services and clients
-    /// of the participant share; it must return soon, and may ask again. Does not block.
+    /// Asks. `on_reply` is called once, with the answer or why there is none, on the thread that the services
+    /// and clients of the participant share; it must return soon, and may ask again. Does not block.
     pub fn call(
         &self,
         request: &S::Request,
@@ -70,8 +71,8 @@ impl<S: downbeat_msgs::Service> Client<S> {
         });
     }
 
-    /// Asks and waits for the answer. Not for handlers of services and clients: they run on the thread that would bring
-    /// the answer, so that the time would always run out.
+    /// Asks and waits for the answer. Not for handlers of services and clients: they run on the thread that
+    /// would bring the answer, so that the time would always run out.
     ///
     /// # Errors
     /// [`CallError`] when there is no answer.
@@ -150,8 +151,8 @@ impl RawClient {
         }
     }
 
-    /// Sets what is published on `<service>/_service_event` of the requests and responses of this client. `node` is the node of
-    /// the client, `clock` stamps the events.
+    /// Sets what is published on `<service>/_service_event` of the requests and responses of this client.
+    /// `node` is the node of the client, `clock` stamps the events.
     ///
     /// # Errors
     /// [`NodeError`] when the engine refuses the publisher.

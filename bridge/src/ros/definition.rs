@@ -1,7 +1,7 @@
 //! Warnings about matched endpoints of others whose type has the same name and another definition.
 //!
-//! DDS matches by names, so their messages are exchanged and may be read wrongly. Nodes of Jazzy announce the hash of each type
-//! (REP-2016), by which the difference is known before the first message.
+//! DDS matches by names, so their messages are exchanged and may be read wrongly. Nodes of Jazzy announce the
+//! hash of each type (REP-2016), by which the difference is known before the first message.
 
 use super::membership::Shared;
 use super::{ServiceName, ServiceType};
@@ -38,8 +38,8 @@ struct Peers {
 }
 
 impl Definition {
-    /// That of an endpoint on `of`, such as `topic '/scan'`, whose peers announce one of `hashes`. Without a hash nothing is
-    /// compared.
+    /// That of an endpoint on `of`, such as `topic '/scan'`, whose peers announce one of `hashes`. Without a
+    /// hash nothing is compared.
     pub(super) fn new(shared: &Shared, of: String, type_name: &str, hashes: Vec<String>) -> Self {
         let comparison = Comparison {
             of,
@@ -77,7 +77,8 @@ impl Definition {
         })
     }
 
-    /// Logs a matched endpoint if it announces another definition. Runs on a thread of the middleware, which must not be asked there.
+    /// Logs a matched endpoint if it announces another definition. Runs on a thread of the middleware, which
+    /// must not be asked there.
     pub(super) fn compare(&self, peer: Gid) {
         let Some(comparison) = &self.0 else { return };
         let is_first = {

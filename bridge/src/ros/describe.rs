@@ -1,4 +1,5 @@
-//! The definition of a type that only a node on the network knows: a publisher is asked by `get_type_description`.
+//! The definition of a type that only a node on the network knows: a publisher is asked by
+//! `get_type_description`.
 
 use super::membership::Membership;
 use super::{Client, MessageType, Node, NodeError, ServiceName, ServiceType, Subscription, TopicName};
@@ -58,8 +59,8 @@ pub enum DescribeError {
 }
 
 impl Node {
-    /// Asks a node of another participant that has the topic for the definition of the type, and waits for the answer. Handlers of
-    /// the middleware must not call this: they would wait for themselves.
+    /// Asks a node of another participant that has the topic for the definition of the type, and waits for
+    /// the answer. Handlers of the middleware must not call this: they would wait for themselves.
     ///
     /// # Errors
     /// [`DescribeError`] if no node is known that could describe the type, or the response is invalid.
@@ -72,8 +73,8 @@ impl Node {
         self.describe_endpoint(&topic.to_wire(), topic.as_str(), message_type, timeout)
     }
 
-    /// The same for the request and the response of a service. Nodes of rcl do not describe these by themselves; those of
-    /// downbeat do.
+    /// The same for the request and the response of a service. Nodes of rcl do not describe these by
+    /// themselves; those of downbeat do.
     ///
     /// # Errors
     /// As [`Node::describe`].
@@ -180,8 +181,8 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// Between two looks whether a service is available.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Asks the publishers of a topic for the definition of a raw type that is unknown, until it is known or the subscription is
-/// dropped.
+/// Asks the publishers of a topic for the definition of a raw type that is unknown, until it is known or the
+/// subscription is dropped.
 pub(crate) fn learn(node: &Node, subscription: &Arc<Subscription>, message_type: KnownType) {
     if !message_type.is_raw() || !message_type.hash().is_empty() {
         return;

@@ -1,7 +1,8 @@
-//! Which node owns which endpoint: announced to others, and received from them, on the topic `ros_discovery_info`.
+//! Which node owns which endpoint: announced to others, and received from them, on the topic
+//! `ros_discovery_info`.
 //!
-//! Every participant writes one message with all its nodes and the identities of their endpoints, again whenever
-//! something changes; see `rmw_dds_common` (branch jazzy) and
+//! Every participant writes one message with all its nodes and the identities of their endpoints, again
+//! whenever something changes; see `rmw_dds_common` (branch jazzy) and
 //! <https://design.ros2.org/articles/Node_to_Participant_mapping.html>.
 
 use super::{MessageType, NodeName, TopicName};
@@ -19,12 +20,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-/// At exit the last message gets this long to be sent, and as long to be acknowledged; on one machine it takes some
-/// milliseconds.
+/// At exit the last message gets this long to be sent, and as long to be acknowledged; on one machine it
+/// takes some milliseconds.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// A peer acknowledges within some milliseconds: a message that finds no room is written again after this time, then
-/// after twice as long, up to [`LONGEST_WAIT`].
+/// A peer acknowledges within some milliseconds: a message that finds no room is written again after this
+/// time, then after twice as long, up to [`LONGEST_WAIT`].
 const FIRST_WAIT: Duration = Duration::from_millis(2);
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
@@ -57,7 +58,8 @@ pub(super) struct Owners {
     pub(super) owners: BTreeMap<Gid, String>,
 }
 
-/// The graph of one participant: its announcements and those of others. Dropping it announces that it has no nodes.
+/// The graph of one participant: its announcements and those of others. Dropping it announces that it has no
+/// nodes.
 pub(super) struct Graph {
     own: Arc<Own>,
     heard: Arc<Mutex<Heard>>,
@@ -307,8 +309,9 @@ impl Drop for Graph {
 /// The most readers that are remembered.
 const MOST_REMEMBERED: usize = 4096;
 
-/// Announces the nodes again when a reader is matched that was matched before, or has begun anew. A participant that
-/// lost this one has forgotten its nodes, and Fast DDS does not pass a message on again whose number it has seen.
+/// Announces the nodes again when a reader is matched that was matched before, or has begun anew. A
+/// participant that lost this one has forgotten its nodes, and Fast DDS does not pass a message on again
+/// whose number it has seen.
 fn found_again(own: &Arc<Own>) -> EventHandler {
     let (own, known) = (Arc::downgrade(own), Mutex::new(BTreeSet::new()));
     Box::new(move |event| {

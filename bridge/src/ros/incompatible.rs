@@ -39,8 +39,8 @@ impl Warnings {
         Self { topic, message_type, direction, definition, logged: Arc::default() }
     }
 
-    /// Logs the first endpoint with incompatible quality of service and each one with another type or definition, and passes
-    /// all events to `then`.
+    /// Logs the first endpoint with incompatible quality of service and each one with another type or
+    /// definition, and passes all events to `then`.
     pub(super) fn and(&self, then: EventHandler) -> EventHandler {
         let warnings = self.clone();
         Box::new(move |event| {

@@ -1,7 +1,8 @@
 //! Service introspection: events of services and clients, published on `<service>/_service_event`.
 //!
-//! As `rcl` does it (`rcl/src/rcl/service_event_publisher.c`, `service.c` and `client.c`, branch jazzy): a server publishes an event when it
-//! has received a request and sent a response, a client when it has sent a request and received a response.
+//! As `rcl` does it (`rcl/src/rcl/service_event_publisher.c`, `service.c` and `client.c`, branch jazzy): a
+//! server publishes an event when it has received a request and sent a response, a client when it has sent a
+//! request and received a response.
 
 use super::{MessageType, Node, NodeError, Publisher, ServiceName, ServiceType};
 use crate::edge::{EventContent, KnownService};

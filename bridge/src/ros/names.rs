@@ -1,7 +1,8 @@
 //! Names of nodes, topics and types: valid once they exist, and as they stand on the wire.
 //!
 //! The rules are those of `rmw_validate_node_name`, `rmw_validate_namespace`, `rcl_validate_topic_name` and
-//! `rcl_expand_topic_name` (branch jazzy), the wire form that of `rmw_fastrtps_shared_cpp/namespace_prefix.hpp`.
+//! `rcl_expand_topic_name` (branch jazzy), the wire form that of
+//! `rmw_fastrtps_shared_cpp/namespace_prefix.hpp`.
 
 use std::fmt;
 use thiserror::Error;
@@ -82,8 +83,9 @@ impl fmt::Display for NodeName {
 pub struct TopicName(String);
 
 impl TopicName {
-    /// The topic that a node means by `name`: `/joint_states` unchanged, `joint_states` in the node's namespace,
-    /// `~/joint_states` below the node's own name. `{node}`, `{ns}` and `{namespace}` stand for the node's.
+    /// The topic that a node means by `name`: `/joint_states` unchanged, `joint_states` in the node's
+    /// namespace, `~/joint_states` below the node's own name. `{node}`, `{ns}` and `{namespace}` stand for
+    /// the node's.
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the name.

@@ -62,8 +62,8 @@ impl EndpointKind {
 }
 
 impl Participant {
-    /// All nodes of others that are known at this moment, and their endpoints, in an order that does not depend on who was
-    /// found first. Endpoints of programs that are no ROS 2 nodes are left out.
+    /// All nodes of others that are known at this moment, and their endpoints, in an order that does not
+    /// depend on who was found first. Endpoints of programs that are no ROS 2 nodes are left out.
     ///
     /// Nodes that were there before are known after some seconds; until then their endpoints have no node.
     #[must_use]
@@ -118,7 +118,8 @@ impl From<Found> for NetworkGraph {
     }
 }
 
-/// `None` for what is no topic and no service of ROS 2, and for the second of the two endpoints of a server or client.
+/// `None` for what is no topic and no service of ROS 2, and for the second of the two endpoints of a server
+/// or client.
 fn found(remote: RemoteEndpoint, owners: &BTreeMap<Gid, String>) -> Option<FoundEndpoint> {
     let (kind, name, type_name) = match (TopicName::from_wire(&remote.topic_name), remote.direction) {
         (Some(topic), direction) => {
@@ -169,7 +170,8 @@ fn nanoseconds(duration: Option<Duration>) -> i64 {
     duration.map_or(0, |duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
 }
 
-/// The numbers that OMG has given to vendors (<https://www.dds-foundation.org/dds-rtps-vendor-and-product-ids/>).
+/// The numbers that OMG has given to vendors
+/// (<https://www.dds-foundation.org/dds-rtps-vendor-and-product-ids/>).
 fn vendor(participant: Gid) -> String {
     match participant.vendor() {
         [1, 1] => "RTI Connext".to_owned(),

@@ -79,7 +79,8 @@ impl Node {
         self.membership.shared.remaps.service(ServiceName::expand(service, self.name())?, self.name())
     }
 
-    /// Resolves the quality of service to offer or request on a topic, depending on the known endpoints of others.
+    /// Resolves the quality of service to offer or request on a topic, depending on the known endpoints of
+    /// others.
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the name of the topic.

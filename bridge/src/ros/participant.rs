@@ -13,8 +13,8 @@ use std::sync::{Arc, Weak};
 
 /// One participant of the domain, which all nodes of a process share.
 ///
-/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its nodes
-/// disappear from the graph of others at once, and its threads have ended when the drop returns.
+/// When the last node, publisher and subscription made from it is dropped too, it leaves the domain: its
+/// nodes disappear from the graph of others at once, and its threads have ended when the drop returns.
 #[derive(Clone)]
 pub struct Participant {
     pub(super) shared: Arc<Shared>,
@@ -23,8 +23,8 @@ pub struct Participant {
 /// The participants of this process, for [`leave_all`].
 static JOINED: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Leaves all domains without waiting for acknowledgements, for a process that is about to end without dropping
-/// its participants. Their nodes and endpoints disappear from the graphs of others at once.
+/// Leaves all domains without waiting for acknowledgements, for a process that is about to end without
+/// dropping its participants. Their nodes and endpoints disappear from the graphs of others at once.
 pub fn leave_all() {
     let joined: Vec<_> = JOINED.lock().iter().filter_map(Weak::upgrade).collect();
     for shared in &joined {
@@ -49,8 +49,8 @@ impl Participant {
         Self::on(middleware::join(options)?)
     }
 
-    /// Joins the domain that the options name; the rules apply to all names of its nodes. `interfaces` has the types that its endpoints
-    /// announce and its nodes describe.
+    /// Joins the domain that the options name; the rules apply to all names of its nodes. `interfaces` has
+    /// the types that its endpoints announce and its nodes describe.
     ///
     /// # Errors
     /// [`MiddlewareError`] when the domain cannot be joined.
@@ -119,9 +119,9 @@ impl Participant {
         self.shared.worker.link()
     }
 
-    /// Calls `furnish` with each node that is created from now on, until the returned value is dropped: for the
-    /// endpoints that all nodes of a program have. Those that are made from the node it is given go when the node goes,
-    /// and are given to [`Node::attach`] for that.
+    /// Calls `furnish` with each node that is created from now on, until the returned value is dropped: for
+    /// the endpoints that all nodes of a program have. Those that are made from the node it is given go when
+    /// the node goes, and are given to [`Node::attach`] for that.
     #[must_use = "it ends when it is dropped"]
     pub fn furnish(
         &self,
@@ -148,9 +148,9 @@ impl Participant {
         self.shared.middleware.remote_endpoints()
     }
 
-    /// Whether everything that others have announced so far is known: the nodes of each participant that was discovered, and
-    /// all endpoints of these. Participants that have not answered yet are not known, so that it may become false again. Never
-    /// true while there are none, or participants that are no ROS 2 nodes.
+    /// Whether everything that others have announced so far is known: the nodes of each participant that was
+    /// discovered, and all endpoints of these. Participants that have not answered yet are not known, so that
+    /// it may become false again. Never true while there are none, or participants that are no ROS 2 nodes.
     #[must_use]
     pub fn has_heard_all(&self) -> bool {
         let Some(participants) = self.shared.middleware.remote_participants() else { return false };

@@ -17,8 +17,8 @@ pub struct Publisher {
     message_type: MessageType,
     qos: QosProfile,
     warnings: Warnings,
-    // Fields are dropped in this order: the entry in the graph, so that no tool sees an endpoint without a node; the
-    // endpoint; and, with the last of them, the participant.
+    // Fields are dropped in this order: the entry in the graph, so that no tool sees an endpoint without a
+    // node; the endpoint; and, with the last of them, the participant.
     _listed: Listed,
     writer: Box<dyn Writer>,
     _hold: Hold,
@@ -49,8 +49,9 @@ impl Publisher {
         self.writer.matched()
     }
 
-    /// Registers a handler for events of the quality of service of this publisher: first the present state, then its changes. It runs on a
-    /// thread of the middleware, so it must not block, and replaces the handler before.
+    /// Registers a handler for events of the quality of service of this publisher: first the present state,
+    /// then its changes. It runs on a thread of the middleware, so it must not block, and replaces the
+    /// handler before.
     pub fn on_event(&self, handler: EventHandler) {
         self.writer.on_event(self.warnings.and(handler));
     }
@@ -74,8 +75,8 @@ impl Publisher {
         self.writer.assert_liveliness();
     }
 
-    /// Waits until all matched reliable subscriptions have acknowledged all messages; returns false if some have not
-    /// after `timeout`.
+    /// Waits until all matched reliable subscriptions have acknowledged all messages; returns false if some
+    /// have not after `timeout`.
     pub fn wait_for_all_acked(&self, timeout: Duration) -> bool {
         self.writer.flush(timeout)
     }

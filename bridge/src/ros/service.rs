@@ -65,8 +65,8 @@ impl Service {
         &self.service_type
     }
 
-    /// Sets what is published on `<service>/_service_event` of the requests and responses of this service. `node` is the node
-    /// that offers it, `clock` stamps the events.
+    /// Sets what is published on `<service>/_service_event` of the requests and responses of this service.
+    /// `node` is the node that offers it, `clock` stamps the events.
     ///
     /// # Errors
     /// [`NodeError`] when the engine refuses the publisher.
@@ -160,8 +160,9 @@ fn observed(events: Arc<ServiceEvents>, mut on_request: RequestHandler) -> Reque
 }
 
 impl Node {
-    /// Offers a service whose requests are answered at once. `service` may be absolute, relative or private (`~/…`).
-    /// `on_request` runs on the thread that the services and clients of the participant share, so it must return soon.
+    /// Offers a service whose requests are answered at once. `service` may be absolute, relative or private
+    /// (`~/…`). `on_request` runs on the thread that the services and clients of the participant share, so it
+    /// must return soon.
     ///
     /// # Errors
     /// [`NodeError`] when a name is not valid or the engine refuses.
@@ -178,8 +179,9 @@ impl Node {
         })
     }
 
-    /// Offers a service whose requests may be answered later, from any thread; see [`Node::serve`]. A request that is
-    /// not of the type of the service is refused, see [`Refusals`]: with rclcpp its client would wait for ever.
+    /// Offers a service whose requests may be answered later, from any thread; see [`Node::serve`]. A request
+    /// that is not of the type of the service is refused, see [`Refusals`]: with rclcpp its client would wait
+    /// for ever.
     ///
     /// # Errors
     /// [`NodeError`] when a name is not valid or the engine refuses.
@@ -195,8 +197,8 @@ impl Node {
         Ok(service)
     }
 
-    /// Offers a service of a type that this program may not know: requests and replies are their bytes, encapsulation
-    /// header and body.
+    /// Offers a service of a type that this program may not know: requests and replies are their bytes,
+    /// encapsulation header and body.
     ///
     /// # Errors
     /// [`NodeError`] when a name is not valid or the engine refuses.

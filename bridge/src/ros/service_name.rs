@@ -27,7 +27,8 @@ impl ServiceName {
         self.0.as_str()
     }
 
-    /// The service whose requests are sent on that topic of the wire, if they are those of a service of ROS 2.
+    /// The service whose requests are sent on that topic of the wire, if they are those of a service of ROS
+    /// 2.
     pub(super) fn of_requests(topic: &str) -> Option<Self> {
         TopicName::absolute(topic.strip_prefix("rq")?.strip_suffix("Request")?).map(Self)
     }
@@ -37,8 +38,8 @@ impl ServiceName {
         [format!("rq{}Request", self.as_str()), format!("rr{}Reply", self.as_str())]
     }
 
-    /// The endpoints announce the hashes of the messages that they carry, as those of `rmw_cyclonedds_cpp` do. Those of
-    /// `rmw_fastrtps_cpp` announce that of the request on both topics.
+    /// The endpoints announce the hashes of the messages that they carry, as those of `rmw_cyclonedds_cpp`
+    /// do. Those of `rmw_fastrtps_cpp` announce that of the request on both topics.
     pub(super) fn endpoint(
         &self,
         interfaces: &Interfaces,

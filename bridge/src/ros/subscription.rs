@@ -44,16 +44,17 @@ impl Subscription {
         self.reader.matched()
     }
 
-    /// Registers a handler for events of the quality of service of this subscription: first the present state, then its changes. It runs on a
-    /// thread of the middleware, so it must not block, and replaces the handler before.
+    /// Registers a handler for events of the quality of service of this subscription: first the present
+    /// state, then its changes. It runs on a thread of the middleware, so it must not block, and replaces the
+    /// handler before.
     pub fn on_event(&self, handler: EventHandler) {
         self.reader.on_event(self.warnings.and(handler));
     }
 }
 
 impl Node {
-    /// Creates a subscription; `topic` may be absolute, relative or private (`~/…`). `on_sample` runs on the thread
-    /// that all subscriptions of the participant share, so it must pass the sample on and return.
+    /// Creates a subscription; `topic` may be absolute, relative or private (`~/…`). `on_sample` runs on the
+    /// thread that all subscriptions of the participant share, so it must pass the sample on and return.
     ///
     /// # Errors
     /// [`NodeError`] if the name is not valid, or the engine refuses the endpoint.

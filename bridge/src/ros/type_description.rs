@@ -1,7 +1,8 @@
-//! `~/get_type_description`, which every node offers: what a type looks like, for those that meet it for the first time.
+//! `~/get_type_description`, which every node offers: what a type looks like, for those that meet it for the
+//! first time.
 //!
-//! As `rcl_node_type_description_service_handle_request` (`rcl/src/rcl/node.c`, branch jazzy) answers, but for all types
-//! that are registered, not only those the node uses now.
+//! As `rcl_node_type_description_service_handle_request` (`rcl/src/rcl/node.c`, branch jazzy) answers, but
+//! for all types that are registered, not only those the node uses now.
 
 use crate::edge::{Described, Interfaces};
 use downbeat_msgs::definitions::{Kind, TypeName};
@@ -43,8 +44,9 @@ fn is_hash(text: &str) -> bool {
         .is_some_and(|digits| digits.len() == 64 && digits.bytes().all(|digit| digit.is_ascii_hexdigit()))
 }
 
-/// The files that define the type and all that it refers to, as they are: the type itself first, the others in the order of their
-/// names. A type without its own file, such as the request of a service, has no text: rosidl calls that implicit.
+/// The files that define the type and all that it refers to, as they are: the type itself first, the others
+/// in the order of their names. A type without its own file, such as the request of a service, has no text:
+/// rosidl calls that implicit.
 fn sources(known: &Described) -> Vec<TypeSource> {
     let texts = texts(known);
     let names =

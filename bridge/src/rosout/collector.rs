@@ -21,7 +21,8 @@ thread_local! {
 
 /// Collects lines from all threads for `/rosout`. Clones share the lines.
 ///
-/// It keeps the first 1000 lines until there is a node, which then publishes them. Lines that do not fit are dropped and counted; a line on `/rosout` reports how many are missing.
+/// It keeps the first 1000 lines until there is a node, which then publishes them. Lines that do not fit are
+/// dropped and counted; a line on `/rosout` reports how many are missing.
 #[derive(Clone)]
 pub struct Rosout {
     pub(super) shared: Arc<Shared>,
@@ -38,7 +39,8 @@ pub struct RosoutStatus {
     pub failed: u64,
 }
 
-/// Passes the events of `tracing` to a [`Rosout`], but for those of publishing itself: a line about a failed line would fail, too.
+/// Passes the events of `tracing` to a [`Rosout`], but for those of publishing itself: a line about a failed
+/// line would fail, too.
 pub struct RosoutLayer {
     rosout: Rosout,
 }

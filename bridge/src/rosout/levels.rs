@@ -14,8 +14,9 @@ const ROOT: &str = "";
 
 /// The levels that were set for loggers. Clones share the levels.
 ///
-/// Names are those of rcutils: `robot.downbeat` is the parent of `robot.downbeat.walker`, and a logger that has no level has
-/// that of its parent. Where no ancestor has one either, what the program was started with holds.
+/// Names are those of rcutils: `robot.downbeat` is the parent of `robot.downbeat.walker`, and a logger that
+/// has no level has that of its parent. Where no ancestor has one either, what the program was started with
+/// holds.
 ///
 /// ```
 /// use downbeat_bridge::rosout::{LoggerLevels, Severity};

@@ -34,8 +34,9 @@ pub struct LogLine {
 }
 
 impl LogLine {
-    /// The line for an event that is logged now on this thread. Its place is that of the event, unless the fields `log.file`,
-    /// `log.line` and `log.module_path` give another: so do lines of the crate `log` and of modules in other languages.
+    /// The line for an event that is logged now on this thread. Its place is that of the event, unless the
+    /// fields `log.file`, `log.line` and `log.module_path` give another: so do lines of the crate `log` and
+    /// of modules in other languages.
     #[must_use]
     pub fn of(event: &Event<'_>) -> Self {
         let metadata = event.metadata();

@@ -1,9 +1,9 @@
 //! `/rosout`: what a program logs through `tracing`, for `rqt_console` and `ros2 topic echo /rosout`.
 //!
-//! [`Rosout`] collects lines from any thread without blocking it, and publishes them on the worker of the participant once
-//! there is a node. Loggers are named as rclcpp names them: the node `robot.downbeat`, and for what a module logs
-//! `robot.downbeat.module`. [`LoggerLevels`] holds the levels that tools give to loggers while the program runs,
-//! and offers the services by which they do.
+//! [`Rosout`] collects lines from any thread without blocking it, and publishes them on the worker of the
+//! participant once there is a node. Loggers are named as rclcpp names them: the node `robot.downbeat`, and
+//! for what a module logs `robot.downbeat.module`. [`LoggerLevels`] holds the levels that tools give to
+//! loggers while the program runs, and offers the services by which they do.
 //!
 //! ```
 //! use downbeat_bridge::middleware::in_process::Hub;

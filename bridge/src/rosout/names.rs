@@ -6,8 +6,8 @@ use parking_lot::RwLock;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The names of the loggers of a program: that of its node, those of modules below it, and those of modules that have a node of
-/// their own. Clones share them.
+/// The names of the loggers of a program: that of its node, those of modules below it, and those of modules
+/// that have a node of their own. Clones share them.
 ///
 /// ```
 /// use downbeat_bridge::ros::NodeName;

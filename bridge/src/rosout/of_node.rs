@@ -14,8 +14,8 @@ pub struct RosoutOfNode {
 }
 
 impl Rosout {
-    /// Gives one more node of the program its publisher of `/rosout`, as every node of rclcpp has one. The lines
-    /// of `module`, where the node stands for one, go through it under the node's name.
+    /// Gives one more node of the program its publisher of `/rosout`, as every node of rclcpp has one. The
+    /// lines of `module`, where the node stands for one, go through it under the node's name.
     ///
     /// # Errors
     /// [`NodeError`] when the publisher cannot be created.

@@ -37,8 +37,8 @@ pub struct RosoutPublisher {
 }
 
 impl Rosout {
-    /// Publishes collected and future lines on `/rosout` of a node, with the QoS of rcl: reliable, transient local,
-    /// keep last 1000, lifespan 10 s.
+    /// Publishes collected and future lines on `/rosout` of a node, with the QoS of rcl: reliable, transient
+    /// local, keep last 1000, lifespan 10 s.
     ///
     /// # Errors
     /// [`RosoutError`] if the publisher cannot be created, or another node publishes already.
@@ -105,7 +105,8 @@ impl Sender {
     fn send(&self, line: &LogLine) {
         let counters = &self.rosout.shared;
         match self.publish(line) {
-            // A line that comes while the participant is away is latched, and sent when it has joined its domain again.
+            // A line that comes while the participant is away is latched, and sent when it has joined its
+            // domain again.
             Ok(()) => drop(counters.published.fetch_add(1, Ordering::Relaxed)),
             Err(error) => {
                 if counters.failed.fetch_add(1, Ordering::Relaxed) == 0 {

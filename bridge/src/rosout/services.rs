@@ -14,9 +14,9 @@ pub struct LoggerServices {
 }
 
 impl LoggerLevels {
-    /// Offers `~/get_logger_levels` and `~/set_logger_levels`, as a node of rclcpp with `enable_logger_service` does: for all
-    /// loggers of the program, whatever the node. A logger without a level of its own has level 0; setting it to 0 takes it
-    /// away.
+    /// Offers `~/get_logger_levels` and `~/set_logger_levels`, as a node of rclcpp with
+    /// `enable_logger_service` does: for all loggers of the program, whatever the node. A logger without a
+    /// level of its own has level 0; setting it to 0 takes it away.
     ///
     /// ```
     /// use downbeat_bridge::middleware::in_process::Hub;

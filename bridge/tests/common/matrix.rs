@@ -28,7 +28,8 @@ pub enum With {
     McapCore,
 }
 
-/// From downbeat to the peer, the other way, or one thing that takes both. A bag goes from who writes it to who reads it.
+/// From downbeat to the peer, the other way, or one thing that takes both. A bag goes from who writes it to
+/// who reads it.
 #[derive(Clone, Copy)]
 pub enum Way {
     Out,

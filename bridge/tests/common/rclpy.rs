@@ -22,7 +22,8 @@ impl Peer {
         Self::of_domain(super::PEER_SCRIPT, domain_id, discovery_range)
     }
 
-    /// Starts node `/peer` of the rclpy of Kilted in a domain on loopback, or says why not and returns nothing.
+    /// Starts node `/peer` of the rclpy of Kilted in a domain on loopback, or says why not and returns
+    /// nothing.
     pub fn kilted(domain_id: u16) -> Option<Self> {
         let python = interpreter("DOWNBEAT_KILTED_PYTHON")?;
         Some(Self::run(&mut of_domain(&python, super::PEER_SCRIPT, domain_id, "LOCALHOST")))
@@ -33,7 +34,8 @@ impl Peer {
         Self::of_domain(super::CYCLONEDDS_SCRIPT, domain_id, "LOCALHOST")
     }
 
-    /// Starts node `/peer` of rclpy by a command that runs the Python it is given; by itself it has no arguments yet.
+    /// Starts node `/peer` of rclpy by a command that runs the Python it is given; by itself it has no
+    /// arguments yet.
     pub fn start_by(command: impl FnOnce(&OsStr) -> Command) -> Option<Self> {
         let python = python()?;
         Some(Self::run(command(&python).arg(super::PEER_SCRIPT).arg("peer")))

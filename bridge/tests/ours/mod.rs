@@ -1,4 +1,5 @@
-//! Ourselves as a peer: the test program once more, in a process of its own, which obeys the commands of `rclpy/peer.py`.
+//! Ourselves as a peer: the test program once more, in a process of its own, which obeys the commands of
+//! `rclpy/peer.py`.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use crate::common::rclpy::Peer;

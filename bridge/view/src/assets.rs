@@ -22,11 +22,12 @@ impl Assets {
         std::env::split_paths(&path).filter(|prefix| !prefix.as_os_str().is_empty()).collect()
     }
 
-    /// The contents of the file behind `package://NAME/PATH`: a robot description, a mesh or a picture. Other files of the folder
-    /// may hold secrets, such as the token in a robot file.
+    /// The contents of the file behind `package://NAME/PATH`: a robot description, a mesh or a picture. Other
+    /// files of the folder may hold secrets, such as the token in a robot file.
     ///
     /// # Errors
-    /// In words for the viewer, without paths of this machine, if there is no such file in the folder of the package.
+    /// In words for the viewer, without paths of this machine, if there is no such file in the folder of the
+    /// package.
     pub(crate) fn read(&self, uri: &str) -> Result<Vec<u8>, String> {
         let expected = || format!("{uri}: expected package://NAME/PATH");
         let (package, path) =

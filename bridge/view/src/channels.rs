@@ -36,8 +36,8 @@ pub(crate) struct Channel {
     pub(crate) topic: Arc<str>,
     message_type: KnownType,
     feed: Arc<Feed>,
-    /// Open while somebody subscribes. Its lock is taken before that of the feed, and the sink never takes it: the thread that
-    /// opens an outlet waits for the core, which may run the sink.
+    /// Open while somebody subscribes. Its lock is taken before that of the feed, and the sink never takes
+    /// it: the thread that opens an outlet waits for the core, which may run the sink.
     outlet: Mutex<Option<Outlet>>,
 }
 

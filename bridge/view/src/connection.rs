@@ -1,7 +1,7 @@
 //! A WebSocket connection: one thread reads requests, one writes frames.
 //!
-//! `tungstenite` does the handshake and reads. What it would write (pongs, the answer to a close frame) goes through the outbox
-//! of the viewer like all other frames, so that only one thread writes.
+//! `tungstenite` does the handshake and reads. What it would write (pongs, the answer to a close frame) goes
+//! through the outbox of the viewer like all other frames, so that only one thread writes.
 
 use crate::options::{Access, Limits};
 use crate::outbox::{Frame, Outbox};
@@ -40,8 +40,8 @@ pub(crate) enum Ended {
     Refused(u16, &'static str),
 }
 
-/// Does the handshake within `limits.stall`. What was received of it already is `received`. Returns what the peer has proven, and
-/// the version of the protocol.
+/// Does the handshake within `limits.stall`. What was received of it already is `received`. Returns what the
+/// peer has proven, and the version of the protocol.
 ///
 /// # Errors
 /// If the peer is slow, or is no viewer.
@@ -94,8 +94,8 @@ fn token_in(query: &str) -> Option<&str> {
 }
 
 impl Reader {
-    /// Hands all that is written from now on to `outbox`, and returns the stream for the writing thread. A peer that sends
-    /// nothing for `silence`, not even a pong, is disconnected.
+    /// Hands all that is written from now on to `outbox`, and returns the stream for the writing thread. A
+    /// peer that sends nothing for `silence`, not even a pong, is disconnected.
     pub(crate) fn split(&mut self, outbox: &Arc<Outbox>, silence: Duration) -> io::Result<TcpStream> {
         let wire = self.socket.get_mut();
         wire.deadline = None;

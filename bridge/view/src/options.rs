@@ -15,10 +15,11 @@ use thiserror::Error;
 pub struct ViewOptions {
     /// The name that viewers display.
     pub name: String,
-    /// The address on which the server listens; 127.0.0.1 by default, which only programs of this machine reach.
+    /// The address on which the server listens; 127.0.0.1 by default, which only programs of this machine
+    /// reach.
     pub address: IpAddr,
-    /// The port for Foxglove, Lichtblick and PlotJuggler; 8765 by default, as they suggest. 0 takes a free one, and `None` serves
-    /// none of them.
+    /// The port for Foxglove, Lichtblick and PlotJuggler; 8765 by default, as they suggest. 0 takes a free
+    /// one, and `None` serves none of them.
     pub foxglove: Option<u16>,
     /// The page of our own, if it is served; it is not by default.
     pub page: Option<PageOptions>,

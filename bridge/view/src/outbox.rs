@@ -36,7 +36,8 @@ pub(crate) struct Outbox {
     most_bytes: usize,
 }
 
-/// The largest number of bytes of answers and announcements that may wait. A larger single one is accepted if the queue is empty.
+/// The largest number of bytes of answers and announcements that may wait. A larger single one is accepted if
+/// the queue is empty.
 const MOST_CONTROL_BYTES: usize = 8 << 20;
 
 #[derive(Default)]
@@ -217,7 +218,8 @@ impl State {
         Some(Frame::Parts(message_head(subscription, time_ns).to_vec(), cdr))
     }
 
-    /// Drops the oldest message of the subscription of which the most bytes wait, so that a camera does not displace joint states.
+    /// Drops the oldest message of the subscription of which the most bytes wait, so that a camera does not
+    /// displace joint states.
     fn drop_of_bulkiest(&mut self) {
         let bulkiest = self.waiting.iter().max_by_key(|&(id, bytes)| (*bytes, *id)).map(|(id, _)| *id);
         let position = self.messages.iter().position(|message| Some(message.subscription) == bulkiest);

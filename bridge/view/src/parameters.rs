@@ -28,7 +28,8 @@ pub(crate) fn settings(core: &CoreHandle, patience: Duration) -> Option<Settings
     Some(found)
 }
 
-/// The type of a setting as ROS 2 names it, and its value in JSON. A number that is not finite has none there.
+/// The type of a setting as ROS 2 names it, and its value in JSON. A number that is not finite has none
+/// there.
 pub(crate) fn typed(value: &SettingValue) -> (&'static str, Option<Value>) {
     let kind = match value {
         SettingValue::Bool(_) => "bool",

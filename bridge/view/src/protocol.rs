@@ -147,7 +147,8 @@ impl<'a> BinaryRequest<'a> {
 }
 
 impl PlaybackControl {
-    /// Command (u8), rate (f32), whether there is a time (u8), time (u64), length of the identifier (u32), identifier.
+    /// Command (u8), rate (f32), whether there is a time (u8), time (u64), length of the identifier (u32),
+    /// identifier.
     fn read(body: &[u8]) -> Option<Self> {
         let (&[command, ref rate @ .., has_time], rest) = body.split_first_chunk::<6>()?;
         let (time, rest) = rest.split_first_chunk()?;

@@ -52,9 +52,9 @@ pub enum ViewError {
 
 /// Shows a core, or recorded bags, to viewers until it is dropped.
 ///
-/// It may be started before or while the core runs, and is dropped after the core has stopped, so that viewers receive the last
-/// messages. Topics that appear later are shown within a second of a viewer being connected; services are those that modules serve
-/// when the server starts.
+/// It may be started before or while the core runs, and is dropped after the core has stopped, so that
+/// viewers receive the last messages. Topics that appear later are shown within a second of a viewer being
+/// connected; services are those that modules serve when the server starts.
 pub struct ViewServer {
     shared: Arc<Shared>,
     foxglove: Option<SocketAddr>,
@@ -72,7 +72,8 @@ const SILENCE: Duration = Duration::from_secs(35);
 const CONNECT: Duration = Duration::from_secs(1);
 
 impl ViewServer {
-    /// Starts the server for a core that does not run yet. The types of topics and services are looked up in `interfaces`.
+    /// Starts the server for a core that does not run yet. The types of topics and services are looked up in
+    /// `interfaces`.
     ///
     /// # Errors
     /// If the address is in use or not of this machine, or a thread cannot be started.
@@ -86,7 +87,8 @@ impl ViewServer {
     /// Starts the server for a core that may run already, of which the seed was taken before it ran.
     ///
     /// # Errors
-    /// If the core does not answer, the address is in use or not of this machine, or a thread cannot be started.
+    /// If the core does not answer, the address is in use or not of this machine, or a thread cannot be
+    /// started.
     pub fn start_from(seed: Seed, options: ViewOptions) -> Result<Self, ViewError> {
         let core = seed.core.clone();
         let topics = core.topics().wait(PATIENCE).ok_or(ViewError::NoAnswer)?;
@@ -94,12 +96,12 @@ impl ViewServer {
         Self::open(Source::Core(source), options)
     }
 
-    /// Starts a server that shows recorded bags, merged by time, which viewers play, pause and seek. The definitions of types that
-    /// the bags lack are looked up in `interfaces`.
+    /// Starts a server that shows recorded bags, merged by time, which viewers play, pause and seek. The
+    /// definitions of types that the bags lack are looked up in `interfaces`.
     ///
     /// # Errors
-    /// If the bags have a topic with different types or end before the start, the address is in use or not of this machine, or
-    /// a thread cannot be started.
+    /// If the bags have a topic with different types or end before the start, the address is in use or not of
+    /// this machine, or a thread cannot be started.
     pub fn show_bags(
         bags: impl Into<Arc<[Reader]>>,
         interfaces: &Interfaces,
@@ -113,7 +115,8 @@ impl ViewServer {
         Ok(server)
     }
 
-    /// Serves a page for what is no core: all that it asks is answered by the [`Host`](crate::Host) of its options.
+    /// Serves a page for what is no core: all that it asks is answered by the [`Host`](crate::Host) of its
+    /// options.
     ///
     /// # Errors
     /// If the address is in use or not of this machine, or a thread cannot be started.
@@ -280,7 +283,8 @@ impl Shared {
                 return;
             }
         };
-        // The client class of `@foxglove/ws-protocol`, which knows only this one, takes the state of playback for a fault.
+        // The client class of `@foxglove/ws-protocol`, which knows only this one, takes the state of playback
+        // for a fault.
         let knows_playback = protocol != "foxglove.websocket.v1";
         let client = Client { id, outbox: Arc::clone(&outbox), knows_playback, watched: Mutex::default() };
         let client = Arc::new(client);

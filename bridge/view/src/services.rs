@@ -22,7 +22,8 @@ pub(crate) struct ShownService {
     caller: EncodedCaller,
 }
 
-/// The services that modules serve when the server starts, also those of actions, except for those whose types are unknown.
+/// The services that modules serve when the server starts, also those of actions, except for those whose
+/// types are unknown.
 ///
 /// # Errors
 /// [`SetupError`] when the core has no caller for a service.

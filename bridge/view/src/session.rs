@@ -126,7 +126,8 @@ impl<'a> Session<'a> {
             }
             Request::Advertise { channels } => channels.iter().try_for_each(|channel| {
                 if self.publications.contains_key(&channel.id) {
-                    // As the server of Foxglove's SDK answers; the protocol only says that ids may be reused once unadvertised.
+                    // As the server of Foxglove's SDK answers; the protocol only says that ids may be reused
+                    // once unadvertised.
                     let text = format!(
                         "channel {} is advertised already: this advertisement is ignored",
                         channel.id

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// What a module declares in its setup. Each declaration returns its number, by which [`Event`](super::Event) and
-/// [`ForeignContext`](super::ForeignContext) name it; each sort of declarations counts from 0.
+/// What a module declares in its setup. Each declaration returns its number, by which [`Event`](super::Event)
+/// and [`ForeignContext`](super::ForeignContext) name it; each sort of declarations counts from 0.
 #[derive(Debug, Default)]
 pub struct Declarations {
     pub(super) module_name: String,
@@ -79,8 +79,8 @@ impl Declarations {
         Self { interfaces, ..self }
     }
 
-    /// The definition of a message, request, response, goal, result or feedback, such as `std_srvs/srv/SetBool_Request`: for
-    /// modules that read messages field by field.
+    /// The definition of a message, request, response, goal, result or feedback, such as
+    /// `std_srvs/srv/SetBool_Request`: for modules that read messages field by field.
     ///
     /// # Errors
     /// If the robot has no such type.
@@ -91,8 +91,8 @@ impl Declarations {
         self.interfaces.definitions().find(name).map_err(|error| error.to_string())
     }
 
-    /// Adds the definition of a message, service or action that the module carries, with the text of all that it refers to: what it
-    /// declares next may be of this type, also if the robot does not know it.
+    /// Adds the definition of a message, service or action that the module carries, with the text of all that
+    /// it refers to: what it declares next may be of this type, also if the robot does not know it.
     ///
     /// # Errors
     /// If the text is no definition, or the robot knows another definition of this name.
@@ -114,31 +114,32 @@ impl Declarations {
         &self.module_name
     }
 
-    /// Declares that the module publishes messages of the type `message`, such as `sensor_msgs/msg/Imu`. `hash` is the
-    /// `RIHS01_` hash of the definition that the module was compiled with, which is checked.
+    /// Declares that the module publishes messages of the type `message`, such as `sensor_msgs/msg/Imu`.
+    /// `hash` is the `RIHS01_` hash of the definition that the module was compiled with, which is checked.
     pub fn publish(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32 {
         let message = Named::new(message, hash);
         self.items.push(Declaration::Publish { topic: topic.to_owned(), message });
         next(&mut self.counts.publishers)
     }
 
-    /// Declares that the module receives the messages of a topic, as [`Event::Message`](super::Event::Message).
+    /// Declares that the module receives the messages of a topic, as
+    /// [`Event::Message`](super::Event::Message).
     pub fn subscribe(&mut self, topic: &str, message: &str, hash: Option<&str>) -> u32 {
         let message = Named::new(message, hash);
         self.items.push(Declaration::Subscribe { topic: topic.to_owned(), message });
         next(&mut self.counts.subscriptions)
     }
 
-    /// Declares that the module serves a service of the type `service_type`, such as `std_srvs/srv/SetBool`, with
-    /// [`Event::Request`](super::Event::Request).
+    /// Declares that the module serves a service of the type `service_type`, such as `std_srvs/srv/SetBool`,
+    /// with [`Event::Request`](super::Event::Request).
     pub fn serve(&mut self, service: &str, service_type: &str, hash: Option<&str>) -> u32 {
         let of = Named::new(service_type, hash);
         self.items.push(Declaration::Serve { service: service.to_owned(), of });
         next(&mut self.counts.servers)
     }
 
-    /// Declares that the module calls a service. Each call ends with one [`Event::Reply`](super::Event::Reply), after `timeout`
-    /// at the latest.
+    /// Declares that the module calls a service. Each call ends with one
+    /// [`Event::Reply`](super::Event::Reply), after `timeout` at the latest.
     pub fn client(
         &mut self,
         service: &str,
@@ -191,7 +192,8 @@ impl Declarations {
         Ok((u32::try_from(self.settings.len() - 1).unwrap_or(u32::MAX), value))
     }
 
-    /// The topics of the module in a core, once it joins with these options. Topics of types that the robot does not know are left out.
+    /// The topics of the module in a core, once it joins with these options. Topics of types that the robot
+    /// does not know are left out.
     #[must_use]
     pub fn topics(&self, options: &ModuleOptions) -> Vec<TopicInfo> {
         let topic = |item: &Declaration| {

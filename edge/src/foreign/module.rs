@@ -16,10 +16,12 @@ use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// A module in another language. All its functions are called by one thread at a time, but not always by the same.
+/// A module in another language. All its functions are called by one thread at a time, but not always by the
+/// same.
 ///
-/// An error is a sentence, or a traceback. One of [`handle`](Self::handle) ends the module as a panic does, with its report in the
-/// log and its sentence for clients that wait for an answer; the restart policy decides whether it is made again.
+/// An error is a sentence, or a traceback. One of [`handle`](Self::handle) ends the module as a panic does,
+/// with its report in the log and its sentence for clients that wait for an answer; the restart policy
+/// decides whether it is made again.
 pub trait Foreign: Send + 'static {
     /// Declares what the module publishes, receives, does periodically and can be set to.
     ///
@@ -53,9 +55,9 @@ pub trait Foreign: Send + 'static {
         Ok(())
     }
 
-    /// Returns a newer version of the module, once, if its source has changed. Called while the module runs, if it declared
-    /// [`Declarations::reload`]. The core sets the new version up and hands it what [`save`](Self::save) returns; until all of
-    /// that has succeeded, the module goes on as it is.
+    /// Returns a newer version of the module, once, if its source has changed. Called while the module runs,
+    /// if it declared [`Declarations::reload`]. The core sets the new version up and hands it what
+    /// [`save`](Self::save) returns; until all of that has succeeded, the module goes on as it is.
     ///
     /// # Errors
     /// Why the new version cannot be used; logged.
@@ -200,7 +202,8 @@ pub(super) struct Ports {
     pub(super) clients: Vec<CallEncoded>,
     pub(super) settings: Vec<Setting<SettingValue>>,
     pub(super) tasks: Vec<Task>,
-    /// Looks for a successor at the time of the recorded reload: a replay that begins in the middle of a run has other phases of timers.
+    /// Looks for a successor at the time of the recorded reload: a replay that begins in the middle of a run
+    /// has other phases of timers.
     pub(super) reload: Option<Task>,
     pub(super) is_reload_due: bool,
     /// Requests without an answer so far.
@@ -265,7 +268,8 @@ impl ForeignContext<'_, '_> {
     /// Answers a request with a serialized response or with an error in words.
     ///
     /// # Errors
-    /// If the request is not open, or the bytes are no response of its type; the request stays open then no longer.
+    /// If the request is not open, or the bytes are no response of its type; the request stays open then no
+    /// longer.
     pub fn reply(&mut self, request: u64, result: Result<&[u8], String>) -> Result<(), ForeignError> {
         let reply = self.ports.open.remove(&request).ok_or(ForeignError::Answered(request))?;
         reply(self.context, result)
@@ -323,7 +327,8 @@ impl ForeignModule {
         Self::of_versions(Arc::new(OneVersion(make)), interfaces, options)
     }
 
-    /// A module whose versions are known: what they are made from is [described](downbeat_executor::Setup::made_from).
+    /// A module whose versions are known: what they are made from is
+    /// [described](downbeat_executor::Setup::made_from).
     #[must_use]
     pub fn of_versions(
         versions: Arc<dyn Versions>,

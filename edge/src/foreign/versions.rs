@@ -1,4 +1,5 @@
-//! The versions of a module in another language: what it is made from, when it is made, and whether it has stopped.
+//! The versions of a module in another language: what it is made from, when it is made, and whether it has
+//! stopped.
 
 use super::{Declarations, Foreign, MakeForeign};
 use downbeat_executor::{SettingValue, Time};
@@ -8,8 +9,8 @@ use std::sync::Arc;
 /// A module that was loaded and set up, and has not joined a core.
 pub type Prepared = (Box<dyn Foreign>, Declarations);
 
-/// Knows the versions of one module: what its files hold or, in a replay, what they held when the bag was recorded. All lives of the
-/// module share it.
+/// Knows the versions of one module: what its files hold or, in a replay, what they held when the bag was
+/// recorded. All lives of the module share it.
 pub trait Versions: Send + Sync {
     /// Loads the version that is in force now.
     ///
@@ -30,7 +31,8 @@ pub trait Versions: Send + Sync {
         running.successor()
     }
 
-    /// Describes the version that was just made, for a recording; `None` if it is the one that was described before.
+    /// Describes the version that was just made, for a recording; `None` if it is the one that was described
+    /// before.
     fn describe(&self, _made: Made<'_>) -> Option<Vec<u8>> {
         None
     }

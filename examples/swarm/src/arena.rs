@@ -38,7 +38,8 @@ struct Body {
 
 /// The module. Publishes `robot_N/sight` for each robot and `overview`; receives `robot_N/command`.
 ///
-/// Settings: `robots`, their number; `range`, how far they see, m; `seed` of their first poses and of the sensors' errors.
+/// Settings: `robots`, their number; `range`, how far they see, m; `seed` of their first poses and of the
+/// sensors' errors.
 pub struct Arena {
     bodies: Vec<Body>,
     random: Random,
@@ -176,8 +177,8 @@ impl Arena {
         }
     }
 
-    /// Draws the swarm around its centre: `o` undecided, `r` red, `b` blue, capital for several. A character is 5 cm
-    /// wide and 10 cm high.
+    /// Draws the swarm around its centre: `o` undecided, `r` red, `b` blue, capital for several. A character
+    /// is 5 cm wide and 10 cm high.
     fn picture(&self) -> String {
         const COLUMNS: usize = 60;
         const ROWS: usize = 30;

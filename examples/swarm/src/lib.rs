@@ -1,5 +1,5 @@
-//! Fifty robots in one process that gather and split into two groups of equal size. Each robot is a module, and so is
-//! the arena that they drive in.
+//! Fifty robots in one process that gather and split into two groups of equal size. Each robot is a module,
+//! and so is the arena that they drive in.
 
 mod arena;
 mod messages;

@@ -104,8 +104,8 @@ pub struct Overview {
     pub sizes: [u32; 3],
     /// The greatest distance of a robot from the centre of all [m].
     pub spread: f64,
-    /// The greatest distance of a red robot from the centre of the red ones, and of a blue one from that of the blue
-    /// ones [m].
+    /// The greatest distance of a red robot from the centre of the red ones, and of a blue one from that of
+    /// the blue ones [m].
     pub group_spreads: [f64; 2],
     /// The distance between the closest two robots of different groups [m]; 0 without two groups.
     pub gap: f64,

@@ -1,14 +1,15 @@
 //! A robot with two wheels, a sensor for ranges and directions, and a light.
 //!
-//! **Gathering**: go to the centre of gravity of all robots in sight. With unlimited sight this converges however the
-//! robots are synchronised: R. Cohen, D. Peleg, "Convergence properties of the gravitational algorithm in asynchronous
-//! robot systems", SIAM Journal on Computing 34(6), 2005.
+//! **Gathering**: go to the centre of gravity of all robots in sight. With unlimited sight this converges
+//! however the robots are synchronised: R. Cohen, D. Peleg, "Convergence properties of the gravitational
+//! algorithm in asynchronous robot systems", SIAM Journal on Computing 34(6), 2005.
 //!
-//! **Splitting**: a population protocol, in which two that meet change their states together (D. Angluin et al.,
-//! "Computation in networks of passively mobile finite-state sensors", Distributed Computing 18(4), 2006): of two
-//! undecided robots one becomes red and one blue, so that the groups never differ. H. Yasumi et al. study the problem in
-//! "Constant-space population protocols for uniform bipartition", OPODIS 2017. A meeting is two messages here, a proposal and
-//! its answer; a robot that waits for an answer refuses all proposals, so that it is in one meeting at a time.
+//! **Splitting**: a population protocol, in which two that meet change their states together (D. Angluin et
+//! al., "Computation in networks of passively mobile finite-state sensors", Distributed Computing 18(4),
+//! 2006): of two undecided robots one becomes red and one blue, so that the groups never differ. H. Yasumi et
+//! al. study the problem in "Constant-space population protocols for uniform bipartition", OPODIS 2017. A
+//! meeting is two messages here, a proposal and its answer; a robot that waits for an answer refuses all
+//! proposals, so that it is in one meeting at a time.
 
 use std::time::Duration;
 
@@ -195,7 +196,8 @@ fn centre(robots: &[(DVec2, u8)]) -> DVec2 {
     robots.iter().map(|&(position, _)| position).sum::<DVec2>() / robots.len() as f64
 }
 
-/// Wheel speeds, m/s, towards a target in the robot's frame, m: it turns first and slows down close to the target.
+/// Wheel speeds, m/s, towards a target in the robot's frame, m: it turns first and slows down close to the
+/// target.
 fn steer(target: DVec2) -> [f64; 2] {
     if target.length() < REST_DISTANCE {
         return [0.0; 2];

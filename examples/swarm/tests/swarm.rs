@@ -1,4 +1,5 @@
-//! The swarm gathers and splits whatever the synchrony, gives the same result under every launcher, and repeats from bags.
+//! The swarm gathers and splits whatever the synchrony, gives the same result under every launcher, and
+//! repeats from bags.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::{Path, PathBuf};

@@ -16,8 +16,8 @@ struct Limit {
 }
 
 impl LogLimits {
-    /// Returns `None` if the line of a call site has been written within `period` (or at all, without a period), otherwise
-    /// the number of lines suppressed since then.
+    /// Returns `None` if the line of a call site has been written within `period` (or at all, without a
+    /// period), otherwise the number of lines suppressed since then.
     pub(crate) fn is_due(&mut self, site: &'static str, now: Time, period: Option<Duration>) -> Option<u64> {
         let Some(limit) = self.0.iter_mut().find(|limit| limit.site == site) else {
             self.0.push(Limit { site, written: now, suppressed: 0 });

@@ -54,11 +54,12 @@ impl<A: Action> ActionServer<A> {
     /// (`rcl_action_server_get_default_options`, branch jazzy).
     pub const RESULT_TIMEOUT: Duration = Duration::from_secs(10);
 
-    /// The maximum number of goals. Beyond it, the result of the goal that finished first is dropped, and goals are
-    /// rejected while none has finished.
+    /// The maximum number of goals. Beyond it, the result of the goal that finished first is dropped, and
+    /// goals are rejected while none has finished.
     pub const MAX_GOALS: usize = 1024;
 
-    /// The maximum size of all goals and results in CDR; beyond it, the same happens. A single goal may be larger.
+    /// The maximum size of all goals and results in CDR; beyond it, the same happens. A single goal may be
+    /// larger.
     pub const MAX_BYTES: usize = 64 << 20;
 
     /// The maximum number of pending requests for the result of a goal.
@@ -224,8 +225,8 @@ impl<A: Action> ActionServer<A> {
         self.goals.push(Goal { id, goal, accepted_at, status, end: None, waiting: Vec::new(), bytes });
     }
 
-    /// Drops the results of the goals that finished first until so much more fits: nobody may ever ask for them. The last goal that
-    /// finished stays.
+    /// Drops the results of the goals that finished first until so much more fits: nobody may ever ask for
+    /// them. The last goal that finished stays.
     fn make_room(&mut self, goals: usize, bytes: usize) {
         let mut held = bytes + self.goals.iter().map(|goal| goal.bytes).sum::<usize>();
         while self.goals.len() + goals > Self::MAX_GOALS || held > Self::MAX_BYTES {

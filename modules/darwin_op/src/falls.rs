@@ -9,11 +9,11 @@
 //! | `motions/stop` | `std_msgs/Empty` | when the robot falls |
 //! | `play_motion` | action `downbeat_interfaces/PlayMotion`, used | `get_up_front`, `get_up_back` also from the right side, `get_up_left` |
 //!
-//! A robot that tilts by more than `tilt_limit` falls. Its joints are then commanded to where they are, so that the
-//! servos hold with nothing but friction. When it has lain still for `still_s`, it plays the motion for the side on
-//! which it lies, up to `attempts` times in a row; from back and sides it may first roll on its front, in turn over one
-//! side and over the other. After the last attempt it is helpless, until somebody puts it on its feet. Modules that walk
-//! pause while the state is not `upright`.
+//! A robot that tilts by more than `tilt_limit` falls. Its joints are then commanded to where they are, so
+//! that the servos hold with nothing but friction. When it has lain still for `still_s`, it plays the motion
+//! for the side on which it lies, up to `attempts` times in a row; from back and sides it may first roll on
+//! its front, in turn over one side and over the other. After the last attempt it is helpless, until somebody
+//! puts it on its feet. Modules that walk pause while the state is not `upright`.
 //!
 //! | setting | |
 //! | --- | --- |

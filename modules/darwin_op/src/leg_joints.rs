@@ -9,7 +9,8 @@ pub(crate) const KNEE: usize = 3;
 pub(crate) const ANKLE_PITCH: usize = 4;
 pub(crate) const ANKLE_ROLL: usize = 5;
 
-/// The place of a joint of a leg in the order of the ids: six joints of the arms, then pairs, first the right one.
+/// The place of a joint of a leg in the order of the ids: six joints of the arms, then pairs, first the right
+/// one.
 pub(crate) const fn place(side: Side, joint: usize) -> usize {
     6 + 2 * joint + matches!(side, Side::Left) as usize
 }

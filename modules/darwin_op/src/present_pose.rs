@@ -46,8 +46,8 @@ impl PresentPose {
         std::array::from_fn(|index| self.measured[index].unwrap_or(unknown[index]))
     }
 
-    /// From where a motion starts without a jump of any goal: from recent goals that the joints follow, otherwise
-    /// from measured positions.
+    /// From where a motion starts without a jump of any goal: from recent goals that the joints follow,
+    /// otherwise from measured positions.
     pub(crate) fn start(&self, now: Time, unknown: &[f64; COUNT]) -> [f64; COUNT] {
         let measured = self.measured(unknown);
         std::array::from_fn(|index| match self.goals[index] {

@@ -1,4 +1,5 @@
-//! Files of motions and servos that nobody wrote in good faith: every text is read or refused, in bounded memory and time.
+//! Files of motions and servos that nobody wrote in good faith: every text is read or refused, in bounded
+//! memory and time.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_darwin_op::motions::Motions;

@@ -1,9 +1,10 @@
 //! Devices whose exchanges with a module are recorded, so that a replay can answer in place of the device.
 //!
-//! A module that talks to hardware cannot repeat a run by its inputs alone. It can if everything it learns from the
-//! device passes through one place that records it. That place is a [`DeviceLink`]: it publishes each exchange on a topic,
-//! so that a bag holds it, and in a replay answers with the recorded exchanges in place of the device. A request that
-//! differs from the recorded one fails and shows as the first difference of the replay.
+//! A module that talks to hardware cannot repeat a run by its inputs alone. It can if everything it learns
+//! from the device passes through one place that records it. That place is a [`DeviceLink`]: it publishes
+//! each exchange on a topic, so that a bag holds it, and in a replay answers with the recorded exchanges in
+//! place of the device. A request that differs from the recorded one fails and shows as the first difference
+//! of the replay.
 //!
 //! ```
 //! use std::time::Duration;
@@ -90,12 +91,12 @@ pub trait Device: Send + 'static {
     /// The topic on which exchanges are published, before remapping.
     const TOPIC: &'static str;
 
-    /// Sends a request to the device and waits for the answer. Failures are reported in the exchange. `now` is the time of the
-    /// module's run.
+    /// Sends a request to the device and waits for the answer. Failures are reported in the exchange. `now`
+    /// is the time of the module's run.
     fn exchange(&mut self, request: &Self::Request, now: Time) -> Self::Exchange;
 
-    /// Returns whether `exchange` belongs to this request. A replay compares each request with the recorded one by this; the comparison
-    /// should be byte for byte.
+    /// Returns whether `exchange` belongs to this request. A replay compares each request with the recorded
+    /// one by this; the comparison should be byte for byte.
     fn answers(exchange: &Self::Exchange, request: &Self::Request) -> bool;
 
     /// The exchange for a request to which a replay has no recorded answer.
@@ -123,8 +124,8 @@ impl<D: Device> DeviceLink<D> {
         Self { way: Way::Recording(exchanges.into_iter().collect()) }
     }
 
-    /// The device, to configure it; `None` in a replay. What the module requests and publishes must not depend on which of the two it
-    /// is.
+    /// The device, to configure it; `None` in a replay. What the module requests and publishes must not
+    /// depend on which of the two it is.
     ///
     /// ```
     /// # use std::time::Duration;
@@ -177,8 +178,8 @@ impl<D: Device> DeviceLink<D> {
 
     /// Sends a request to the device, publishes the exchange on `topic` and returns it.
     ///
-    /// In a replay this returns the next exchange of the recording, or [`Device::failed`] if that belongs to another request or the
-    /// recording is over.
+    /// In a replay this returns the next exchange of the recording, or [`Device::failed`] if that belongs to
+    /// another request or the recording is over.
     pub fn exchange<P>(
         &mut self,
         request: &D::Request,

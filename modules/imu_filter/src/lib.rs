@@ -5,8 +5,8 @@
 //! | `imu/data_raw` (in) | `sensor_msgs/Imu` | rad/s, m/s² |
 //! | `imu/data` | `sensor_msgs/Imu` | the same with orientation, and without the bias of the gyroscope |
 //!
-//! The orientation is that of the IMU in a level frame, z up, in which the robot first faces along x. Roll and
-//! pitch are corrected by gravity; yaw is integrated only and drifts, and its covariance grows with time.
+//! The orientation is that of the IMU in a level frame, z up, in which the robot first faces along x. Roll
+//! and pitch are corrected by gravity; yaw is integrated only and drifts, and its covariance grows with time.
 //!
 //! | setting | |
 //! | --- | --- |
@@ -23,8 +23,9 @@
 //! machine.
 //!
 //! # References
-//! R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear Complementary Filters on the Special Orthogonal Group", IEEE
-//! Transactions on Automatic Control 53 (2008), equations (32a) to (32c) with gravity as the only reference.
+//! R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear Complementary Filters on the Special Orthogonal Group",
+//! IEEE Transactions on Automatic Control 53 (2008), equations (32a) to (32c) with gravity as the only
+//! reference.
 
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, Vector3};
@@ -184,19 +185,20 @@ impl OrientationFilter {
         self.orientation
     }
 
-    /// Initialises the orientation by gravity alone: x of the IMU points along x of the world, as far as it is
-    /// level. The bias remains. A specific force of zero has no direction and changes nothing.
+    /// Initialises the orientation by gravity alone: x of the IMU points along x of the world, as far as it
+    /// is level. The bias remains. A specific force of zero has no direction and changes nothing.
     pub fn start(&mut self, specific_force: DVec3) {
         let Some(up) = specific_force.try_normalize() else { return };
-        // The axes of the world in the frame of the IMU. If x of the IMU is vertical, its z is ahead or behind.
+        // The axes of the world in the frame of the IMU. If x of the IMU is vertical, its z is ahead or
+        // behind.
         let ahead = if up.x.abs() < 0.99 { DVec3::X } else { DVec3::Z * -up.x };
         let x = (ahead - up * ahead.dot(up)).normalize();
         let imu_from_world = DMat3::from_cols(x, up.cross(x), up);
         self.orientation = Some(DQuat::from_mat3(&imu_from_world.transpose()).normalize());
     }
 
-    /// Integrates a rate of the gyroscope in rad/s over `dt` in s, and corrects it by a specific force in m/s²,
-    /// both in the frame of the IMU.
+    /// Integrates a rate of the gyroscope in rad/s over `dt` in s, and corrects it by a specific force in
+    /// m/s², both in the frame of the IMU.
     pub fn update(&mut self, gyro: DVec3, specific_force: DVec3, dt: f64, gains: Gains) {
         let Some(orientation) = self.orientation else { return self.start(specific_force) };
         let mut rate = gyro - self.bias;

@@ -7,9 +7,10 @@ use nalgebra::{Matrix6, Matrix6xX, Vector6};
 
 /// Finds positions of the joints between two links for which one link has a given pose in the other.
 ///
-/// Damped least squares within the limits of the joints: each step minimises |J Δq - e|² + λ |Δq|², with λ as in the
-/// method of Levenberg and Marquardt, and leaves out joints that are at a limit and would be moved beyond it. If it ends
-/// at a pose that is not the wanted one, it starts again from random positions, which are always the same ones.
+/// Damped least squares within the limits of the joints: each step minimises |J Δq - e|² + λ |Δq|², with λ as
+/// in the method of Levenberg and Marquardt, and leaves out joints that are at a limit and would be moved
+/// beyond it. If it ends at a pose that is not the wanted one, it starts again from random positions, which
+/// are always the same ones.
 ///
 /// Created once and used again, which allocates nothing.
 ///
@@ -33,10 +34,10 @@ use nalgebra::{Matrix6, Matrix6xX, Vector6};
 /// ```
 ///
 /// # References
-/// - S. R. Buss, Introduction to inverse kinematics with Jacobian transpose, pseudoinverse and damped least squares
-///   methods, 2009.
-/// - T. Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, IEEE Transactions on
-///   Robotics 27(5), 2011.
+/// - S. R. Buss, Introduction to inverse kinematics with Jacobian transpose, pseudoinverse and damped least
+///   squares methods, 2009.
+/// - T. Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, IEEE
+///   Transactions on Robotics 27(5), 2011.
 #[derive(Clone, Debug)]
 pub struct InverseKinematics {
     steps: Vec<Step>,
@@ -102,8 +103,8 @@ pub struct Search {
 /// The result of inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// Whether distance and angle are within the tolerances. Otherwise the positions are those of the nearest pose that was
-    /// found.
+    /// Whether distance and angle are within the tolerances. Otherwise the positions are those of the nearest
+    /// pose that was found.
     pub is_reached: bool,
     /// From the wanted position of the tip, in m.
     pub distance: f64,
@@ -216,8 +217,8 @@ impl InverseKinematics {
         self.coordinates.iter().map(|coordinate| coordinate.index)
     }
 
-    /// Changes the positions of the robot, in rad and m, so that `base_from_tip` becomes the given pose, or the nearest
-    /// to it that was found. Positions outside the limits are moved into them.
+    /// Changes the positions of the robot, in rad and m, so that `base_from_tip` becomes the given pose, or
+    /// the nearest to it that was found. Positions outside the limits are moved into them.
     ///
     /// Nothing changes if the pose is not finite.
     ///
@@ -262,7 +263,8 @@ impl InverseKinematics {
         found
     }
 
-    /// Moves the current positions to a minimum of the error. Returns its square and the number of iterations.
+    /// Moves the current positions to a minimum of the error. Returns its square and the number of
+    /// iterations.
     fn descend(&mut self, target: &Isometry, search: &Search) -> (f64, u32) {
         let [mut damping, least_damping, most_damping] = DAMPING;
         let mut reached = self.forward(Of::Current);
@@ -393,7 +395,8 @@ impl Coordinate {
 /// A number from 0 to 1.
 ///
 /// # References
-/// SplitMix64: G. L. Steele, D. Lea, C. H. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
+/// SplitMix64: G. L. Steele, D. Lea, C. H. Flood, Fast splittable pseudorandom number generators, OOPSLA
+/// 2014.
 fn unit(state: &mut u64) -> f64 {
     *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
     let mut bits = *state;

@@ -12,15 +12,17 @@
 //! | `timeout_s` | 1 | how long a joint stays without a new value, s |
 //! | `robot_description` | empty | the URDF file, or its text: joints with `<mimic>` that no source has follow their leaders |
 //!
-//! Joints keep the order of `sources` and of their messages. Nothing is published without a new value. Where some joints have a velocity
-//! or an effort and others have none, these have NaN. If several sources have one joint, the value with the newest stamp applies, and
-//! of one stamp the last that came; both topics are logged once. A stamp of 0 is the time of arrival.
+//! Joints keep the order of `sources` and of their messages. Nothing is published without a new value. Where
+//! some joints have a velocity or an effort and others have none, these have NaN. If several sources have one
+//! joint, the value with the newest stamp applies, and of one stamp the last that came; both topics are
+//! logged once. A stamp of 0 is the time of arrival.
 //!
-//! A source that falls silent, or that has not sent anything `timeout_s` after the start, is reported with its joints, which are left out
-//! until it speaks again.
+//! A source that falls silent, or that has not sent anything `timeout_s` after the start, is reported with
+//! its joints, which are left out until it speaks again.
 //!
 //! # References
-//! `joint_state_publisher` of `ros/joint_state_publisher`, branch `ros2`, merges `source_list` in the same way.
+//! `joint_state_publisher` of `ros/joint_state_publisher`, branch `ros2`, merges `source_list` in the same
+//! way.
 
 use crate::Robot;
 use crate::robot_description;

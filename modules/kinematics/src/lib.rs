@@ -1,7 +1,8 @@
 //! Robot descriptions, and what follows from them: forward and inverse kinematics, centre of mass, Jacobians.
 //!
-//! Lengths are in m, angles in rad, masses in kg; frames follow REP-103 (x forward, y left, z up) and REP-120 (names).
-//! The modules are [`Kinematics`], [`RobotStatePublisher`](robot_state_publisher::RobotStatePublisher) and
+//! Lengths are in m, angles in rad, masses in kg; frames follow REP-103 (x forward, y left, z up) and REP-120
+//! (names). The modules are [`Kinematics`],
+//! [`RobotStatePublisher`](robot_state_publisher::RobotStatePublisher) and
 //! [`JointStateMerger`](joint_state_merger::JointStateMerger).
 //!
 //! Transforms are named `target_from_source`, so that a chain reads `base_from_foot * foot_from_sole`.

@@ -8,9 +8,9 @@ use glam::DVec3;
 
 /// Finds positions of the joints between a link and a camera with which the camera looks at a point.
 ///
-/// The camera looks along the x axis of its link, as `camera_link` of REP-103 (not of its optical frame). The point of this
-/// axis that is as far from the camera as the point to look at is brought there; because the camera moves with its
-/// joints, this is repeated until the distance no longer changes.
+/// The camera looks along the x axis of its link, as `camera_link` of REP-103 (not of its optical frame). The
+/// point of this axis that is as far from the camera as the point to look at is brought there; because the
+/// camera moves with its joints, this is repeated until the distance no longer changes.
 ///
 /// ```
 /// use downbeat_kinematics::{LookAt, Robot, Search};
@@ -42,8 +42,8 @@ pub struct Look {
     pub angle: f64,
 }
 
-/// How often the distance is corrected. Each correction divides its error by more than the distance is greater than the
-/// arm of the camera.
+/// How often the distance is corrected. Each correction divides its error by more than the distance is
+/// greater than the arm of the camera.
 const CORRECTIONS: usize = 20;
 
 impl LookAt {
@@ -61,8 +61,8 @@ impl LookAt {
         self.chain.coordinates()
     }
 
-    /// Changes the positions of the robot, in rad and m, so that the camera looks at the point, or as nearly as was
-    /// found. Nothing changes if the point is not finite.
+    /// Changes the positions of the robot, in rad and m, so that the camera looks at the point, or as nearly
+    /// as was found. Nothing changes if the point is not finite.
     ///
     /// # Panics
     /// If there are fewer positions than coordinates of the robot.

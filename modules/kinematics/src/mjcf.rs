@@ -20,8 +20,8 @@ pub enum Root {
 
 /// The description as MJCF: each link is a body of its name, each joint has a motor of its name.
 ///
-/// Visual shapes are in group 2 and collide with nothing, those for collisions in group 3. Names of mesh files lose their
-/// `package://`: add `<compiler meshdir="..."/>` with the folder of the packages.
+/// Visual shapes are in group 2 and collide with nothing, those for collisions in group 3. Names of mesh
+/// files lose their `package://`: add `<compiler meshdir="..."/>` with the folder of the packages.
 ///
 /// # Errors
 /// As [`Robot::bodies`]: MuJoCo needs masses. [`Problem::NotInMjcf`] for floating and planar joints.

@@ -15,9 +15,9 @@
 //! | `camera_link` | `camera_link` | the link whose x axis `look_at` turns |
 //! | `starts` | 20 | how often the search for a pose starts again before the nearest is returned |
 //!
-//! Requests may give positions of joints; the others are as in the last `joint_states`. A search that reaches its pose
-//! takes microseconds; one for a pose out of reach takes `starts` times as long, some milliseconds. Where that is too
-//! long for a cycle, run the module detached.
+//! Requests may give positions of joints; the others are as in the last `joint_states`. A search that reaches
+//! its pose takes microseconds; one for a pose out of reach takes `starts` times as long, some milliseconds.
+//! Where that is too long for a cycle, run the module detached.
 
 use crate::description::{LinkId, Robot};
 use crate::inverse::{InverseKinematics, Search};

@@ -38,8 +38,8 @@ impl Pose {
         pose
     }
 
-    /// Computes the pose at these positions, in rad and m, one for each of [`Robot::coordinates`]. They may exceed
-    /// the limits.
+    /// Computes the pose at these positions, in rad and m, one for each of [`Robot::coordinates`]. They may
+    /// exceed the limits.
     ///
     /// # Panics
     /// If there are fewer positions than coordinates, or the pose is that of another robot with fewer links.
@@ -62,8 +62,8 @@ impl Pose {
         self.base_from_link(target).inverse() * self.base_from_link(source)
     }
 
-    /// The geometric Jacobian of the origin of a link: its velocity in m/s (rows 0 to 2) and its angular velocity in
-    /// rad/s (rows 3 to 5), both in the axes of the root, by the speed of each coordinate.
+    /// The geometric Jacobian of the origin of a link: its velocity in m/s (rows 0 to 2) and its angular
+    /// velocity in rad/s (rows 3 to 5), both in the axes of the root, by the speed of each coordinate.
     ///
     /// Does not allocate if `jacobian` has a column for each coordinate; otherwise it is replaced.
     pub fn jacobian(&self, robot: &Robot, link: LinkId, jacobian: &mut Matrix6xX<f64>) {
@@ -105,7 +105,8 @@ impl Joint {
         self.parent_from_child_at(drive.multiplier * positions[drive.coordinate] + drive.offset)
     }
 
-    /// The pose of the child in the parent at this position of the joint; that at 0 for joints without a position.
+    /// The pose of the child in the parent at this position of the joint; that at 0 for joints without a
+    /// position.
     #[must_use]
     pub fn parent_from_child_at(&self, position: f64) -> Isometry {
         self.parent_from_joint * self.motion(position)
@@ -191,7 +192,8 @@ impl Masses {
     }
 
     /// The Jacobian of the centre of mass: its velocity in m/s, in the axes of the root, by the speed of each
-    /// coordinate. Does not allocate if `jacobian` has a column for each coordinate; otherwise it is replaced.
+    /// coordinate. Does not allocate if `jacobian` has a column for each coordinate; otherwise it is
+    /// replaced.
     ///
     /// A joint moves the centre of mass of all that hangs from it, at distance d, so its column is
     /// (mass below / total mass) axis × d.

@@ -9,7 +9,8 @@ pub(crate) struct Description {
     pub(crate) text: String,
 }
 
-/// Declares the setting `robot_description`; `None` if it has no value, for [`NoDescription`] when the module starts.
+/// Declares the setting `robot_description`; `None` if it has no value, for [`NoDescription`] when the module
+/// starts.
 pub(crate) fn declare<M: Module>(setup: &mut Setup<'_, M>) -> Result<Option<Description>, SetupError> {
     let what = "the URDF file, relative to the robot file; or its text";
     let key: Setting<String> = setup.read_only_setting("robot_description", String::new(), what)?;

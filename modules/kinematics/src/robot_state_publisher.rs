@@ -1,5 +1,5 @@
-//! Publishes where the links of a robot are, from its description and the positions of its joints, like ROS's package of
-//! this name.
+//! Publishes where the links of a robot are, from its description and the positions of its joints, like ROS's
+//! package of this name.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
@@ -15,9 +15,10 @@
 //! | `frame_prefix` | empty | before the names of all frames, for several robots |
 //! | `ignore_timestamp` | false | publish all positions, however close or old their stamps are |
 //!
-//! A joint with `<mimic>` follows its leader where a message does not contain it; a position of its own has precedence. A
-//! joint is published when the stamps of its positions are at least a period apart, and after stamps have gone back.
-//! Floating joints are not published, as their poses come from elsewhere; planar joints count as fixed.
+//! A joint with `<mimic>` follows its leader where a message does not contain it; a position of its own has
+//! precedence. A joint is published when the stamps of its positions are at least a period apart, and after
+//! stamps have gone back. Floating joints are not published, as their poses come from elsewhere; planar
+//! joints count as fixed.
 //!
 //! # References
 //! `robot_state_publisher` of `ros/robot_state_publisher`, branch jazzy.
@@ -117,8 +118,8 @@ impl Publishing {
         Self { robot, text, frame_prefix, joints, published_at, given, last_stamp: i64::MIN }
     }
 
-    /// The transforms that follow from a message: with a period, only those of joints that were last published that
-    /// long ago.
+    /// The transforms that follow from a message: with a period, only those of joints that were last
+    /// published that long ago.
     fn moving(&mut self, state: &JointState, period_ns: Option<i64>) -> Vec<TransformStamped> {
         let stamp = state.header.stamp.as_nanos();
         if stamp < self.last_stamp {
@@ -145,7 +146,8 @@ impl Publishing {
         transforms
     }
 
-    /// The position of a joint by the current message: its own, or what follows from the joint that it mimics.
+    /// The position of a joint by the current message: its own, or what follows from the joint that it
+    /// mimics.
     fn position(&self, index: usize) -> Option<f64> {
         let (mut index, mut multiplier, mut offset) = (index, 1.0, 0.0);
         loop {

@@ -7,7 +7,8 @@ use std::fmt::Write as _;
 
 const ARM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/darwin_op.urdf");
 
-/// Reads a text, and everything that follows from a robot. Returns the memory that it takes at most, and the error.
+/// Reads a text, and everything that follows from a robot. Returns the memory that it takes at most, and the
+/// error.
 fn read(text: &str) -> (usize, Option<String>) {
     let (most, result) = most_in(|| {
         let robot = Robot::from_urdf(text, "x.urdf")?;

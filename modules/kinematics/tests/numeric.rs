@@ -112,7 +112,8 @@ fn a_position_can_be_reached_without_an_orientation() {
     let search = Search { angle_weight: 0.0, ..Search::default() };
     let found = arm.solve(&in_front, &mut [0.0; 20], &search);
     assert!(found.is_reached, "{found:?}");
-    // The shoulder cannot roll far enough inwards. A search of all angles in steps of 2° comes as near as 8.7 mm.
+    // The shoulder cannot roll far enough inwards. A search of all angles in steps of 2° comes as near as 8.7
+    // mm.
     let across = Isometry::from_translation(0.12, 0.1, 0.02);
     let found = arm.solve(&across, &mut [0.0; 20], &search);
     assert!((found.distance - 0.00846).abs() < 1e-5, "{found:?}");

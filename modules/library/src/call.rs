@@ -140,7 +140,8 @@ struct Call<'a> {
     log: &'a mut dyn FnMut(&LogLine<'_>),
 }
 
-/// Calls a function of a library with the functions of the program, and returns its result and the reason given for a failure.
+/// Calls a function of a library with the functions of the program, and returns its result and the reason
+/// given for a failure.
 pub(crate) fn with_host<'a, R>(
     module: &'a CStr,
     phase: Phase<'a>,
@@ -221,7 +222,8 @@ const REFUSED: i32 = -1;
 /// # Safety
 /// `host` is the pointer that [`with_host`] passed to the library, during that call.
 unsafe fn with(host: Host, run: impl FnOnce(&mut Call<'_>) -> Result<(), String>) -> i32 {
-    // SAFETY: `with_host` set the context, and does not use it until the library returns; a library calls on one thread.
+    // SAFETY: `with_host` set the context, and does not use it until the library returns; a library calls on
+    // one thread.
     let call = unsafe { &mut *(*host).context.cast::<Call<'_>>() };
     let result = catch_unwind(AssertUnwindSafe(|| run(call)));
     let reason = match result {
@@ -275,8 +277,8 @@ unsafe fn store<T>(place: *mut T, value: T) {
     }
 }
 
-// SAFETY of all functions below: libraries call them as downbeat.h says: with the host of the call, with texts that have a
-// terminating zero, and with pointers that are valid during the call.
+// SAFETY of all functions below: libraries call them as downbeat.h says: with the host of the call, with
+// texts that have a terminating zero, and with pointers that are valid during the call.
 
 unsafe extern "C" fn name(host: Host) -> *const c_char {
     let mut name = c"".as_ptr();

@@ -1,13 +1,13 @@
 //! Modules of robots as shared libraries in C, C++ and Rust.
 //!
 //! [`load`] loads a library behind the C interface of `include/downbeat.h` and returns its module as a
-//! [`Foreign`], which joins a core as a module like any other. With [`LibraryOptions::is_isolated`] the library is loaded by a
-//! child process, so that its crash ends the module only; [`child`] is the main function of that process.
-//! [`messages`] writes C and C++ structs of ROS 2 interfaces.
+//! [`Foreign`], which joins a core as a module like any other. With [`LibraryOptions::is_isolated`] the
+//! library is loaded by a child process, so that its crash ends the module only; [`child`] is the main
+//! function of that process. [`messages`] writes C and C++ structs of ROS 2 interfaces.
 //!
 //! A library is never unloaded: threads and thread-local values of it may outlive its module. With
-//! [`LibraryOptions::is_reloaded`], each version is loaded from a copy of its own, so that writing the file does not disturb
-//! those that run; a version stays in memory until the program ends.
+//! [`LibraryOptions::is_reloaded`], each version is loaded from a copy of its own, so that writing the file
+//! does not disturb those that run; a version stays in memory until the program ends.
 
 mod call;
 mod instance;
@@ -46,7 +46,8 @@ pub struct LibraryOptions {
 }
 
 impl LibraryOptions {
-    /// The default of [`Self::time_limit`]: far above what a callback inside the cycle may take, so that a busy machine kills no child.
+    /// The default of [`Self::time_limit`]: far above what a callback inside the cycle may take, so that a
+    /// busy machine kills no child.
     pub const TIME_LIMIT: Duration = Duration::from_secs(2);
 }
 

@@ -144,7 +144,8 @@ impl Library {
     #[expect(unsafe_code, reason = "loading a library and calling it")]
     fn open(file: &Path, path: &Path) -> Result<Self, LibraryError> {
         let path = path.to_owned();
-        // SAFETY: initializers of the library run; who names a library in a robot file trusts it as the program itself.
+        // SAFETY: initializers of the library run; who names a library in a robot file trusts it as the
+        // program itself.
         let library = match unsafe { libloading::Library::new(file) } {
             Ok(library) => library,
             Err(error) => return Err(LibraryError::Load { path, reason: with_causes(&error) }),
@@ -155,7 +156,8 @@ impl Library {
         let Ok(function) = (unsafe { library.get::<ModuleFunction>(SYMBOL.as_bytes()) }) else {
             return Err(LibraryError::NoSymbol { path });
         };
-        // SAFETY: as before; the table is static by the contract of downbeat.h, and starts with version and size.
+        // SAFETY: as before; the table is static by the contract of downbeat.h, and starts with version and
+        // size.
         let table = unsafe { function() };
         if table.is_null() {
             return Err(LibraryError::NoTable { path });
@@ -210,7 +212,8 @@ const MACHINES: [(u16, &str, &str); 7] = [
     (243, "riscv64", "RISC-V"),
 ];
 
-/// Checks that the content is a complete shared library for this machine, as far as the system would not report it well.
+/// Checks that the content is a complete shared library for this machine, as far as the system would not
+/// report it well.
 fn check(path: &Path, content: &[u8]) -> Result<(), LibraryError> {
     if !cfg!(target_os = "linux") {
         return Ok(());

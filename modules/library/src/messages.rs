@@ -1,8 +1,8 @@
 //! C and C++ structs of ROS 2 interfaces, with functions that encode and decode them as CDR.
 //!
-//! One header per interface file, named and placed as rosidl does (`sensor_msgs/msg/joint_state.hpp`), and the headers that
-//! they need. C structs are named as those of rosidl (`sensor_msgs__msg__JointState`); C++ structs are plain
-//! (`sensor_msgs::msg::JointState`), with `std::string`, `std::vector` and `std::array`.
+//! One header per interface file, named and placed as rosidl does (`sensor_msgs/msg/joint_state.hpp`), and
+//! the headers that they need. C structs are named as those of rosidl (`sensor_msgs__msg__JointState`); C++
+//! structs are plain (`sensor_msgs::msg::JointState`), with `std::string`, `std::vector` and `std::array`.
 
 mod c;
 mod cpp;
@@ -329,8 +329,8 @@ fn literal(value: &Value, element: &Element) -> String {
     }
 }
 
-/// A string literal. Bytes that are not plain ASCII are octal escapes, which end after three digits; in wide literals, letters
-/// are themselves.
+/// A string literal. Bytes that are not plain ASCII are octal escapes, which end after three digits; in wide
+/// literals, letters are themselves.
 fn text_literal(text: &str, is_wide: bool) -> String {
     let mut literal = String::from("\"");
     let plain =
@@ -348,8 +348,8 @@ fn text_literal(text: &str, is_wide: bool) -> String {
     literal + "\""
 }
 
-/// The definition text as literals in a list that ends with a null pointer: a part for each line, since compilers limit the length
-/// of literals.
+/// The definition text as literals in a list that ends with a null pointer: a part for each line, since
+/// compilers limit the length of literals.
 fn definition_parts(text: &str, null: &str) -> String {
     let lines = text.split_inclusive('\n').map(|line| format!("        {},\n", text_literal(line, false)));
     lines.collect::<String>() + &format!("        {null}")

@@ -1,7 +1,8 @@
 //! Child processes that end with their parent, however that ends.
 //!
-//! A child holds a pipe whose other end is in its parent: its end is noticed on every system. On Linux, a child also asks the system for a
-//! signal, which comes even if another process has inherited that end of the pipe.
+//! A child holds a pipe whose other end is in its parent: its end is noticed on every system. On Linux, a
+//! child also asks the system for a signal, which comes even if another process has inherited that end of the
+//! pipe.
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::io::Errno;
@@ -23,8 +24,8 @@ type Request = (Command, Sender<io::Result<Child>>);
 /// The thread that starts child processes.
 static STARTER: OnceLock<Sender<Request>> = OnceLock::new();
 
-/// Starts a child process from a thread that lives as long as this process. For [`signal_at_its_end`], Linux counts as the parent the
-/// *thread* that started the child.
+/// Starts a child process from a thread that lives as long as this process. For [`signal_at_its_end`], Linux
+/// counts as the parent the *thread* that started the child.
 ///
 /// # Errors
 /// If the process, or the thread, cannot be started.
@@ -58,7 +59,8 @@ pub fn spawn(command: Command) -> io::Result<Child> {
     answer.recv().map_err(|_| ended(()))?
 }
 
-/// Lets the system signal this process when its parent ends, if the parent started it with [`spawn`]. Without an effect except on Linux.
+/// Lets the system signal this process when its parent ends, if the parent started it with [`spawn`]. Without
+/// an effect except on Linux.
 ///
 /// # Errors
 /// If the system refuses.
@@ -70,8 +72,9 @@ pub fn signal_at_its_end(signal: Signal) -> io::Result<()> {
     Ok(())
 }
 
-/// Kills this process `grace` after the end of its parent, whatever its other threads do then; `pipe` is the one whose other end is in the
-/// parent. Other signals that ask it to end are ignored: supervisors send them to all processes of a service, and the parent ends this one.
+/// Kills this process `grace` after the end of its parent, whatever its other threads do then; `pipe` is the
+/// one whose other end is in the parent. Other signals that ask it to end are ignored: supervisors send them
+/// to all processes of a service, and the parent ends this one.
 pub(crate) fn end_with_it(pipe: OwnedFd, grace: Duration) -> io::Result<()> {
     let parent = getppid();
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP, SIGQUIT])?;

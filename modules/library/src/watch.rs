@@ -22,7 +22,8 @@ impl Watch {
         Self { path: path.to_owned(), tried: stamp, last: stamp }
     }
 
-    /// Whether the file has changed and stays as it is, since a linker writes a file in several steps. True once for each change.
+    /// Whether the file has changed and stays as it is, since a linker writes a file in several steps. True
+    /// once for each change.
     pub(crate) fn has_changed(&mut self) -> bool {
         let now = stamp(&self.path);
         let is_at_rest = now == self.last;

@@ -1,4 +1,5 @@
-//! Modules in C and C++ in a core, in its process and in child processes. Skipped on machines without a compiler.
+//! Modules in C and C++ in a core, in its process and in child processes. Skipped on machines without a
+//! compiler.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -66,7 +66,8 @@ fn all(catalog: &Catalog) -> impl Iterator<Item = &MessageDefinition> {
     catalog.messages().filter(|message| !message.name.name.ends_with("_Event"))
 }
 
-/// A program that reads pairs of a number of a message and its bytes, and answers with the bytes that it writes for it.
+/// A program that reads pairs of a number of a message and its bytes, and answers with the bytes that it
+/// writes for it.
 fn echo(folder: &Path, catalog: &Catalog, messages: &[&MessageDefinition], language: Language) -> Command {
     let names: Vec<_> = all(catalog).map(|message| message.name.clone()).collect();
     let mut source = String::new();

@@ -1,6 +1,7 @@
 //! Modules that talk to other programs over the network.
 //!
-//! - [`udp`]: the device behind the modules: a socket whose datagrams are recorded, so that a replay repeats them.
+//! - [`udp`]: the device behind the modules: a socket whose datagrams are recorded, so that a replay repeats
+//!   them.
 //! - [`udp_lines`]: lines of text on UDP, as topics.
 //! - [`tcp`] and [`tcp_lines`]: the same on TCP, as a server or a client.
 //! - [`mailbox`]: for modules with sockets: what all of them share.

@@ -1,4 +1,5 @@
-//! What the modules with sockets share: requests, how their outcomes are recorded, and the reports of failures.
+//! What the modules with sockets share: requests, how their outcomes are recorded, and the reports of
+//! failures.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
@@ -11,7 +12,8 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 
 /// Longer datagrams are cut off, and thereby refused by those who read them; longer lines are dropped.
 pub const LONGEST: usize = 2048;
-/// The most datagrams or lines that are taken in one run of a module: more is a flood, which waits and overflows in the socket.
+/// The most datagrams or lines that are taken in one run of a module: more is a flood, which waits and
+/// overflows in the socket.
 const MOST_IN_ONE_RUN: usize = 32;
 /// How long a module waits before it opens a socket again.
 const RETRY: Duration = Duration::from_secs(1);
@@ -47,7 +49,8 @@ impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
         self.link.device()
     }
 
-    /// What has come since the last run, at most 32 datagrams or lines: more is a flood, which waits. Publishes the exchanges on `topic`.
+    /// What has come since the last run, at most 32 datagrams or lines: more is a flood, which waits.
+    /// Publishes the exchanges on `topic`.
     pub fn receive<P>(&mut self, topic: Publication<BusExchange>, ctx: &mut Context<'_, P>) -> Vec<Vec<u8>> {
         let mut datagrams = Vec::new();
         if ctx.now() < self.not_before {

@@ -1,4 +1,5 @@
-//! Lines on TCP as a device: a server or a client whose lines are recorded, so that a replay repeats them without the network.
+//! Lines on TCP as a device: a server or a client whose lines are recorded, so that a replay repeats them
+//! without the network.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream};

@@ -6,7 +6,8 @@
 //! | `lines/send` (in) | std_msgs/String | sent to all peers, with a line feed |
 //! | `lines/exchanges` | downbeat_interfaces/BusExchange | all lines, for replays |
 //!
-//! By default it listens, for this machine only. Lines of more than 2048 bytes are dropped. Run the module detached.
+//! By default it listens, for this machine only. Lines of more than 2048 bytes are dropped. Run the module
+//! detached.
 
 use std::net::SocketAddrV4;
 use std::time::Duration;

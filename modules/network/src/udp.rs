@@ -1,4 +1,5 @@
-//! A UDP socket as a device: every datagram in and out is published, so that a replay repeats it without the network.
+//! A UDP socket as a device: every datagram in and out is published, so that a replay repeats it without the
+//! network.
 
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
@@ -78,8 +79,9 @@ impl Udp {
     }
 }
 
-/// Finds a port of this machine that is free, and keeps it until the socket is dropped: only those who share it, as the modules here
-/// do, can use it. What is sent to addresses of broadcast does not come to the socket.
+/// Finds a port of this machine that is free, and keeps it until the socket is dropped: only those who share
+/// it, as the modules here do, can use it. What is sent to addresses of broadcast does not come to the
+/// socket.
 ///
 /// # Errors
 /// If no port is free.

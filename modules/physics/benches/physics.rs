@@ -9,7 +9,8 @@ use glam::{DQuat, DVec3};
 use std::hint::black_box;
 use std::time::Duration;
 
-/// The field from the height of the camera, straight ahead and slightly down: floor, lines, posts and ball in the picture.
+/// The field from the height of the camera, straight ahead and slightly down: floor, lines, posts and ball in
+/// the picture.
 fn camera(c: &mut Criterion) {
     let ball = Ball { position: [0.5, 0.05], ..Ball::default() };
     let file = WorldFile { field: Some(Field::default()), ball: Some(ball), ..WorldFile::default() };

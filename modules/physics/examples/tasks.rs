@@ -1,4 +1,5 @@
-//! How often a simulated Darwin OP does its tasks in worlds that differ from the description: `cargo xtask physics`.
+//! How often a simulated Darwin OP does its tasks in worlds that differ from the description:
+//! `cargo xtask physics`.
 #![allow(missing_docs)]
 
 use clap::Parser;

@@ -1,9 +1,10 @@
 //! Several robots in one world, each behind the bytes of its own bus.
 //!
-//! The devices of all robots and the bodies advance together, by 1 ms: first the devices of each robot, then the world. What the
-//! devices of a robot do while its bus is spoken to may lie ahead of the world by the time on the wire; it waits for the world
-//! and is measured from the world as it is. So cores may drive their robots in any order, or at once on several threads, and get the
-//! same answers, as long as the world advances in between and never meanwhile.
+//! The devices of all robots and the bodies advance together, by 1 ms: first the devices of each robot, then
+//! the world. What the devices of a robot do while its bus is spoken to may lie ahead of the world by the
+//! time on the wire; it waits for the world and is measured from the world as it is. So cores may drive their
+//! robots in any order, or at once on several threads, and get the same answers, as long as the world
+//! advances in between and never meanwhile.
 //!
 //! ```
 //! use downbeat_executor::Time;
@@ -197,12 +198,14 @@ impl ArenaOptions {
 }
 
 impl Arena {
-    /// Builds the world, with all robots at their starts. It is held until each robot has had torque for half a second.
+    /// Builds the world, with all robots at their starts. It is held until each robot has had torque for half
+    /// a second.
     ///
     /// The steps of any robot's bus in memory advance the arena, as [`Arena::advance_to`] does.
     ///
     /// # Errors
-    /// If a robot lacks the joint of a servo or starts inside something, the step is not possible, or a port cannot be opened.
+    /// If a robot lacks the joint of a servo or starts inside something, the step is not possible, or a port
+    /// cannot be opened.
     pub fn new(options: ArenaOptions) -> Result<Self, SimulationError> {
         let ArenaOptions { model, world: file, step, robots } = &options;
         if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
@@ -268,10 +271,11 @@ impl Arena {
         &self.devices.emulators
     }
 
-    /// Advances devices and world to this time of the cores, which were at the time of the first call when they started. It does not
-    /// matter who comes first with a later time.
+    /// Advances devices and world to this time of the cores, which were at the time of the first call when
+    /// they started. It does not matter who comes first with a later time.
     ///
-    /// With robots at ports, which live in real time, a world that is more than 100 ms behind stays behind: see [`Arena::left_out`].
+    /// With robots at ports, which live in real time, a world that is more than 100 ms behind stays behind:
+    /// see [`Arena::left_out`].
     pub fn advance_to(&self, now: Time) {
         let mut advanced = self.devices.advanced.lock();
         let begin = |at| self.emulators().iter().for_each(|emulator| emulator.begin_step(at));
@@ -320,14 +324,15 @@ impl Arena {
         }
     }
 
-    /// Puts the ball on the floor, at rest, as if nobody had touched it, when the world moves next: so it does not matter which robots
-    /// were driven before.
+    /// Puts the ball on the floor, at rest, as if nobody had touched it, when the world moves next: so it
+    /// does not matter which robots were driven before.
     pub fn place_ball(&self, position: [f64; 2]) {
         self.shared.lock().placed.push(Placed::Ball(position));
     }
 
-    /// Puts a robot on its feet in the walking-ready stand, at rest, when the world moves next; the heading is in rad. It is held there
-    /// until its servos hold it: for a second, or for up to 15 s if it was about to get up.
+    /// Puts a robot on its feet in the walking-ready stand, at rest, when the world moves next; the heading
+    /// is in rad. It is held there until its servos hold it: for a second, or for up to 15 s if it was about
+    /// to get up.
     pub fn place_robot(&self, robot: usize, position: [f64; 2], yaw: f64) {
         self.shared.lock().placed.push(Placed::Robot { robot, position, yaw });
     }

@@ -1,7 +1,8 @@
 //! What a camera sees of a world: floor, lines, posts, boxes and ball, by casting a ray through each pixel.
 //!
-//! Pictures are simulated: no noise, no distortion, no blur, no shadows, and the robot itself is not in them. Only additions,
-//! multiplications, divisions and square roots, so that the same world gives the same bytes on every machine.
+//! Pictures are simulated: no noise, no distortion, no blur, no shadows, and the robot itself is not in them.
+//! Only additions, multiplications, divisions and square roots, so that the same world gives the same bytes
+//! on every machine.
 
 use crate::model::{Model, Shape};
 use crate::spawned::{Spawned, SpawnedShape};
@@ -23,7 +24,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// The Darwin OP's Logitech C905 at 320 x 240, with the 58 and 46 degrees of the manufacturer's framework.
+    /// The Darwin OP's Logitech C905 at 320 x 240, with the 58 and 46 degrees of the manufacturer's
+    /// framework.
     #[must_use]
     pub const fn darwin_op() -> Self {
         Self { width: 320, height: 240, focal: [288.6, 282.7] }
@@ -163,8 +165,8 @@ impl Scene {
         self
     }
 
-    /// A picture, rgb8, row by row from the top. `world_from_camera` is the pose of the optical frame: z forward, x to the right,
-    /// y down.
+    /// A picture, rgb8, row by row from the top. `world_from_camera` is the pose of the optical frame: z
+    /// forward, x to the right, y down.
     #[must_use]
     pub fn render(&self, camera: &Camera, world_from_camera: &Isometry) -> Vec<u8> {
         let view = View::new(camera, world_from_camera);
@@ -213,7 +215,8 @@ impl Scene {
     }
 }
 
-/// The share of a pixel of this size, in m, that lines cover, at this point of the first quadrant: the field is symmetric.
+/// The share of a pixel of this size, in m, that lines cover, at this point of the first quadrant: the field
+/// is symmetric.
 fn line_share(field: &Field, at: Vec2, pixel: f32) -> f32 {
     let half_line = field.line_width as f32 / 2.0;
     let (length, width) = (field.length as f32 / 2.0, field.width as f32 / 2.0);

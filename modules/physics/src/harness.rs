@@ -1,4 +1,5 @@
-//! A simulated Darwin OP for tests: hardware module and world in one core, the bus in memory, time as fast as it can be computed.
+//! A simulated Darwin OP for tests: hardware module and world in one core, the bus in memory, time as fast as
+//! it can be computed.
 
 use crate::error::SimulationError;
 use crate::model::Model;
@@ -47,8 +48,9 @@ impl Start {
     }
 }
 
-/// A Darwin OP in a world, in a core with a manual clock. The hardware module is the one that drives a real robot, under the
-/// name `hardware`; other modules are added to [`SimulatedRobot::core`] or with [`SimulatedRobot::add`].
+/// A Darwin OP in a world, in a core with a manual clock. The hardware module is the one that drives a real
+/// robot, under the name `hardware`; other modules are added to [`SimulatedRobot::core`] or with
+/// [`SimulatedRobot::add`].
 ///
 /// ```
 /// use std::time::Duration;
@@ -108,8 +110,8 @@ impl SimulatedRobot {
         Ok(Self { core, clock, emulator, simulation, has_hardware: false })
     }
 
-    /// Adds the hardware module, with commands from this topic. Without it, [`SimulatedRobot::run_for`] adds it, with commands from
-    /// `joint_commands`.
+    /// Adds the hardware module, with commands from this topic. Without it, [`SimulatedRobot::run_for`] adds
+    /// it, with commands from `joint_commands`.
     ///
     /// # Errors
     /// If it has joined already.

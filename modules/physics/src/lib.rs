@@ -1,9 +1,11 @@
-//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of the Darwin OP's bus, so that the hardware
-//! module and everything above it cannot tell the simulated robot from a real one.
+//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of the Darwin OP's bus,
+//! so that the hardware module and everything above it cannot tell the simulated robot from a real one.
 //!
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
-//! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_darwin_op::emulator::Body)) in its world;
-//! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera, services;
+//! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_darwin_op::emulator::Body)) in its
+//!   world;
+//! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera,
+//!   services;
 //! - [`Arena`] is a world with several robots and a ball;
 //! - [`tasks`] are what a walking robot has to be able to do;
 //! - [`WorldFile`] describes what is around the robot.
@@ -28,7 +30,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The same options, seed and modules give the same bits, under every launcher. `docs/physics.md` says what is modelled.
+//! The same options, seed and modules give the same bits, under every launcher. `docs/physics.md` says what
+//! is modelled.
 
 mod arena;
 pub mod camera;

@@ -112,7 +112,8 @@ impl Machine {
         self.imu
     }
 
-    /// Returns whether the robot is held during this step, as by somebody who puts it down once the servos have torque.
+    /// Returns whether the robot is held during this step, as by somebody who puts it down once the servos
+    /// have torque.
     pub(crate) fn is_held(&mut self, step: Duration, commands: &[ServoCommand; COUNT]) -> bool {
         match &mut self.held_for {
             None => {
@@ -159,8 +160,8 @@ impl Machine {
         self.measure_in_hand(bodies, Duration::MAX);
     }
 
-    /// Measures while somebody holds the robot, who turned it from where it was last within some steps: an IMU that is suddenly
-    /// upright would be a riddle to filters.
+    /// Measures while somebody holds the robot, who turned it from where it was last within some steps: an
+    /// IMU that is suddenly upright would be a riddle to filters.
     pub(crate) fn measure_in_hand(&mut self, bodies: &dyn RobotBodies, step: Duration) {
         for (servo, joint) in self.servos.iter().zip(&mut self.joints) {
             let (position, velocity) = bodies.joint(servo.body);
@@ -181,7 +182,8 @@ impl Machine {
     }
 }
 
-/// The drive of a servo at this angle of its joint, as a share of the full one, and what it does to the joint: equation (1) of `simulation`.
+/// The drive of a servo at this angle of its joint, as a share of the full one, and what it does to the
+/// joint: equation (1) of `simulation`.
 fn drive(servo: &ServoJoint, command: &ServoCommand, angle: f64, half_play: f64) -> (f64, JointDrive) {
     if command.max_drive <= 0.0 || command.gain <= 0.0 || command.supply <= 0.0 {
         return (0.0, JointDrive { goal: angle, ..JointDrive::default() });

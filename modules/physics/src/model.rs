@@ -181,7 +181,8 @@ impl Model {
         self.bodies.iter().position(|body| body.joint.as_ref().is_some_and(|joint| joint.name == name))
     }
 
-    /// The poses of all bodies in the first one at these angles, one for each body (that of the first is ignored).
+    /// The poses of all bodies in the first one at these angles, one for each body (that of the first is
+    /// ignored).
     #[must_use]
     pub fn poses(&self, angles: &[f64]) -> Vec<Isometry> {
         let mut poses: Vec<Isometry> = Vec::with_capacity(self.bodies.len());

@@ -5,9 +5,9 @@
 //!
 //! `torque = stall * (drive * supply / 12 V) - stall / speed * velocity` (1)
 //!
-//! whose second term is the back-EMF of the motor; `stall` and `speed` are `effort` and `velocity` of the joint's
-//! limit in the description, both at 12 V. Engines solve (1) as a spring to the goal and a damper: the drive
-//! is limited by moving the goal nearer. Within the free play of the gear there is no torque.
+//! whose second term is the back-EMF of the motor; `stall` and `speed` are `effort` and `velocity` of the
+//! joint's limit in the description, both at 12 V. Engines solve (1) as a spring to the goal and a damper:
+//! the drive is limited by moving the goal nearer. Within the free play of the gear there is no torque.
 
 use crate::error::SimulationError;
 use crate::machine::Machine;
@@ -104,7 +104,8 @@ pub enum Request {
         /// Its name.
         thing: String,
     },
-    /// Puts everything back to where it started. What was deleted from the world of the options is there again.
+    /// Puts everything back to where it started. What was deleted from the world of the options is there
+    /// again.
     Reset {
         /// Whether simulated time starts again too.
         time: bool,
@@ -138,7 +139,8 @@ impl Simulation {
     /// Builds the world, with the robot at its start.
     ///
     /// # Errors
-    /// If the robot lacks the joint of a servo or the mass of a link, starts inside something, or step or engine is not possible.
+    /// If the robot lacks the joint of a servo or the mass of a link, starts inside something, or step or
+    /// engine is not possible.
     pub fn new(options: SimulationOptions) -> Result<Self, SimulationError> {
         let SimulationOptions { model, step, variation, .. } = &options;
         if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
@@ -197,7 +199,8 @@ impl Simulation {
         self.state.lock().snapshot.clone()
     }
 
-    /// Asks for something, which takes effect when the next step of the owner of the bus begins. Returns false if too much waits.
+    /// Asks for something, which takes effect when the next step of the owner of the bus begins. Returns
+    /// false if too much waits.
     pub fn request(&self, request: Request) -> bool {
         let mut state = self.state.lock();
         let has_room = state.requests.len() < MOST_REQUESTS;
@@ -207,7 +210,8 @@ impl Simulation {
         has_room
     }
 
-    /// What this would be inside of now, if one of the two can move, and how deep in m: it would be thrown out.
+    /// What this would be inside of now, if one of the two can move, and how deep in m: it would be thrown
+    /// out.
     #[must_use]
     pub fn overlap_of(&self, spawned: &Spawned) -> Option<(String, f64)> {
         let state = self.state.lock();

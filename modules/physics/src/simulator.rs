@@ -97,8 +97,8 @@ impl DarwinOpSimulator {
         }
     }
 
-    /// Brings the world to the time of the run, before anything is looked at or asked for: so it does not matter whether the hardware
-    /// module ran before in the same cycle.
+    /// Brings the world to the time of the run, before anything is looked at or asked for: so it does not
+    /// matter whether the hardware module ran before in the same cycle.
     fn begin(&self, now: Time) -> Option<&Parts> {
         let parts = self.parts.as_ref()?;
         if let Some(emulator) = &parts.emulator {
@@ -465,7 +465,8 @@ fn twist_message(linear: DVec3, angular: DVec3) -> Twist {
     Twist { linear: vector(linear), angular: vector(angular) }
 }
 
-/// The pose of a message; `None` if a number is not finite or too large, or the quaternion has another norm than 1.
+/// The pose of a message; `None` if a number is not finite or too large, or the quaternion has another norm
+/// than 1.
 fn isometry(of: &Pose) -> Option<Isometry> {
     let (Point { x, y, z }, q) = (of.position, of.orientation);
     let (translation, rotation) = (DVec3::new(x, y, z), DQuat::from_xyzw(q.x, q.y, q.z, q.w));

@@ -103,8 +103,8 @@ impl Default for PostDescription {
 }
 
 impl Spawned {
-    /// Something at the origin and without a name, from a description in TOML, as `kind = "ball"`, or the name of a
-    /// spawnable in it.
+    /// Something at the origin and without a name, from a description in TOML, as `kind = "ball"`, or the
+    /// name of a spawnable in it.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         if text.len() > LONGEST {
             return Err(format!("{} bytes; a description has at most {LONGEST}", text.len()));

@@ -1,6 +1,7 @@
 //! World files: what is around a robot, as TOML.
 //!
-//! `docs/physics.md` describes the format. A file that names something impossible is refused with its line and a remedy.
+//! `docs/physics.md` describes the format. A file that names something impossible is refused with its line
+//! and a remedy.
 
 use glam::DVec2;
 use serde::Deserialize;

@@ -1,4 +1,5 @@
-//! MuJoCo as a second opinion. Tests are skipped, with a message, where its library is missing (`cargo xtask test` installs it).
+//! MuJoCo as a second opinion. Tests are skipped, with a message, where its library is missing
+//! (`cargo xtask test` installs it).
 #![cfg(feature = "mujoco")]
 #![allow(clippy::unwrap_used)]
 

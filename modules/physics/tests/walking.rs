@@ -1,4 +1,5 @@
-//! What the Darwin OP can do in the world as described, one seed each; `cargo xtask physics` perturbs the world.
+//! What the Darwin OP can do in the world as described, one seed each; `cargo xtask physics` perturbs the
+//! world.
 #![allow(clippy::unwrap_used)]
 
 use downbeat_executor::{Inbox, Received};

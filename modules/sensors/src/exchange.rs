@@ -19,7 +19,8 @@ pub(crate) fn has_same_request(exchange: &BusExchange, other: &BusExchange) -> b
     (exchange.kind, &exchange.instruction) == (other.kind, &other.instruction)
 }
 
-/// The exchange with its outcome, after a request that was made then: `None` if the device had nothing to give.
+/// The exchange with its outcome, after a request that was made then: `None` if the device had nothing to
+/// give.
 pub(crate) fn end(
     exchange: BusExchange,
     outcome: Result<Option<Vec<u8>>, String>,

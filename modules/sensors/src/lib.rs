@@ -9,9 +9,9 @@
 //! - [`gpio`]: lines of GPIO chips;
 //! - [`serial`]: the serial port behind lidars and GPS receivers, and emulated devices on it.
 //!
-//! Everything that a module learns from its device is recorded as [`Device`](downbeat_device::Device) exchanges, so that a
-//! replay repeats a run byte for byte without the device. Each device has an emulator. No module was ever tried on hardware:
-//! docs/sensors.md says what was tested instead.
+//! Everything that a module learns from its device is recorded as [`Device`](downbeat_device::Device)
+//! exchanges, so that a replay repeats a run byte for byte without the device. Each device has an emulator.
+//! No module was ever tried on hardware: docs/sensors.md says what was tested instead.
 
 #[macro_use]
 mod lifecycle;

@@ -1,7 +1,7 @@
 //! What the modules of devices of the kernel do in their lifecycle: all the same.
 
-/// The functions of [`Module`](downbeat_executor::Module) for a module that opens its device by itself while it is active, by its
-/// `open_soon`, and `close`s it when it leaves.
+/// The functions of [`Module`](downbeat_executor::Module) for a module that opens its device by itself while
+/// it is active, by its `open_soon`, and `close`s it when it leaves.
 macro_rules! opened_while_active {
     () => {
         fn activate(

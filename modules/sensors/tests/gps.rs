@@ -1,4 +1,5 @@
-//! GPS receivers from the bytes of an emulated one to positions: in memory, on a pseudo terminal, with faults, and from a recording.
+//! GPS receivers from the bytes of an emulated one to positions: in memory, on a pseudo terminal, with
+//! faults, and from a recording.
 #![allow(clippy::unwrap_used)]
 
 mod common;

@@ -1,4 +1,5 @@
-//! Lidars from the bytes of emulated devices to scans: in memory, on a pseudo terminal, with faults, and from a recording.
+//! Lidars from the bytes of emulated devices to scans: in memory, on a pseudo terminal, with faults, and from
+//! a recording.
 #![allow(clippy::unwrap_used)]
 
 mod common;

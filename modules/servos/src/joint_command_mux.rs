@@ -6,15 +6,16 @@
 //! | `joint_goals` | `sensor_msgs/JointState` | the commands that apply, in order of arrival |
 //!
 //! A source holds a joint from each command for it until it has been silent for some time: `hold_s` for
-//! `joint_commands`, the topic for commands from outside, and 0.1 s for modules of the robot, which command their
-//! joints in every cycle of the hardware. Commands of sources with less precedence are dropped for this joint
-//! meanwhile.
+//! `joint_commands`, the topic for commands from outside, and 0.1 s for modules of the robot, which command
+//! their joints in every cycle of the hardware. Commands of sources with less precedence are dropped for this
+//! joint meanwhile.
 //!
-//! A command whose stamp is older or newer than this time is dropped, counted, and reported once; a stamp of 0 is now.
+//! A command whose stamp is older or newer than this time is dropped, counted, and reported once; a stamp of
+//! 0 is now.
 //!
-//! When another module of the robot takes over a joint, its goal moves from the last one to the commanded one at
-//! `handover_speed` and then follows the commands immediately. Commands from outside are passed on as they are,
-//! since they may come only once. Joint limits are those of the hardware module.
+//! When another module of the robot takes over a joint, its goal moves from the last one to the commanded one
+//! at `handover_speed` and then follows the commands immediately. Commands from outside are passed on as they
+//! are, since they may come only once. Joint limits are those of the hardware module.
 //!
 //! | setting | |
 //! | --- | --- |
@@ -45,8 +46,8 @@ pub struct Ports {
 /// The topic of commands from outside.
 const OUTSIDE: &str = "joint_commands";
 
-/// All topics of the modules in this package, those with precedence first: a robot that falls or plays a motion
-/// to get up takes no other commands.
+/// All topics of the modules in this package, those with precedence first: a robot that falls or plays a
+/// motion to get up takes no other commands.
 const SOURCES: [&str; 5] = [
     "falls/joint_commands",
     "motions/joint_commands",
@@ -181,7 +182,8 @@ impl Joints {
 /// More names than any robot has joints.
 const MANY: usize = 1024;
 
-/// The longest time for which a handover moves a joint at once, in s: a cycle of the hardware, and some delay.
+/// The longest time for which a handover moves a joint at once, in s: a cycle of the hardware, and some
+/// delay.
 const LONGEST_STEP: f64 = 0.02;
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! Whether commands with stamps are current.
 //!
-//! A command says when it was given. One that was on its way for longer than it is valid, from a slow network or a bag, is no
-//! command for now; one far in the future comes from a machine with another clock. A stamp of 0 is now, as in ros2_control. The time
-//! is that of the core, so it is that of the simulator, or of the bag in a replay.
+//! A command says when it was given. One that was on its way for longer than it is valid, from a slow network
+//! or a bag, is no command for now; one far in the future comes from a machine with another clock. A stamp of
+//! 0 is now, as in ros2_control. The time is that of the core, so it is that of the simulator, or of the bag
+//! in a replay.
 
 use downbeat_executor::Time;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;

@@ -3,8 +3,9 @@
 use downbeat_executor::Time;
 use std::time::Duration;
 
-/// The longest step between two runs that a motion follows. After a longer one, the process was halted, the module was paused, or the
-/// machine's clock was set, as after the boot of a machine without a battery for it: joints must not leap to where they would be by now.
+/// The longest step between two runs that a motion follows. After a longer one, the process was halted, the
+/// module was paused, or the machine's clock was set, as after the boot of a machine without a battery for
+/// it: joints must not leap to where they would be by now.
 const LONGEST: Duration = Duration::from_millis(500);
 
 /// How long a motion stands still between two runs at these times.

@@ -6,14 +6,15 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Time for all expressions that are evaluated for one event: far above what the bound of operations lets happen with small values, so that
-/// it is only reached by what would stop the robot.
+/// Time for all expressions that are evaluated for one event: far above what the bound of operations lets
+/// happen with small values, so that it is only reached by what would stop the robot.
 ///
-/// Where this bound is reached depends on the machine. Therefore it is a fault of the chart, which is reported and recorded.
+/// Where this bound is reached depends on the machine. Therefore it is a fault of the chart, which is
+/// reported and recorded.
 pub(crate) const LIMIT: Duration = Duration::from_millis(500);
 
-/// The same while the robot is asked to stop: expressions that are done soon are not interrupted, so that the last cycle of a robot does not
-/// depend on when the request came.
+/// The same while the robot is asked to stop: expressions that are done soon are not interrupted, so that the
+/// last cycle of a robot does not depend on when the request came.
 const LIMIT_AT_STOP: Duration = Duration::from_millis(20);
 
 /// Operations between two looks at the clock.
@@ -36,7 +37,8 @@ pub(crate) enum Over {
 #[derive(Default)]
 struct Spent {
     begun: Option<Instant>,
-    /// Processor time of the thread when [`LIMIT`] had passed by the clock: on a busy machine it may not have run at all by then.
+    /// Processor time of the thread when [`LIMIT`] had passed by the clock: on a busy machine it may not have
+    /// run at all by then.
     processor: Option<Duration>,
     over: Option<Over>,
     is_stopping: Option<IsStopping>,

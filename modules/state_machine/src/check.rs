@@ -65,8 +65,8 @@ impl Types {
 }
 
 impl Chart {
-    /// Returns what its expressions name that does not exist: variables, settings, functions and fields of messages. `define`
-    /// returns the definition of a message, request, response, goal, result or feedback.
+    /// Returns what its expressions name that does not exist: variables, settings, functions and fields of
+    /// messages. `define` returns the definition of a message, request, response, goal, result or feedback.
     ///
     /// # Errors
     /// The line of a port whose type `define` does not know.

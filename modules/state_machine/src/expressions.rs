@@ -1,10 +1,12 @@
 //! Expressions and scripts of charts, in the language rhai.
 //!
-//! They reach the data of their chart and nothing else: no files, no clock, no random numbers, no output. What one evaluation
-//! may cost is bounded (the constants below), so that a loop without an end is an error of the chart and not of the robot. Operations
-//! on long texts and large arrays take long, so their time is bounded as well ([`Budget`]).
+//! They reach the data of their chart and nothing else: no files, no clock, no random numbers, no output.
+//! What one evaluation may cost is bounded (the constants below), so that a loop without an end is an error
+//! of the chart and not of the robot. Operations on long texts and large arrays take long, so their time is
+//! bounded as well ([`Budget`]).
 //!
-//! Texts may be in single quotes as well, since attributes of XML are in double quotes; rhai's characters therefore do not exist.
+//! Texts may be in single quotes as well, since attributes of XML are in double quotes; rhai's characters
+//! therefore do not exist.
 
 use crate::budget::{Budget, IsStopping, LIMIT, Over};
 use crate::functions;
@@ -341,7 +343,8 @@ fn shortened(text: &str) -> String {
     }
 }
 
-/// Replaces the single quotes around texts by double quotes. Positions of characters stay, unless a text holds double quotes.
+/// Replaces the single quotes around texts by double quotes. Positions of characters stay, unless a text
+/// holds double quotes.
 fn with_double_quotes(text: &str) -> String {
     let mut translated = String::with_capacity(text.len() + 8);
     let mut characters = text.chars().peekable();

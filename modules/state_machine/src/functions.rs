@@ -1,7 +1,8 @@
 //! Functions for expressions: geometry of messages, ages of messages, active states.
 //!
-//! Angles are in rad, lengths in m, times in s; frames as in REP-103. Points are maps with `x`, `y` and perhaps `z`, such as
-//! geometry_msgs/Point; orientations are maps with `x`, `y`, `z`, `w`, such as geometry_msgs/Quaternion.
+//! Angles are in rad, lengths in m, times in s; frames as in REP-103. Points are maps with `x`, `y` and
+//! perhaps `z`, such as geometry_msgs/Point; orientations are maps with `x`, `y`, `z`, `w`, such as
+//! geometry_msgs/Quaternion.
 
 use crate::world::World;
 use parking_lot::RwLock;

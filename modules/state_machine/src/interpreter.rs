@@ -1,11 +1,13 @@
 //! Runs a chart: events in, effects out.
 //!
-//! The algorithm is that of appendix D of the recommendation: the smallest steps take all transitions that an event enables and
-//! that do not preempt each other, and a macrostep goes on until no transition without event is enabled and no internal event
-//! waits. Time is given from outside, and nothing depends on anything but the calls, in their order.
+//! The algorithm is that of appendix D of the recommendation: the smallest steps take all transitions that an
+//! event enables and that do not preempt each other, and a macrostep goes on until no transition without
+//! event is enabled and no internal event waits. Time is given from outside, and nothing depends on anything
+//! but the calls, in their order.
 //!
 //! # References
-//! - State Chart XML (SCXML): State Machine Notation for Control Abstraction, W3C Recommendation 1 September 2015.
+//! - State Chart XML (SCXML): State Machine Notation for Control Abstraction, W3C Recommendation 1 September
+//!   2015.
 
 use crate::chart::{ASSIGNED, Action, Chart, Data, Given, Payload, Send, StateKind, Transition, duration};
 use crate::expressions::{Evaluator, Problem, Program};
@@ -14,7 +16,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Steps of one macrostep, and events that a chart may send itself between two calls: more are a loop without an end.
+/// Steps of one macrostep, and events that a chart may send itself between two calls: more are a loop without
+/// an end.
 const MOST_STEPS: usize = 1000;
 /// Delayed events that wait at once, and events in a queue.
 const MOST_WAITING: usize = 4096;
@@ -73,7 +76,8 @@ pub enum Effect {
         /// The name of the event; empty without one.
         event: String,
     },
-    /// Something in the chart failed; the event `error.execution` or `error.communication` says so to the chart.
+    /// Something in the chart failed; the event `error.execution` or `error.communication` says so to the
+    /// chart.
     Fault(Problem),
 }
 
@@ -308,8 +312,8 @@ impl Interpreter {
         }
     }
 
-    /// Takes all events that wait or are due. Returns what the chart does, in this order. Transitions without event are looked at
-    /// in any case, since variables may have changed.
+    /// Takes all events that wait or are due. Returns what the chart does, in this order. Transitions without
+    /// event are looked at in any case, since variables may have changed.
     pub fn advance(&mut self, now: Duration) -> Vec<Effect> {
         self.evaluator.begin(now);
         self.take_due(now);
@@ -365,9 +369,10 @@ impl Interpreter {
         }
     }
 
-    /// Starts with the memory of another version instead of with the first states: active states that still exist stay active
-    /// without being entered again, and the initial states complete them. Data keep their values unless the expressions of their
-    /// first values have changed; messages, histories and delayed events are kept.
+    /// Starts with the memory of another version instead of with the first states: active states that still
+    /// exist stay active without being entered again, and the initial states complete them. Data keep their
+    /// values unless the expressions of their first values have changed; messages, histories and delayed
+    /// events are kept.
     pub fn resume(&mut self, memory: Memory, now: Duration) -> Vec<Effect> {
         let chart = Arc::clone(&self.chart);
         self.evaluator.begin(now);
@@ -529,8 +534,8 @@ impl Interpreter {
         self.effects.push(Effect::Fault(Problem { line, text }));
     }
 
-    /// The transitions that an event enables, or that are enabled without one; of those that would exit the same states, the ones
-    /// of inner states.
+    /// The transitions that an event enables, or that are enabled without one; of those that would exit the
+    /// same states, the ones of inner states.
     fn enabled(&mut self, event: Option<&Event>) -> Vec<usize> {
         let chart = Arc::clone(&self.chart);
         let mut enabled = Vec::new();
@@ -718,7 +723,8 @@ impl Interpreter {
     }
 
     fn add_ancestors(&self, state: usize, below: usize, enter: &mut Entering) {
-        // What a history stands for may be beside states that stay active, which appendix D would enter again.
+        // What a history stands for may be beside states that stay active, which appendix D would enter
+        // again.
         let is_left =
             |&ancestor: &usize| self.chart.is_inside(ancestor, below) && !self.active.contains(&ancestor);
         for ancestor in self.chart.ancestors(state).take_while(is_left) {

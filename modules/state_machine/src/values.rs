@@ -23,8 +23,8 @@ fn to_dynamic(value: ValueRef<'_>) -> Dynamic {
     }
 }
 
-/// A message of a type with the fields of a map; the others have their defaults. A key may be a path: `linear.x`. A value that
-/// is no map becomes the only field of a message with one.
+/// A message of a type with the fields of a map; the others have their defaults. A key may be a path:
+/// `linear.x`. A value that is no map becomes the only field of a message with one.
 pub(crate) fn to_message(of: &DynamicType, value: &Dynamic) -> Result<DynamicMessage, String> {
     let mut message = DynamicMessage::new(of);
     if value.is_unit() {

@@ -1,5 +1,5 @@
-//! The cases of the W3C and of SCION for SCXML, from the npm package `@scion-scxml/test-framework`: each passes, or is listed with
-//! the reason why it does not apply. Skipped where the package is not installed.
+//! The cases of the W3C and of SCION for SCXML, from the npm package `@scion-scxml/test-framework`: each
+//! passes, or is listed with the reason why it does not apply. Skipped where the package is not installed.
 //!
 //! The cases are written for ECMAScript. What rhai writes otherwise is translated here, and nothing else.
 #![allow(clippy::unwrap_used, missing_docs)]
@@ -55,7 +55,8 @@ const TRANSLATIONS: &[(&str, &str)] = &[
     ("cond=\"!Var2\"", "cond=\"Var2 == ()\""),
     ("cond=\"'foo'\"", "cond=\"'foo' != ''\""),
     ("_ioprocessors['scxml'].location\"", "_ioprocessors['scxml'].location != ''\""),
-    // What cannot be evaluated; the recommendation lets it be refused at the start as well, which is what rhai's parser does.
+    // What cannot be evaluated; the recommendation lets it be refused at the start as well, which is what
+    // rhai's parser does.
     ("var Var1 =", "let Var1 ="),
     ("item=\"'continue'\"", "item=\"_event\""),
     ("\"return\"", "\"1 / 0\""),
@@ -144,7 +145,8 @@ fn result(path: &Path, script: &Path) -> String {
     };
     let script: Value = serde_json::from_str(&std::fs::read_to_string(script).unwrap()).unwrap();
     let is_of_w3c = path.parent().is_some_and(|folder| folder.ends_with("w3c-ecma"));
-    // SCION lets a parallel state stay active where appendix D exits and enters it; the cases have both expectations.
+    // SCION lets a parallel state stay active where appendix D exits and enters it; the cases have both
+    // expectations.
     let is_legacy =
         ["more-parallel/test10.scxml", "more-parallel/test10b.scxml"].iter().any(|case| path.ends_with(case));
     let result = match (is_of_w3c, is_legacy) {

@@ -271,7 +271,8 @@ fn from_vector(vector: DVec3) -> Vector3 {
     Vector3 { x: vector.x, y: vector.y, z: vector.z }
 }
 
-/// A linear map of six coordinates: the rotation on the diagonal, the lever to the right of the first, zero below.
+/// A linear map of six coordinates: the rotation on the diagonal, the lever to the right of the first, zero
+/// below.
 struct Blocks {
     rotation: DMat3,
     lever: DMat3,

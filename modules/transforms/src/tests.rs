@@ -29,7 +29,8 @@ fn along_x(metres: f64) -> Isometry {
     Isometry::from_translation(metres, 0.0, 0.0)
 }
 
-/// `map` - `odom` (moves) - `base` (moves) - `head` (moves) - `camera` (static), and `base` - `foot` (static).
+/// `map` - `odom` (moves) - `base` (moves) - `head` (moves) - `camera` (static), and `base` - `foot`
+/// (static).
 fn robot() -> TransformBuffer {
     let mut buffer = TransformBuffer::new();
     for second in 1..=5 {

@@ -5,9 +5,9 @@
 //! | `tf2_buffer_server` | action tf2_msgs/LookupTransform | a goal waits until its transform is known, or for its `timeout` |
 //! | `tf`, `tf_static` (in) | tf2_msgs/TFMessage | the known transforms |
 //!
-//! A lookup that fails is reported in the result's `error`. As in tf2_ros, a goal without a `timeout` succeeds even then, and one that has
-//! waited for its transform is aborted; tf2_ros leaves `error` empty in that case, so that its clients take an empty transform for the
-//! answer. A canceled goal ends at once.
+//! A lookup that fails is reported in the result's `error`. As in tf2_ros, a goal without a `timeout`
+//! succeeds even then, and one that has waited for its transform is aborted; tf2_ros leaves `error` empty in
+//! that case, so that its clients take an empty transform for the answer. A canceled goal ends at once.
 //!
 //! # References
 //! `tf2_ros/src/buffer_server.cpp` of `ros2/geometry2`, branch jazzy.

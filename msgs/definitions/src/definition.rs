@@ -2,7 +2,8 @@
 
 use crate::{Place, TypeName};
 
-/// The most fields and constants of a message: no interface has a hundredth of them, and each takes half a kilobyte.
+/// The most fields and constants of a message: no interface has a hundredth of them, and each takes half a
+/// kilobyte.
 pub(crate) const MOST_MEMBERS: usize = 1 << 16;
 
 /// The most fields and constants of all messages in one definition text, which may come from anywhere.
@@ -40,7 +41,8 @@ pub struct ServiceDefinition {
     pub origin: String,
 }
 
-/// A parsed action. The services and messages that rosidl derives from it are in the [`Catalog`](crate::Catalog).
+/// A parsed action. The services and messages that rosidl derives from it are in the
+/// [`Catalog`](crate::Catalog).
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActionDefinition {
     /// Its name.

@@ -34,8 +34,8 @@ pub fn suggestion<T: Display>(name: &str, candidates: impl IntoIterator<Item = T
     }
 }
 
-/// The similarity, up to 1 (equal); `None` if the parts after the last slash differ by more than a letter and by more
-/// than about half.
+/// The similarity, up to 1 (equal); `None` if the parts after the last slash differ by more than a letter and
+/// by more than about half.
 fn likeness(name: &str, candidate: &str) -> Option<f64> {
     if name.len().max(candidate.len()) > LONGEST_COMPARED {
         return None;

@@ -1,4 +1,5 @@
-//! The derive macro `Message` of [`downbeat-msgs`](https://docs.rs/downbeat-msgs), which re-exports and documents it.
+//! The derive macro `Message` of [`downbeat-msgs`](https://docs.rs/downbeat-msgs), which re-exports and
+//! documents it.
 
 mod attributes;
 mod cdr;

@@ -52,7 +52,8 @@ const fn in_hexadecimal(digest: &[u8; 32]) -> Hash {
     Hash(text)
 }
 
-/// JSON with the spacing the hash depends on. Names are ASCII without quotes or backslashes, so it needs no escapes.
+/// JSON with the spacing the hash depends on. Names are ASCII without quotes or backslashes, so it needs no
+/// escapes.
 struct Json(Sha256);
 
 impl Json {

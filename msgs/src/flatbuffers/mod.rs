@@ -27,7 +27,8 @@
 //! without `flatc`.
 //!
 //! # References
-//! - `docs/source/internals.md` (the format) and `reflection/reflection.fbs` (the binary schema) of google/flatbuffers.
+//! - `docs/source/internals.md` (the format) and `reflection/reflection.fbs` (the binary schema) of
+//!   google/flatbuffers.
 
 mod decode;
 mod encode;

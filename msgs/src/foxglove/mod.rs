@@ -32,8 +32,8 @@
 //! `OccupancyGrid` (unknown, free, occupied) mean more than the numbers of a `Grid`.
 //!
 //! # References
-//! - `schemas/proto/foxglove/*.proto` and `schemas/flatbuffer/*.fbs` of foxglove/foxglove-sdk, commit ca8a1ce:
-//!   names, numbers and ids of fields.
+//! - `schemas/proto/foxglove/*.proto` and `schemas/flatbuffer/*.fbs` of foxglove/foxglove-sdk, commit
+//!   ca8a1ce: names, numbers and ids of fields.
 
 mod convert;
 mod object;

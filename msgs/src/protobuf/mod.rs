@@ -37,8 +37,8 @@
 //! proto3 cannot express them. Constants and defaults are not in the schema.
 //!
 //! # References
-//! - <https://protobuf.dev/programming-guides/encoding/> (wire format) and `google/protobuf/descriptor.proto` of
-//!   protocolbuffers/protobuf (numbers of the fields of descriptors).
+//! - <https://protobuf.dev/programming-guides/encoding/> (wire format) and `google/protobuf/descriptor.proto`
+//!   of protocolbuffers/protobuf (numbers of the fields of descriptors).
 
 mod decode;
 mod descriptor;

@@ -16,7 +16,8 @@ fn ask(command: &str, input: &str) -> Option<Vec<String>> {
     Some(Python::find()?.ask(script, command, input).lines().map(String::from).collect())
 }
 
-/// Gives every number, boolean and text a value that encodes its place, and every sequence two elements, by path.
+/// Gives every number, boolean and text a value that encodes its place, and every sequence two elements, by
+/// path.
 fn fill(message: &mut DynamicMessage, random: &mut Random) {
     let mut todo = paths(message.as_message(), "");
     let mut number = 1;

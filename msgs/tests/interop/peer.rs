@@ -54,8 +54,8 @@ impl Peer {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/interop/python/peer.py");
         let text = with_file(input, |file| {
             let mut asked = self.0.command(script);
-            // Fast CDR does not initialise padding. These settings make the C library return zeroed memory, so that equal
-            // values have equal bytes.
+            // Fast CDR does not initialise padding. These settings make the C library return zeroed memory,
+            // so that equal values have equal bytes.
             asked.env("GLIBC_TUNABLES", "glibc.malloc.perturb=255:glibc.malloc.tcache_count=0");
             printed(asked.arg(command).arg(file).args(arguments))
         });

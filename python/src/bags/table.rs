@@ -63,8 +63,8 @@ impl From<TableError> for PyErr {
     }
 }
 
-/// Times of receipt and of publication, and for each column its name, the type of its cells in NumPy, its cells as bytes or a
-/// list, and where it has none, whether each row has a cell.
+/// Times of receipt and of publication, and for each column its name, the type of its cells in NumPy, its
+/// cells as bytes or a list, and where it has none, whether each row has a cell.
 pub(super) fn to_python(py: Python<'_>, table: Table) -> PyResult<Bound<'_, PyAny>> {
     let columns = PyList::empty(py);
     for (name, kind, cells) in &table.columns {

@@ -32,7 +32,8 @@ impl SharedBytes {
         let bytes = &slf.get().bytes;
         let length = ffi::Py_ssize_t::try_from(bytes.len())
             .map_err(|_| PyBufferError::new_err("the message is too large for a buffer"))?;
-        // SAFETY: the view keeps `slf` alive, which keeps the bytes alive and never changes them; the view is read-only.
+        // SAFETY: the view keeps `slf` alive, which keeps the bytes alive and never changes them; the view is
+        // read-only.
         let result = unsafe {
             ffi::PyBuffer_FillInfo(
                 view,
@@ -57,7 +58,8 @@ pub(super) struct NumPy {
     set_base_object: SetBaseObject,
 }
 
-/// `PyArray_NewFromDescr`: class, type of elements (which it takes over), dimensions, lengths, strides, data, flags, object.
+/// `PyArray_NewFromDescr`: class, type of elements (which it takes over), dimensions, lengths, strides, data,
+/// flags, object.
 type NewFromDescr = unsafe extern "C" fn(
     *mut ffi::PyTypeObject,
     *mut ffi::PyObject,
@@ -89,8 +91,9 @@ impl NumPy {
             let core = py.import("numpy._core._multiarray_umath");
             let core = core.or_else(|_| py.import("numpy.core._multiarray_umath"))?;
             let table = core.getattr("_ARRAY_API")?;
-            // SAFETY: NumPy documents the capsule as a table of pointers to functions, whose numbers and signatures are part of its
-            // binary interface since version 1.7 (numpy/_core/code_generators/numpy_api.py).
+            // SAFETY: NumPy documents the capsule as a table of pointers to functions, whose numbers and
+            // signatures are part of its binary interface since version 1.7
+            // (numpy/_core/code_generators/numpy_api.py).
             let (new_from_descr, set_base_object) = unsafe {
                 let table =
                     ffi::PyCapsule_GetPointer(table.as_ptr(), std::ptr::null()).cast::<*const c_void>();
@@ -113,8 +116,8 @@ impl NumPy {
         })
     }
 
-    /// A read-only array on a part of shared bytes if it is aligned in memory, otherwise on a copy. An array of a new message
-    /// is a copy that can be written.
+    /// A read-only array on a part of shared bytes if it is aligned in memory, otherwise on a copy. An array
+    /// of a new message is a copy that can be written.
     pub(super) fn view(
         &self,
         source: &Bound<'_, SharedBytes>,
@@ -160,8 +163,8 @@ impl NumPy {
     ) -> PyResult<Py<PyAny>> {
         let py = base.py();
         let length = isize::try_from(count).unwrap_or(0);
-        // SAFETY: the functions are those of NumPy. The first takes over the type of the elements, the second the base, so that both get a
-        // new reference; with a length of 0 the data is not used.
+        // SAFETY: the functions are those of NumPy. The first takes over the type of the elements, the second
+        // the base, so that both get a new reference; with a length of 0 the data is not used.
         unsafe {
             let array = (self.new_from_descr)(
                 self.ndarray.as_ptr().cast(),
@@ -191,8 +194,8 @@ pub(super) fn with_bytes<T>(object: &Bound<'_, PyAny>, with: impl FnOnce(&[u8]) 
     Ok(with(view.bytes()))
 }
 
-/// Calls `with` with the bytes of an object that holds numbers of this type in one dimension, one after another. Returns `None`
-/// for others.
+/// Calls `with` with the bytes of an object that holds numbers of this type in one dimension, one after
+/// another. Returns `None` for others.
 pub(super) fn with_values<T>(
     object: &Bound<'_, PyAny>,
     primitive: Primitive,
@@ -230,7 +233,8 @@ struct View(ffi::Py_buffer);
 impl View {
     fn get(object: &Bound<'_, PyAny>, flags: c_int) -> PyResult<Self> {
         let mut view = Self(ffi::Py_buffer::new());
-        // SAFETY: the buffer is filled only on success; a buffer that is not filled has no owner, and releasing it does nothing.
+        // SAFETY: the buffer is filled only on success; a buffer that is not filled has no owner, and
+        // releasing it does nothing.
         if unsafe { ffi::PyObject_GetBuffer(object.as_ptr(), &raw mut view.0, flags) } == 0 {
             Ok(view)
         } else {
@@ -243,8 +247,8 @@ impl View {
         if self.0.buf.is_null() || length == 0 {
             return &[];
         }
-        // SAFETY: the owner keeps the memory as long as the view is held. No Python code, which could change it, runs as long as
-        // the bytes are borrowed: the callers only copy them.
+        // SAFETY: the owner keeps the memory as long as the view is held. No Python code, which could change
+        // it, runs as long as the bytes are borrowed: the callers only copy them.
         unsafe { std::slice::from_raw_parts(self.0.buf.cast::<u8>().cast_const(), length) }
     }
 
@@ -263,8 +267,8 @@ impl View {
 
 impl Drop for View {
     fn drop(&mut self) {
-        // SAFETY: the interpreter is attached, because a view does not leave the functions above; the buffer was filled or has no
-        // owner.
+        // SAFETY: the interpreter is attached, because a view does not leave the functions above; the buffer
+        // was filled or has no owner.
         unsafe { ffi::PyBuffer_Release(&raw mut self.0) }
     }
 }

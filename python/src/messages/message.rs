@@ -96,7 +96,8 @@ impl Message {
         Ok(message)
     }
 
-    /// Reads a message from its serialised form, CDR with its header of four bytes, without a copy if `data` is `bytes`.
+    /// Reads a message from its serialised form, CDR with its header of four bytes, without a copy if `data`
+    /// is `bytes`.
     #[classmethod]
     fn from_cdr(class: &Bound<'_, PyType>, data: &Bound<'_, PyAny>) -> PyResult<Py<PyAny>> {
         let bytes = match data.extract::<PyBackedBytes>() {

@@ -1,8 +1,8 @@
 //! Message classes, and their conversion from and to CDR.
 //!
-//! A [`Message`] is a view of bytes: those that were received, or the defaults of its type. A field is decoded when it is read for
-//! the first time and then belongs to the message, as does what is assigned; the bytes never change. When the message is
-//! serialised, what was neither read nor set is copied.
+//! A [`Message`] is a view of bytes: those that were received, or the defaults of its type. A field is
+//! decoded when it is read for the first time and then belongs to the message, as does what is assigned; the
+//! bytes never change. When the message is serialised, what was neither read nor set is copied.
 //!
 //! Bytes are CDR with the header of four bytes, as everywhere in downbeat.
 
@@ -30,11 +30,12 @@ pub(crate) use convert::ros_name;
 pub(crate) use message::{Message, type_of};
 pub(crate) use types::{MessageType, described_type, interface, learn, message_type, search};
 
-/// Creates a message from its serialised form. The bytes are kept, not copied, unless they are in another representation than
-/// plain little-endian CDR, which ROS 2 writes. Fields are decoded when they are read.
+/// Creates a message from its serialised form. The bytes are kept, not copied, unless they are in another
+/// representation than plain little-endian CDR, which ROS 2 writes. Fields are decoded when they are read.
 ///
 /// # Errors
-/// `ValueError` if the bytes have no valid header, or are in another representation and not a message of the type.
+/// `ValueError` if the bytes have no valid header, or are in another representation and not a message of the
+/// type.
 pub(crate) fn from_cdr(py: Python<'_>, of: &Arc<MessageType>, bytes: Bytes) -> PyResult<Py<PyAny>> {
     let bytes = if bytes.starts_with(&[0, 1]) && bytes.len() >= message::HEADER {
         bytes
@@ -46,12 +47,12 @@ pub(crate) fn from_cdr(py: Python<'_>, of: &Arc<MessageType>, bytes: Bytes) -> P
     Ok(message::instance(py, of, source, 0)?.into_any().unbind())
 }
 
-/// Serialises a message: `message`, of ours, of rclpy, or a mapping of fields, or else one with the defaults; with `fields` set on
-/// a copy of it.
+/// Serialises a message: `message`, of ours, of rclpy, or a mapping of fields, or else one with the defaults;
+/// with `fields` set on a copy of it.
 ///
 /// # Errors
-/// `TypeError` if the message is one of another type, or a field does not accept its value, `ValueError` if a value is out of
-/// range, `AttributeError` for an unknown field.
+/// `TypeError` if the message is one of another type, or a field does not accept its value, `ValueError` if a
+/// value is out of range, `AttributeError` for an unknown field.
 pub(crate) fn to_cdr(
     py: Python<'_>,
     of: &Arc<MessageType>,
@@ -96,7 +97,8 @@ pub(crate) fn class_of(py: Python<'_>, of: &Arc<MessageType>) -> PyResult<Py<PyT
     Ok(message::class(py, of)?.clone().unbind())
 }
 
-/// Adds the interfaces in a folder, and returns how many files it has: an ament prefix, a folder of packages, or a package.
+/// Adds the interfaces in a folder, and returns how many files it has: an ament prefix, a folder of packages,
+/// or a package.
 #[pyfunction]
 fn search_interfaces(path: PathBuf) -> PyResult<usize> {
     search(&path)
@@ -114,8 +116,8 @@ fn interfaces(package: &str) -> Vec<(&'static str, String)> {
     types::interfaces(package).into_iter().map(|name| (name.kind.as_str(), name.name)).collect()
 }
 
-/// Name, type of an element (a primitive, `string`, or the name of a message), whether there are several, type in the definition,
-/// comment.
+/// Name, type of an element (a primitive, `string`, or the name of a message), whether there are several,
+/// type in the definition, comment.
 type DescribedField = (String, String, bool, String, String);
 
 /// The fields of a type, for stubs.

@@ -91,12 +91,13 @@ static KNOWN: LazyLock<Mutex<Known>> = LazyLock::new(|| {
     })
 });
 
-/// Returns the type of that name: a message, or a message of a service or an action. Definitions are searched in what
-/// `downbeat-msgs` carries, in folders given to [`search`], and in `AMENT_PREFIX_PATH`, in this order.
+/// Returns the type of that name: a message, or a message of a service or an action. Definitions are searched
+/// in what `downbeat-msgs` carries, in folders given to [`search`], and in `AMENT_PREFIX_PATH`, in this
+/// order.
 ///
 /// # Errors
-/// `KeyError` if there is no such type; the error suggests a similar name or lists what was searched. `ValueError` if its
-/// definition is invalid.
+/// `KeyError` if there is no such type; the error suggests a similar name or lists what was searched.
+/// `ValueError` if its definition is invalid.
 pub(crate) fn message_type(py: Python<'_>, name: &str) -> PyResult<Arc<MessageType>> {
     // No Python code runs while this is locked, so that it cannot wait for itself.
     let mut known = KNOWN.lock();
@@ -111,7 +112,8 @@ pub(crate) fn message_type(py: Python<'_>, name: &str) -> PyResult<Arc<MessageTy
     Ok(found)
 }
 
-/// Returns the type of that name with the definition in a bag, which is the type of that name if its definition is the same.
+/// Returns the type of that name with the definition in a bag, which is the type of that name if its
+/// definition is the same.
 ///
 /// # Errors
 /// `ValueError` if the text is not a definition of the type.
@@ -138,7 +140,8 @@ pub(crate) fn described_type(
 /// Adds the interfaces in a folder: an ament prefix, a folder of packages, or a package.
 ///
 /// # Errors
-/// `OSError` if it has no interfaces, `ValueError` if one is invalid or has another definition than a known one.
+/// `OSError` if it has no interfaces, `ValueError` if one is invalid or has another definition than a known
+/// one.
 pub(crate) fn search(path: &Path) -> PyResult<usize> {
     let invalid = |error: downbeat_msgs::definitions::Error| match error {
         downbeat_msgs::definitions::Error::Read { .. }
@@ -152,8 +155,8 @@ pub(crate) fn search(path: &Path) -> PyResult<usize> {
     Ok(count)
 }
 
-/// The name and the definition text of the message, service or action that a name is of or a part of, and the hash of the name;
-/// `None` if it is not known.
+/// The name and the definition text of the message, service or action that a name is of or a part of, and the
+/// hash of the name; `None` if it is not known.
 pub(crate) fn interface(name: &str) -> Option<(String, String, String)> {
     let name: TypeName = name.parse().ok()?;
     let stem = match name.kind {
@@ -183,7 +186,8 @@ pub(crate) fn learn(name: &str, text: &str) -> PyResult<()> {
     Ok(())
 }
 
-/// The interfaces of a package that are known by now: messages, services and actions, without the parts of the latter.
+/// The interfaces of a package that are known by now: messages, services and actions, without the parts of
+/// the latter.
 pub(super) fn interfaces(package: &str) -> Vec<TypeName> {
     let known = KNOWN.lock();
     let mut names: Vec<TypeName> = (known.catalog.messages().map(|message| &message.name))
@@ -228,7 +232,8 @@ impl Known {
         if let Some(found) = self.all.get(&key) {
             return Ok(Arc::clone(found));
         }
-        // The definition in a bag may lack defaults and constants, which are not part of the hash: a known one has them.
+        // The definition in a bag may lack defaults and constants, which are not part of the hash: a known
+        // one has them.
         let known = Arc::clone(&self.catalog);
         if !std::ptr::eq(catalog, &raw const *known) && known.type_hash(name).is_ok_and(|hash| hash == key.1)
         {

@@ -1,4 +1,5 @@
-//! What a module in Python holds of its core: in `setup` it declares through it, in callbacks it asks through it.
+//! What a module in Python holds of its core: in `setup` it declares through it, in callbacks it asks through
+//! it.
 
 use super::values;
 use crate::messages::{self, MessageType};
@@ -83,7 +84,8 @@ impl Link {
         result
     }
 
-    /// Runs a callback, then asks the core for what the callback has asked for. After an error it asks for nothing.
+    /// Runs a callback, then asks the core for what the callback has asked for. After an error it asks for
+    /// nothing.
     pub(super) fn running(
         &self,
         context: &mut ForeignContext<'_, '_>,
@@ -140,8 +142,8 @@ impl Link {
         Ok(result)
     }
 
-    /// The message type of that name, or of that part of a service or action, which the robot knows from now on. What this package
-    /// does not know, the robot may.
+    /// The message type of that name, or of that part of a service or action, which the robot knows from now
+    /// on. What this package does not know, the robot may.
     fn message_type(&self, py: Python<'_>, name: &str) -> PyResult<Arc<MessageType>> {
         if messages::interface(name).is_none()
             && let Ok(Ok((whole, text))) =

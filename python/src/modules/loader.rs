@@ -1,4 +1,5 @@
-//! Where modules in Python come from: a file and a class that a robot file names, or a class that a script passes.
+//! Where modules in Python come from: a file and a class that a robot file names, or a class that a script
+//! passes.
 
 use super::python_module::{PythonModule, traceback};
 use downbeat::edge::foreign::Foreign;
@@ -123,7 +124,8 @@ impl ModuleOrigin {
 }
 
 impl Place {
-    /// Loads the class. `content` names the file with the content of a file, which is another one in a replay of an earlier version.
+    /// Loads the class. `content` names the file with the content of a file, which is another one in a replay
+    /// of an earlier version.
     fn class<'py>(
         &self,
         py: Python<'py>,
@@ -157,7 +159,8 @@ impl Place {
         Some((metadata.modified().ok()?, metadata.len()))
     }
 
-    /// Why the class cannot be used: in one sentence where the loader knows the reason, as a traceback otherwise.
+    /// Why the class cannot be used: in one sentence where the loader knows the reason, as a traceback
+    /// otherwise.
     fn explain(&self, py: Python<'_>, error: &PyErr) -> String {
         let known = py.import("downbeat.loading").and_then(|module| module.getattr("LoadError"));
         match known.is_ok_and(|known| error.is_instance(py, &known)) {

@@ -1,7 +1,8 @@
 //! Modules in Python: how they are loaded and reloaded, and what joins them to a core.
 //!
-//! A module's callbacks run attached to the interpreter, on the thread on which the core runs the module; nothing here waits
-//! while it is attached. What a callback asks for is collected in its [`Link`] and applied when the callback returns.
+//! A module's callbacks run attached to the interpreter, on the thread on which the core runs the module;
+//! nothing here waits while it is attached. What a callback asks for is collected in its [`Link`] and applied
+//! when the callback returns.
 
 mod link;
 mod loader;

@@ -118,12 +118,13 @@ impl PythonModule {
     }
 }
 
-/// Ends a process that a callback forked and that came back from it: it has the sockets, ports and bags of the robot, but of its threads
-/// only this one, and must not run as a second robot.
+/// Ends a process that a callback forked and that came back from it: it has the sockets, ports and bags of
+/// the robot, but of its threads only this one, and must not run as a second robot.
 fn end_forked(py: Python<'_>) -> ! {
     const TEXT: &[u8] =
         b"downbeat: a callback returned in a process that it had forked, which ends here: leave such a process with os._exit, or use subprocess\n";
-    // Without locks, which threads that do not exist here may hold, and without handlers that are run at an exit.
+    // Without locks, which threads that do not exist here may hold, and without handlers that are run at an
+    // exit.
     let end = py.import("os").and_then(|os| {
         os.call_method1("write", (2, TEXT))?;
         os.call_method1("_exit", (1,))

@@ -24,7 +24,8 @@ pub(crate) struct DiffArguments {
     /// everywhere. May be given more than once; the last one that matches a field applies.
     #[arg(long, value_name = "[TOPIC][:FIELD]=AMOUNT", value_parser = FieldRule::tolerance)]
     pub(crate) tolerance: Vec<FieldRule>,
-    /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more than once.
+    /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more
+    /// than once.
     #[arg(long, value_name = "[TOPIC][:FIELD]", value_parser = FieldRule::ignore)]
     pub(crate) ignore: Vec<FieldRule>,
     /// Also compare the receive times of messages.

@@ -84,7 +84,8 @@ impl From<CompressionChoice> for Compression {
     }
 }
 
-/// Writes the copy of `bags` into a new bag, with their custom data and the versions of modules in them, and prints its summary.
+/// Writes the copy of `bags` into a new bag, with their custom data and the versions of modules in them, and
+/// prints its summary.
 pub(crate) fn write(
     copy: Copy<'_>,
     bags: &[Reader],

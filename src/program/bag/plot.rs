@@ -109,8 +109,8 @@ impl<'a> Source<'a> {
         Ok(survey.columns())
     }
 
-    /// Calls a function with the times and the content of each message. Unreadable messages and parts of the bag are
-    /// logged and skipped.
+    /// Calls a function with the times and the content of each message. Unreadable messages and parts of the
+    /// bag are logged and skipped.
     fn each<T>(
         &self,
         doing: &'static str,
@@ -206,7 +206,8 @@ fn curves_of(bag: &Reader, wanted: &Wanted, interfaces: &Interfaces) -> anyhow::
 /// The most paths with names of elements among which the nearest is sought.
 const MOST_NAMED: usize = 1000;
 
-/// The path that is most similar to a wrong one: of a number, of an element by its name, or of an array or message.
+/// The path that is most similar to a wrong one: of a number, of an element by its name, or of an array or
+/// message.
 fn suggested_path(path: &str, numbers: &[&str], named: &BTreeSet<String>) -> Option<String> {
     let mut known: BTreeSet<&str> = numbers.iter().copied().chain(named.iter().map(String::as_str)).collect();
     // Whole arrays and messages are paths too.

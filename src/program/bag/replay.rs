@@ -19,8 +19,8 @@ use crate::program::parameters::ParameterArguments;
 
 #[derive(Args)]
 pub(crate) struct ReplayArguments {
-    /// The robot file of the recording. Settings have the values with which the recording began, unless --param or --params-file give
-    /// others.
+    /// The robot file of the recording. Settings have the values with which the recording began, unless
+    /// --param or --params-file give others.
     #[arg(value_name = "ROBOT.toml")]
     pub(crate) robot: PathBuf,
     /// A rosbag2 directory or an MCAP file.
@@ -32,7 +32,8 @@ pub(crate) struct ReplayArguments {
     /// everywhere. May be given more than once; the last one that matches a field applies.
     #[arg(long, value_name = "[TOPIC][:FIELD]=AMOUNT", value_parser = FieldRule::tolerance)]
     pub(crate) tolerance: Vec<FieldRule>,
-    /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more than once.
+    /// Do not compare this: "diagnostics", "imu/data_raw:header.stamp", ":header.stamp". May be given more
+    /// than once.
     #[arg(long, value_name = "[TOPIC][:FIELD]", value_parser = FieldRule::ignore)]
     pub(crate) ignore: Vec<FieldRule>,
     /// Exclude these topics from the comparison: names, or patterns such as "camera/*".
@@ -46,11 +47,13 @@ pub(crate) struct ReplayArguments {
     /// the robot file's launcher. The result is the same.
     #[arg(long)]
     pub(crate) launcher: Option<LauncherChoice>,
-    /// Run the simulators of the robot again too, from their seeds, and compare what they publish: the bag must be of simulated
-    /// time (`--fast`). Modules that drive a simulated device then drive it again, instead of running on its recorded answers.
+    /// Run the simulators of the robot again too, from their seeds, and compare what they publish: the bag
+    /// must be of simulated time (`--fast`). Modules that drive a simulated device then drive it again,
+    /// instead of running on its recorded answers.
     #[arg(long, conflicts_with = "modules")]
     pub(crate) simulators: bool,
-    /// Run modules in other languages in the last version that was recorded, instead of the files as they are now.
+    /// Run modules in other languages in the last version that was recorded, instead of the files as they are
+    /// now.
     #[arg(long)]
     pub(crate) recorded_sources: bool,
     /// Print the report as JSON.

@@ -145,8 +145,8 @@ impl Tally {
     }
 }
 
-/// Calls a function with each message of the topics, reading the bag once. Parts of the bag that cannot be read are
-/// logged; returns their number.
+/// Calls a function with each message of the topics, reading the bag once. Parts of the bag that cannot be
+/// read are logged; returns their number.
 pub(super) fn each_message(
     bag: &Reader,
     topics: impl IntoIterator<Item = TopicId> + Clone,
@@ -172,8 +172,8 @@ pub(super) fn each_message(
     Ok(damaged)
 }
 
-/// Fails if the metadata of a bag declares more messages than its files have. (It declares fewer in an interrupted
-/// recording.)
+/// Fails if the metadata of a bag declares more messages than its files have. (It declares fewer in an
+/// interrupted recording.)
 fn has_declared_messages(bag: &Reader) -> anyhow::Result<()> {
     let (found, declared) =
         (bag.message_count(), bag.metadata().map_or(0, |metadata| metadata.message_count));

@@ -33,11 +33,13 @@ pub(crate) struct MatchArguments {
     /// The robot file of the match, for example robots/match.toml.
     #[arg(value_name = "MATCH.toml")]
     robot: PathBuf,
-    /// Run each robot in a process of its own, in real time: they meet only through the bytes of their buses, pictures, packets of the
-    /// referee and team messages. --record then makes a folder with a bag of the match and one of each robot.
+    /// Run each robot in a process of its own, in real time: they meet only through the bytes of their buses,
+    /// pictures, packets of the referee and team messages. --record then makes a folder with a bag of the
+    /// match and one of each robot.
     #[arg(long, conflicts_with_all = ["fast", "speed"])]
     processes: bool,
-    /// The ROS domain of the first robot with --processes; the others have the next ones. By default the one after that of the match.
+    /// The ROS domain of the first robot with --processes; the others have the next ones. By default the one
+    /// after that of the match.
     #[arg(long, value_name = "N", requires = "processes")]
     robot_domains: Option<u16>,
     /// Play as fast as it can be computed, instead of in real time.

@@ -1,8 +1,9 @@
 //! The robots of a match as processes of their own.
 //!
-//! The match and its robots share nothing but: the bytes of a robot's bus, on a pseudo terminal; the pictures of its camera, on DDS in a
-//! domain of its own; packets of a GameController and the answers to them, and team messages, as datagrams of the loopback interface.
-//! A process of a robot ends with its standard input, so none is left when this one ends, however it ends.
+//! The match and its robots share nothing but: the bytes of a robot's bus, on a pseudo terminal; the pictures
+//! of its camera, on DDS in a domain of its own; packets of a GameController and the answers to them, and
+//! team messages, as datagrams of the loopback interface. A process of a robot ends with its standard input,
+//! so none is left when this one ends, however it ends.
 
 use std::ffi::OsString;
 use std::fs::DirBuilder;
@@ -86,8 +87,8 @@ const LONGEST_LINE: u64 = 16 << 10;
 const WAITING: NonZeroUsize = NonZeroUsize::new(16).expect("not zero");
 
 impl Prepared {
-    /// Takes the robots of the match out of its file, which gets ports for them. The first robot is in this domain, the others in the next
-    /// ones.
+    /// Takes the robots of the match out of its file, which gets ports for them. The first robot is in this
+    /// domain, the others in the next ones.
     pub(super) fn take_robots(file: &mut RobotFile, first_domain: u16) -> anyhow::Result<Self> {
         let game = super::match_of(file)?;
         let (options, place) = (game.options(), game.place());
@@ -180,7 +181,8 @@ impl Prepared {
         Ok(())
     }
 
-    /// Starts the robots, once the match runs. They are given these arguments; with `bags`, each records into a folder there.
+    /// Starts the robots, once the match runs. They are given these arguments; with `bags`, each records into
+    /// a folder there.
     pub(super) fn start(
         self,
         file: &Path,

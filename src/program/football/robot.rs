@@ -1,4 +1,5 @@
-//! `downbeat match-robot`: a robot of a match in a process of its own, as `downbeat match --processes` starts it.
+//! `downbeat match-robot`: a robot of a match in a process of its own, as `downbeat match --processes` starts
+//! it.
 //!
 //! It hears of the match only by the bytes of its bus, pictures in its ROS domain, and datagrams.
 

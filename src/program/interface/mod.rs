@@ -50,8 +50,8 @@ pub(crate) enum InterfaceCommand {
 /// The source of definitions.
 #[derive(Args)]
 pub(crate) struct SourceArguments {
-    /// Search definitions here first: an ament prefix, a folder with packages at any depth, or a package. May be
-    /// given more than once: earlier ones take precedence.
+    /// Search definitions here first: an ament prefix, a folder with packages at any depth, or a package. May
+    /// be given more than once: earlier ones take precedence.
     #[arg(long, value_name = "PATH")]
     pub(crate) from: Vec<PathBuf>,
 }

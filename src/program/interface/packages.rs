@@ -7,7 +7,8 @@ use anyhow::{Context, bail};
 use crate::msgs::definitions::{Catalog, Kind};
 
 /// The folders of packages at a path, sorted by name: the path itself if it is a package, those below its
-/// `share` if it is an ament prefix, otherwise those at any depth in it, as in the folder `src` of a workspace.
+/// `share` if it is an ament prefix, otherwise those at any depth in it, as in the folder `src` of a
+/// workspace.
 ///
 /// # Errors
 /// Returns an error if the path cannot be read, there is no package, or two have one name.

@@ -1,4 +1,5 @@
-//! How a line of the log looks: the grammar of `RCUTILS_CONSOLE_OUTPUT_FORMAT` (`src/logging.c` of rcutils, branch jazzy).
+//! How a line of the log looks: the grammar of `RCUTILS_CONSOLE_OUTPUT_FORMAT` (`src/logging.c` of rcutils,
+//! branch jazzy).
 
 use std::fmt::Write;
 

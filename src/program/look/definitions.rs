@@ -48,8 +48,8 @@ impl Types {
         Ok(described.with_context(|| self.not_at_hand(&name))?.message_type)
     }
 
-    /// Request and response of a service. Uses local definitions unless a known server announces another hash; then its node is
-    /// asked for a description.
+    /// Request and response of a service. Uses local definitions unless a known server announces another
+    /// hash; then its node is asked for a description.
     pub(super) fn service(
         &self,
         look: &Look,
@@ -92,7 +92,8 @@ impl Types {
     }
 }
 
-/// The hash that an endpoint of the topic announces for that type, or a server of the service for its requests.
+/// The hash that an endpoint of the topic announces for that type, or a server of the service for its
+/// requests.
 fn announced_hash(found: &Found, name: &str, type_name: &str) -> Option<String> {
     let mut endpoints = found.endpoints.iter();
     endpoints

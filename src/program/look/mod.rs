@@ -2,8 +2,8 @@
 //! with the options and output of `ros2`, on a machine without ROS.
 //!
 //! # References
-//! The packages `ros2topic`, `ros2node`, `ros2service`, `ros2param`, `ros2action` and `ros2lifecycle` of ros2/ros2cli,
-//! branch jazzy.
+//! The packages `ros2topic`, `ros2node`, `ros2service`, `ros2param`, `ros2action` and `ros2lifecycle` of
+//! ros2/ros2cli, branch jazzy.
 
 mod action;
 mod clock;

@@ -62,7 +62,8 @@ const POLL: Duration = Duration::from_millis(20);
 /// Participants answer the first announcement within this time, with some margin for slow ones.
 const AT_LEAST: Duration = Duration::from_secs(2);
 
-/// The same where everything that was discovered has answered completely: most answer within some milliseconds.
+/// The same where everything that was discovered has answered completely: most answer within some
+/// milliseconds.
 const AT_LEAST_ANSWERED: Duration = Duration::from_millis(450);
 
 /// How long nothing new must be discovered before a list is considered complete.

@@ -171,8 +171,8 @@ impl DynamicClient {
         Ok(Self { client, service_type, request, response })
     }
 
-    /// Waits until a server is matched, and takes the definitions that it announces if they differ from those at hand. Returns
-    /// false if no server is there in time, or the command is stopped first.
+    /// Waits until a server is matched, and takes the definitions that it announces if they differ from those
+    /// at hand. Returns false if no server is there in time, or the command is stopped first.
     pub(super) fn wait(
         &mut self,
         look: &Look,

@@ -20,8 +20,8 @@ const REPORT: Duration = Duration::from_millis(20);
 /// Something to do before the process ends. Returns what remains undone.
 type Task = (&'static str, fn() -> String);
 
-/// Does what others depend on, side by side, and ends the process: closes bags, tells peers that this process has left, and removes the
-/// links of emulated devices. Children of this process notice its end.
+/// Does what others depend on, side by side, and ends the process: closes bags, tells peers that this process
+/// has left, and removes the links of emulated devices. Children of this process notice its end.
 pub(super) fn end(code: i32) -> ! {
     let start = Instant::now();
     let tasks: [Task; 3] =
@@ -99,7 +99,8 @@ mod tests {
             ("panics", || panic!("as tested")),
             ("late", || "the bag x".to_owned()),
         ];
-        // Five seconds are enough for the quick tasks on a busy machine. The task without an end gets no more time.
+        // Five seconds are enough for the quick tasks on a busy machine. The task without an end gets no more
+        // time.
         let start = Instant::now();
         let (done, undone) = run_side_by_side(&tasks, start + Duration::from_secs(5));
         assert_eq!((done, undone), (vec!["quick"], vec!["the bag x".to_owned()]));

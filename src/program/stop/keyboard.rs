@@ -26,7 +26,8 @@ static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 
 /// Restores the terminal; also called when the process exits without dropping.
 pub(super) fn restore_terminal() {
-    // In the background, the terminal belongs to another process, and changing it would halt this one (SIGTTOU).
+    // In the background, the terminal belongs to another process, and changing it would halt this one
+    // (SIGTTOU).
     if let Some(before) = BEFORE.lock().take().filter(|_| is_in_foreground()) {
         // A terminal that no longer exists need not be restored.
         let _ = tcsetattr(io::stdin(), OptionalActions::Now, &before);

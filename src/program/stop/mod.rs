@@ -7,7 +7,8 @@
 //! | a later one | the process closes its bags, leaves DDS and ends, within [`HURRY`] |
 //! | a third one | the process ends at once |
 //!
-//! After an orderly stop the exit code is that of the command; otherwise it is 128 plus the number of the last signal, as shells report it.
+//! After an orderly stop the exit code is that of the command; otherwise it is 128 plus the number of the
+//! last signal, as shells report it.
 
 mod hurry;
 mod keyboard;
@@ -72,8 +73,8 @@ impl Stop {
         self
     }
 
-    /// Also stops at the end of the process that started this one, however that ends: that process keeps the other end of standard input.
-    /// If stopping takes longer than `patience`, this process ends in a hurry.
+    /// Also stops at the end of the process that started this one, however that ends: that process keeps the
+    /// other end of standard input. If stopping takes longer than `patience`, this process ends in a hurry.
     #[cfg(any(feature = "football", feature = "view"))]
     pub(crate) fn with_parent(self, patience: Duration) -> anyhow::Result<Self> {
         downbeat_library_host::parent::signal_at_its_end(downbeat_library_host::parent::TERMINATE)
@@ -125,8 +126,9 @@ pub(crate) enum OutputEnd {
     Continue,
 }
 
-/// Standard output cannot be written; `is_unread` if what read it has gone. A pipe that nobody reads ends every command, as it ends
-/// `yes | head`; a terminal that was closed, or a full disk, only ends those that do nothing but print.
+/// Standard output cannot be written; `is_unread` if what read it has gone. A pipe that nobody reads ends
+/// every command, as it ends `yes | head`; a terminal that was closed, or a full disk, only ends those that
+/// do nothing but print.
 pub(crate) fn output_failed(is_unread: bool) -> OutputEnd {
     if !is_handled() {
         return OutputEnd::Exit;
@@ -155,7 +157,8 @@ fn handle_signals() -> io::Result<()> {
     })
 }
 
-/// Handles the signals that ask a process to end, except a SIGHUP that whoever started this process wants to be ignored (`nohup`).
+/// Handles the signals that ask a process to end, except a SIGHUP that whoever started this process wants to
+/// be ignored (`nohup`).
 pub(super) fn on_signals(handle: impl Fn(i32) + Send + 'static) -> io::Result<()> {
     let all = [SIGINT, SIGTERM, SIGQUIT, SIGHUP];
     let handled = all.into_iter().filter(|&signal| signal != SIGHUP || !is_ignored(signal));
@@ -164,7 +167,8 @@ pub(super) fn on_signals(handle: impl Fn(i32) + Send + 'static) -> io::Result<()
     thread::Builder::new().name("signals".to_owned()).spawn(wait).map(drop)
 }
 
-/// Ends the process if the command does not notice the request, since it writes to a terminal that was halted or a pipe that nobody reads.
+/// Ends the process if the command does not notice the request, since it writes to a terminal that was halted
+/// or a pipe that nobody reads.
 fn end_if_halted(code: i32) {
     let begun = output::write_in_progress();
     thread::sleep(ONE_REQUEST);

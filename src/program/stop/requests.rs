@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-/// Requests within this time after the first are the same: `timeout` and supervisors signal a process and its group, terminals and
-/// shells both send SIGHUP, and a parent that is signalled may pass the signal on.
+/// Requests within this time after the first are the same: `timeout` and supervisors signal a process and its
+/// group, terminals and shells both send SIGHUP, and a parent that is signalled may pass the signal on.
 pub(super) const ONE_REQUEST: Duration = Duration::from_secs(1);
 
 /// The same for requests after the second one, after which the process ends soon.
@@ -32,7 +32,8 @@ pub(super) enum Meaning {
 impl Requests {
     pub(super) const NONE: Self = Self { first: None, second: None };
 
-    /// Takes a request that is never impatient, such as the end of the parent. Returns whether it is the first one.
+    /// Takes a request that is never impatient, such as the end of the parent. Returns whether it is the
+    /// first one.
     #[cfg(any(feature = "football", feature = "view"))]
     pub(super) fn begin(&mut self, now: Instant) -> bool {
         let is_first = self.first.is_none();

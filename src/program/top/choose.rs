@@ -8,7 +8,8 @@ use crate::msgs::printable;
 use crate::program::topic_field::TopicField;
 use crate::table::NumberField;
 
-/// An input line `TOPIC:FIELD`. Before the colon, topics are listed; after it, the numbers of the topic's latest message.
+/// An input line `TOPIC:FIELD`. Before the colon, topics are listed; after it, the numbers of the topic's
+/// latest message.
 #[derive(Default)]
 pub(super) struct Chooser {
     text: String,

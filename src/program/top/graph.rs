@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 
 use crate::executor::{Graph, GraphEdge};
 
-/// The graph as lines: modules in layers, so that messages go down where they can; below each module what it publishes and who
-/// receives that. `↺` marks receivers in the same layer or above, and `(no one)` a topic without receivers.
+/// The graph as lines: modules in layers, so that messages go down where they can; below each module what it
+/// publishes and who receives that. `↺` marks receivers in the same layer or above, and `(no one)` a topic
+/// without receivers.
 pub(super) fn lines(graph: &Graph) -> Vec<String> {
     let layers = layers(graph);
     let mut lines = Vec::new();

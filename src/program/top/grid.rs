@@ -275,7 +275,8 @@ fn short_maximum(times: &TimeStatistics) -> String {
 /// What a module did with the time between two snapshots.
 #[derive(Clone, Copy)]
 struct Shares {
-    /// The share of one processor that it used. A module that is not detached is taken to compute all the time of its runs.
+    /// The share of one processor that it used. A module that is not detached is taken to compute all the
+    /// time of its runs.
     processor: f64,
     /// The share of the time that it waited in its runs, where that is known.
     waiting: Option<f64>,

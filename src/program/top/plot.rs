@@ -168,7 +168,8 @@ impl Plot {
         self.change().is_some()
     }
 
-    /// The next request, until the robot watches what is plotted, and the topic of which a field is being chosen.
+    /// The next request, until the robot watches what is plotted, and the topic of which a field is being
+    /// chosen.
     fn change(&self) -> Option<Change> {
         let mut wanted: BTreeMap<&str, Vec<String>> = BTreeMap::new();
         for TopicField { topic, field } in self.curves.iter().map(|curve| &curve.of) {

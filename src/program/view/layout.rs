@@ -1,7 +1,8 @@
 //! `downbeat view layout`: a layout file of Foxglove and Lichtblick for a robot.
 //!
-//! The format is that of Lichtblick's `LayoutData` (`packages/suite-base/src/context/CurrentLayoutContext/actions.ts`), which
-//! Foxglove reads too; the options of each panel are those of its type there.
+//! The format is that of Lichtblick's `LayoutData`
+//! (`packages/suite-base/src/context/CurrentLayoutContext/actions.ts`), which Foxglove reads too; the options
+//! of each panel are those of its type there.
 
 use std::path::{Path, PathBuf};
 

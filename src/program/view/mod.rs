@@ -12,10 +12,12 @@ use layout::LayoutArguments;
 /// Options of commands that run a robot, for who wants to see it.
 #[derive(Args, Clone, Debug)]
 pub(crate) struct ViewArguments {
-    /// Show the robot in a browser, on this port: 7373, or a free one where that is in use, or that of the robot file's [view].
+    /// Show the robot in a browser, on this port: 7373, or a free one where that is in use, or that of the
+    /// robot file's [view].
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true)]
     view: Option<Option<u16>>,
-    /// Show the robot to Foxglove, Lichtblick and PlotJuggler on this port: 8765, or that of the robot file's [view].
+    /// Show the robot to Foxglove, Lichtblick and PlotJuggler on this port: 8765, or that of the robot file's
+    /// [view].
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true)]
     foxglove: Option<Option<u16>>,
     /// Let nobody change the robot through these.

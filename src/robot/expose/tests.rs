@@ -8,8 +8,8 @@ use crate::robot::Robot;
 use crate::robot::RosArgs;
 use crate::robot::file::Source;
 
-/// Publishes joint_states, imu/data_raw, battery_state, buttons, diagnostics, motion/joint_commands, joint_goals and some
-/// of no ROS message; receives joint_commands.
+/// Publishes joint_states, imu/data_raw, battery_state, buttons, diagnostics, motion/joint_commands,
+/// joint_goals and some of no ROS message; receives joint_commands.
 const ROBOT: &str = "[robot]\nname = \"r\"\n\
     [[module]]\nkind = \"darwin_op\"\nremap = { joint_commands = \"joint_goals\" }\n\
     [[module]]\nkind = \"stand_nod_wave\"\n[[module]]\nkind = \"joint_command_mux\"\n";

@@ -10,8 +10,8 @@ use super::view::ViewEntry;
 use super::{Given, NodeFeatures, Place, ReplaySection, RobotFile, RobotFileError};
 
 impl RobotFile {
-    /// Only the robot of the `[[include]]` with this namespace, with a node of this name in that namespace. Modules and topics keep their
-    /// names. Of `[expose]` and `[record]` it keeps what is about its topics.
+    /// Only the robot of the `[[include]]` with this namespace, with a node of this name in that namespace.
+    /// Modules and topics keep their names. Of `[expose]` and `[record]` it keeps what is about its topics.
     pub(crate) fn only(mut self, namespace: &str, node: &str) -> Self {
         let is_its = |name: &String| is_within(name, namespace);
         self.modules.retain(|module| is_its(&module.name));
@@ -34,7 +34,8 @@ impl RobotFile {
         self
     }
 
-    /// Removes the robot of the `[[include]]` with this namespace, and what the file says of its topics. Returns its modules.
+    /// Removes the robot of the `[[include]]` with this namespace, and what the file says of its topics.
+    /// Returns its modules.
     pub(crate) fn take_out(&mut self, namespace: &str) -> Vec<ModuleEntry> {
         let is_other = |name: &String| !is_within(name, namespace);
         self.expose.topics.retain(|entry| is_other(&entry.topics.to_string()));

@@ -11,7 +11,8 @@ use crate::robot::Catalog;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
-/// Reads the modules of another robot file. Their names begin with the namespace, and so do their topics and services.
+/// Reads the modules of another robot file. Their names begin with the namespace, and so do their topics and
+/// services.
 pub(super) fn include(value: Value<'_>, catalog: &Catalog, inside: &[PathBuf]) -> Result<Vec<ModuleEntry>> {
     let mut table = value.table("[[include]]")?;
     let file = table.require("robot")?;

@@ -223,7 +223,8 @@ fn remaps(value: Value<'_>) -> Result<RemapRules> {
     value.table("remap")?.take_rest().into_iter().map(rule).collect()
 }
 
-/// Reads `interfaces` in `[robot]`: folders with packages of messages, services and actions, relative to the file.
+/// Reads `interfaces` in `[robot]`: folders with packages of messages, services and actions, relative to the
+/// file.
 fn interface_folders(value: Option<Value<'_>>, interfaces: &Interfaces) -> Result<Vec<PathBuf>> {
     let values = value.map_or(Ok(Vec::new()), |value| value.list())?;
     let folder = |value: Value<'_>| {

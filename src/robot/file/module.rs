@@ -95,7 +95,8 @@ impl ModuleEntry {
         }
     }
 
-    /// Returns true for a module that simulates devices, and for one whose device is simulated in this process.
+    /// Returns true for a module that simulates devices, and for one whose device is simulated in this
+    /// process.
     pub(crate) fn has_simulated_device(&self) -> bool {
         let port = self.settings.get("port").map(|given| &given.value);
         let is_in_memory = matches!(port, Some(SettingValue::Text(port)) if MemoryPorts::is_memory(port));
@@ -160,7 +161,8 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
     Ok(ModuleEntry { line, included: None, name, kind, settings, remaps, source, thread_line, running })
 }
 
-/// Says where the kinds of a project come from, if a robot file is that of a cargo project and this is not its program.
+/// Says where the kinds of a project come from, if a robot file is that of a cargo project and this is not
+/// its program.
 fn project_of(file: &Path) -> String {
     let folder = file.parent().unwrap_or(Path::new(""));
     let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap_or_default();

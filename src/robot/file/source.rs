@@ -121,7 +121,8 @@ pub(crate) struct ParameterPlace {
 }
 
 impl Place {
-    /// True for the command line and parameter files, which say how this run is to be, and not how the robot is.
+    /// True for the command line and parameter files, which say how this run is to be, and not how the robot
+    /// is.
     pub(crate) fn is_for_this_run(&self) -> bool {
         matches!(self, Self::Parameter(_) | Self::Argument(_))
     }

@@ -41,7 +41,8 @@ pub enum ViewAccess {
 }
 
 impl Default for ViewEntry {
-    /// All topics, for viewers on this machine, which need a random token to change the robot. Neither of the two is served.
+    /// All topics, for viewers on this machine, which need a random token to change the robot. Neither of the
+    /// two is served.
     fn default() -> Self {
         Self {
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),

@@ -30,12 +30,14 @@ pub(crate) struct NodeParameter {
     pub(crate) keys: Vec<String>,
 }
 
-/// Returns true if a name of nodes in a parameter file has wildcards: what it names may be meant for other nodes.
+/// Returns true if a name of nodes in a parameter file has wildcards: what it names may be meant for other
+/// nodes.
 pub(crate) fn is_wildcard(pattern: &str) -> bool {
     pattern.split('/').any(|part| matches!(part, "*" | "**"))
 }
 
-/// The nodes of a file by absolute name, wildcards included, with their parameters; both in the order of the file.
+/// The nodes of a file by absolute name, wildcards included, with their parameters; both in the order of the
+/// file.
 pub(crate) fn parameters_of_nodes(source: &Arc<Source>) -> Result<Vec<(String, Vec<NodeParameter>)>> {
     let root = scalar::values_in(source.text()).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());

@@ -1,7 +1,7 @@
 //! The types of scalars in parameter files: as rcl gives them, which is neither YAML 1.1 nor 1.2.
 //!
-//! A scalar in quotes is text. Others are, in this order: one of the words for true and false of YAML 1.1; a whole number as `strtol` of C reads it,
-//! so that `010` is 8; a number as `strtod` reads it; text.
+//! A scalar in quotes is text. Others are, in this order: one of the words for true and false of YAML 1.1; a
+//! whole number as `strtol` of C reads it, so that `010` is 8; a number as `strtod` reads it; text.
 //!
 //! # References
 //! `get_value` in `rcl_yaml_param_parser/src/parse.c` (branch jazzy).
@@ -17,7 +17,8 @@ use crate::msgs::yaml;
 /// The tag of a word that means no value in YAML, and is text in rcl.
 pub(super) const NULL_WORD: &str = "!null";
 
-/// Parses YAML as rcl does. Scalars without a value stay `Null`; words such as `null` have the tag [`NULL_WORD`].
+/// Parses YAML as rcl does. Scalars without a value stay `Null`; words such as `null` have the tag
+/// [`NULL_WORD`].
 ///
 /// # Errors
 /// If the text is not YAML.
@@ -157,7 +158,8 @@ fn number(text: &str) -> Option<f64> {
     is_in_range.then_some(if sign == "-" { -size } else { size })
 }
 
-/// A hexadecimal number of C without its sign and `0x`: digits, perhaps a point and more, perhaps `p` and an exponent of 2.
+/// A hexadecimal number of C without its sign and `0x`: digits, perhaps a point and more, perhaps `p` and an
+/// exponent of 2.
 fn hexadecimal(text: &str) -> Option<f64> {
     let (digits, exponent) = match text.split_once(['p', 'P']) {
         Some((digits, exponent)) => (digits, exponent.parse::<i32>().ok()?),

@@ -1,4 +1,5 @@
-//! The versions of a module of a running robot: its files as they are, and whether they were saved since they were loaded.
+//! The versions of a module of a running robot: its files as they are, and whether they were saved since they
+//! were loaded.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,7 +19,8 @@ pub(crate) struct Live {
     files: Vec<PathBuf>,
 }
 
-/// What is known of the files and of the module, for all lives of the module and for the thread that watches the files.
+/// What is known of the files and of the module, for all lives of the module and for the thread that watches
+/// the files.
 #[derive(Default)]
 pub(crate) struct LiveState(Mutex<Known>);
 
@@ -46,7 +48,8 @@ impl Live {
         Self { load, source: source.clone(), files }
     }
 
-    /// True once the module has stopped and its files were saved since they were tried last, and have been at rest since the last call.
+    /// True once the module has stopped and its files were saved since they were tried last, and have been at
+    /// rest since the last call.
     pub(crate) fn was_saved_after_the_end(&self) -> bool {
         let now = stamps(&self.files);
         let mut known = self.source.live.0.lock();

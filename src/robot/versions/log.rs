@@ -16,7 +16,8 @@ const KEY: &str = "module_versions_made";
 
 /// The versions that were made so far; clones share them.
 ///
-/// A bag has them as events too, but for those that were made while its recording was paused, or before a part of it.
+/// A bag has them as events too, but for those that were made while its recording was paused, or before a
+/// part of it.
 #[derive(Clone, Default)]
 pub(crate) struct VersionLog(Arc<Mutex<Vec<MadeVersion>>>);
 

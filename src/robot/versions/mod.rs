@@ -1,9 +1,10 @@
 //! The versions of modules in other languages: what their files held when they were made.
 //!
-//! A bag holds those with which it begins in its custom data, and each later one in an event of the cycle in which it joined. Files of
-//! text are in them; others, such as shared libraries, are copied into the bag's folder where their module is reloaded, and found by
-//! their hash. The custom data also lists the later ones, whose files are all copied: a recording may be paused while a module is
-//! reloaded, and a part of a bag may begin after it.
+//! A bag holds those with which it begins in its custom data, and each later one in an event of the cycle in
+//! which it joined. Files of text are in them; others, such as shared libraries, are copied into the bag's
+//! folder where their module is reloaded, and found by their hash. The custom data also lists the later ones,
+//! whose files are all copied: a recording may be paused while a module is reloaded, and a part of a bag may
+//! begin after it.
 
 mod live;
 mod log;
@@ -58,7 +59,8 @@ const LARGEST: u64 = 1 << 30;
 pub(crate) const FOLDER: &str = "module_sources";
 
 impl Version {
-    /// Reads the files as they are now. A file that cannot be read counts as empty: loading the module reports it.
+    /// Reads the files as they are now. A file that cannot be read counts as empty: loading the module
+    /// reports it.
     pub(crate) fn read(files: &[PathBuf]) -> Self {
         let files = files.iter().map(|path| SourceFile::read(path));
         Self { files: files.collect(), ..Self::default() }
@@ -170,7 +172,8 @@ impl SourcedModules {
         Self(modules.filter(|module| !module.files.is_empty()).collect())
     }
 
-    /// What the modules were last made from: what runs. Of a module that was never made, what its files hold now.
+    /// What the modules were last made from: what runs. Of a module that was never made, what its files hold
+    /// now.
     pub(crate) fn sources(&self) -> Sources {
         let source = |module: &SourcedModule| {
             let made = module.live.made().unwrap_or_else(|| Source::read(&module.files));
@@ -224,8 +227,8 @@ impl Sources {
         text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
     }
 
-    /// The modules whose sources are not as they were when the bag was recorded. `last` holds the last versions in the bag, where it
-    /// has versions.
+    /// The modules whose sources are not as they were when the bag was recorded. `last` holds the last
+    /// versions in the bag, where it has versions.
     pub(crate) fn changed_since(&self, recorded: &Metadata, last: &BTreeMap<String, Version>) -> Vec<String> {
         let hashes = recorded.custom_data.get(Self::HASHES);
         let hashes: BTreeMap<String, String> =

@@ -1,4 +1,5 @@
-//! The versions of a module in a replay: those with which it was recorded, in the cycles in which they joined.
+//! The versions of a module in a replay: those with which it was recorded, in the cycles in which they
+//! joined.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,7 +18,8 @@ use super::{FOLDER, SourceFile, Sources, Version, hash, live::names_of, read};
 use crate::robot::RobotFile;
 use crate::robot::kind::{LoadForeign, ModuleSource};
 
-/// The time that a replay has reached, in nanoseconds of the robot's time: it decides which versions are in force.
+/// The time that a replay has reached, in nanoseconds of the robot's time: it decides which versions are in
+/// force.
 #[derive(Clone, Debug)]
 pub(crate) struct ReplayedTime(Arc<AtomicI64>);
 
@@ -145,7 +147,8 @@ impl foreign::Versions for Recorded {
     }
 }
 
-/// The versions of a module that were made while the robot ran, each with the time from which on it was in force.
+/// The versions of a module that were made while the robot ran, each with the time from which on it was in
+/// force.
 fn made_of(module: &str, events: &[ModuleEvent]) -> impl Iterator<Item = (i64, Version)> {
     let made = events.iter().filter(move |event| event.kind == ModuleEvent::MADE && event.module == module);
     made.filter_map(|event| {
@@ -159,8 +162,9 @@ pub(crate) fn reloads_of(module: &str, events: &[ModuleEvent]) -> Vec<i64> {
     made_of(module, events).filter_map(|(_, version)| version.reloaded_at).collect()
 }
 
-/// The versions in their order, each with the time from which on it was in force: that with which the bag begins, and those that were
-/// made during it. `later` may name one twice; the first is taken, which is complete.
+/// The versions in their order, each with the time from which on it was in force: that with which the bag
+/// begins, and those that were made during it. `later` may name one twice; the first is taken, which is
+/// complete.
 fn in_force(
     start: Option<Version>,
     later: impl Iterator<Item = (i64, Version)>,
@@ -267,7 +271,8 @@ impl VersionsInBag {
         }
     }
 
-    /// The file that holds what `path` held; `None` if that is what it holds now, or the content is lost, which is noted.
+    /// The file that holds what `path` held; `None` if that is what it holds now, or the content is lost,
+    /// which is noted.
     fn find(&mut self, module: &str, path: &Path, source: &SourceFile, places: &Places) -> Option<PathBuf> {
         if has_hash(path, &source.sha256) {
             return None;
@@ -322,8 +327,8 @@ impl Places {
         Self { folder: bag.join(FOLDER), beside: beside.unwrap_or_else(|| bag.to_owned()) }
     }
 
-    /// The files that may be the one: the copy in the bag, all others in its folder, and those beside the bag and beside the file that
-    /// have the beginning of its name.
+    /// The files that may be the one: the copy in the bag, all others in its folder, and those beside the bag
+    /// and beside the file that have the beginning of its name.
     fn candidates(&self, path: &Path, source: &SourceFile) -> Vec<PathBuf> {
         let mut candidates = vec![self.folder.join(source.kept_name())];
         candidates.extend(files_in(&self.folder));

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::Problems;
 
-/// The packages, and those on which each may build; tests may use more. Those of the product stand from bottom to top.
+/// The packages, and those on which each may build; tests may use more. Those of the product stand from
+/// bottom to top.
 pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-executor", &[]),
     ("downbeat-msgs-definitions", &[]),

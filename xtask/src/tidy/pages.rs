@@ -45,7 +45,8 @@ pub(super) fn problems(root: &Path) -> anyhow::Result<Problems> {
     Ok(problems)
 }
 
-/// The dependencies of the workspace that are not its own and do not say what they are for, in a comment behind or above them.
+/// The dependencies of the workspace that are not its own and do not say what they are for, in a comment
+/// behind or above them.
 fn without_purpose(manifest: &str) -> Problems {
     let mut problems = Problems::new();
     let lines = manifest.lines().skip_while(|line| *line != "[workspace.dependencies]").skip(1);

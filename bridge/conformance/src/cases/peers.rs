@@ -79,7 +79,8 @@ pub(super) fn the_hash_of_a_type_is_announced(domain: &Domain<'_>) -> Ran {
     }
 }
 
-/// Announcements go to the unicast ports of the first participants on the host that is named (RTPS 2.5, 9.6.2.4.3).
+/// Announcements go to the unicast ports of the first participants on the host that is named (RTPS 2.5,
+/// 9.6.2.4.3).
 pub(super) fn static_peers_are_announced_to(domain: &Domain<'_>) -> Ran {
     if !domain.engine.has_network {
         return Ran::NotApplicable("it has no network");

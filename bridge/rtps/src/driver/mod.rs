@@ -164,7 +164,8 @@ impl Participant {
         self.engine.lock().participant.remote_participants().map(|data| data.prefix).collect()
     }
 
-    /// Leaves the domain at once: its endpoints no longer send or receive. For a process that is about to end without dropping it.
+    /// Leaves the domain at once: its endpoints no longer send or receive. For a process that is about to end
+    /// without dropping it.
     pub fn leave(&self) {
         self.engine.stop();
     }

@@ -1,15 +1,16 @@
 //! Which sequence numbers a reader believes.
 //!
-//! Anybody can send a datagram in the name of a writer, and one HEARTBEAT, GAP or sample with an absurd number
-//! would make the reader wait for numbers that the writer never reaches. Four rules limit that:
+//! Anybody can send a datagram in the name of a writer, and one HEARTBEAT, GAP or sample with an absurd
+//! number would make the reader wait for numbers that the writer never reaches. Four rules limit that:
 //!
-//! - A number beyond what a writer can have reached since it was last heard is a claim. It has no effect until
-//!   a second message continues it, and the writer is asked for a heartbeat meanwhile.
+//! - A number beyond what a writer can have reached since it was last heard is a claim. It has no effect
+//!   until a second message continues it, and the writer is asked for a heartbeat meanwhile.
 //! - A sample that was given up but arrives is a reason to ask the writer for a heartbeat.
-//! - Samples of a best-effort writer below one that was delivered are late, unless they form a series that was also written over some
-//!   time ([`Belief::doubt_order`]): a reader that was suspended receives together what had been sent before.
-//! - Heartbeats that end before the next expected sample are doubted first. If the writer, asked again, insists
-//!   ([`Belief::doubt`]), the reader goes back.
+//! - Samples of a best-effort writer below one that was delivered are late, unless they form a series that
+//!   was also written over some time ([`Belief::doubt_order`]): a reader that was suspended receives together
+//!   what had been sent before.
+//! - Heartbeats that end before the next expected sample are doubted first. If the writer, asked again,
+//!   insists ([`Belief::doubt`]), the reader goes back.
 
 use crate::wire::Timestamp;
 use std::time::{Duration, Instant};
@@ -18,10 +19,11 @@ use std::time::{Duration, Instant};
 const SLACK: i64 = 4096;
 /// More samples per millisecond than any writer produces.
 const RATE_PER_MS: u128 = 1000;
-/// A contradiction must last this long: samples and heartbeats overtake each other in the network, and a reader that was suspended
-/// receives together what had been sent before.
+/// A contradiction must last this long: samples and heartbeats overtake each other in the network, and a
+/// reader that was suspended receives together what had been sent before.
 const DOUBT: Duration = Duration::from_millis(250);
-/// Messages farther apart do not continue a contradiction: the reader asks again and again, and at first more often.
+/// Messages farther apart do not continue a contradiction: the reader asks again and again, and at first more
+/// often.
 const LULL: Duration = Duration::from_secs(1);
 /// The number of samples of a best-effort writer that contradict another one.
 const STALE_SAMPLES: u32 = 3;
@@ -42,8 +44,8 @@ pub(super) struct Belief {
 }
 
 impl Belief {
-    /// Returns whether `number` is beyond what the writer can have reached. Anything is possible for a writer that
-    /// was never heard.
+    /// Returns whether `number` is beyond what the writer can have reached. Anything is possible for a writer
+    /// that was never heard.
     pub fn is_far(&self, number: i64, now: Instant) -> bool {
         let Some((reached, at)) = self.reached else { return false };
         let ahead = number.saturating_sub(reached).saturating_sub(SLACK);

@@ -182,8 +182,8 @@ impl Participant {
         }
     }
 
-    /// Whether an acknowledgement of a participant may come from there: samples that a reader has acknowledged are dropped. Acknowledgements
-    /// of builtin writers are proven by their numbers.
+    /// Whether an acknowledgement of a participant may come from there: samples that a reader has
+    /// acknowledged are dropped. Acknowledgements of builtin writers are proven by their numbers.
     fn may_acknowledge(&self, origin: Origin, source: GuidPrefix, writer: EntityId) -> bool {
         let is_at = |peer: &Peer| self.is_at(peer, *origin.address.ip());
         origin.is_own || writer.is_builtin() || self.peers.get(source).is_none_or(is_at)

@@ -106,7 +106,8 @@ pub enum Event {
     },
 }
 
-/// How the counts of alive and not alive writers of a reader change (DDS 1.4, section 2.2.4.1, `LIVELINESS_CHANGED`).
+/// How the counts of alive and not alive writers of a reader change (DDS 1.4, section 2.2.4.1,
+/// `LIVELINESS_CHANGED`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LivelinessChange {
     /// One more writer is alive.
@@ -141,8 +142,8 @@ pub enum Departure {
     Disposed,
     /// No message arrived from it within its lease.
     LeaseRanOut,
-    /// It was never validated, and its host has no open port at its address, or wrong acknowledgements came in
-    /// its name.
+    /// It was never validated, and its host has no open port at its address, or wrong acknowledgements came
+    /// in its name.
     Unreachable,
     /// It never answered, and the room was needed for others.
     Crowded,

@@ -109,7 +109,8 @@ fn groups(submessages: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// Iterates over submessages as bytes with their headers. Ends at the first submessage that exceeds the message.
+/// Iterates over submessages as bytes with their headers. Ends at the first submessage that exceeds the
+/// message.
 struct Raw<'a>(&'a [u8]);
 
 struct RawSubmessage<'a> {

@@ -56,8 +56,8 @@ pub(super) struct Incoming {
     pub matched: MatchedWriter,
     /// The next sample to be delivered. All samples before it have been delivered or given up.
     next: SequenceNumber,
-    /// The number after the last delivered sample. The numbers from here to `next` were given up on the word of
-    /// a HEARTBEAT or GAP, which may be forged.
+    /// The number after the last delivered sample. The numbers from here to `next` were given up on the word
+    /// of a HEARTBEAT or GAP, which may be forged.
     floor: SequenceNumber,
     /// `floor` before the writer claimed to be far ahead.
     before_jump: Option<SequenceNumber>,
@@ -236,8 +236,9 @@ impl Incoming {
         }
     }
 
-    /// Handles samples that will not arrive because they are not for this reader. A GAP beyond what the writer
-    /// can have written is ignored; the writer repeats a true one, because what it covers stays missing.
+    /// Handles samples that will not arrive because they are not for this reader. A GAP beyond what the
+    /// writer can have written is ignored; the writer repeats a true one, because what it covers stays
+    /// missing.
     pub fn take_gap(&mut self, now: Now, gap: &Gap, out: &mut Vec<Received>) {
         let end = gap.list.iter().last().map_or(gap.list.base(), SequenceNumber::next);
         if self.belief.is_far(end.0, now.steady) {
@@ -297,8 +298,8 @@ impl Incoming {
         }
     }
 
-    /// Requests all samples of the writer again, as a new reader does. The counts of messages continue, because
-    /// Fast DDS ignores lower ones.
+    /// Requests all samples of the writer again, as a new reader does. The counts of messages continue,
+    /// because Fast DDS ignores lower ones.
     pub fn start_over(&mut self, now: Instant) {
         self.go_back(SequenceNumber::FIRST, self.last, now);
         self.answer = Answer::Question;

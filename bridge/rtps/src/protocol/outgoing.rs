@@ -104,8 +104,8 @@ impl Outgoing {
         self.fragments.retain(|(number, _)| *number >= base);
     }
 
-    /// Handles an acknowledgement that lacks samples which an earlier one included: that one was forged. What is
-    /// left of them is offered again.
+    /// Handles an acknowledgement that lacks samples which an earlier one included: that one was forged. What
+    /// is left of them is offered again.
     fn retract(&mut self, base: SequenceNumber, history: &History) {
         let mut number = history.at_or_after(base);
         while number < self.acknowledged {

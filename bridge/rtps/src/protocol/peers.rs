@@ -142,12 +142,12 @@ impl Peers {
         self.by_prefix.remove(&prefix)
     }
 
-    /// The participant to remove for a new one that announces itself from `newcomer`; `None` if the new one is
-    /// not stored.
+    /// The participant to remove for a new one that announces itself from `newcomer`; `None` if the new one
+    /// is not stored.
     ///
-    /// Participants that were never validated go first. After them, addresses share the room: one of the address
-    /// with the most participants goes, first those without matches. Matched ones go only if their address has
-    /// more participants than that of the newcomer would have.
+    /// Participants that were never validated go first. After them, addresses share the room: one of the
+    /// address with the most participants goes, first those without matches. Matched ones go only if their
+    /// address has more participants than that of the newcomer would have.
     pub(crate) fn expendable(&self, newcomer: Ipv4Addr) -> Option<GuidPrefix> {
         let oldest = |is_expendable: &dyn Fn(&Peer) -> bool| {
             let peers = self.iter().filter(|(_, peer)| is_expendable(peer));
@@ -181,7 +181,8 @@ impl Peers {
         self.by_topic.get(topic).cloned().unwrap_or_default()
     }
 
-    /// Returns whether an endpoint is new and there is no room for it, although its participant may have more.
+    /// Returns whether an endpoint is new and there is no room for it, although its participant may have
+    /// more.
     pub(crate) fn needs_room(&self, guid: Guid, limits: &Limits) -> bool {
         let is_admissible = |peer: &Peer| {
             !peer.endpoints.contains_key(&guid.entity)
@@ -214,10 +215,12 @@ impl Peers {
         Ok(Noted::New)
     }
 
-    /// The endpoint to remove for a new one of the participant `newcomer`; `None` if the new one is not stored.
+    /// The endpoint to remove for a new one of the participant `newcomer`; `None` if the new one is not
+    /// stored.
     ///
-    /// Addresses share the room, and so do the participants of an address. One of the participant with the most
-    /// endpoints of the address with the most endpoints goes: the oldest one without a match, or else the newest.
+    /// Addresses share the room, and so do the participants of an address. One of the participant with the
+    /// most endpoints of the address with the most endpoints goes: the oldest one without a match, or else
+    /// the newest.
     pub(crate) fn expendable_endpoint(&self, newcomer: GuidPrefix) -> Option<Guid> {
         let mut shares = BTreeMap::<Ipv4Addr, usize>::new();
         for peer in self.by_prefix.values() {

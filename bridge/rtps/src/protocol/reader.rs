@@ -251,7 +251,8 @@ impl Reader {
         self.open_bytes
     }
 
-    /// Calls `take` for a wanted sample, of this number and source timestamp, with the number of bytes that are free for it.
+    /// Calls `take` for a wanted sample, of this number and source timestamp, with the number of bytes that
+    /// are free for it.
     fn take(
         &mut self,
         now: Now,

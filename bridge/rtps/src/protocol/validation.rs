@@ -3,8 +3,8 @@
 //! Anybody can announce a participant with the address of a third party, and send any message in its name. An
 //! address is therefore validated by something that only its owner can know: the builtin writers send each
 //! participant the same samples with other sequence numbers, which begin at an unpredictable one. The first
-//! acknowledgement that continues these numbers proves that a heartbeat arrived at the address. Until then the
-//! participant is sent announcements, heartbeats and acknowledgements only, at most three times the bytes
+//! acknowledgement that continues these numbers proves that a heartbeat arrived at the address. Until then
+//! the participant is sent announcements, heartbeats and acknowledgements only, at most three times the bytes
 //! received from it (as in RFC 9000, section 8.1), and no local writer matches its readers.
 
 use std::{
@@ -26,8 +26,8 @@ const GUESSES: u8 = 16;
 const CLOSED: Duration = Duration::from_secs(1);
 
 impl Participant {
-    /// Chooses the numbers of what the builtin writers send to a participant. They depend on its address, and are
-    /// above the previous ones on the link.
+    /// Chooses the numbers of what the builtin writers send to a participant. They depend on its address, and
+    /// are above the previous ones on the link.
     pub(super) fn choose_numbers(&mut self, prefix: GuidPrefix, link: LinkId) {
         let mut hasher = DefaultHasher::new();
         (self.config.secret, prefix, self.links.destination(link)).hash(&mut hasher);
@@ -111,8 +111,8 @@ impl Participant {
         }
     }
 
-    /// Whether a participant sends from that host: the one at which it is reached, the one that announced it, or
-    /// one that it announced, since a host with several networks sends from any of them.
+    /// Whether a participant sends from that host: the one at which it is reached, the one that announced it,
+    /// or one that it announced, since a host with several networks sends from any of them.
     pub(super) fn is_at(&self, peer: &Peer, from: Ipv4Addr) -> bool {
         let announced = || peer.data.metatraffic_unicast.iter().chain(&peer.data.default_unicast);
         let is_own_host = || peer.is_own_host && self.config.addresses.is_own_host(from);

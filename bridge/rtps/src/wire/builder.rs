@@ -9,7 +9,8 @@ use super::{
 
 /// Fills one datagram with submessages, in little-endian order.
 ///
-/// Each method that appends a submessage returns `false` if it does not fit. The message is unchanged then, and remains valid.
+/// Each method that appends a submessage returns `false` if it does not fit. The message is unchanged then,
+/// and remains valid.
 pub struct MessageBuilder<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
@@ -102,8 +103,8 @@ impl<'a> MessageBuilder<'a> {
         self.destination.wanted = prefix;
     }
 
-    /// Sets the source timestamp of the following data. An INFO_TS is written in front of the next submessage, if the
-    /// timestamp differs by then.
+    /// Sets the source timestamp of the following data. An INFO_TS is written in front of the next
+    /// submessage, if the timestamp differs by then.
     pub fn info_timestamp(&mut self, timestamp: Option<Timestamp>) {
         self.timestamp.wanted = timestamp;
     }

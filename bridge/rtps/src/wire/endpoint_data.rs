@@ -35,10 +35,12 @@ pub struct EndpointData {
     pub expects_inline_qos: bool,
 }
 
-/// Longest name of a topic or a type, in bytes. Fast DDS cannot hold more than 255, and rmw refuses longer topics.
+/// Longest name of a topic or a type, in bytes. Fast DDS cannot hold more than 255, and rmw refuses longer
+/// topics.
 const MAX_NAME: usize = 512;
 
-/// Largest number of partitions, and of representations, of one endpoint. ROS 2 uses no partition and one representation.
+/// Largest number of partitions, and of representations, of one endpoint. ROS 2 uses no partition and one
+/// representation.
 const MAX_ITEMS: usize = 16;
 
 /// Announced with reliability, as ROS 2 does. It has no influence on matching.
@@ -85,7 +87,8 @@ impl EndpointData {
         }
     }
 
-    /// Appends the payload of a SEDP sample. Every policy is explicit, so that the defaults of peers do not matter.
+    /// Appends the payload of a SEDP sample. Every policy is explicit, so that the defaults of peers do not
+    /// matter.
     ///
     /// # Panics
     /// Panics if a name or the user data is longer than 64 kB.

@@ -7,8 +7,8 @@ use super::{Guid, Malformed, Payload, SampleIdentity, SequenceNumber};
 /// The parameters in front of a sample that ROS 2 uses. Others are skipped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InlineQos {
-    /// Present in requests and replies. Sent as parameter 0x0083; received as 0x0083 or 0x800f, of which older versions of
-    /// Fast DDS send the latter only.
+    /// Present in requests and replies. Sent as parameter 0x0083; received as 0x0083 or 0x800f, of which
+    /// older versions of Fast DDS send the latter only.
     pub related_sample_identity: Option<SampleIdentity>,
     /// Identity of the instance. In discovery it is the guid of the entity.
     pub key_hash: Option<[u8; 16]>,
@@ -37,8 +37,9 @@ impl InlineQos {
         Self { key_hash: Some(removed.to_bytes()), status: Some(StatusInfo::REMOVED), ..Self::default() }
     }
 
-    /// The entity whose end a discovery sample announces. Fast DDS identifies it by the key hash, Cyclone DDS by a payload
-    /// that contains only the key. `None` if the sample announces no end, or does not identify the entity.
+    /// The entity whose end a discovery sample announces. Fast DDS identifies it by the key hash, Cyclone DDS
+    /// by a payload that contains only the key. `None` if the sample announces no end, or does not identify
+    /// the entity.
     pub fn removed(&self, payload: Payload<'_>) -> Option<Guid> {
         self.status.filter(|status| status.is_removal())?;
         if let Some(key_hash) = self.key_hash {

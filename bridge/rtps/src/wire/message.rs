@@ -144,7 +144,8 @@ impl DataFragment<'_> {
 pub struct AckNack {
     pub reader: EntityId,
     pub writer: EntityId,
-    /// All samples below the base are received. An empty set with base 0 requests a first [`Heartbeat`]; Fast DDS sends it.
+    /// All samples below the base are received. An empty set with base 0 requests a first [`Heartbeat`]; Fast
+    /// DDS sends it.
     pub missing: SequenceNumberSet,
     /// Increases with each one from this reader to this writer.
     pub count: u32,
@@ -170,7 +171,8 @@ pub struct Heartbeat {
     pub is_liveliness: bool,
 }
 
-/// Samples that are no longer available: those from `start` to before the base of the list, and those in the list.
+/// Samples that are no longer available: those from `start` to before the base of the list, and those in the
+/// list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gap {
     /// [`EntityId::UNKNOWN`] means every matched reader.
@@ -221,7 +223,8 @@ pub fn parse(bytes: &[u8]) -> Result<(Header, Submessages<'_>), Malformed> {
     }
 }
 
-/// The submessages of a message. The iterator ends after the first malformed one, as section 8.3.4.1 requires.
+/// The submessages of a message. The iterator ends after the first malformed one, as section 8.3.4.1
+/// requires.
 #[derive(Clone, Debug)]
 pub struct Submessages<'a> {
     rest: &'a [u8],
@@ -298,8 +301,8 @@ fn read_ends(body: &mut Cursor<'_>) -> Result<(EntityId, EntityId), Malformed> {
     Ok((EntityId(body.array()?), EntityId(body.array()?)))
 }
 
-/// Reads the beginning of DATA and DATA_FRAG. The returned cursor is at the inline QoS, whose offset allows later versions to
-/// add fields in front.
+/// Reads the beginning of DATA and DATA_FRAG. The returned cursor is at the inline QoS, whose offset allows
+/// later versions to add fields in front.
 fn read_data_ends<'a>(body: &mut Cursor<'a>) -> Result<(EntityId, EntityId, Cursor<'a>), Malformed> {
     body.u16()?; // extra flags: none are defined
     let offset = body.u16()?;
@@ -375,8 +378,8 @@ impl<'a> DataFragment<'a> {
     }
 }
 
-/// Bytes in `count` fragments from `first` on, where the last fragment of the sample may be short. `None` if they do not lie
-/// within the sample, or the sample is shorter than an encapsulation.
+/// Bytes in `count` fragments from `first` on, where the last fragment of the sample may be short. `None` if
+/// they do not lie within the sample, or the sample is shorter than an encapsulation.
 fn length_of_fragments(first: u32, count: u16, fragment_size: u16, sample_size: u32) -> Option<usize> {
     if count == 0 || fragment_size == 0 || sample_size < 4 {
         return None;

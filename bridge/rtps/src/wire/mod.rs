@@ -1,8 +1,8 @@
 //! RTPS messages and discovery data, between bytes and values.
 //!
-//! [`parse`] reads a datagram of either byte order without copying, [`MessageBuilder`] writes one. A parsed value is valid:
-//! numbers are in range, fragments lie within their sample, lists end. No input makes this module panic or allocate more than
-//! a small multiple of the input's length.
+//! [`parse`] reads a datagram of either byte order without copying, [`MessageBuilder`] writes one. A parsed
+//! value is valid: numbers are in range, fragments lie within their sample, lists end. No input makes this
+//! module panic or allocate more than a small multiple of the input's length.
 //!
 //! Sections are those of the OMG specification DDSI-RTPS 2.5 (formal/2022-04-01).
 
@@ -50,7 +50,8 @@ pub enum Malformed {
     /// A field lies beyond the end of its submessage.
     #[error("message ends early")]
     Truncated,
-    /// A sequence number is zero, negative or above [`SequenceNumber::MAX`], or a heartbeat ends before it begins.
+    /// A sequence number is zero, negative or above [`SequenceNumber::MAX`], or a heartbeat ends before it
+    /// begins.
     #[error("invalid sequence number")]
     SequenceNumber,
     /// A set of numbers has more than 256 bits.

@@ -16,8 +16,8 @@ impl SequenceNumber {
     pub const ZERO: Self = Self(0);
     /// The number of a writer's first sample.
     pub const FIRST: Self = Self(1);
-    /// The highest number accepted from others. It is far enough from the end of `i64` that small offsets cannot overflow; at a
-    /// million samples per second a writer reaches it in 146 000 years.
+    /// The highest number accepted from others. It is far enough from the end of `i64` that small offsets
+    /// cannot overflow; at a million samples per second a writer reaches it in 146 000 years.
     pub const MAX: Self = Self(1 << 62);
 
     /// The number after this one.

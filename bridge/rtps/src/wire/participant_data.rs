@@ -62,7 +62,8 @@ pub struct ParticipantData {
     pub domain_tag: String,
     /// Whether its readers expect the QoS of the writer with each sample.
     pub expects_inline_qos: bool,
-    /// Size of its receive buffer for user data, in bytes. Only participants of [`VendorId::OURS`] announce it.
+    /// Size of its receive buffer for user data, in bytes. Only participants of [`VendorId::OURS`] announce
+    /// it.
     pub receive_buffer: Option<u32>,
 }
 

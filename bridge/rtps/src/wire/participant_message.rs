@@ -7,7 +7,8 @@ use super::{GuidPrefix, Malformed};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ParticipantMessage {
     pub prefix: GuidPrefix,
-    /// Which of its writers are alive: [`Self::AUTOMATIC`] or [`Self::MANUAL`]. Other values have other purposes.
+    /// Which of its writers are alive: [`Self::AUTOMATIC`] or [`Self::MANUAL`]. Other values have other
+    /// purposes.
     pub kind: u32,
 }
 

@@ -1,4 +1,5 @@
-//! Values of parameters that several kinds of discovery data have in common. Readers return `None` for invalid values.
+//! Values of parameters that several kinds of discovery data have in common. Readers return `None` for
+//! invalid values.
 
 use std::net::SocketAddrV4;
 
@@ -32,7 +33,8 @@ pub(super) fn write_string(text: &str, out: &mut Encoder<'_>) {
     out.bytes(&[0]);
 }
 
-/// Reads octets. If there are more than [`MAX_TEXT`], none are kept: they do not come from ROS 2, and nothing depends on them.
+/// Reads octets. If there are more than [`MAX_TEXT`], none are kept: they do not come from ROS 2, and nothing
+/// depends on them.
 pub(super) fn read_octets(value: &mut Cursor<'_>) -> Option<Vec<u8>> {
     let length = value.u32().ok()? as usize;
     let octets = value.take(length).ok()?;

@@ -19,7 +19,8 @@ const VICTIM: SocketAddrV4 = STRANGER;
 const WRITERS: [EntityId; 3] =
     [EntityId::SEDP_PUBLICATIONS_WRITER, EntityId::SEDP_SUBSCRIPTIONS_WRITER, EntityId::WLP_WRITER];
 
-/// Returns the bytes to the victim and those of the attacker, who repeats what `attack` returns for each count.
+/// Returns the bytes to the victim and those of the attacker, who repeats what `attack` returns for each
+/// count.
 fn measure(attack: impl Fn(&Robot, u32) -> Vec<Vec<u8>>) -> (usize, usize) {
     let mut robot = Robot::new();
     for number in 0..100 {

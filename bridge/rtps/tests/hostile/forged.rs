@@ -74,8 +74,8 @@ impl Robot {
     }
 }
 
-/// Runs an attack against a robot that hears its peer every 20 ms and one that hears it every 300 ms. Within a
-/// second of simulated time both must hear each other again, and from then on every message.
+/// Runs an attack against a robot that hears its peer every 20 ms and one that hears it every 300 ms. Within
+/// a second of simulated time both must hear each other again, and from then on every message.
 fn is_heard_within_a_second(attack: impl Fn(&mut Robot)) {
     for period in [Duration::from_millis(20), Duration::from_millis(300)] {
         let mut robot = Robot::new();

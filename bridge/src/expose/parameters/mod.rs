@@ -1,9 +1,10 @@
-//! Parameters of nodes, with the six services that parameter clients call and the events they listen to: what every node of
-//! rclcpp declares, and settings of modules as `<module>.<setting>`.
+//! Parameters of nodes, with the six services that parameter clients call and the events they listen to: what
+//! every node of rclcpp declares, and settings of modules as `<module>.<setting>`.
 //!
-//! Answers are those of rclcpp (`rclcpp/src/rclcpp/parameter_service.cpp` and `node_interfaces/node_parameters.cpp`, branch
-//! jazzy), but for three things: a whole number is accepted for a double, atomic changes of several modules are taken back
-//! when one is refused rather than made at once, and a value that changes otherwise than through these services is published within a second.
+//! Answers are those of rclcpp (`rclcpp/src/rclcpp/parameter_service.cpp` and
+//! `node_interfaces/node_parameters.cpp`, branch jazzy), but for three things: a whole number is accepted for
+//! a double, atomic changes of several modules are taken back when one is refused rather than made at once,
+//! and a value that changes otherwise than through these services is published within a second.
 
 mod own;
 mod store;
@@ -33,14 +34,15 @@ use store::Parameters;
 pub struct ParameterExposure {
     /// Names `<module>.<setting>`, or patterns for them in which `*` stands for any characters.
     pub settings: Vec<TopicPattern>,
-    /// Of a node that stands for one module: that module, whose settings alone the node has, without its name before them.
+    /// Of a node that stands for one module: that module, whose settings alone the node has, without its name
+    /// before them.
     pub of_module: Option<String>,
 }
 
 /// Gives the nodes of a core their parameters.
 ///
-/// The core takes until its next sync phase to say whether a value is accepted. While it does not answer, the values last known are
-/// returned.
+/// The core takes until its next sync phase to say whether a value is accepted. While it does not answer, the
+/// values last known are returned.
 ///
 /// ```
 /// use downbeat_bridge::expose::{ParameterExposure, ParameterServer};
@@ -115,8 +117,8 @@ impl ParameterServer {
         Self { shared: Arc::new(Shared { core: core.handle(), sim_time, settings }) }
     }
 
-    /// Offers the parameters of a node: those that every node has, and settings of modules, also of modules that are added
-    /// later. All nodes of a program share one time, and so the value of `use_sim_time`.
+    /// Offers the parameters of a node: those that every node has, and settings of modules, also of modules
+    /// that are added later. All nodes of a program share one time, and so the value of `use_sim_time`.
     ///
     /// # Errors
     /// [`NodeError`] when a service or the publisher of events cannot be created.

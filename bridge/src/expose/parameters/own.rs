@@ -20,7 +20,8 @@ pub(super) fn parameters(is_following: bool, has_followed: bool) -> Vec<SettingI
     parameters
 }
 
-/// As `rclcpp/detail/qos_parameters.hpp` declares them (branch jazzy), and `rmw/src/qos_string_conversions.c` writes them.
+/// As `rclcpp/detail/qos_parameters.hpp` declares them (branch jazzy), and `rmw/src/qos_string_conversions.c`
+/// writes them.
 fn of_qos<'a>(topic: &'a str, entity: &'a str, qos: &QosProfile) -> impl Iterator<Item = SettingInfo> + 'a {
     let word = |word: &str| SettingValue::Text(word.to_owned());
     let policies = [

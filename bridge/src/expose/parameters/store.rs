@@ -292,7 +292,8 @@ impl Parameters {
         self.worker.within(time, receipt).await.flatten()
     }
 
-    /// Asks the core for all values, and publishes what has changed. If it does not answer, the known values stay.
+    /// Asks the core for all values, and publishes what has changed. If it does not answer, the known values
+    /// stay.
     async fn refresh(&mut self) {
         self.has_followed |= self.is_following();
         let settings = self.ask_for_settings().await;
@@ -388,12 +389,14 @@ impl Parameters {
     }
 }
 
-/// The longest value, and those of one response together, in bytes: longer responses do not arrive in time, and hold up those behind
-/// them. (Measured with Fast DDS as the client, on loopback of a busy machine: 1 MB takes up to 4 s, 3 MB more than 10 s.)
+/// The longest value, and those of one response together, in bytes: longer responses do not arrive in time,
+/// and hold up those behind them. (Measured with Fast DDS as the client, on loopback of a busy machine: 1 MB
+/// takes up to 4 s, 3 MB more than 10 s.)
 const LONGEST_VALUES: usize = 1_000_000;
 
-/// The longest reason for a refused value, and those of one response together, in bytes. Reasons repeat names and values, and a
-/// response of megabytes, in fragments of 256 bytes, overflows the socket of the client: it and the responses after it arrive too late.
+/// The longest reason for a refused value, and those of one response together, in bytes. Reasons repeat names
+/// and values, and a response of megabytes, in fragments of 256 bytes, overflows the socket of the client: it
+/// and the responses after it arrive too late.
 const LONGEST_REASON: usize = 500;
 const LONGEST_REASONS: usize = 50_000;
 

@@ -1,7 +1,7 @@
 //! An engine without a network: participants of one [`Hub`] communicate only with each other.
 //!
-//! It replaces DDS in tests that are not about DDS. It delivers on the writing thread, loses nothing, matches by the same
-//! policies as DDS, and measures no times: no deadline is missed, and no sample expires.
+//! It replaces DDS in tests that are not about DDS. It delivers on the writing thread, loses nothing, matches
+//! by the same policies as DDS, and measures no times: no deadline is missed, and no sample expires.
 
 mod state;
 

@@ -85,8 +85,8 @@ struct Shared {
     service: String,
     writer: Box<dyn Writer>,
     worker: WorkerLink,
-    /// The number of the last request. Held while one is numbered and written: the number of the call must be known before
-    /// its answer comes.
+    /// The number of the last request. Held while one is numbered and written: the number of the call must be
+    /// known before its answer comes.
     last: Mutex<CallNumber>,
     /// The identity of the reader of replies, by which servers name it.
     reader: Gid,
@@ -168,8 +168,8 @@ impl RequestClient {
         (self.reader.gid(), self.shared.writer.gid())
     }
 
-    /// Registers the handlers for events of its two endpoints: of the writer of requests, of the reader of replies. They run on a thread of the
-    /// middleware, so they must not block.
+    /// Registers the handlers for events of its two endpoints: of the writer of requests, of the reader of
+    /// replies. They run on a thread of the middleware, so they must not block.
     pub fn on_events(&self, requests: EventHandler, replies: EventHandler) {
         self.shared.writer.on_event(requests);
         self.reader.on_event(replies);
@@ -198,8 +198,8 @@ impl RequestClient {
         }
     }
 
-    /// Sends a request: encapsulation header (little-endian) and body. `on_reply` is called once, on the thread of the
-    /// handlers: with the answer, or with the reason why there is none. Does not block.
+    /// Sends a request: encapsulation header (little-endian) and body. `on_reply` is called once, on the
+    /// thread of the handlers: with the answer, or with the reason why there is none. Does not block.
     ///
     /// Returns the number of the request, nothing if it was not sent.
     pub fn call(
@@ -338,7 +338,8 @@ impl TimeLimited for Shared {
     }
 }
 
-/// Of servers that are asked in different ways only one can be: one that is asked as most are, the first by identity.
+/// Of servers that are asked in different ways only one can be: one that is asked as most are, the first by
+/// identity.
 fn preferred(servers: &[Gid]) -> Option<Gid> {
     servers.iter().copied().min_by_key(|server| (Mapping::of(*server) == Mapping::PayloadHeader, *server))
 }

@@ -58,8 +58,8 @@ impl PayloadHeader {
         Some((header, without.freeze()))
     }
 
-    /// Puts the header in front of the body of a little-endian payload. It is 16 bytes long, so that the alignment of
-    /// what follows stays as it was.
+    /// Puts the header in front of the body of a little-endian payload. It is 16 bytes long, so that the
+    /// alignment of what follows stays as it was.
     pub(super) fn put_on(self, cdr: &Bytes) -> Bytes {
         let (encapsulation, body) = cdr.split_at(cdr.len().min(ENCAPSULATION));
         let mut with = BytesMut::with_capacity(cdr.len() + HEADER);

@@ -1,17 +1,18 @@
-//! Raw requests and replies, made of two topics: clients write requests, servers write replies, and every client reads all
-//! replies and keeps its own.
+//! Raw requests and replies, made of two topics: clients write requests, servers write replies, and every
+//! client reads all replies and keeps its own.
 //!
 //! Implementations differ in how a reply names its request. `rmw_fastrtps` puts it beside the payload
-//! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first 16 bytes of
-//! the payload. A server answers each request the way its client speaks, and a client asks the way the server that is
-//! matched speaks; which one that is follows from the vendor in the identity of the peer.
+//! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first
+//! 16 bytes of the payload. A server answers each request the way its client speaks, and a client asks the
+//! way the server that is matched speaks; which one that is follows from the vendor in the identity of the
+//! peer.
 //!
-//! As in `rmw_fastrtps`, a reply waits until the client that asked is matched, for at most [`REPLY_HOLD`]: discovery of
-//! a new client may have found one half of it only, and its first reply would be lost. And a client counts those servers
-//! only that have found it too, so that its first request is not lost either.
+//! As in `rmw_fastrtps`, a reply waits until the client that asked is matched, for at most [`REPLY_HOLD`]:
+//! discovery of a new client may have found one half of it only, and its first reply would be lost. And a
+//! client counts those servers only that have found it too, so that its first request is not lost either.
 //!
-//! Handlers run on a [`Worker`](crate::worker::Worker), one after the other: never on a thread of the engine, so that they may
-//! call and answer whatever they like.
+//! Handlers run on a [`Worker`](crate::worker::Worker), one after the other: never on a thread of the engine,
+//! so that they may call and answer whatever they like.
 
 mod client;
 mod mapping;
@@ -27,8 +28,8 @@ use std::time::Duration;
 /// How long a reply waits for the reader of the client that asked.
 pub const REPLY_HOLD: Duration = Duration::from_secs(1);
 
-/// The most requests that a server has accepted and not answered, and the most calls of a client without an answer. More are
-/// refused.
+/// The most requests that a server has accepted and not answered, and the most calls of a client without an
+/// answer. More are refused.
 pub const MAX_IN_FLIGHT: usize = 1024;
 
 /// The two topics of a service, with names as they stand on the wire.
@@ -46,7 +47,8 @@ pub struct ServiceEndpoint {
     pub reply_type: String,
     /// What both topics offer and request.
     pub qos: QosProfile,
-    /// The hashes of the types of requests and replies, `RIHS01_` and 64 hex digits, for engines that can announce them.
+    /// The hashes of the types of requests and replies, `RIHS01_` and 64 hex digits, for engines that can
+    /// announce them.
     pub type_hashes: [Option<String>; 2],
 }
 
@@ -62,8 +64,8 @@ impl ServiceEndpoint {
     }
 }
 
-/// An endpoint for reading: with a history for all that may be in flight, since a burst of requests must not push out
-/// those that were not taken yet. The depth is not part of matching.
+/// An endpoint for reading: with a history for all that may be in flight, since a burst of requests must not
+/// push out those that were not taken yet. The depth is not part of matching.
 fn reading(endpoint: Endpoint) -> Endpoint {
     let depth = match endpoint.qos.history {
         History::KeepLast(depth) => depth.max(MAX_IN_FLIGHT as u32),

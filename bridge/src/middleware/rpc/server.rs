@@ -18,7 +18,8 @@ use thiserror::Error;
 /// Takes the requests of one server, in the order of each client.
 pub type RequestHandler = Box<dyn FnMut(IncomingRequest) + Send>;
 
-/// Makes the response to a request that is refused for a reason: encapsulation header (little-endian) and body.
+/// Makes the response to a request that is refused for a reason: encapsulation header (little-endian) and
+/// body.
 pub type RefusalHandler = Box<dyn Fn(&str) -> Bytes + Send + Sync>;
 
 /// A request that a server has accepted.
@@ -29,8 +30,8 @@ pub struct IncomingRequest {
     pub client: Gid,
     /// The number of the request at its client.
     pub number: i64,
-    /// The identity of the client in ROS 2: the reader that waits for the reply if the request names it, as that of
-    /// `rmw_fastrtps` does, and the writer of the request otherwise.
+    /// The identity of the client in ROS 2: the reader that waits for the reply if the request names it, as
+    /// that of `rmw_fastrtps` does, and the writer of the request otherwise.
     pub request_client: Gid,
     /// Sends the reply.
     pub responder: Responder,
@@ -47,7 +48,8 @@ pub enum ReplyError {
     Write(#[from] WriteError),
 }
 
-/// Accepts requests and sends replies. Dropping it removes the endpoints; a handler that is running ends by itself.
+/// Accepts requests and sends replies. Dropping it removes the endpoints; a handler that is running ends by
+/// itself.
 pub struct RequestServer {
     shared: Arc<Shared>,
     reader: Arc<dyn Reader>,
@@ -130,8 +132,8 @@ impl RequestServer {
         Ok(Self { shared, reader })
     }
 
-    /// Registers, once, what answers requests that nothing else answers: beyond [`MAX_IN_FLIGHT`], and when a [`Responder`] is
-    /// dropped. Without it these clients wait until their own time is up.
+    /// Registers, once, what answers requests that nothing else answers: beyond [`MAX_IN_FLIGHT`], and when a
+    /// [`Responder`] is dropped. Without it these clients wait until their own time is up.
     pub fn on_refusal(&self, refusal: RefusalHandler) {
         // The first stays.
         let _ = self.shared.refusal.set(refusal);
@@ -143,8 +145,8 @@ impl RequestServer {
         (self.reader.gid(), self.shared.writer.gid())
     }
 
-    /// Registers the handlers for events of its two endpoints: of the reader of requests, of the writer of replies. They run on a thread of the
-    /// middleware, so they must not block.
+    /// Registers the handlers for events of its two endpoints: of the reader of requests, of the writer of
+    /// replies. They run on a thread of the middleware, so they must not block.
     pub fn on_events(&self, requests: EventHandler, replies: EventHandler) {
         self.reader.on_event(requests);
         self.shared.writer.on_event(replies);
@@ -179,7 +181,8 @@ impl Drop for RequestServer {
 
 type OnSent = Box<dyn FnOnce(&Bytes) + Send>;
 
-/// Answers one request. A responder that is dropped refuses the request, if the server [can](RequestServer::on_refusal).
+/// Answers one request. A responder that is dropped refuses the request, if the server
+/// [can](RequestServer::on_refusal).
 #[must_use = "a request is answered with `reply`"]
 pub struct Responder {
     server: Weak<Shared>,
@@ -203,7 +206,8 @@ impl Responder {
         self
     }
 
-    /// Runs `encode` and sends its result as the reply, on the worker: for threads that must neither serialize nor write.
+    /// Runs `encode` and sends its result as the reply, on the worker: for threads that must neither
+    /// serialize nor write.
     pub fn reply_later(self, encode: impl FnOnce() -> Bytes + Send + 'static) {
         let Some(server) = self.server.upgrade() else { return };
         server.worker.run(move || {
@@ -233,8 +237,8 @@ impl Responder {
         }
     }
 
-    /// Sends the reply: encapsulation header (little-endian) and body. Does not block: while the client is not matched
-    /// the reply waits, for at most [`REPLY_HOLD`].
+    /// Sends the reply: encapsulation header (little-endian) and body. Does not block: while the client is
+    /// not matched the reply waits, for at most [`REPLY_HOLD`].
     ///
     /// # Errors
     /// [`ReplyError`] when it was not sent.
@@ -245,7 +249,8 @@ impl Responder {
         };
         let Unanswered { address, open, on_sent } = unanswered;
         {
-            // Held while looking: a client that is matched after the look finds its reply among those that wait.
+            // Held while looking: a client that is matched after the look finds its reply among those that
+            // wait.
             let mut held = server.held.lock();
             if !server.reaches(&address) {
                 if server.has_left(&address) {
@@ -349,8 +354,8 @@ impl Shared {
         reader.is_some_and(|reader| !reader.matched_writers().contains(&address.client))
     }
 
-    /// Counts a reply that its client does not receive, and warns if the client is still there: one that has left does
-    /// not want it any more.
+    /// Counts a reply that its client does not receive, and warns if the client is still there: one that has
+    /// left does not want it any more.
     fn drop_reply(&self, address: &ReturnAddress) {
         let (service, client) = (&self.service, address.client);
         self.unreachable.fetch_add(1, Ordering::Relaxed);

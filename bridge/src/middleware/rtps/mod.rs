@@ -1,4 +1,5 @@
-//! The engine of this project, `downbeat-rtps`, behind [`Middleware`]: names, identities and policies translated.
+//! The engine of this project, `downbeat-rtps`, behind [`Middleware`]: names, identities and policies
+//! translated.
 
 mod qos;
 
@@ -16,7 +17,8 @@ use std::time::Duration;
 
 /// The user data of a participant: the enclave, by which security files are found. There is one for all.
 const ENCLAVE: &[u8] = b"enclave=/;";
-/// In front of the hash in the user data of an endpoint (`rmw_dds_common`, `encode_type_hash_for_user_data_qos`).
+/// In front of the hash in the user data of an endpoint (`rmw_dds_common`,
+/// `encode_type_hash_for_user_data_qos`).
 const TYPE_HASH: &str = "typehash=";
 
 /// A participant of a domain.
@@ -156,7 +158,8 @@ impl Reader for RtpsReader {
     }
 }
 
-/// Whether a payload begins with the encapsulation header of CDR, of either byte order (RTPS 2.5, table 10.3).
+/// Whether a payload begins with the encapsulation header of CDR, of either byte order (RTPS 2.5, table
+/// 10.3).
 pub(super) fn is_cdr(payload: &[u8]) -> bool {
     matches!(payload, [0, 0 | 1, _, _, ..])
 }

@@ -47,7 +47,8 @@ pub(super) fn to_rtps(endpoint: &Endpoint) -> Result<Qos, MiddlewareError> {
     })
 }
 
-/// The policies of another endpoint as ROS 2 names them. *Manual by participant*, which has no name there, counts as automatic.
+/// The policies of another endpoint as ROS 2 names them. *Manual by participant*, which has no name there,
+/// counts as automatic.
 pub(super) fn from_rtps(qos: &Qos) -> QosProfile {
     QosProfile {
         history: match qos.history {

@@ -44,8 +44,8 @@ struct Matched {
 }
 
 impl Matched {
-    /// rustdds 0.15.1 does not compare the kinds of liveliness (`Ord for Liveliness` in `dds/qos.rs` compares one with itself),
-    /// so it takes a match for granted that the other side does not.
+    /// rustdds 0.15.1 does not compare the kinds of liveliness (`Ord for Liveliness` in `dds/qos.rs` compares
+    /// one with itself), so it takes a match for granted that the other side does not.
     fn suits(&self, theirs: Liveliness) -> bool {
         let (automatic, manual) = (Liveliness::Automatic, Liveliness::ManualByTopic);
         match self.liveliness {
@@ -126,8 +126,8 @@ impl Matches {
         self.local.entry(local).or_default().on_change = Some(Arc::new(handler));
     }
 
-    /// Registers a handler for events of a local endpoint and returns the present state. Called on the thread that applies events, so that
-    /// nothing comes in between.
+    /// Registers a handler for events of a local endpoint and returns the present state. Called on the thread
+    /// that applies events, so that nothing comes in between.
     #[must_use]
     pub(super) fn listen(&mut self, local: Gid, handler: EventHandler) -> News {
         let mut news = News::default();
@@ -239,8 +239,9 @@ pub(super) fn gid(guid: GUID) -> Gid {
     Gid(guid.to_bytes())
 }
 
-/// The hash in the user data of an endpoint: `typehash=RIHS01_…;` among other `key=value;` pairs. The engine gives the value of
-/// the parameter as it stands on the wire: a sequence of bytes, which begins with its length.
+/// The hash in the user data of an endpoint: `typehash=RIHS01_…;` among other `key=value;` pairs. The engine
+/// gives the value of the parameter as it stands on the wire: a sequence of bytes, which begins with its
+/// length.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = std::str::from_utf8(user_data.get(4..)?).ok()?;
     text.split(';')

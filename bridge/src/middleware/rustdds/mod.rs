@@ -1,10 +1,11 @@
 //! The engine for DDS: rustdds, which speaks RTPS over UDP.
 //!
-//! One participant has the threads of rustdds (discovery and event loop) and one more that serves all readers.
-//! Whatever rustdds panics at stays behind this boundary: it becomes an error, or ends one reader with a message.
+//! One participant has the threads of rustdds (discovery and event loop) and one more that serves all
+//! readers. Whatever rustdds panics at stays behind this boundary: it becomes an error, or ends one reader
+//! with a message.
 //!
-//! rustdds says much at ERROR about lost and repaired packets that is no error. It logs through the `log` crate under
-//! the target [`LOG_TARGET`]; programs set that to `off` unless asked otherwise.
+//! rustdds says much at ERROR about lost and repaired packets that is no error. It logs through the `log`
+//! crate under the target [`LOG_TARGET`]; programs set that to `off` unless asked otherwise.
 
 mod matches;
 mod payload;
@@ -47,7 +48,8 @@ impl RustddsParticipant {
     /// Joins a domain.
     ///
     /// # Errors
-    /// [`MiddlewareError::Join`] if no participant can be created, for example because 120 exist on this machine.
+    /// [`MiddlewareError::Join`] if no participant can be created, for example because 120 exist on this
+    /// machine.
     pub fn new(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
         let failed = |reason: String| MiddlewareError::Join { domain_id: options.domain_id, reason };
         let (participant, publisher, subscriber) = guarded("joining the domain", || {
@@ -164,7 +166,8 @@ impl Drop for DdsReader {
     }
 }
 
-/// rustdds keeps the samples of a topic after its last reader was dropped, and would deliver them to the next.
+/// rustdds keeps the samples of a topic after its last reader was dropped, and would deliver them to the
+/// next.
 fn discard_what_an_earlier_reader_left(reader: &DdsDataReader) {
     // Bounded by what a topic can hold; a sample that cannot be read counts as taken.
     for _ in 0..qos::KEEP_ALL_SAMPLES {

@@ -7,8 +7,8 @@ use rustdds::qos::QosPolicyId;
 use rustdds::{Duration as DdsDuration, QosPolicies, QosPolicyBuilder};
 use std::time::Duration;
 
-/// The send window of a transient local writer, unless its history is deeper: rustdds keeps this many for late
-/// readers whatever the depth. Such topics hold values that change seldom.
+/// The send window of a transient local writer, unless its history is deeper: rustdds keeps this many for
+/// late readers whatever the depth. Such topics hold values that change seldom.
 const TRANSIENT_LOCAL_WINDOW: u32 = 64;
 /// How many samples a reader that keeps all may hold before its callback has taken them.
 pub(super) const KEEP_ALL_SAMPLES: i32 = 8192;
@@ -46,8 +46,9 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
             None
         }
     };
-    // For a writer this is the send window, and the bound on what a best-effort reader makes it hold: rustdds evicts
-    // only what all readers have acknowledged, and those never acknowledge. For a reader it bounds keep all.
+    // For a writer this is the send window, and the bound on what a best-effort reader makes it hold: rustdds
+    // evicts only what all readers have acknowledged, and those never acknowledge. For a reader it bounds
+    // keep all.
     let max_samples = match direction {
         Direction::Out => {
             let window = match durability {
@@ -83,7 +84,8 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
     Ok(builder.build())
 }
 
-/// Reliability and durability of an endpoint of another participant; what it does not announce is the default of DDS.
+/// Reliability and durability of an endpoint of another participant; what it does not announce is the default
+/// of DDS.
 pub(super) fn reliability_and_durability(
     qos: &QosPolicies,
     direction: Direction,

@@ -1,6 +1,7 @@
 //! The one thread that serves all readers of a participant, and listens to discovery.
 //!
-//! Readers are owned by the thread: rustdds registers a reader for polling through `&mut`. Handles send commands.
+//! Readers are owned by the thread: rustdds registers a reader for polling through `&mut`. Handles send
+//! commands.
 
 use super::SharedMatches;
 use super::matches::gid;
@@ -301,8 +302,8 @@ fn register(reader: &mut DdsDataReader, registry: &Registry, token: Token) -> io
     registry.register(reader, token, Interest::READABLE)
 }
 
-/// RTPS counts seconds and their fractions of 2^-32; nanoseconds are rounded to the nearest, so that a time written
-/// in nanoseconds is read as the same.
+/// RTPS counts seconds and their fractions of 2^-32; nanoseconds are rounded to the nearest, so that a time
+/// written in nanoseconds is read as the same.
 fn unix_time_ns(timestamp: Timestamp) -> Option<i64> {
     if timestamp == Timestamp::INVALID || timestamp == Timestamp::INFINITE {
         return None;

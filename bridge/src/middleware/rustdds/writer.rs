@@ -15,8 +15,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// The longest payload that rustdds surely sends unfragmented. It spoils the inline QoS of what it fragments, and with it the
-/// identity by which a client knows its reply.
+/// The longest payload that rustdds surely sends unfragmented. It spoils the inline QoS of what it fragments,
+/// and with it the identity by which a client knows its reply.
 const LONGEST_WHOLE: usize = 1372;
 
 type DdsDataWriter = rustdds::no_key::DataWriter<OutgoingBody, SendLittleEndian>;

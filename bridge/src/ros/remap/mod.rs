@@ -42,8 +42,8 @@ impl RemapRules {
         &self.rules
     }
 
-    /// The name of a node after remapping. A rule for one node refers to it by its original name where it changes the
-    /// name, and by the new one in all other cases.
+    /// The name of a node after remapping. A rule for one node refers to it by its original name where it
+    /// changes the name, and by the new one in all other cases.
     ///
     /// # Errors
     /// [`NameError`] when ROS 2 does not accept the new name.

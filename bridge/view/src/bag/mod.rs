@@ -1,4 +1,5 @@
-//! Recorded bags as what viewers look at: the topics of all bags on one timeline, which viewers play, pause and seek.
+//! Recorded bags as what viewers look at: the topics of all bags on one timeline, which viewers play, pause
+//! and seek.
 
 mod playback;
 

@@ -290,8 +290,8 @@ impl Player<'_> {
         }
     }
 
-    /// Sends the last messages before the position to new subscribers, given by position of the channel, viewer and
-    /// subscription, or to all if they are owed.
+    /// Sends the last messages before the position to new subscribers, given by position of the channel,
+    /// viewer and subscription, or to all if they are owed.
     fn send_last(&mut self, new: &[(usize, u64, u32)]) {
         let owes_all = std::mem::take(&mut self.owes_last);
         let of_new = new.iter().filter_map(|(position, ..)| TopicId::at(*position));

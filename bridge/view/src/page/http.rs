@@ -1,4 +1,5 @@
-//! The little of HTTP that a page needs: requests for files, on connections that stay open, until one becomes a WebSocket.
+//! The little of HTTP that a page needs: requests for files, on connections that stay open, until one becomes
+//! a WebSocket.
 
 use super::{PageOptions, files};
 use std::fmt::Write as _;
@@ -25,7 +26,8 @@ const SECURITY: &str = "Content-Security-Policy: default-src 'none'; script-src 
      Cross-Origin-Opener-Policy: same-origin\r\n\
      Cross-Origin-Resource-Policy: same-origin\r\n";
 
-/// Serves files until the browser leaves or asks for the WebSocket. Returns the bytes of that request, for the handshake.
+/// Serves files until the browser leaves or asks for the WebSocket. Returns the bytes of that request, for
+/// the handshake.
 pub(crate) fn serve(stream: &mut TcpStream, options: &PageOptions) -> io::Result<Option<Vec<u8>>> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(IDLE))?;

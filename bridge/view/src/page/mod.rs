@@ -24,8 +24,9 @@ pub const PAGE_PORT: u16 = 7373;
 pub struct PageOptions {
     /// The port; 0 takes a free one, and `None` takes [`PAGE_PORT`], or a free one where that is in use.
     pub port: Option<u16>,
-    /// Names of this machine under which browsers may open the page, besides `localhost` and addresses. Pages of other names are
-    /// refused, so that no web page reaches the robot by pointing a name of its own to this machine.
+    /// Names of this machine under which browsers may open the page, besides `localhost` and addresses. Pages
+    /// of other names are refused, so that no web page reaches the robot by pointing a name of its own to
+    /// this machine.
     pub hosts: Vec<String>,
     /// The file of the page that opens; `index.html` if it is empty.
     pub start: &'static str,
@@ -48,7 +49,8 @@ pub struct ModuleProfile {
     pub description: Option<String>,
 }
 
-/// A panel that a module brings to the page: a JavaScript module whose default export has `title` and `create(root, robot, view)`.
+/// A panel that a module brings to the page: a JavaScript module whose default export has `title` and
+/// `create(root, robot, view)`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Panel {
     /// Its name in URLs: letters, digits, `-` and `_`.
@@ -108,9 +110,11 @@ impl Ask<'_> {
     }
 }
 
-/// Answers questions of the page that concern more than the core: recording, the log, a robot file that is edited.
+/// Answers questions of the page that concern more than the core: recording, the log, a robot file that is
+/// edited.
 pub trait Host: Send + Sync + 'static {
-    /// The answer, or `None` if it does not know the question. It is called on threads of the server, for several questions at once.
+    /// The answer, or `None` if it does not know the question. It is called on threads of the server, for
+    /// several questions at once.
     ///
     /// # Errors
     /// In words for the user.

@@ -18,8 +18,8 @@ const MS: u64 = 1_000_000;
 /// The time of the first message.
 const START: u64 = 1_000_000_000_000;
 
-/// A second of `/pose` every 10 ms with its number, the latched `/map` at the start, and `/rare` at 500 ms; in several files of
-/// several chunks.
+/// A second of `/pose` every 10 ms with its number, the latched `/map` at the start, and `/rare` at 500 ms;
+/// in several files of several chunks.
 fn record(folder: &Path) {
     let options = WriterOptions::new()
         .chunk_size(512)
@@ -80,7 +80,8 @@ enum Command {
     Pause,
 }
 
-/// A state of playback: status, time in ms after the start, whether the time jumped, and the request that it answers.
+/// A state of playback: status, time in ms after the start, whether the time jumped, and the request that it
+/// answers.
 #[derive(Debug, PartialEq)]
 struct State(u8, u64, bool, String);
 

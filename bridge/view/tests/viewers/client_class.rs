@@ -1,5 +1,5 @@
-//! The client class of Foxglove's own package, in every capability that it knows. Messages are decoded by Foxglove's packages with the
-//! schemas that the server sent.
+//! The client class of Foxglove's own package, in every capability that it knows. Messages are decoded by
+//! Foxglove's packages with the schemas that the server sent.
 
 use crate::support::{TOKEN, robot};
 use downbeat_msgs::std_msgs::msg::String as Text;

@@ -1,4 +1,5 @@
-//! Viewers of a running core and of bags, over loopback: what they see, what they may do, and what they cannot do to the robot.
+//! Viewers of a running core and of bags, over loopback: what they see, what they may do, and what they
+//! cannot do to the robot.
 #![allow(clippy::unwrap_used)]
 
 mod attacks;

@@ -109,7 +109,8 @@ fn each_kind_of_refused_message_has_a_status_and_repetitions_have_none() {
         "{told:?}"
     );
     assert!(told[1].ends_with("(2 more were refused since the last report)"), "{told:?}");
-    // The next status is that of the second advertisement, so repetitions had none; the first advertisement still counts.
+    // The next status is that of the second advertisement, so repetitions had none; the first advertisement
+    // still counts.
     viewer.send(advertise(5, "/other", "json", "std_msgs/msg/Bool"));
     let status = viewer.json("status");
     assert_eq!(

@@ -344,7 +344,8 @@ impl CoreHandle {
         })
     }
 
-    /// A way to call a service from threads outside the executor, made while the core runs; see [`Core::caller`](crate::Core::caller).
+    /// A way to call a service from threads outside the executor, made while the core runs; see
+    /// [`Core::caller`](crate::Core::caller).
     ///
     /// ```
     /// # use downbeat_executor::{CallError, Core, ManualClock, ServiceType, Time};

@@ -210,8 +210,8 @@ fn results_that_are_never_requested_do_not_use_up_the_goals() {
     }
 }
 
-/// Sends goals that end at once with results of some size, which nobody requests. Returns the number of goals, and the bytes, that
-/// the server still keeps, and the most memory that all of it took.
+/// Sends goals that end at once with results of some size, which nobody requests. Returns the number of
+/// goals, and the bytes, that the server still keeps, and the most memory that all of it took.
 fn unrequested(goals: u64, numbers: usize) -> (usize, usize) {
     let clock = ManualClock::new(Time::from_nanos(1_000_000_000_000));
     let mut core = Core::new().with_clock(clock);

@@ -24,8 +24,8 @@ impl Foot {
         Self { unit: Unit::new(model, id, LineSettings::default(), None), id, is_dead: false }
     }
 
-    /// Measures the forces on its corners, in N: front left, front right, rear left, rear right. The manual does not say which sensor
-    /// is where; this order is assumed.
+    /// Measures the forces on its corners, in N: front left, front right, rear left, rear right. The manual
+    /// does not say which sensor is where; this order is assumed.
     pub(super) fn feel(&mut self, corners: [f64; 4]) {
         let forces = corners.map(|force| if force < LEAST_N { 0.0 } else { force });
         for (name, force) in ["fsr_1", "fsr_2", "fsr_3", "fsr_4"].iter().zip(forces) {

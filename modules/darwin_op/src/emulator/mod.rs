@@ -21,18 +21,20 @@
 //! - **Protocol**: the instructions of protocol 1.0; status return level, return delay, registered writes; no
 //!   device answers a broadcast except a bulk read, in which a silent device blocks all after it.
 //! - **Power**: servos are silent until `DXL_POWER` is 1, and lose their RAM without power.
-//! - **Servos**: position control with speed limit, P gain and torque limit; positions in whole ticks; load, temperature,
-//!   supply voltage; errors of voltage, temperature and overload, with shutdown.
+//! - **Servos**: position control with speed limit, P gain and torque limit; positions in whole ticks; load,
+//!   temperature, supply voltage; errors of voltage, temperature and overload, with shutdown.
 //! - **Board**: battery voltage that sags with the load, buttons, a 10-bit IMU with noise.
 //! - **Feet**: the force sensors with the ids 111 and 112, if the body has feet.
-//! - **Mechanics**: a [`Body`]. That of this module, [`Standing`], has joints with friction and a little gravity, and feet
-//!   that are assumed to stand flat on the floor, so that the angles of hips, knees and ankles determine the lean of the
-//!   trunk, which follows with a short lag, and every corner of the soles carries the same load. It cannot walk or fall; `downbeat-physics` has a body that can.
+//! - **Mechanics**: a [`Body`]. That of this module, [`Standing`], has joints with friction and a little
+//!   gravity, and feet that are assumed to stand flat on the floor, so that the angles of hips, knees and
+//!   ankles determine the lean of the trunk, which follows with a short lag, and every corner of the soles
+//!   carries the same load. It cannot walk or fall; `downbeat-physics` has a body that can.
 //!
 //! # What is not emulated
-//! Factory reset (answered as an unknown instruction); I and D gains, punch, goal acceleration, multi-turn; the answer to an instruction with a wrong checksum (it is ignored);
-//! microphones and analogue inputs. A SYNC_WRITE longer than the servo's buffer of 143
-//! bytes works, as on robots, where each servo needs only its own part.
+//! Factory reset (answered as an unknown instruction); I and D gains, punch, goal acceleration, multi-turn;
+//! the answer to an instruction with a wrong checksum (it is ignored); microphones and analogue inputs. A
+//! SYNC_WRITE longer than the servo's buffer of 143 bytes works, as on robots, where each servo needs only
+//! its own part.
 
 mod board;
 mod control_table;

@@ -6,8 +6,9 @@ use downbeat_servos::servo_emulator::Served;
 
 /// Runs an [`Emulator`](super::Emulator) as long as the robot runs, so that the hardware module finds a port.
 ///
-/// Settings: `link`, the path of the port, or `memory:NAME` for a port in memory, which exists from the setup on; `seed`;
-/// `faults`, each in the textual form of [`Fault`]. It has no topics: everything goes through the port. Leave it out of replays.
+/// Settings: `link`, the path of the port, or `memory:NAME` for a port in memory, which exists from the setup
+/// on; `seed`; `faults`, each in the textual form of [`Fault`]. It has no topics: everything goes through the
+/// port. Leave it out of replays.
 #[derive(Default)]
 pub struct DarwinOpEmulator {
     served: Served,

@@ -1,8 +1,8 @@
 //! A body whose feet always stand flat on the floor, as a formula.
 //!
 //! # Attitude of the trunk
-//! Turning a leg's joints turns the trunk instead of the foot. With the axes of the joints (forward, left, up), the right
-//! foot is turned against the trunk by
+//! Turning a leg's joints turns the trunk instead of the foot. With the axes of the joints (forward, left,
+//! up), the right foot is turned against the trunk by
 //!
 //! - pitch: hip pitch + knee - ankle pitch (the left leg mirrored),
 //! - roll: ankle roll - hip roll, yaw: - hip yaw (both legs alike),
@@ -26,7 +26,8 @@ const WEIGHT_N: f64 = 2.925 * STANDARD_GRAVITY;
 /// Of the trunk, behind the legs.
 const LAG_S: f64 = 0.08;
 
-/// A Darwin OP that cannot fall: joints with speed, friction and a little gravity, on feet that always stand flat.
+/// A Darwin OP that cannot fall: joints with speed, friction and a little gravity, on feet that always stand
+/// flat.
 pub struct Standing {
     joints: Vec<Joint>,
     attitude: Attitude,

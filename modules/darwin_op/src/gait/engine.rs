@@ -1,4 +1,5 @@
-//! The walking engine: time and a wanted velocity in, poses of the feet out. It knows neither joints nor messages.
+//! The walking engine: time and a wanted velocity in, poses of the feet out. It knows neither joints nor
+//! messages.
 //!
 //! The robot walks by a rhythm of period T. In the first half of a period the left foot swings, in the second
 //! half the right one. All trajectories are sines and cosines of the phase:
@@ -15,9 +16,9 @@
 //! (4)  nod         = A (1 + cos(4π t/T))
 //! (5)  body swing  = r x sin(4π t/T - π)
 //!
-//! A new velocity takes effect at the start of a half period. Since (2) starts from the separation that there is,
-//! the feet never jump, whatever the velocities are. With a constant velocity the trajectories are those of the
-//! walking module of the DARwIn-OP framework, except that (1) starts at 0.
+//! A new velocity takes effect at the start of a half period. Since (2) starts from the separation that there
+//! is, the feet never jump, whatever the velocities are. With a constant velocity the trajectories are those
+//! of the walking module of the DARwIn-OP framework, except that (1) starts at 0.
 //!
 //! # References
 //! I. Ha, Y. Tamura, H. Asama, "Gait pattern generation and stabilization for humanoid robot based on coupled
@@ -165,8 +166,8 @@ impl Engine {
         self.velocity
     }
 
-    /// Advances by `dt` in s. Walking starts when a velocity is wanted, and stops with the feet side by side when
-    /// none is wanted any more.
+    /// Advances by `dt` in s. Walking starts when a velocity is wanted, and stops with the feet side by side
+    /// when none is wanted any more.
     pub fn step(&mut self, dt: f64, wanted: Velocity, parameters: &Parameters) -> Targets {
         self.velocity = parameters.limits.slewed(self.velocity, parameters.limits.limited(wanted), dt);
         let is_wanted = wanted != Velocity::default();

@@ -17,8 +17,8 @@ pub(super) fn is_moved(joint: usize) -> bool {
     joint < 18
 }
 
-/// The angles of all joints; those of the head are those of the stand. A leg that cannot reach its foot comes as
-/// near as it can.
+/// The angles of all joints; those of the head are those of the stand. A leg that cannot reach its foot comes
+/// as near as it can.
 pub(super) fn pose(targets: &Targets, settings: &Settings) -> [f64; COUNT] {
     let mut pose = stand();
     let swing = settings.arm_swing * targets.stride;

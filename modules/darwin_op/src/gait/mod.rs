@@ -12,9 +12,10 @@
 //! | `walking` | `std_msgs/Bool` | true until the robot stands with its feet side by side; when it changes and once a second |
 //! | `odom`, `tf` | `nav_msgs/Odometry`, `tf2_msgs/TFMessage` | pose of `base_link` in `odom`, from the legs and the IMU |
 //!
-//! The robot starts and stops in phases in which both feet are on the ground, and changes its velocity with limited
-//! acceleration. While it walks, its yaw follows the integral of the commanded turn rate. The gyroscope acts on
-//! knees, ankles and hips against tipping over. A robot that fell continues its walk when it is upright again.
+//! The robot starts and stops in phases in which both feet are on the ground, and changes its velocity with
+//! limited acceleration. While it walks, its yaw follows the integral of the commanded turn rate. The
+//! gyroscope acts on knees, ankles and hips against tipping over. A robot that fell continues its walk when
+//! it is upright again.
 //!
 //! The settings are those of the [engine], with the names and defaults in `downbeat check --kinds`.
 //!
@@ -108,8 +109,8 @@ struct Reference {
     yaw: f64,
 }
 
-/// The largest distance and angle from the reference, in m and rad: it does not run away from a robot that cannot
-/// follow.
+/// The largest distance and angle from the reference, in m and rad: it does not run away from a robot that
+/// cannot follow.
 const LONGEST_LEASH: f64 = 0.1;
 const WIDEST_LEASH: f64 = 0.5;
 

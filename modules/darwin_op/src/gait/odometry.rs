@@ -1,11 +1,13 @@
-//! Odometry of a walking robot: the foot on the ground does not move, so the body moves by what the leg measures.
+//! Odometry of a walking robot: the foot on the ground does not move, so the body moves by what the leg
+//! measures.
 //!
-//! With p the position of the sole that carries the robot in the trunk, and R the orientation of the trunk in the
-//! world, from the IMU:
+//! With p the position of the sole that carries the robot in the trunk, and R the orientation of the trunk in
+//! the world, from the IMU:
 //!
 //! (1)  displacement = R' p' - R p, of the old over the new pose
 //!
-//! The lower sole carries the robot. A foot that slips, or turns over an edge, makes an error that is not noticed.
+//! The lower sole carries the robot. A foot that slips, or turns over an edge, makes an error that is not
+//! noticed.
 
 use glam::{DQuat, DVec3};
 
@@ -32,7 +34,8 @@ const SMOOTHING: f64 = 0.3;
 const LONGEST: f64 = 0.05;
 
 impl Odometry {
-    /// Takes the soles in the base and the orientation of the base in the world, `dt` in s after the last ones.
+    /// Takes the soles in the base and the orientation of the base in the world, `dt` in s after the last
+    /// ones.
     pub(super) fn update(&mut self, soles: [DVec3; 2], world_from_base: DQuat, dt: f64) {
         let soles = soles.map(|sole| world_from_base * sole);
         let (support, displacement) = match self.last {

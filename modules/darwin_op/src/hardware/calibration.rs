@@ -5,8 +5,8 @@ const SAMPLES: usize = 100;
 /// The robot stands still if no axis varies more, as a standard deviation in steps.
 const STILL_LSB: f64 = 2.0;
 
-/// Measures what the gyroscope reads at rest, as in the DARwIn-OP framework: the mean of 100 samples, if the robot stood
-/// still meanwhile; else it begins again.
+/// Measures what the gyroscope reads at rest, as in the DARwIn-OP framework: the mean of 100 samples, if the
+/// robot stood still meanwhile; else it begins again.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct GyroCalibration {
     samples: Vec<[u16; 3]>,

@@ -252,7 +252,8 @@ fn publish(
     }
 }
 
-/// The forces on the four sensors of a foot, in N, and the centre of pressure, as a share of half the foot; NaN without load.
+/// The forces on the four sensors of a foot, in N, and the centre of pressure, as a share of half the foot;
+/// NaN without load.
 fn foot_pressure(foot: &DevicePlan, piece: &[u8]) -> Float64MultiArray {
     let raw = |name: &str| {
         let register = foot.read.iter().find(|register| register.name == name)?;

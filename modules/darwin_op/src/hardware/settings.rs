@@ -55,7 +55,8 @@ pub(super) struct Settings {
 const POWER_ON: Duration = Duration::from_millis(300);
 /// Below this the battery needs charging: 3.5 V for each of its three LiPo cells.
 const LOW_BATTERY_V: f64 = 10.5;
-/// How fast a servo that was just brought into service approaches its command, in ticks per cycle: about 2 rad/s.
+/// How fast a servo that was just brought into service approaches its command, in ticks per cycle: about 2
+/// rad/s.
 const APPROACH_TICKS: i64 = 10;
 
 /// By how much the stamp of a command may lie in the past or the future.

@@ -3,7 +3,8 @@
 //! (1)  wanted: the trunk as it is if the lower sole is flat on the floor
 //! (2)  ankle += tilt gain * (tilt - wanted tilt) + rate gain * rate, about x and y
 //!
-//! Without (2) an ankle is a spring: it holds a robot that stands on one leg only if its weight is exactly above the sole.
+//! Without (2) an ankle is a spring: it holds a robot that stands on one leg only if its weight is exactly
+//! above the sole.
 
 use super::file::Balance;
 use crate::attitude::world_from_trunk;

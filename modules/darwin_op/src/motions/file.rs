@@ -21,11 +21,11 @@
 //! ```
 //!
 //! A name without `r_` or `l_` stands for both joints: the right one gets this angle, the left one its mirror
-//! image. A joint keeps the angle of the frame before if a frame does not name it. The first frame must name all
-//! joints of its motion, so that the motion is the same from wherever it starts.
+//! image. A joint keeps the angle of the frame before if a frame does not name it. The first frame must name
+//! all joints of its motion, so that the motion is the same from wherever it starts.
 //!
-//! With `balance` the ankles turn against a trunk that tilts other than it would with a flat sole: by `tilt` rad for each rad that
-//! it is off, and by `rate` rad for each rad/s.
+//! With `balance` the ankles turn against a trunk that tilts other than it would with a flat sole: by `tilt`
+//! rad for each rad that it is off, and by `rate` rad for each rad/s.
 
 use crate::hardware::tables::joints::{COUNT, JOINTS, index_of};
 use downbeat_msgs::definitions::suggestion;
@@ -64,7 +64,8 @@ pub struct Motion {
     pub interpolation: Interpolation,
     /// How stiff the joints are, in terms of the P gain of their servos: 1 to 4.
     pub stiffness: f64,
-    /// How the ankles keep the robot on its feet; `None` if they do not, as for a motion of a robot that lies.
+    /// How the ankles keep the robot on its feet; `None` if they do not, as for a motion of a robot that
+    /// lies.
     pub balance: Option<Balance>,
     /// At least one.
     pub frames: Vec<Frame>,
@@ -131,8 +132,8 @@ impl Motions {
     /// Reads a file.
     ///
     /// # Errors
-    /// Returns an error with file and line if it cannot be read, or contains something invalid: an unknown joint,
-    /// an angle beyond the limits of a joint, a speed beyond that of its servo.
+    /// Returns an error with file and line if it cannot be read, or contains something invalid: an unknown
+    /// joint, an angle beyond the limits of a joint, a speed beyond that of its servo.
     pub fn read(file: &str) -> Result<Self, MotionFileError> {
         let refuse = |reason: String| MotionFileError::Read { file: file.to_owned(), reason };
         let bytes = std::fs::metadata(file).map_err(|error| refuse(error.to_string()))?.len();
@@ -213,8 +214,8 @@ impl Motion {
     }
 }
 
-/// The joint on the other side, and the sign of its angle: all pairs turn in opposite directions, and so does the
-/// head's pan.
+/// The joint on the other side, and the sign of its angle: all pairs turn in opposite directions, and so does
+/// the head's pan.
 fn mirror(index: usize) -> (usize, f64) {
     match JOINTS[index].name {
         "head_pan" => (index, -1.0),

@@ -16,13 +16,13 @@
 //! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in |
 //! | `speed` | the speed of all motions, as a fraction of what the file says |
 //!
-//! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind or give way: they
-//! act as with s times the P gain.
+//! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind
+//! or give way: they act as with s times the P gain.
 //!
 //! In a motion with `balance` the ankles turn against a fall: see [`mod@file`].
 //!
-//! A motion starts at the present pose. A new motion interrupts the one that plays and starts where it was. After
-//! its last frame the joints keep their goals.
+//! A motion starts at the present pose. A new motion interrupts the one that plays and starts where it was.
+//! After its last frame the joints keep their goals.
 
 mod balance;
 pub mod file;

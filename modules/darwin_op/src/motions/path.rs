@@ -8,8 +8,8 @@
 //!
 //! # References
 //! T. Flash, N. Hogan, "The coordination of arm movements", Journal of Neuroscience 5 (1985), for (1).
-//! F. N. Fritsch, J. Butland, "A Method for Constructing Local Monotone Piecewise Cubic Interpolants", SIAM Journal on
-//! Scientific and Statistical Computing 5 (1984), for (2).
+//! F. N. Fritsch, J. Butland, "A Method for Constructing Local Monotone Piecewise Cubic Interpolants", SIAM
+//! Journal on Scientific and Statistical Computing 5 (1984), for (2).
 
 use super::file::{Interpolation, MAX_SPEED, Motion};
 use crate::hardware::tables::joints::COUNT;
@@ -37,8 +37,8 @@ struct Knot {
 const SAMPLES: u32 = 64;
 
 impl Path {
-    /// Lays out a motion from a start pose. The way to the first frame takes longer than written if a joint would
-    /// otherwise turn faster than `max_speed` in rad/s; 0 means no limit.
+    /// Lays out a motion from a start pose. The way to the first frame takes longer than written if a joint
+    /// would otherwise turn faster than `max_speed` in rad/s; 0 means no limit.
     #[must_use]
     pub fn new(motion: &Motion, start: &[f64; COUNT], max_speed: f64) -> Self {
         let first = &motion.frames[0];

@@ -6,8 +6,8 @@
 //! | `team_status` (in) | football_interfaces/TeamMessage | where this player is and what it sees, for the answer |
 //! | `datagrams` | downbeat_interfaces/BusExchange | all datagrams, for replays |
 //!
-//! Packets of another version, of other teams or of another length are ignored, and reported when they are first seen. Run the
-//! module detached.
+//! Packets of another version, of other teams or of another length are ignored, and reported when they are
+//! first seen. Run the module detached.
 
 use std::net::SocketAddrV4;
 use std::time::Duration;

@@ -6,9 +6,10 @@
 //! | `answers` | football_interfaces/TeamMessage | what a player answers; pose and ball in the frame of the field of its team |
 //! | `datagrams` | downbeat_interfaces/BusExchange | all datagrams, for replays |
 //!
-//! A packet goes out with each new state, at most 20 ms later: a referee that speaks when something happens and twice a second is heard
-//! so. Players that do not answer for 5 s are reported, once. Teams wear the colours of their states; where those are unknown,
-//! the team with the smaller number wears blue and the other one red. Run the module detached.
+//! A packet goes out with each new state, at most 20 ms later: a referee that speaks when something happens
+//! and twice a second is heard so. Players that do not answer for 5 s are reported, once. Teams wear the
+//! colours of their states; where those are unknown, the team with the smaller number wears blue and the
+//! other one red. Run the module detached.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, SocketAddrV4};
@@ -200,7 +201,8 @@ impl GameControllerSender {
 
 /// The packet that tells each of these players its state; `None` without players.
 ///
-/// What concerns all is that of the last player. Times are rounded up to whole seconds. [`State::Standby`] exists only in version 18.
+/// What concerns all is that of the last player. Times are rounded up to whole seconds. [`State::Standby`]
+/// exists only in version 18.
 #[must_use]
 pub fn control_packet<'a>(
     states: impl IntoIterator<Item = &'a GameState>,

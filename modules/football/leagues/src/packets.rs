@@ -20,8 +20,9 @@
 //! ```
 //!
 //! # References
-//! The headers `RoboCupGameControlData.h` of RoboCup-SPL/GameController3 (18), RoboCup-HumanoidSoccerLeague/GameController (19; 20
-//! since its release 7) and RoboCup-Humanoid-TC/GameController (12, 15).
+//! The headers `RoboCupGameControlData.h` of RoboCup-SPL/GameController3 (18),
+//! RoboCup-HumanoidSoccerLeague/GameController (19; 20 since its release 7) and
+//! RoboCup-Humanoid-TC/GameController (12, 15).
 
 use thiserror::Error;
 
@@ -141,7 +142,8 @@ pub enum SetPlay {
     PenaltyKick,
 }
 
-/// What the referee says about the game. Fields that a version lacks are zero, false or `None` when parsed, and are not built.
+/// What the referee says about the game. Fields that a version lacks are zero, false or `None` when parsed,
+/// and are not built.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ControlPacket {
     /// The version.
@@ -160,7 +162,8 @@ pub struct ControlPacket {
     pub phase: Phase,
     /// The state.
     pub state: State,
-    /// How the game is resumed. Version 12 has one number for phase and set play, and tells a set play in preference to the phase.
+    /// How the game is resumed. Version 12 has one number for phase and set play, and tells a set play in
+    /// preference to the phase.
     pub set_play: SetPlay,
     /// The stage of a set play, version 12 only: 0 freeze, 1 placing, 2 freeze again before it goes on.
     pub set_play_stage: u8,
@@ -223,7 +226,8 @@ pub enum Answer {
         team: u8,
         /// The number of the player.
         player: u8,
-        /// What the player says (`GAMECONTROLLER_RETURN_MSG_…`): [`Answer::ALIVE`], or that it was penalised by hand.
+        /// What the player says (`GAMECONTROLLER_RETURN_MSG_…`): [`Answer::ALIVE`], or that it was penalised
+        /// by hand.
         message: u8,
     },
     /// Version 4, for the others.
@@ -234,7 +238,8 @@ pub enum Answer {
         player: u8,
         /// Cannot play.
         is_fallen: bool,
-        /// x, y (mm) and direction (rad) on the field; x towards the goal of the opponents, origin in the centre.
+        /// x, y (mm) and direction (rad) on the field; x towards the goal of the opponents, origin in the
+        /// centre.
         pose: [f32; 3],
         /// Since the ball was seen (s); negative if it was never.
         ball_age: f32,
@@ -353,7 +358,8 @@ impl ControlPacket {
     /// Parses a datagram.
     ///
     /// # Errors
-    /// Returns an error if it is not a packet of a known version with exactly its length, or a field has an undefined value.
+    /// Returns an error if it is not a packet of a known version with exactly its length, or a field has an
+    /// undefined value.
     pub fn parse(bytes: &[u8]) -> Result<Self, PacketError> {
         let version = Version::of(bytes)?;
         let mut fields = Fields(bytes.get(4..).unwrap_or_default());

@@ -7,9 +7,10 @@
 //! | `team_messages` | football_interfaces/TeamMessage | what the team mates say, with the time of arrival |
 //! | `datagrams` | downbeat_interfaces/BusExchange | all datagrams, for replays |
 //!
-//! Messages are Protobuf, `robocup.humanoid.Message` with the extensions of Bit-Bots for the time to the ball (102) and the role
-//! (103). A few fields do not justify a code generator: [`encode`] and [`decode`] are written by hand. What the league's message
-//! lacks travels as follows: a fallen player is `UNPENALISED`; the ball counts as seen when it is sent, when it was sent.
+//! Messages are Protobuf, `robocup.humanoid.Message` with the extensions of Bit-Bots for the time to the ball
+//! (102) and the role (103). A few fields do not justify a code generator: [`encode`] and [`decode`] are
+//! written by hand. What the league's message lacks travels as follows: a fallen player is `UNPENALISED`; the
+//! ball counts as seen when it is sent, when it was sent.
 //!
 //! # References
 //! - `robocup.proto` of RoboCup-Humanoid-TC/RobocupProtocol; its users in bit-bots/bitbots_main
@@ -113,7 +114,8 @@ pub fn encode(message: &TeamMessage) -> Vec<u8> {
     out
 }
 
-/// Decodes a message of a player of `team`; the number of the team is not in the messages. Unknown fields are skipped.
+/// Decodes a message of a player of `team`; the number of the team is not in the messages. Unknown fields are
+/// skipped.
 ///
 /// # Errors
 /// Returns an error if the bytes are not a Protobuf message, are too long, or name no player.
@@ -216,8 +218,8 @@ pub fn decode(bytes: &[u8], team: u8) -> Result<TeamMessage, DecodeError> {
 
 /// The most other robots in a message: so it stays shorter than [`LONGEST`].
 const MOST_OTHERS: usize = 6;
-/// The colours of teams. The league's message knows no others, and gives no numbers to teams: team 1 counts as blue, as in the simulated
-/// match, and all other teams as red.
+/// The colours of teams. The league's message knows no others, and gives no numbers to teams: team 1 counts
+/// as blue, as in the simulated match, and all other teams as red.
 const BLUE: u64 = 1;
 const RED: u64 = 2;
 const UNPENALISED: u64 = 1;

@@ -1,10 +1,12 @@
-//! Packets of GameControllers, against the layouts in the headers of the leagues, and against bytes that are none.
+//! Packets of GameControllers, against the layouts in the headers of the leagues, and against bytes that are
+//! none.
 #![allow(clippy::unwrap_used)]
 
 use downbeat_leagues::packets::{Answer, ControlPacket, PacketError, Phase, Player, SetPlay, State, Version};
 use fuzzing::{Random, rounds};
 
-/// `sizeof(RoboCupGameControlData)`; the size of 20 is asserted in its header, the others follow from the fields.
+/// `sizeof(RoboCupGameControlData)`; the size of 20 is asserted in its header, the others follow from the
+/// fields.
 const SIZES: [(Version, usize); 5] = [
     (Version::Humanoid12, 688),
     (Version::Spl15, 118),

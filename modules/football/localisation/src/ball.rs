@@ -1,5 +1,5 @@
-//! Where the ball is and how it rolls: a [`Track`]. Measurements that do not fit are outliers, until several of them agree with each other:
-//! then the ball is there (it was kicked, or placed).
+//! Where the ball is and how it rolls: a [`Track`]. Measurements that do not fit are outliers, until several
+//! of them agree with each other: then the ball is there (it was kicked, or placed).
 
 use crate::track::{Motion, Track};
 use downbeat_executor::Time;

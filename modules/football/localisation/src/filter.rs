@@ -1,18 +1,21 @@
 //! A particle filter with the likelihood of landmarks, which resets itself from what it sees.
 //!
 //! - (1) each particle moves with the odometry, with noise in proportion to the way;
-//! - (2) its weight is the product over landmarks of `w = ε + exp(-d² / 2σ²)`, with d the distance to the nearest landmark of that kind on the
-//!   field and σ by equations (1), (2) of [`floor_covariance`];
-//! - (3) if the mean weight of late falls below that of long, that share of particles is drawn anew from poses that landmarks imply;
-//! - (4) a field looks the same when turned by half: of the two, particles are drawn on the side on which the heading agrees with the
-//!   odometry, whose gyroscope keeps turning with the robot also while it is carried.
-//! - (5) while it walks, a robot does not know its pitch to two degrees, and all landmarks of a picture seem nearer or farther together: the
-//!   pitch error is that of a few values around the last one with which they fit best, seen from the believed pose.
+//! - (2) its weight is the product over landmarks of `w = ε + exp(-d² / 2σ²)`, with d the distance to the
+//!   nearest landmark of that kind on the field and σ by equations (1), (2) of [`floor_covariance`];
+//! - (3) if the mean weight of late falls below that of long, that share of particles is drawn anew from
+//!   poses that landmarks imply;
+//! - (4) a field looks the same when turned by half: of the two, particles are drawn on the side on which the
+//!   heading agrees with the odometry, whose gyroscope keeps turning with the robot also while it is carried.
+//! - (5) while it walks, a robot does not know its pitch to two degrees, and all landmarks of a picture seem
+//!   nearer or farther together: the pitch error is that of a few values around the last one with which they
+//!   fit best, seen from the believed pose.
 //!
 //! # References
-//! - S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005: table 8.3 (augmented Monte Carlo localisation), section 6.4, and table 4.4
-//!   (low variance sampling).
-//! - S. Lenser, M. Veloso, "Sensor Resetting Localization for Poorly Modelled Mobile Robots", ICRA 2000, for (3).
+//! - S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005: table 8.3 (augmented Monte Carlo
+//!   localisation), section 6.4, and table 4.4 (low variance sampling).
+//! - S. Lenser, M. Veloso, "Sensor Resetting Localization for Poorly Modelled Mobile Robots", ICRA 2000, for
+//!   (3).
 
 use downbeat_football::{Field, Intersection, IntersectionKind, Line, floor_covariance};
 use fastrand::Rng;
@@ -125,7 +128,8 @@ impl Landmarks {
     }
 }
 
-/// Where a point of the floor is if the camera looks up by this angle (rad) more than was thought: (d² + h²) / h for each rad.
+/// Where a point of the floor is if the camera looks up by this angle (rad) more than was thought: (d² + h²)
+/// / h for each rad.
 pub(crate) fn pitched(point: DVec2, height: f64, angle: f64) -> DVec2 {
     let (distance, height) = (point.length(), height.max(0.05));
     let farther = angle * (distance * distance + height * height) / height;
@@ -248,8 +252,8 @@ impl Filter {
         believed
     }
 
-    /// The logarithm of how likely all that was seen is, given the start. Filters that saw the same are compared by its difference: the
-    /// logarithm of their Bayes factor.
+    /// The logarithm of how likely all that was seen is, given the start. Filters that saw the same are
+    /// compared by its difference: the logarithm of their Bayes factor.
     #[must_use]
     pub fn evidence(&self) -> f64 {
         self.evidence
@@ -258,7 +262,8 @@ impl Filter {
     /// The mean and the covariance of the particles around the best one.
     #[must_use]
     pub fn believed(&self) -> Believed {
-        // A single particle may fit one picture by chance: the best one is that with the most weight around it.
+        // A single particle may fit one picture by chance: the best one is that with the most weight around
+        // it.
         let is_near = |pose: Pose, particle: &&Particle| {
             particle.pose.position.distance(pose.position) < CLUSTER.0
                 && wrapped(particle.pose.heading - pose.heading).abs() < CLUSTER.1
@@ -459,7 +464,8 @@ impl Filter {
     }
 }
 
-/// From the nearest point of the circle to one on a line in this direction, if the circle runs that way there.
+/// From the nearest point of the circle to one on a line in this direction, if the circle runs that way
+/// there.
 fn off_circle(at: DVec2, along: DVec2, radius: f64) -> Option<DVec2> {
     let outwards = at.normalize_or_zero();
     (radius > 0.0 && at.length() < 2.0 * radius && outwards.dot(along).abs() < 0.5)

@@ -14,8 +14,8 @@ pub(crate) struct Hypotheses {
     seed: u64,
 }
 
-/// How much more likely, as a logarithm, the best one has to be to be kept alone. Landmarks of successive pictures are not independent, hence
-/// more than the 5 that count as decisive.
+/// How much more likely, as a logarithm, the best one has to be to be kept alone. Landmarks of successive
+/// pictures are not independent, hence more than the 5 that count as decisive.
 const DECISIVE: f64 = 12.0;
 /// After so many pictures with landmarks the best one is kept anyway.
 const LONGEST_TRIAL: u32 = 150;

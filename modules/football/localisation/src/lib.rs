@@ -1,6 +1,7 @@
 //! Where a football player, the ball and other robots are on the field.
 //!
-//! - [`Filter`] is the engine, without messages: steps of odometry and [`Landmarks`] in, a [`Believed`] pose out;
+//! - [`Filter`] is the engine, without messages: steps of odometry and [`Landmarks`] in, a [`Believed`] pose
+//!   out;
 //! - [`Localisation`] is the module for robot files.
 
 mod ball;

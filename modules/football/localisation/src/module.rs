@@ -25,7 +25,8 @@ use std::collections::VecDeque;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::time::Duration;
 
-/// Knows where the robot and the ball are, in `map`: the own goal at -x, the origin in the centre of the field.
+/// Knows where the robot and the ball are, in `map`: the own goal at -x, the origin in the centre of the
+/// field.
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
@@ -51,9 +52,11 @@ use std::time::Duration;
 /// | `ball_timeout` | after which an unseen ball is forgotten, s |
 /// | `robot_timeout` | the same of other robots, s |
 ///
-/// The robot starts at one of `starts` when the module starts, when the game returns to its initial state, and when the teams change
-/// sides; at one of `returns` after a penalty. With several places all are followed until what is seen tells which is right. When the referee sets the robots up, it may have been put back to a start: that is followed beside what was believed before.
-/// Landmarks are not used while the robot is penalised.
+/// The robot starts at one of `starts` when the module starts, when the game returns to its initial state,
+/// and when the teams change sides; at one of `returns` after a penalty. With several places all are followed
+/// until what is seen tells which is right. When the referee sets the robots up, it may have been put back to
+/// a start: that is followed beside what was believed before. Landmarks are not used while the robot is
+/// penalised.
 #[derive(Default)]
 pub struct Localisation {
     hypotheses: Option<Hypotheses>,

@@ -1,12 +1,13 @@
 //! Where other robots are and how they move: a [`Track`] for each, in a frame that stands still for seconds.
 //!
-//! What is seen in a picture is associated with tracks by global nearest neighbours, greedily: the closest pair first, within the gate.
-//! What belongs to no track begins one, which counts once it was seen twice. A track that is not seen is kept until a timeout, since the head
-//! looks elsewhere most of the time. The team and whether a robot lies are evidence that adds up over sightings.
+//! What is seen in a picture is associated with tracks by global nearest neighbours, greedily: the closest
+//! pair first, within the gate. What belongs to no track begins one, which counts once it was seen twice. A
+//! track that is not seen is kept until a timeout, since the head looks elsewhere most of the time. The team
+//! and whether a robot lies are evidence that adds up over sightings.
 //!
 //! # References
-//! - S. Blackman, R. Popoli, "Design and Analysis of Modern Tracking Systems", 1999: section 6.4 (global nearest neighbours), 6.2 (track
-//!   confirmation and deletion).
+//! - S. Blackman, R. Popoli, "Design and Analysis of Modern Tracking Systems", 1999: section 6.4 (global
+//!   nearest neighbours), 6.2 (track confirmation and deletion).
 
 use crate::track::{Motion, Track};
 use downbeat_executor::Time;

@@ -1,10 +1,11 @@
-//! A Kalman filter of position and velocity of something that moves on the floor, in a frame that stands still for seconds.
+//! A Kalman filter of position and velocity of something that moves on the floor, in a frame that stands
+//! still for seconds.
 //!
 //! The state is x = (p, v), with p' = v and v' = -k v + noise: what moves comes to rest by itself.
 //!
 //! # References
-//! - Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001: section 6.2.2 (white noise
-//!   acceleration), section 5.4 (gates).
+//! - Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+//!   2001: section 6.2.2 (white noise acceleration), section 5.4 (gates).
 
 use downbeat_executor::Time;
 use glam::{DMat2, DVec2};

@@ -1,5 +1,5 @@
-//! A simulated Darwin OP that knows of the field only what its camera shows: it walks to places by what it believes, while its head sweeps.
-//! Pictures are simulated: without noise, and without the robot itself.
+//! A simulated Darwin OP that knows of the field only what its camera shows: it walks to places by what it
+//! believes, while its head sweeps. Pictures are simulated: without noise, and without the robot itself.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_darwin_op::falls::Falls;

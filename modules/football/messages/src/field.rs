@@ -1,8 +1,8 @@
 //! Files of fields: the measures of a football field, of its ball and of its robots, as TOML.
 //!
-//! The origin is the centre of the field, x points to the goal on the right, y to the left when one faces it, z up: the frame `map`. All
-//! lengths are in m. Distances between lines are between their outer edges, as the humanoid league measures; the lines that
-//! [`Field::lines`] returns are their middles.
+//! The origin is the centre of the field, x points to the goal on the right, y to the left when one faces it,
+//! z up: the frame `map`. All lengths are in m. Distances between lines are between their outer edges, as the
+//! humanoid league measures; the lines that [`Field::lines`] returns are their middles.
 
 use glam::DVec2;
 use serde::Deserialize;
@@ -128,8 +128,8 @@ pub struct Intersection {
     pub position: DVec2,
     /// How they meet.
     pub kind: IntersectionKind,
-    /// In rad, from the x axis to the left: of an L the direction between its two arms, of a T that of the arm without an opposite one,
-    /// of an X that of one of its arms, from 0 to π/2.
+    /// In rad, from the x axis to the left: of an L the direction between its two arms, of a T that of the
+    /// arm without an opposite one, of an X that of one of its arms, from 0 to π/2.
     pub heading: f64,
 }
 
@@ -187,7 +187,8 @@ impl Field {
         ("teen", include_str!("../fields/teen.toml")),
     ];
 
-    /// The field of a setting: the default for an empty text, a built-in one by its name, otherwise that in the file of this path.
+    /// The field of a setting: the default for an empty text, a built-in one by its name, otherwise that in
+    /// the file of this path.
     ///
     /// # Errors
     /// [`FieldError`], with path and line.
@@ -283,7 +284,8 @@ impl Field {
         found
     }
 
-    /// The middles of the goal posts on the floor: right goal left and right post, then left goal the same in y.
+    /// The middles of the goal posts on the floor: right goal left and right post, then left goal the same in
+    /// y.
     #[must_use]
     pub fn posts(&self) -> [DVec2; 4] {
         let x = self.corner().x;

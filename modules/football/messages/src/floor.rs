@@ -4,14 +4,14 @@ use glam::DVec2;
 
 /// The covariance of a point on the floor that a camera sees, in m², for errors of direction.
 ///
-/// With the camera at height h above the floor, the point at the horizontal distance d from it, and the same deviation σ (rad) of the
-/// direction to both sides and up and down:
+/// With the camera at height h above the floor, the point at the horizontal distance d from it, and the same
+/// deviation σ (rad) of the direction to both sides and up and down:
 ///
 /// - (1) along the line of sight: σ (d² + h²) / h
 /// - (2) across: σ √(d² + h²)
 ///
-/// The messages of `soccer_vision_3d_msgs` have no covariances: who uses them computes them so, with `from_camera` the point without the
-/// position of the camera.
+/// The messages of `soccer_vision_3d_msgs` have no covariances: who uses them computes them so, with
+/// `from_camera` the point without the position of the camera.
 #[must_use]
 pub fn floor_covariance(height: f64, from_camera: DVec2, deviation: f64) -> [[f64; 2]; 2] {
     let height = height.max(0.05);

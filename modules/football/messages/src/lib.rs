@@ -1,7 +1,7 @@
 //! What the modules of a football player share.
 //!
-//! - The messages of [soccer_interfaces](https://github.com/ros-sports/soccer_interfaces), with what they use of
-//!   `vision_msgs`: what is seen, in pixels and on the field, and what is believed.
+//! - The messages of [soccer_interfaces](https://github.com/ros-sports/soccer_interfaces), with what they use
+//!   of `vision_msgs`: what is seen, in pixels and on the field, and what is believed.
 //! - `football_interfaces`: the state of the game and what players tell their team.
 //! - [`floor_covariance`]: how certain points on the floor are that a camera sees.
 //! - [`Field`]: the measures of a field, its ball and its robots, from a file.

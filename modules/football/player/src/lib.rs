@@ -7,7 +7,8 @@
 //! - [`truth::TruthBeliefs`] replaces vision and localisation in simulation: it publishes the truth with
 //!   noise.
 //!
-//! Kicks are motions of `motions`, and `falls` gets the robot up; both are in `downbeat-darwin-op`. No skill decides which action comes next.
+//! Kicks are motions of `motions`, and `falls` gets the robot up; both are in `downbeat-darwin-op`. No skill
+//! decides which action comes next.
 //!
 //! All positions on the field are in the frame `map` of the player's team: x points to the opponents' goal, y
 //! to the left, and the origin is the centre.

@@ -1,5 +1,5 @@
-//! One picture, from bytes to what is seen: a field with ball and robots, rendered here, at both sizes; and the picture of a real camera.
-//! The goals are 8 ms at 320 x 240 and 25 ms at 640 x 480.
+//! One picture, from bytes to what is seen: a field with ball and robots, rendered here, at both sizes; and
+//! the picture of a real camera. The goals are 8 ms at 320 x 240 and 25 ms at 640 x 480.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 #[path = "../tests/evaluation/mod.rs"]

@@ -1,5 +1,6 @@
-//! Evaluates the detector on simulated pictures: `cargo run --release -p downbeat-vision --example evaluate [PICTURES]`, 2000 by default.
-//! Fails if ball recall, ball precision or the median error miss their goals.
+//! Evaluates the detector on simulated pictures:
+//! `cargo run --release -p downbeat-vision --example evaluate [PICTURES]`, 2000 by default. Fails if ball
+//! recall, ball precision or the median error miss their goals.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../tests/evaluation/mod.rs"]

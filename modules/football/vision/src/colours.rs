@@ -36,7 +36,8 @@ pub struct ClassRange {
     pub value: [f64; 2],
 }
 
-/// The colours of all classes. A colour of two classes belongs to the first of orange, yellow, green, white, blue, red.
+/// The colours of all classes. A colour of two classes belongs to the first of orange, yellow, green, white,
+/// blue, red.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Colours {

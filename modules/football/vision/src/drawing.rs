@@ -22,9 +22,9 @@ const BLACK: [u8; 3] = [0, 0, 0];
 const CROSS: f64 = 4.0;
 
 impl Picture<'_> {
-    /// The picture with what was seen in it: the field boundary in blue, lines in red, intersections as yellow crosses, balls and the
-    /// centre circle in magenta, goal posts in cyan, robots in
-    /// the colour of their team or else in black. Red, green, blue, row by row.
+    /// The picture with what was seen in it: the field boundary in blue, lines in red, intersections as
+    /// yellow crosses, balls and the centre circle in magenta, goal posts in cyan, robots in the colour of
+    /// their team or else in black. Red, green, blue, row by row.
     #[must_use]
     pub fn annotated(&self, seen: &Seen) -> Vec<u8> {
         let mut canvas = Canvas { size: [self.width(), self.height()], data: Vec::new() };
@@ -58,9 +58,8 @@ impl Picture<'_> {
         canvas.data
     }
 
-    /// The picture with one colour for each class: the carpet green, lines white, the ball orange, goals yellow, teams blue and red,
-    /// everything else black.
-    /// Red, green, blue, row by row.
+    /// The picture with one colour for each class: the carpet green, lines white, the ball orange, goals
+    /// yellow, teams blue and red, everything else black. Red, green, blue, row by row.
     #[must_use]
     pub fn classified(&self, table: &Table) -> Vec<u8> {
         let mut data = Vec::with_capacity(3 * self.width() * self.height());

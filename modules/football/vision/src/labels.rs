@@ -1,4 +1,5 @@
-//! The class and the brightness of each pixel, and what is found directly in them: connected regions and the boundary of the field.
+//! The class and the brightness of each pixel, and what is found directly in them: connected regions and the
+//! boundary of the field.
 
 use crate::colours::{Class, Table};
 use crate::picture::Picture;
@@ -136,7 +137,8 @@ impl Labels {
         regions
     }
 
-    /// The boundary of the field: the upper hull of green, as points from the left to the right; empty without carpet.
+    /// The boundary of the field: the upper hull of green, as points from the left to the right; empty
+    /// without carpet.
     pub(crate) fn boundary(&self, view: &View) -> Vec<DVec2> {
         let step = (self.width / 80).max(1);
         let window = ((8.0 * self.scale()) as usize).clamp(4, self.height / 2);

@@ -6,8 +6,9 @@ use glam::DVec2;
 
 /// Colours of classes, from marks that a person sets in pictures.
 ///
-/// From a mark, all pixels within a radius count. The ranges of a class contain 98 of 100 of its pixels, and some more: other light is darker
-/// and paler. What hue classes have in common is divided in the middle between them.
+/// From a mark, all pixels within a radius count. The ranges of a class contain 98 of 100 of its pixels, and
+/// some more: other light is darker and paler. What hue classes have in common is divided in the middle
+/// between them.
 ///
 /// ```
 /// use downbeat_vision::{Class, Colours, Encoding, Picture, Samples};

@@ -1,7 +1,8 @@
 //! Lines, the centre circle, and where lines meet.
 //!
-//! Scan lines across and down find pairs of edges with carpet on both sides. Their middles are projected to the floor, where lines are
-//! straight and the circle is round with a known radius, and fitted there by RANSAC.
+//! Scan lines across and down find pairs of edges with carpet on both sides. Their middles are projected to
+//! the floor, where lines are straight and the circle is round with a known radius, and fitted there by
+//! RANSAC.
 
 use crate::colours::Class;
 use crate::labels::{Labels, boundary_at};

@@ -37,12 +37,14 @@ use std::time::Duration;
 /// | `vision/annotated` | sensor_msgs/Image | with the setting `annotated`: the picture with what was seen ([`Picture::annotated`]) |
 /// | `diagnostics` | diagnostic_msgs/DiagnosticArray | when the state changes: what is wrong with pictures, and the remedy |
 ///
-/// All have the stamp of the picture. `base_footprint` is on the floor below the base of the robot, with x where the base faces.
+/// All have the stamp of the picture. `base_footprint` is on the floor below the base of the robot, with x
+/// where the base faces.
 ///
-/// Settings: `field` (a name or a file), `colours` (a file; empty for the built-in ones), `floor_frame` (`odom`), `base_frame`
-/// (`base_link`), `angle_deviation` (rad: how certain directions are, for covariances), `annotated` (false;
-/// pictures do not depend on who subscribes, so that a recorded run repeats), `own_colour` (`game_state`, `blue` or `red`: what the own team
-/// wears). Robots in the other colour are opponents; while the own colour is not known, the team of each robot is unknown.
+/// Settings: `field` (a name or a file), `colours` (a file; empty for the built-in ones), `floor_frame`
+/// (`odom`), `base_frame` (`base_link`), `angle_deviation` (rad: how certain directions are, for
+/// covariances), `annotated` (false; pictures do not depend on who subscribes, so that a recorded run
+/// repeats), `own_colour` (`game_state`, `blue` or `red`: what the own team wears). Robots in the other
+/// colour are opponents; while the own colour is not known, the team of each robot is unknown.
 #[derive(Default)]
 pub struct Vision {
     detector: Option<Detector>,

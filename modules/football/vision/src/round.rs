@@ -1,4 +1,5 @@
-//! Balls: candidates of the ball's colour, verified by the size that the ball has on the floor at their place.
+//! Balls: candidates of the ball's colour, verified by the size that the ball has on the floor at their
+//! place.
 
 use crate::colours::Class;
 use crate::labels::{Labels, boundary_at};

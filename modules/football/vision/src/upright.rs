@@ -10,7 +10,8 @@ use glam::DVec2;
 /// The most posts and robots in a picture.
 const MOST: usize = 16;
 
-/// Goal posts, from the left to the right: runs of their colour across the boundary of the field, followed down to the floor.
+/// Goal posts, from the left to the right: runs of their colour across the boundary of the field, followed
+/// down to the floor.
 pub(crate) fn posts(labels: &Labels, view: &View, boundary: &[DVec2], field: &Field) -> Vec<SeenPost> {
     let class = match field.goal.colour {
         GoalColour::Yellow => Class::Yellow,
@@ -103,13 +104,14 @@ const ASIDE: f64 = 0.7;
 const LYING_RANGE: f64 = 3.0;
 /// Beyond this distance no robot is reported, in m.
 const RANGE: f64 = 8.0;
-/// The share of a robot's box that its colour covers at least, and how much more of it there has to be than of the other one.
+/// The share of a robot's box that its colour covers at least, and how much more of it there has to be than
+/// of the other one.
 const WORN: f64 = 0.03;
 const CLEARLY: usize = 4;
 
-/// Other robots, the nearest first: columns in which something that is not carpet is about as high as a robot there, side by side, with
-/// what else is above their feet; as wide as a robot. What is lower, and still wide, lies. The team is what most pixels of a team's
-/// colour in the box are.
+/// Other robots, the nearest first: columns in which something that is not carpet is about as high as a robot
+/// there, side by side, with what else is above their feet; as wide as a robot. What is lower, and still
+/// wide, lies. The team is what most pixels of a team's colour in the box are.
 pub(crate) fn robots(
     labels: &Labels,
     view: &View,
@@ -143,7 +145,8 @@ pub(crate) fn robots(
             _ => groups.push(Columns { first: column, last: column, foot, top }),
         }
     }
-    // Arms and trunk end above the feet, and look farther away: they belong to the nearest one that they can be parts of.
+    // Arms and trunk end above the feet, and look farther away: they belong to the nearest one that they can
+    // be parts of.
     groups.sort_by_key(|group| std::cmp::Reverse(group.foot));
     let mut whole: Vec<Columns> = Vec::new();
     for group in groups {

@@ -122,7 +122,8 @@ impl View {
         if slope.abs() < 1e-12 { f64::NEG_INFINITY } else { -first / slope }
     }
 
-    /// How far the projection of a pixel may be off along the direction of view for an error of one pixel, in m.
+    /// How far the projection of a pixel may be off along the direction of view for an error of one pixel, in
+    /// m.
     #[must_use]
     pub fn pixel_at(&self, point: DVec2) -> f64 {
         let eye = self.ground_from_camera.translation;

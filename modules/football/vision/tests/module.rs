@@ -1,4 +1,5 @@
-//! The module in a core: pictures that show nothing are reported with the remedy, and it sees again after them.
+//! The module in a core: pictures that show nothing are reported with the remedy, and it sees again after
+//! them.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 #[allow(dead_code)]

@@ -1,6 +1,6 @@
-//! The one picture of a real Darwin OP that was to be had: `data/darwin_op_frame.png`, from `tools/test.png` of drewnoakes/bold-humanoid at
-//! commit 6025fcc (Apache-2.0), converted to RGB and rotated by 180 degrees. The pose of the camera is not known; height and tilt are
-//! estimated from the size of the circle.
+//! The one picture of a real Darwin OP that was to be had: `data/darwin_op_frame.png`, from `tools/test.png`
+//! of drewnoakes/bold-humanoid at commit 6025fcc (Apache-2.0), converted to RGB and rotated by 180 degrees.
+//! The pose of the camera is not known; height and tilt are estimated from the size of the circle.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use downbeat_football::Field;

@@ -1,4 +1,5 @@
-//! A seeded part of the evaluation on simulated pictures; `cargo run --release -p downbeat-vision --example evaluate` runs the whole.
+//! A seeded part of the evaluation on simulated pictures;
+//! `cargo run --release -p downbeat-vision --example evaluate` runs the whole.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 #[path = "evaluation/mod.rs"]

@@ -19,7 +19,8 @@ fn ahrs(asked: &Value) -> Option<Value> {
     })
 }
 
-/// Rates and specific forces of an IMU that is turned and shaken for ten seconds, with a bias of the gyroscope.
+/// Rates and specific forces of an IMU that is turned and shaken for ten seconds, with a bias of the
+/// gyroscope.
 fn samples() -> Vec<[DVec3; 2]> {
     let mut world_from_imu = DQuat::from_rotation_x(0.4);
     let sample = |number: u32| {

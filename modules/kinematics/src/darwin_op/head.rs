@@ -19,8 +19,8 @@ use glam::{DQuat, DVec3};
 /// ```
 ///
 /// # References
-/// Position of the camera: drewnoakes/bold-humanoid, `DarwinBodyModel`; 33.2 mm ahead and 34.4 mm above the axes when
-/// it looks straight ahead.
+/// Position of the camera: drewnoakes/bold-humanoid, `DarwinBodyModel`; 33.2 mm ahead and 34.4 mm above the
+/// axes when it looks straight ahead.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Head;
 
@@ -31,8 +31,8 @@ pub struct HeadSolution {
     pub pan: f64,
     /// The angle of `head_tilt` in rad, positive upwards; within its limits.
     pub tilt: f64,
-    /// Whether the camera's axis passes through the point. Otherwise the point is beyond a limit, at which the joint is, or
-    /// within the head.
+    /// Whether the camera's axis passes through the point. Otherwise the point is beyond a limit, at which
+    /// the joint is, or within the head.
     pub is_exact: bool,
 }
 

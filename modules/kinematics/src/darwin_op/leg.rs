@@ -25,9 +25,9 @@ use glam::{DMat3, DQuat, DVec3};
 /// ```
 ///
 /// # References
-/// The chain (z, x, y of the hip, y of the knee, y and x of the ankle) and its lengths: `Walking::computeIK` of ROBOTIS'
-/// framework. The solution goes from the foot to the hip, as that of UPenn (`OPKinematics`), with half angles instead of
-/// inverse cosines, which keeps it exact when the leg is straight.
+/// The chain (z, x, y of the hip, y of the knee, y and x of the ankle) and its lengths: `Walking::computeIK`
+/// of ROBOTIS' framework. The solution goes from the foot to the hip, as that of UPenn (`OPKinematics`), with
+/// half angles instead of inverse cosines, which keeps it exact when the leg is straight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Leg {
     side: Side,
@@ -83,7 +83,8 @@ impl Leg {
         Self { side }
     }
 
-    /// The names of its joints, in the order of angles: hip yaw, hip roll, hip pitch, knee, ankle pitch, ankle roll.
+    /// The names of its joints, in the order of angles: hip yaw, hip roll, hip pitch, knee, ankle pitch,
+    /// ankle roll.
     #[must_use]
     pub const fn joint_names(side: Side) -> [&'static str; 6] {
         match side {
@@ -127,10 +128,11 @@ impl Leg {
         Isometry { translation: ankle + rotation * (DVec3::NEG_Z * FOOT), rotation }
     }
 
-    /// The angles with which the sole reaches a pose, or comes near it; see [`Reach`]. Takes less than 300 ns;
-    /// [`Leg::nearest`] takes longer and comes nearest.
+    /// The angles with which the sole reaches a pose, or comes near it; see [`Reach`]. Takes less than 300
+    /// ns; [`Leg::nearest`] takes longer and comes nearest.
     ///
-    /// The solution with the knee bent forward is preferred. For a pose that is not finite, all angles are NaN.
+    /// The solution with the knee bent forward is preferred. For a pose that is not finite, all angles are
+    /// NaN.
     #[must_use]
     pub fn inverse(&self, hip_from_sole: &Isometry) -> LegSolution {
         if !(hip_from_sole.translation.is_finite() && hip_from_sole.rotation.is_finite()) {
@@ -161,8 +163,8 @@ impl Leg {
         all.into_iter().map(move |(knee, shin)| self.solve(&hip_from_sole_axes, sole_from_hip, knee, shin))
     }
 
-    /// `hip_from_sole` for these angles, and for each joint its axis and a point on it, both in the hip. The sole turns
-    /// about the axis as the angle of the servo grows.
+    /// `hip_from_sole` for these angles, and for each joint its axis and a point on it, both in the hip. The
+    /// sole turns about the axis as the angle of the servo grows.
     pub(super) fn axes(self, angles: &[f64; 6]) -> (Isometry, [(DVec3, DVec3); 6]) {
         let [yaw, roll, pitch, knee, ankle_pitch, ankle_roll] = product(angles, &self.signs());
         let about_y = DQuat::from_rotation_y;
@@ -206,7 +208,8 @@ impl Leg {
         let knee = wanted.clamp(min, max);
         // (3) Seen from the ankle, the hip is at the angle -knee / 2 - ankle_pitch from z to x.
         let ankle_pitch = -knee / 2.0 - sole_from_hip.x.atan2(up);
-        // (4) What remains of the rotation is that of the hip: Rz(yaw) Rx(roll) Ry(pitch + knee + ankle_pitch).
+        // (4) What remains of the rotation is that of the hip: Rz(yaw) Rx(roll) Ry(pitch + knee +
+        // ankle_pitch).
         let DMat3 { x_axis, y_axis, z_axis } = *hip_from_sole_axes;
         let y = y_axis * cos - z_axis * sin;
         let z = y_axis * sin + z_axis * cos;

@@ -22,8 +22,8 @@ impl NearestLeg {
     /// The distance in m that counts as much as an angle of 1 rad: the position goes before the orientation.
     pub const ANGLE_WEIGHT: f64 = 0.02;
 
-    /// What [`Leg::nearest`] makes as small as it can, in m²: the square of the distance, plus that of the angle times
-    /// [`NearestLeg::ANGLE_WEIGHT`].
+    /// What [`Leg::nearest`] makes as small as it can, in m²: the square of the distance, plus that of the
+    /// angle times [`NearestLeg::ANGLE_WEIGHT`].
     #[must_use]
     pub fn error(&self) -> f64 {
         self.distance.powi(2) + (self.angle * Self::ANGLE_WEIGHT).powi(2)
@@ -43,11 +43,13 @@ const DAMPING: [f64; 3] = [1e-4, 1e-12, 1e2];
 const FLAT: f64 = 1e-9;
 
 impl Leg {
-    /// The angles within the limits with which the sole comes nearest to a pose: those of [`Leg::inverse`] if it reaches
-    /// the pose; otherwise the best of what is found from its four solutions, each moved into the limits first. So the
-    /// result is never worse than that of [`Leg::inverse`], as [`NearestLeg::error`] measures it. Small changes of the angles make that error at most 0.5 % smaller.
+    /// The angles within the limits with which the sole comes nearest to a pose: those of [`Leg::inverse`] if
+    /// it reaches the pose; otherwise the best of what is found from its four solutions, each moved into the
+    /// limits first. So the result is never worse than that of [`Leg::inverse`], as [`NearestLeg::error`]
+    /// measures it. Small changes of the angles make that error at most 0.5 % smaller.
     ///
-    /// For a pose out of reach it takes some hundred iterations, much longer than [`Leg::inverse`]. For a pose that is not finite, all angles are NaN.
+    /// For a pose out of reach it takes some hundred iterations, much longer than [`Leg::inverse`]. For a
+    /// pose that is not finite, all angles are NaN.
     ///
     /// ```
     /// use downbeat_kinematics::darwin_op::{Leg, Reach, Side};
@@ -63,8 +65,9 @@ impl Leg {
     /// ```
     ///
     /// # References
-    /// Damped least squares as in [`InverseKinematics`](crate::InverseKinematics): each step minimises |J Δq - e|² + λ |Δq|²
-    /// over the joints that are not held at a limit, is moved into the limits, and is taken only if the error decreases.
+    /// Damped least squares as in [`InverseKinematics`](crate::InverseKinematics): each step minimises |J Δq
+    /// - e|² + λ |Δq|² over the joints that are not held at a limit, is moved into the limits, and is taken
+    /// only if the error decreases.
     #[must_use]
     pub fn nearest(&self, hip_from_sole: &Isometry) -> NearestLeg {
         let solution = self.inverse(hip_from_sole);

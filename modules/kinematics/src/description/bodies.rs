@@ -29,8 +29,8 @@ pub struct MassProperties {
     pub inertia: DMat3,
 }
 
-/// By how much a principal moment of inertia may exceed the sum of the others, relative to it: rounding of thin plates
-/// in files.
+/// By how much a principal moment of inertia may exceed the sum of the others, relative to it: rounding of
+/// thin plates in files.
 const INERTIA_TOLERANCE: f64 = 1e-3;
 
 impl Robot {
@@ -48,8 +48,8 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Problem::NoInertia`] if a body that moves has no mass; [`Problem::ImpossibleInertia`] if no distribution of
-    /// mass has this inertia.
+    /// [`Problem::NoInertia`] if a body that moves has no mass; [`Problem::ImpossibleInertia`] if no
+    /// distribution of mass has this inertia.
     pub fn bodies(&self) -> Result<Vec<Body>, DescriptionError> {
         let mut bodies: Vec<Body> = Vec::new();
         let mut body_of = Vec::with_capacity(self.links().len());

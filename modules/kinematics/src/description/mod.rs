@@ -17,8 +17,8 @@ pub use warning::{DescriptionWarning, Oddity};
 
 /// A robot: a tree of links connected by joints.
 ///
-/// Links and joints are in tree order: a link comes after its parent, and the children of a link in the order of the
-/// file. Link 0 is the root, and joint *i* leads to link *i* + 1.
+/// Links and joints are in tree order: a link comes after its parent, and the children of a link in the order
+/// of the file. Link 0 is the root, and joint *i* leads to link *i* + 1.
 ///
 /// ```
 /// use downbeat_kinematics::Robot;
@@ -131,7 +131,8 @@ pub enum Geometry {
 /// A mesh in another file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// The file as named in the description: `package://name/path`, `file:///path`, or a path; see [`Robot::mesh_file`].
+    /// The file as named in the description: `package://name/path`, `file:///path`, or a path; see
+    /// [`Robot::mesh_file`].
     pub file_name: String,
     /// By which the mesh is multiplied, along each of its axes.
     pub scale: DVec3,
@@ -186,8 +187,8 @@ pub enum JointKind {
     Prismatic,
     /// It does not move.
     Fixed,
-    /// Its child moves freely, as a robot in its world. No position of a joint describes that, so it has no coordinate:
-    /// its pose comes from elsewhere, such as odometry, and is `parent_from_joint` here.
+    /// Its child moves freely, as a robot in its world. No position of a joint describes that, so it has no
+    /// coordinate: its pose comes from elsewhere, such as odometry, and is `parent_from_joint` here.
     Floating,
     /// Its child moves in a plane. Like `Floating`, it has no coordinate.
     Planar,
@@ -226,8 +227,8 @@ pub struct Mimic {
     pub offset: f64,
 }
 
-/// How the position of a joint follows from the coordinates of the robot: `multiplier * coordinate + offset`. Other
-/// than 1 and 0 for joints that follow others.
+/// How the position of a joint follows from the coordinates of the robot: `multiplier * coordinate + offset`.
+/// Other than 1 and 0 for joints that follow others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
     /// The index of the coordinate.
@@ -241,8 +242,9 @@ pub struct Drive {
 impl Robot {
     /// Reads a URDF. `file` names it in error messages.
     ///
-    /// Elements that say nothing about links and joints, such as `<transmission>` and `<gazebo>`, are ignored. Where a
-    /// part is not as the format demands but its meaning is clear, there is a [warning](Self::warnings).
+    /// Elements that say nothing about links and joints, such as `<transmission>` and `<gazebo>`, are
+    /// ignored. Where a part is not as the format demands but its meaning is clear, there is a
+    /// [warning](Self::warnings).
     ///
     /// # Errors
     /// The first [`Problem`] of the description, with its line.
@@ -339,7 +341,8 @@ impl Robot {
         &self.joints[id.0]
     }
 
-    /// The joints whose positions can be chosen, in tree order: all but those that are fixed or follow another one.
+    /// The joints whose positions can be chosen, in tree order: all but those that are fixed or follow
+    /// another one.
     ///
     /// Positions of the robot are slices with one number for each of them, in rad or m.
     #[must_use]
@@ -347,14 +350,15 @@ impl Robot {
         &self.coordinates
     }
 
-    /// The index of a joint's coordinate; `None` if there is no such joint, it is fixed or it follows another one.
+    /// The index of a joint's coordinate; `None` if there is no such joint, it is fixed or it follows another
+    /// one.
     #[must_use]
     pub fn coordinate(&self, joint: &str) -> Option<usize> {
         self.coordinates.iter().position(|&id| self.joint(id).name == joint)
     }
 
-    /// The file of a mesh. `package://name/path` is looked up in `share/name/path` of each of these prefixes, which are
-    /// like those in `AMENT_PREFIX_PATH`; paths are relative to the folder of the description.
+    /// The file of a mesh. `package://name/path` is looked up in `share/name/path` of each of these prefixes,
+    /// which are like those in `AMENT_PREFIX_PATH`; paths are relative to the folder of the description.
     ///
     /// # Errors
     /// [`Problem::MissingMesh`] if there is no such file.

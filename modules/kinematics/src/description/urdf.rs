@@ -61,8 +61,8 @@ pub(super) fn read(text: &str, file: String) -> Result<Robot, DescriptionError> 
     Ok(robot)
 }
 
-/// What goes beyond the bounds of tags: the line, what was found, and what is possible. Found before the text is parsed, whose time
-/// grows with the square of the number of attributes.
+/// What goes beyond the bounds of tags: the line, what was found, and what is possible. Found before the text
+/// is parsed, whose time grows with the square of the number of attributes.
 fn beyond_bounds(text: &str) -> Option<(Option<u32>, String, usize)> {
     if text.len() as u64 > super::LONGEST_FILE {
         return Some((None, format!("{} bytes", text.len()), super::LONGEST_FILE as usize));
@@ -112,7 +112,8 @@ fn beyond_bounds(text: &str) -> Option<(Option<u32>, String, usize)> {
     None
 }
 
-/// The text without what stands before the XML declaration, and without zero bytes at its end; lines stay where they are.
+/// The text without what stands before the XML declaration, and without zero bytes at its end; lines stay
+/// where they are.
 fn without_surroundings(text: &str) -> (Cow<'_, str>, Vec<(u32, Oddity)>) {
     let mut oddities = Vec::new();
     let trimmed = text.trim_end_matches(|last: char| last == '\0' || last.is_whitespace());

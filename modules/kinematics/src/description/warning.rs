@@ -2,8 +2,8 @@
 
 use thiserror::Error;
 
-/// A part of a description that is not as the format demands, but whose meaning is clear. Other readers of URDF accept
-/// many of them in silence.
+/// A part of a description that is not as the format demands, but whose meaning is clear. Other readers of
+/// URDF accept many of them in silence.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DescriptionWarning {
     /// The file.

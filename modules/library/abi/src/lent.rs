@@ -91,7 +91,8 @@ pub unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, String> {
     if given.data.is_null() && given.count > 0 {
         return Err("the data of the value are NULL".to_owned());
     }
-    // SAFETY: by the contract of this function, `data` points to `count` elements of the type that `kind` stands for.
+    // SAFETY: by the contract of this function, `data` points to `count` elements of the type that `kind`
+    // stands for.
     unsafe fn all<T: Copy>(given: &ValueV1) -> Vec<T> {
         if given.count == 0 {
             return Vec::new();

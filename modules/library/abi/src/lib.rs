@@ -1,7 +1,7 @@
 //! The C interface between downbeat and modules in shared libraries: `include/downbeat.h`, as Rust types.
 //!
-//! The header describes what the functions do and when they may be called. A test of `downbeat-library-host` compares the
-//! layouts with those of a C compiler.
+//! The header describes what the functions do and when they may be called. A test of `downbeat-library-host`
+//! compares the layouts with those of a C compiler.
 
 mod lent;
 

@@ -12,9 +12,9 @@ use std::time::Duration;
 use user_msgs::my_msgs::action::{Lean, LeanFeedback, LeanGoal, LeanResult};
 use user_msgs::my_msgs::srv::{Level, LevelRequest, LevelResponse};
 
-/// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable` and, of types of its own,
-/// the service `level` and the action `lean`; calls `other`, and leans elsewhere with the action `lean_on`. To requests of `refuse`, `fail`,
-/// `hold` and `leave` it has no answer.
+/// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable`
+/// and, of types of its own, the service `level` and the action `lean`; calls `other`, and leans elsewhere
+/// with the action `lean_on`. To requests of `refuse`, `fail`, `hold` and `leave` it has no answer.
 #[derive(Default)]
 pub struct Amplifier {
     ticks: f64,
@@ -137,7 +137,8 @@ impl Amplifier {
             .declare(setup, "lean_on", &mut self.lean_on)
     }
 
-    /// Reaches goals at once, except those that wait to be canceled, of a negative angle. One below -10 cannot be.
+    /// Reaches goals at once, except those that wait to be canceled, of a negative angle. One below -10
+    /// cannot be.
     fn go_on(&mut self, ctx: &mut Context<'_, Ports>) {
         let active: Vec<(GoalId, LeanGoal, bool)> = self
             .lean

@@ -25,7 +25,8 @@ fn check(code: i32) -> Result<(), String> {
     if code == 0 { Ok(()) } else { Err(REFUSED.to_owned()) }
 }
 
-// SAFETY of all calls of the host below: it lives during the call of the library, and the pointers during each call of the host.
+// SAFETY of all calls of the host below: it lives during the call of the library, and the pointers during
+// each call of the host.
 impl Robot {
     pub(crate) fn new(host: Host) -> Self {
         Self { host }
@@ -229,7 +230,8 @@ impl Subscriber for Forward {
         let [file, path] =
             [metadata.file(), metadata.module_path()].map(|text| c_string(text.unwrap_or_default()));
         let needed = offset_of!(HostV1, log_at) + size_of::<usize>();
-        // SAFETY: `during` sets the host for the time of the call only, and its size says whether it has the function.
+        // SAFETY: `during` sets the host for the time of the call only, and its size says whether it has the
+        // function.
         unsafe {
             if (*host).struct_size as usize >= needed {
                 let number = metadata.line().unwrap_or_default();

@@ -1,4 +1,5 @@
-//! Exports a Rust module as a shared library, for robots that were built by another compiler or with other versions.
+//! Exports a Rust module as a shared library, for robots that were built by another compiler or with other
+//! versions.
 //!
 //! ```
 //! use downbeat_library::executor::{Module, Publication, Setup, SetupError};
@@ -23,20 +24,23 @@
 //! # fn main() {}
 //! ```
 //!
-//! The package has `crate-type = ["cdylib"]`; a robot file names the result with `kind = "library"`. Interfaces of the user's own
-//! come second: `export_module!(Doubler, my_msgs::INTERFACES)`. The library carries their definitions, so the robot need not know them.
-//! Actions are served and used with [`actions`], as in a module that is compiled in.
+//! The package has `crate-type = ["cdylib"]`; a robot file names the result with `kind = "library"`.
+//! Interfaces of the user's own come second: `export_module!(Doubler, my_msgs::INTERFACES)`. The library
+//! carries their definitions, so the robot need not know them. Actions are served and used with [`actions`],
+//! as in a module that is compiled in.
 //!
 //! # What is different in a library
-//! The library contains a core of its own with this one module. A run of the module in the robot is one or more cycles of this
-//! core, at the time of the robot. Callbacks, their order, timers and panics are those of a module that is compiled in, except:
+//! The library contains a core of its own with this one module. A run of the module in the robot is one or
+//! more cycles of this core, at the time of the robot. Callbacks, their order, timers and panics are those of
+//! a module that is compiled in, except:
 //!
 //! - topics carry messages of ROS 2, not plain Rust types, and services and actions are those of ROS 2;
 //! - a module can neither receive a topic that it publishes nor call a service that it serves;
 //! - messages of several cycles that a detached module receives in one run have the time of the run;
 //! - the work of a job runs within the run that spawns it;
 //! - commands to other modules, and their settings, have no effect;
-//! - the defaults of the settings must be a complete configuration, since the settings are read from a first setup;
+//! - the defaults of the settings must be a complete configuration, since the settings are read from a first
+//!   setup;
 //! - if the library is reloaded, its module starts anew; settings keep their values.
 
 #![expect(unsafe_code, reason = "the functions that a robot calls")]
@@ -78,7 +82,8 @@ pub trait Export: 'static {
     fn interfaces() -> Result<Interfaces, String>;
 }
 
-/// Exports a module with a `Default` as the module of the library, optionally with a set of interfaces of the user.
+/// Exports a module with a `Default` as the module of the library, optionally with a set of interfaces of the
+/// user.
 #[macro_export]
 macro_rules! export_module {
     ($module:ty) => {
@@ -127,8 +132,8 @@ pub fn table<E: Export>() -> &'static ModuleV1 {
     &Functions::<E>::TABLE
 }
 
-/// The functions of a library. A robot calls them as downbeat.h says: with the host of the call, with the module that `create`
-/// returned, and with pointers that are valid during the call.
+/// The functions of a library. A robot calls them as downbeat.h says: with the host of the call, with the
+/// module that `create` returned, and with pointers that are valid during the call.
 struct Functions<E>(PhantomData<E>);
 
 impl<E: Export> Functions<E> {
@@ -160,7 +165,8 @@ impl<E: Export> Functions<E> {
 
     unsafe extern "C" fn setup(module: *mut c_void, host: Host) -> i32 {
         guarded(host, |robot| {
-            // SAFETY (here and below): `create` returned this pointer, and calls of one module do not overlap.
+            // SAFETY (here and below): `create` returned this pointer, and calls of one module do not
+            // overlap.
             let place = unsafe { &mut *module.cast::<Option<Inner>>() };
             *place = Some(Inner::new(robot, || E::module(), E::interfaces()?)?);
             Ok(())

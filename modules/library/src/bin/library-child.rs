@@ -1,5 +1,5 @@
-//! Runs the library of a module with `isolate`: for tests, and for programs that have a command line of their own
-//! (`set_child_command`).
+//! Runs the library of a module with `isolate`: for tests, and for programs that have a command line of their
+//! own (`set_child_command`).
 
 use std::process::ExitCode;
 

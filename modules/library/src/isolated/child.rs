@@ -18,7 +18,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The main function of a child process: loads the library that the robot names on standard input, and ends with the robot.
+/// The main function of a child process: loads the library that the robot names on standard input, and ends
+/// with the robot.
 #[must_use]
 pub fn child() -> ExitCode {
     match serve() {

@@ -1,9 +1,9 @@
 //! Libraries in child processes.
 //!
 //! The program starts itself with the hidden command `library-child`, whose standard input and output are
-//! pipes. Both sides take turns: a frame of the robot makes one call of the library; the frames of the child hold what the
-//! library requests, up to a question or to the end of the call. What a library has requested in a call takes effect when the
-//! call has ended or asks something.
+//! pipes. Both sides take turns: a frame of the robot makes one call of the library; the frames of the child
+//! hold what the library requests, up to a question or to the end of the call. What a library has requested
+//! in a call takes effect when the call has ended or asks something.
 
 mod child;
 mod function;

@@ -20,15 +20,17 @@ const NOT_A_CHILD: &str = "its program does not run libraries; let it run `downb
 
 static COMMAND: OnceLock<Vec<OsString>> = OnceLock::new();
 
-/// How long a child may take to start, to set its module up, or for a transition: it may read files, and the machine may be busy.
+/// How long a child may take to start, to set its module up, or for a transition: it may read files, and the
+/// machine may be busy.
 pub(super) const PATIENCE: Duration = Duration::from_secs(20);
 
 /// The command of the program that calls [`child`](super::child).
 const ARGUMENT: &str = "library-child";
 
-/// Sets the command that starts a child process: a program and its arguments, which calls [`child`](super::child). The default is
-/// the program itself with the argument `library-child`, which the command line of downbeat knows; a program with a command line
-/// of its own sets another. It is the same for the whole process; the first call counts.
+/// Sets the command that starts a child process: a program and its arguments, which calls
+/// [`child`](super::child). The default is the program itself with the argument `library-child`, which the
+/// command line of downbeat knows; a program with a command line of its own sets another. It is the same for
+/// the whole process; the first call counts.
 pub fn set_child_command(command: impl IntoIterator<Item = OsString>) {
     let _ = COMMAND.set(command.into_iter().collect());
 }
@@ -41,7 +43,8 @@ pub(super) struct Process {
     pub channel: Channel,
 }
 
-/// A child, which is killed if a call takes too long. That closes its ends of the pipes, and ends the wait for it.
+/// A child, which is killed if a call takes too long. That closes its ends of the pipes, and ends the wait
+/// for it.
 struct Watched {
     child: Mutex<Child>,
     call: Mutex<Call>,

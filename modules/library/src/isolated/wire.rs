@@ -1,5 +1,5 @@
-//! Frames between a robot and a child process: a length, and tagged fields. Both ends are the same program, so numbers have the
-//! byte order of the machine.
+//! Frames between a robot and a child process: a length, and tagged fields. Both ends are the same program,
+//! so numbers have the byte order of the machine.
 
 use downbeat_executor::SettingValue;
 use downbeat_library_abi::EventV1;

@@ -41,8 +41,8 @@ pub struct Packet {
 }
 
 impl Packet {
-    /// As in recordings: a byte with the quality of service in bits 1 and 2 and retention in bit 0, the length of the topic (two bytes,
-    /// big endian), the topic, the payload.
+    /// As in recordings: a byte with the quality of service in bits 1 and 2 and retention in bit 0, the
+    /// length of the topic (two bytes, big endian), the topic, the payload.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let length = u16::try_from(self.topic.len()).unwrap_or(u16::MAX);
@@ -113,8 +113,8 @@ impl Options {
 /// What the module wants of the broker.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// Take the next message or event, if there is one. In the exchange, `OPEN` says that the broker was reached, `CLOSE` that it
-    /// was lost, or could not be reached, with the reason.
+    /// Take the next message or event, if there is one. In the exchange, `OPEN` says that the broker was
+    /// reached, `CLOSE` that it was lost, or could not be reached, with the reason.
     Receive,
     /// Send this.
     Send(Packet),

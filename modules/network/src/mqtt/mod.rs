@@ -7,9 +7,10 @@
 //! | `mqtt/connected` | std_msgs/Bool | whether the broker is there, when it changes |
 //! | `mqtt/exchanges` | downbeat_interfaces/BusExchange | all that was sent and received, for replays |
 //!
-//! A line of `send` is `TOPIC TYPE MQTT_TOPIC`, then options in any order: `json` (the default) or `cbor`; `qos0` (the default),
-//! `qos1` or `qos2`; `retain`; `hz=RATE`, the most messages in a second, of which the others are skipped. A line of `receive` is the
-//! same, with a filter (`+`, `#`) in place of the topic, and without `retain` and `hz`:
+//! A line of `send` is `TOPIC TYPE MQTT_TOPIC`, then options in any order: `json` (the default) or `cbor`;
+//! `qos0` (the default), `qos1` or `qos2`; `retain`; `hz=RATE`, the most messages in a second, of which the
+//! others are skipped. A line of `receive` is the same, with a filter (`+`, `#`) in place of the topic, and
+//! without `retain` and `hz`:
 //!
 //! ```toml
 //! [[module]]
@@ -20,8 +21,9 @@
 //! settings.receive = ["cmd_vel geometry_msgs/msg/Twist darwin/cmd_vel"]
 //! ```
 //!
-//! While the broker is away, messages wait, at most [`MOST_WAITING`](broker::MOST_WAITING); those that it did not acknowledge are sent
-//! again. What others publish meanwhile is lost unless it is retained. The connection is not encrypted.
+//! While the broker is away, messages wait, at most [`MOST_WAITING`](broker::MOST_WAITING); those that it did
+//! not acknowledge are sent again. What others publish meanwhile is lost unless it is retained. The
+//! connection is not encrypted.
 //!
 //! # References
 //! - MQTT Version 3.1.1 and MQTT Version 5.0, OASIS.

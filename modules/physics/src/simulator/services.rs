@@ -1,7 +1,8 @@
 //! The services and the action of simulation_interfaces, which tools of any simulator use.
 //!
-//! What a request changes takes effect with the next step of the hardware module, at most 8 ms later. While the simulation is
-//! paused or stopped the world stands still, but the modules of the robot and their time do not.
+//! What a request changes takes effect with the next step of the hardware module, at most 8 ms later. While
+//! the simulation is paused or stopped the world stands still, but the modules of the robot and their time do
+//! not.
 //!
 //! # References
 //! `ros-simulation/simulation_interfaces` 2.1.0.

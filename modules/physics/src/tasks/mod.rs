@@ -1,7 +1,8 @@
-//! What a robot has to be able to do: stand, walk, turn, step sideways, stop, take a push, get up, kick. Each task is a run
-//! in simulated time that succeeds or fails.
+//! What a robot has to be able to do: stand, walk, turn, step sideways, stop, take a push, get up, kick. Each
+//! task is a run in simulated time that succeeds or fails.
 //!
-//! `cargo xtask physics` runs all tasks in worlds that [`Variation::of_seed`] perturbs and prints how many succeed.
+//! `cargo xtask physics` runs all tasks in worlds that [`Variation::of_seed`] perturbs and prints how many
+//! succeed.
 //!
 //! ```
 //! use downbeat_physics::tasks::{Conditions, Task};
@@ -236,9 +237,9 @@ impl fmt::Display for Task {
 }
 
 impl Variation {
-    /// A robot and a floor that differ from the description as much as real ones do: masses by up to 5 %, friction by up to
-    /// 25 %, strength of the servos by up to 10 %, centre of mass of the trunk by up to 4 mm, free play of the gears by up to
-    /// 50 %, and a latency of up to 4 ms. Equal for equal seeds.
+    /// A robot and a floor that differ from the description as much as real ones do: masses by up to 5 %,
+    /// friction by up to 25 %, strength of the servos by up to 10 %, centre of mass of the trunk by up to 4
+    /// mm, free play of the gears by up to 50 %, and a latency of up to 4 ms. Equal for equal seeds.
     #[must_use]
     pub fn of_seed(seed: u64) -> Self {
         let described = Self::default();
@@ -254,7 +255,8 @@ impl Variation {
     }
 }
 
-/// The largest impulse at rest that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a direction in the plane.
+/// The largest impulse at rest that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a
+/// direction in the plane.
 ///
 /// # Errors
 /// If the robot cannot be simulated.

@@ -15,7 +15,8 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A simulated robot with the modules of `robots/darwin_op_walks.toml`: it follows `cmd_vel`, plays motions and gets up.
+/// A simulated robot with the modules of `robots/darwin_op_walks.toml`: it follows `cmd_vel`, plays motions
+/// and gets up.
 pub struct WalkingRobot {
     robot: SimulatedRobot,
     cmd_vel: Inlet<Twist>,
@@ -87,8 +88,8 @@ impl WalkingRobot {
         Ok(self.robot.run_for(Duration::from_secs_f64(seconds))?)
     }
 
-    /// Commands a velocity (forward and to the left in m/s, turn to the left in rad/s) until a condition holds, at most for
-    /// `at_most` s, and returns how long that took.
+    /// Commands a velocity (forward and to the left in m/s, turn to the left in rad/s) until a condition
+    /// holds, at most for `at_most` s, and returns how long that took.
     ///
     /// # Errors
     /// If the robot falls, or the core cannot run.

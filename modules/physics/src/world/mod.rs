@@ -22,8 +22,9 @@ pub enum Engine {
     /// rapier, which is part of the program: the same options give the same bits on every machine.
     #[default]
     Rapier,
-    /// MuJoCo, a second opinion. It needs the feature `mujoco` and its library, in the file that `DOWNBEAT_MUJOCO` names or in
-    /// the package `mujoco` of a Python environment (that in `VIRTUAL_ENV`, or `target/venv` in this folder or one above).
+    /// MuJoCo, a second opinion. It needs the feature `mujoco` and its library, in the file that
+    /// `DOWNBEAT_MUJOCO` names or in the package `mujoco` of a Python environment (that in `VIRTUAL_ENV`, or
+    /// `target/venv` in this folder or one above).
     Mujoco,
 }
 
@@ -272,7 +273,8 @@ pub(crate) fn build(engine: Engine, plan: Plan<'_>) -> Result<Box<dyn World>, En
     }
 }
 
-/// Reflected inertia of a servo's rotor, in kg m^2. Estimated; without it a multibody of light links is unstable.
+/// Reflected inertia of a servo's rotor, in kg m^2. Estimated; without it a multibody of light links is
+/// unstable.
 const ARMATURE: f64 = 0.005;
 /// The distance of the lowest point from the floor at the start, in m.
 const START_HEIGHT: f64 = 0.001;

@@ -1,7 +1,8 @@
 //! The engine rapier.
 //!
-//! rapier works in single precision. With its feature `enhanced-determinism`, the same world and the same steps give the
-//! same bits, in every process and on every machine; another version, step or seed gives another path.
+//! rapier works in single precision. With its feature `enhanced-determinism`, the same world and the same
+//! steps give the same bits, in every process and on every machine; another version, step or seed gives
+//! another path.
 //!
 //! # References
 //! rapier3d 0.36.1: `Multibody` (reduced coordinates, armature and dry friction per degree of freedom).
@@ -174,8 +175,8 @@ impl RapierWorld {
         if lowest.is_finite() { f64::from(lowest) } else { 0.0 }
     }
 
-    /// Slows balls down while they roll on the floor: a torque of `rolling_friction` times weight times radius against the
-    /// rotation. rapier has no rolling friction.
+    /// Slows balls down while they roll on the floor: a torque of `rolling_friction` times weight times
+    /// radius against the rotation. rapier has no rolling friction.
     fn roll(&mut self) {
         let dt = self.physics.integration_parameters.dt;
         for thing in &self.things {

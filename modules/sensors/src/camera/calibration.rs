@@ -1,8 +1,8 @@
 //! The calibration of a camera, as `camera_calibration` of ROS writes it.
 //!
 //! # References
-//! `camera_calibration_parsers` of `ros-perception/image_common`: the names of the fields; `sensor_msgs/CameraInfo` and
-//! `sensor_msgs/distortion_models.hpp`: their meaning.
+//! `camera_calibration_parsers` of `ros-perception/image_common`: the names of the fields;
+//! `sensor_msgs/CameraInfo` and `sensor_msgs/distortion_models.hpp`: their meaning.
 
 use std::path::Path;
 

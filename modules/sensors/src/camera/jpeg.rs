@@ -117,7 +117,8 @@ impl Head {
     }
 }
 
-/// The pixels of a whole picture as RGB, row by row. Nothing is allocated for a picture of another size than that of `head`.
+/// The pixels of a whole picture as RGB, row by row. Nothing is allocated for a picture of another size than
+/// that of `head`.
 ///
 /// # Errors
 /// What is wrong with the picture.
@@ -159,8 +160,8 @@ pub(super) fn tables() -> Vec<u8> {
     segment
 }
 
-/// The pixels of YUYV as RGB, by ITU-R BT.601 with the range 16 to 235, as UVC cameras have it. `rows` holds whole rows of
-/// `bytes_per_line` bytes.
+/// The pixels of YUYV as RGB, by ITU-R BT.601 with the range 16 to 235, as UVC cameras have it. `rows` holds
+/// whole rows of `bytes_per_line` bytes.
 pub(super) fn yuyv_to_rgb(rows: &[u8], width: usize, bytes_per_line: usize) -> Vec<u8> {
     let mut rgb = Vec::with_capacity(rows.len() / bytes_per_line.max(1) * width * 3);
     for row in rows.chunks_exact(bytes_per_line.max(1)) {

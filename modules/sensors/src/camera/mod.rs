@@ -21,9 +21,10 @@
 //! | `hardware_id` | | the camera in diagnostics, instead of its name |
 //!
 //! A stamp is the time of capture that the driver reports. Incomplete pictures are counted and not
-//! published; their bytes are in `camera/exchanges`. The newest picture is published, so none is older than one that was skipped. A
-//! camera that does not open, stops, or is silent for 5 s is opened again each second. Waiting for a picture takes twice the time
-//! between two, at most 0.5 s; run the module detached, as its kind does.
+//! published; their bytes are in `camera/exchanges`. The newest picture is published, so none is older than
+//! one that was skipped. A camera that does not open, stops, or is silent for 5 s is opened again each
+//! second. Waiting for a picture takes twice the time between two, at most 0.5 s; run the module detached, as
+//! its kind does.
 
 mod calibration;
 mod jpeg;

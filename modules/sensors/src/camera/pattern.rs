@@ -4,9 +4,11 @@
 
 use super::jpeg::{TABLE_NUMBERS, TABLES, tables};
 
-/// Columns and rows of a block of one colour: a minimum coded unit of a JPEG with half as many columns of colour as of brightness.
+/// Columns and rows of a block of one colour: a minimum coded unit of a JPEG with half as many columns of
+/// colour as of brightness.
 const BLOCK: [usize; 2] = [16, 8];
-/// Y, Cb and Cr of the bars: white, yellow, cyan, green, magenta, red, blue, black, of 75 % (ITU-R BT.601 in the full range of JFIF).
+/// Y, Cb and Cr of the bars: white, yellow, cyan, green, magenta, red, blue, black, of 75 % (ITU-R BT.601 in
+/// the full range of JFIF).
 const BARS: [[u8; 3]; 8] = [
     [191, 128, 128],
     [169, 32, 143],

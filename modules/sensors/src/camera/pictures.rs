@@ -13,10 +13,11 @@ use super::source::{Captured, Format, Frame, Granted, LONGEST_SIDE, Source, Want
 /// The largest file, in bytes.
 const MOST_BYTES: u64 = 64 << 20;
 
-/// An emulated camera that shows a JPEG file, those of a folder in turn, or, without a device, bars of colours with a moving square.
+/// An emulated camera that shows a JPEG file, those of a folder in turn, or, without a device, bars of
+/// colours with a moving square.
 ///
-/// Which picture it gives depends on the time of the core only. Files are read each time, so that a folder that is moved away is a
-/// camera that was unplugged.
+/// Which picture it gives depends on the time of the core only. Files are read each time, so that a folder
+/// that is moved away is a camera that was unplugged.
 #[derive(Debug, Default)]
 pub struct Pictures {
     open: Option<Open>,

@@ -146,7 +146,8 @@ impl Trouble {
     }
 }
 
-/// A filter of the kernel: a frame passes if its identifier and `id` agree in the bits of `mask`, or, inverted, if they do not.
+/// A filter of the kernel: a frame passes if its identifier and `id` agree in the bits of `mask`, or,
+/// inverted, if they do not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Filter {
     /// With flags.
@@ -161,8 +162,8 @@ const MOST_FILTERS: usize = 512;
 const INVERTED: u32 = 0x2000_0000;
 
 impl Filter {
-    /// Reads filters as `candump` and `ros2_socketcan` write them: `id:mask` or `id~mask` in hexadecimal, of which those with eight
-    /// digits are of 29 bits.
+    /// Reads filters as `candump` and `ros2_socketcan` write them: `id:mask` or `id~mask` in hexadecimal, of
+    /// which those with eight digits are of 29 bits.
     ///
     /// # Errors
     /// Which text is none.
@@ -222,7 +223,8 @@ mod tests {
         frame
     }
 
-    /// The bytes of `cansend vcan0 123#DEADBEEF`, `12345678#R` and `7FF#`, as `struct can_frame` of `linux/can.h` lays them out.
+    /// The bytes of `cansend vcan0 123#DEADBEEF`, `12345678#R` and `7FF#`, as `struct can_frame` of
+    /// `linux/can.h` lays them out.
     #[cfg(target_endian = "little")]
     #[test]
     fn frames_have_the_bytes_of_the_kernel() {

@@ -20,8 +20,8 @@ const REMOTE: u32 = 0x4000_0000;
 /// The most sent frames that wait to be received.
 const MOST_WAITING: usize = 4_096;
 
-/// An emulated bus. Frames of a log come at the times of their stamps; without a log none comes by itself. Frames that are sent come
-/// back if the module receives its own.
+/// An emulated bus. Frames of a log come at the times of their stamps; without a log none comes by itself.
+/// Frames that are sent come back if the module receives its own.
 #[derive(Default)]
 pub struct CandumpLog {
     open: Option<Open>,
@@ -91,7 +91,8 @@ impl Source for CandumpLog {
     }
 }
 
-/// Reads a log as `candump -l` writes it: `(1436509052.249713) can0 044#2A366C2BBA`. Times are since the first line.
+/// Reads a log as `candump -l` writes it: `(1436509052.249713) can0 044#2A366C2BBA`. Times are since the
+/// first line.
 fn parse(path: &str, text: &str) -> Result<Vec<(Duration, [u8; LENGTH])>, String> {
     let mut log: Vec<(Duration, [u8; LENGTH])> = Vec::new();
     let mut first = None;

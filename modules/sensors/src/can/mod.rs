@@ -14,10 +14,11 @@
 //! | `receive_own` | false | whether frames that are sent come back on `from_can_bus` |
 //! | `frame_id` | `can` | |
 //!
-//! Topics are those of `ros2_socketcan`. CAN FD is not supported. A frame that no bus can carry is refused. A frame waits for room in the
-//! driver for 0.1 s at most, and one that comes while there is no bus is dropped, because a late command is worse than none; both are
-//! counted. Stamps are the times at which frames were read. A bus that is lost is opened again each second. Reading waits for 5 ms at
-//! most; run the module detached, as its kind does. Bit rate and restart after the state "bus off" are set with `ip link`.
+//! Topics are those of `ros2_socketcan`. CAN FD is not supported. A frame that no bus can carry is refused. A
+//! frame waits for room in the driver for 0.1 s at most, and one that comes while there is no bus is dropped,
+//! because a late command is worse than none; both are counted. Stamps are the times at which frames were
+//! read. A bus that is lost is opened again each second. Reading waits for 5 ms at most; run the module
+//! detached, as its kind does. Bit rate and restart after the state "bus off" are set with `ip link`.
 
 mod frame;
 mod log;

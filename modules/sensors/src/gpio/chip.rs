@@ -263,7 +263,8 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
-    /// By `offsetof` of `struct gpio_v2_line_request` and the structures in it, with the headers of Linux 6.1.
+    /// By `offsetof` of `struct gpio_v2_line_request` and the structures in it, with the headers of Linux
+    /// 6.1.
     #[test]
     fn a_request_has_the_layout_of_the_header() {
         let purpose = Use::Input { bias: Bias::PullUp, debounce: Duration::from_millis(10) };

@@ -15,10 +15,11 @@
 //! | `outputs` | | such as `["lamp = 27, safe=false"]`: likewise, with `open_drain` or `open_source`, `active_low`, `safe` |
 //! | `timeout_s` | 0 | s without a command after which an output gets its safe value; 0: never |
 //!
-//! An output has its safe value, false unless the setting says another, from the start until the first command, after silence, and when
-//! the module ends. If the process is killed the kernel takes the lines back, and what they are then depends on the chip. An interrupt of
-//! the kernel stamps each change, after its debouncing. Waiting takes 5 ms at most; run the module detached, as its kind does. A chip
-//! that is lost is opened again each second.
+//! An output has its safe value, false unless the setting says another, from the start until the first
+//! command, after silence, and when the module ends. If the process is killed the kernel takes the lines
+//! back, and what they are then depends on the chip. An interrupt of the kernel stamps each change, after its
+//! debouncing. Waiting takes 5 ms at most; run the module detached, as its kind does. A chip that is lost is
+//! opened again each second.
 
 mod chip;
 mod lines;

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use super::lines::{Line, Use};
 use super::source::{Edge, Source};
 
-/// An emulated chip. The value of an input is what its file in the folder says, 0 or 1, and false if there is no such file; that of
-/// an output is written to its file: `echo 1 > pins/button`. Without a folder, an input follows the output that has the same line,
-/// as if a wire joined them.
+/// An emulated chip. The value of an input is what its file in the folder says, 0 or 1, and false if there is
+/// no such file; that of an output is written to its file: `echo 1 > pins/button`. Without a folder, an input
+/// follows the output that has the same line, as if a wire joined them.
 #[derive(Debug, Default)]
 pub struct Pins {
     open: Option<Open>,

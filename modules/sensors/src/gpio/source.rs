@@ -57,7 +57,8 @@ pub trait Source: Send {
     /// If there is no such chip or line, or it cannot be used.
     fn open(&mut self, chip: &str, lines: &[Line]) -> Result<Vec<bool>, String>;
 
-    /// The changes of inputs since the last call, in the order in which they happened. Waits for a bounded time if there is none.
+    /// The changes of inputs since the last call, in the order in which they happened. Waits for a bounded
+    /// time if there is none.
     ///
     /// # Errors
     /// If the chip is lost. It has to be opened again.

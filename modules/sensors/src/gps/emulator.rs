@@ -1,7 +1,7 @@
 //! An emulated receiver. No value was measured.
 //!
-//! It begins at midnight of 2026-01-01, has a fix from the second second on, and moves at 1 m/s on a circle of 10 m near Munich. Once a second
-//! it sends RMC, VTG, GGA, GSA and GST at the pace of 9600 bit/s.
+//! It begins at midnight of 2026-01-01, has a fix from the second second on, and moves at 1 m/s on a circle
+//! of 10 m near Munich. Once a second it sends RMC, VTG, GGA, GSA and GST at the pace of 9600 bit/s.
 
 use std::f64::consts::FRAC_PI_2;
 use std::time::Duration;
@@ -91,8 +91,8 @@ impl EmulatedDevice for Receiver {
 
 /// Runs an emulated receiver as long as the robot runs, so that [`Gps`](super::Gps) finds a port.
 ///
-/// Settings: `link`, the path of the port, or `memory:NAME` for a port in memory; `seed`; `faults`. It has no topics: everything goes
-/// through the port. Leave it out of replays.
+/// Settings: `link`, the path of the port, or `memory:NAME` for a port in memory; `seed`; `faults`. It has no
+/// topics: everything goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct GpsEmulator {
     served: Served,

@@ -1,10 +1,12 @@
 //! Sentences of NMEA 0183: `$GPGGA,…*47`, each on a line.
 //!
-//! A sentence without a checksum, or with a wrong one, is not used. The first two letters name the talker (GP for GPS, GL GLONASS, GA
-//! Galileo, GB and BD BeiDou, GN several systems), the next three what it says. Proprietary sentences (`$P…`) are not read.
+//! A sentence without a checksum, or with a wrong one, is not used. The first two letters name the talker (GP
+//! for GPS, GL GLONASS, GA Galileo, GB and BD BeiDou, GN several systems), the next three what it says.
+//! Proprietary sentences (`$P…`) are not read.
 //!
 //! # References
-//! NMEA 0183 as described in u-blox, "u-blox 8 / u-blox M8 Receiver Description" (UBX-13003221), chapter 31; D. DePriest, "NMEA data".
+//! NMEA 0183 as described in u-blox, "u-blox 8 / u-blox M8 Receiver Description" (UBX-13003221), chapter 31;
+//! D. DePriest, "NMEA data".
 
 use std::str;
 
@@ -47,7 +49,8 @@ pub struct Gga {
     pub time: Option<TimeOfDay>,
     /// North and east, in degrees.
     pub position: Option<[f64; 2]>,
-    /// 0 no fix, 1 fix, 2 differential, 3 PPS, 4 RTK, 5 RTK float, 6 dead reckoning, 7 given by hand, 8 simulated, 9 satellite-based.
+    /// 0 no fix, 1 fix, 2 differential, 3 PPS, 4 RTK, 5 RTK float, 6 dead reckoning, 7 given by hand, 8
+    /// simulated, 9 satellite-based.
     pub quality: u8,
     /// The number of satellites used.
     pub satellites: Option<u32>,

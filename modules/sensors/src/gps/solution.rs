@@ -2,10 +2,12 @@
 //!
 //! Topics and rules are those of nmea_navsat_driver, except where it says otherwise here:
 //!
-//! - a covariance from GST is the square of its deviations, of type `DIAGONAL_KNOWN` (the driver multiplies them with HDOP);
+//! - a covariance from GST is the square of its deviations, of type `DIAGONAL_KNOWN` (the driver multiplies
+//!   them with HDOP);
 //! - the vertical deviation from dilution is that of VDOP, if GSA gives it, else twice that of HDOP;
 //! - quality 9 (WAAS) is `SBAS_FIX`, quality 3 (PPS) is `FIX`;
-//! - `vel` comes from RMC, and from VTG only where no RMC comes; without a course it is 0 below 0.5 m/s and else left out;
+//! - `vel` comes from RMC, and from VTG only where no RMC comes; without a course it is 0 below 0.5 m/s and
+//!   else left out;
 //! - `time_reference` comes with fixes only, and its date from RMC.
 
 use std::time::Duration;
@@ -271,7 +273,8 @@ impl Solution {
         Some(Output::Velocity(velocity))
     }
 
-    /// The time of the receiver: on the day of RMC, or else on that day which brings it nearest to the time of the robot.
+    /// The time of the receiver: on the day of RMC, or else on that day which brings it nearest to the time
+    /// of the robot.
     fn time(&self, time: Option<TimeOfDay>, arrived: Time) -> Option<Output> {
         let time = i64::try_from(time.filter(|_| self.has_fix)?).ok()?;
         let known = self.date.filter(|(_, _, at)| arrived.saturating_since(*at) <= FRESH);

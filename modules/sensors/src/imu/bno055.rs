@@ -49,7 +49,8 @@ pub enum Mode {
     Imu,
 }
 
-/// The number of calibration values: the offsets of accelerometer, magnetometer and gyroscope, and the radii of the first two.
+/// The number of calibration values: the offsets of accelerometer, magnetometer and gyroscope, and the radii
+/// of the first two.
 pub const CALIBRATION: usize = 11;
 
 /// How it is set up.

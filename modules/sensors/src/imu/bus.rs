@@ -23,7 +23,8 @@ use crate::memory::{NameInUse, Registry, is_memory};
 pub enum Request {
     /// Open it, after closing it if it is open.
     Open,
-    /// Write these bytes to the chip at an address: the number of a register and values for it and those after it.
+    /// Write these bytes to the chip at an address: the number of a register and values for it and those
+    /// after it.
     Write {
         /// Seven bits.
         address: u8,
@@ -185,7 +186,8 @@ impl Device for I2cDevice {
     }
 }
 
-/// The instruction of an exchange is the address, how many bytes are read (0: none), and the bytes that are written.
+/// The instruction of an exchange is the address, how many bytes are read (0: none), and the bytes that are
+/// written.
 fn exchange_of(request: &Request, now: Time) -> BusExchange {
     let (kind, instruction) = match request {
         Request::Open => (BusExchange::OPEN, Vec::new()),
@@ -198,7 +200,8 @@ fn exchange_of(request: &Request, now: Time) -> BusExchange {
     exchange::begin(kind, instruction, now)
 }
 
-/// A chip with registers, emulated. What it answers depends on the calls only; times are since it was powered.
+/// A chip with registers, emulated. What it answers depends on the calls only; times are since it was
+/// powered.
 pub trait EmulatedChip: Send + 'static {
     /// Writes a register of the chip at this address. Returns false if there is none.
     fn write(&mut self, address: u8, register: u8, value: u8, now: Duration) -> bool;

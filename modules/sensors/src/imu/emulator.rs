@@ -1,9 +1,11 @@
 //! Emulated inertial sensors, in memory only. No value was measured.
 //!
-//! The chip turns about its z axis, which points up, by 0.5 rad/s; its registers measure that with noise. The BNO055 also knows its
-//! orientation, and its magnetometer feels a field of 40 µT that points down and to its first heading.
+//! The chip turns about its z axis, which points up, by 0.5 rad/s; its registers measure that with noise. The
+//! BNO055 also knows its orientation, and its magnetometer feels a field of 40 µT that points down and to its
+//! first heading.
 //!
-//! Not emulated: ranges, filters and rates other than by their registers, calibration, self-tests, interrupts.
+//! Not emulated: ranges, filters and rates other than by their registers, calibration, self-tests,
+//! interrupts.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -225,8 +227,8 @@ impl EmulatedChip for EmulatedBno {
 
 /// An emulated inertial sensor, so that [`Imu`](super::Imu) finds a bus.
 ///
-/// Settings: `model`; `link`, a bus in memory; `seed`; `faults`. It has no topics: everything goes through the bus. Leave it out of
-/// replays.
+/// Settings: `model`; `link`, a bus in memory; `seed`; `faults`. It has no topics: everything goes through
+/// the bus. Leave it out of replays.
 #[derive(Default)]
 pub struct ImuEmulator {
     buses: EmulatedBuses,

@@ -1,12 +1,13 @@
 //! InvenSense MPU-6050, MPU-6500 and MPU-9250: which one it is, the register `WHO_AM_I` says.
 //!
-//! The MPU-9250 has a second chip in its case, the magnetometer AK8963, which is reached on the same bus at address 0x0C. Its x axis is the
-//! y axis of the other chip, its y axis the x axis, and its z axis points the other way; readings have the axes of the other chip.
+//! The MPU-9250 has a second chip in its case, the magnetometer AK8963, which is reached on the same bus at
+//! address 0x0C. Its x axis is the y axis of the other chip, its y axis the x axis, and its z axis points the
+//! other way; readings have the axes of the other chip.
 //!
 //! # References
-//! InvenSense, "MPU-6000 and MPU-6050 Register Map and Descriptions" RM-MPU-6000A-00 4.2 and "Product Specification" PS-MPU-6000A-00
-//! 3.4; "MPU-9250 Register Map and Descriptions" RM-MPU-9250A-00 1.6 and "Product Specification" PS-MPU-9250A-01 1.1; AKM, "AK8963"
-//! MS1356-E-02.
+//! InvenSense, "MPU-6000 and MPU-6050 Register Map and Descriptions" RM-MPU-6000A-00 4.2 and "Product
+//! Specification" PS-MPU-6000A-00 3.4; "MPU-9250 Register Map and Descriptions" RM-MPU-9250A-00 1.6 and
+//! "Product Specification" PS-MPU-9250A-01 1.1; AKM, "AK8963" MS1356-E-02.
 
 use std::time::Duration;
 
@@ -307,7 +308,8 @@ mod tests {
         assert_eq!(value(100.0, ACCEL_CONFIG_2), None, "the MPU-6050 does not have it");
     }
 
-    /// The scales of the product specification: 16384 steps are 1 g, 131 steps 1 °/s, temperature in °C = steps / 340 + 36.53.
+    /// The scales of the product specification: 16384 steps are 1 g, 131 steps 1 °/s, temperature in °C =
+    /// steps / 340 + 36.53.
     #[test]
     fn measurements_have_the_scales_of_the_specification() {
         let (mut chip, _) = found(0x68);

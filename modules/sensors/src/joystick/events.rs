@@ -1,7 +1,8 @@
 //! Events of input devices, and what a device has.
 //!
 //! # References
-//! `linux/input.h` and `linux/input-event-codes.h`; "Linux Input Subsystem userspace API", chapter "Event codes".
+//! `linux/input.h` and `linux/input-event-codes.h`; "Linux Input Subsystem userspace API", chapter "Event
+//! codes".
 
 use std::fmt::Write;
 
@@ -116,7 +117,8 @@ pub struct Button {
 }
 
 impl Axis {
-    /// From -1 at the right or the bottom to 1 at the left or the top, as in `joy`. A range that is none gives 0.
+    /// From -1 at the right or the bottom to 1 at the left or the top, as in `joy`. A range that is none
+    /// gives 0.
     pub(super) fn position(&self) -> f64 {
         let (minimum, maximum, value) =
             (f64::from(self.minimum), f64::from(self.maximum), f64::from(self.value));
@@ -128,8 +130,9 @@ impl Axis {
 }
 
 impl Layout {
-    /// Sorts axes and buttons as the joystick driver of Linux numbers them (`drivers/input/joydev.c`), and so `joy_linux` and most
-    /// configurations: axes by their codes, buttons from `BTN_JOYSTICK` (0x120) on before those below.
+    /// Sorts axes and buttons as the joystick driver of Linux numbers them (`drivers/input/joydev.c`), and so
+    /// `joy_linux` and most configurations: axes by their codes, buttons from `BTN_JOYSTICK` (0x120) on
+    /// before those below.
     pub(super) fn sort(&mut self) {
         self.axes.sort_by_key(|axis| axis.code);
         self.buttons.sort_by_key(|button| (button.code < 0x120, button.code));
@@ -178,7 +181,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// From `cat /dev/input/event5` by the layout of `struct input_event` on x86-64: `BTN_SOUTH` (0x130) pressed at 1 s and 2 us.
+    /// From `cat /dev/input/event5` by the layout of `struct input_event` on x86-64: `BTN_SOUTH` (0x130)
+    /// pressed at 1 s and 2 us.
     const PRESSED: [u8; LENGTH] =
         [1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0x30, 0x01, 1, 0, 0, 0];
 

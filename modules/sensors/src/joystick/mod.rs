@@ -15,9 +15,10 @@
 //! | `sticky_buttons` | false | a button switches at each press |
 //! | `frame_id` | `joy` | |
 //!
-//! Names and meaning are those of the node `joy` of ROS; the order of axes and buttons is that of the joystick driver of Linux, as
-//! `joy_linux` has it. When a joystick is lost, all axes and buttons return to 0 in one last message, and the module opens a joystick
-//! again each second. Stamps are the times at which the events were read. Reading waits for 40 ms at most; run the module detached, as its kind does.
+//! Names and meaning are those of the node `joy` of ROS; the order of axes and buttons is that of the
+//! joystick driver of Linux, as `joy_linux` has it. When a joystick is lost, all axes and buttons return to 0
+//! in one last message, and the module opens a joystick again each second. Stamps are the times at which the
+//! events were read. Reading waits for 40 ms at most; run the module detached, as its kind does.
 //!
 //! # References
 //! `joy/README.md` and `joy_linux` of `ros-drivers/joystick_drivers`.

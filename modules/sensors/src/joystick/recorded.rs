@@ -17,9 +17,9 @@ const MOST_BYTES: u64 = 64 << 20;
 /// The most bytes of a pipe that one request reads.
 const MOST_AT_ONCE: usize = 256 * LENGTH;
 
-/// An emulated gamepad with the axes and buttons of an Xbox 360 controller, moved by the events of a file: what
-/// `cat /dev/input/event5 > drive.events` wrote while somebody held a gamepad. They come at the times of their stamps. Those of a
-/// pipe (`mkfifo`) come when they are written. Without a file nobody touches it.
+/// An emulated gamepad with the axes and buttons of an Xbox 360 controller, moved by the events of a file:
+/// what `cat /dev/input/event5 > drive.events` wrote while somebody held a gamepad. They come at the times of
+/// their stamps. Those of a pipe (`mkfifo`) come when they are written. Without a file nobody touches it.
 #[derive(Default)]
 pub struct RecordedEvents {
     open: Option<Open>,

@@ -235,7 +235,8 @@ fn joysticks(class: &Path) -> Vec<(PathBuf, String)> {
     all.into_iter().map(|(_, path, name)| (path, name)).collect()
 }
 
-/// Whether one of the bits 0x120 to 0x13f is set in words of 64 bits, the highest first: buttons of joysticks and gamepads.
+/// Whether one of the bits 0x120 to 0x13f is set in words of 64 bits, the highest first: buttons of joysticks
+/// and gamepads.
 fn has_joystick_buttons(words: &str) -> bool {
     let word = words.split_whitespace().rev().nth(0x120 / 64);
     let word = word.and_then(|word| u64::from_str_radix(word, 16).ok());

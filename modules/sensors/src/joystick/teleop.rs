@@ -20,13 +20,15 @@
 //! | `publish_stamped_twist`, `frame` | false, `teleop_twist_joy` | |
 //! | `timeout_s` | 0.5 | s without `joy` after which it stops; 0: never |
 //!
-//! Buttons and axes are counted from 0. The defaults are for gamepads as Linux numbers them: drive with the left stick while the left
-//! shoulder button is held, or the right one for turbo. When the button is released one command of zero is sent, and no more, so that
-//! others may drive; likewise when `joy` falls silent while the button is held, which `teleop_twist_joy` does not do. So `joy` has to
-//! be repeated, as the kind `joystick` does by default.
+//! Buttons and axes are counted from 0. The defaults are for gamepads as Linux numbers them: drive with the
+//! left stick while the left shoulder button is held, or the right one for turbo. When the button is released
+//! one command of zero is sent, and no more, so that others may drive; likewise when `joy` falls silent while
+//! the button is held, which `teleop_twist_joy` does not do. So `joy` has to be repeated, as the kind
+//! `joystick` does by default.
 //!
 //! # References
-//! `README.md` and `config/` of `ros2/teleop_twist_joy`, branch jazzy: names, units, and the command at release.
+//! `README.md` and `config/` of `ros2/teleop_twist_joy`, branch jazzy: names, units, and the command at
+//! release.
 
 use std::time::Duration;
 

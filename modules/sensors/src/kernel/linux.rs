@@ -16,8 +16,8 @@ use rustix::time::{ClockId, clock_gettime};
 
 use super::put_u32;
 
-/// A request whose argument is a structure of that many bytes. Only this file makes them, because the safety of [`request`] depends on
-/// their numbers.
+/// A request whose argument is a structure of that many bytes. Only this file makes them, because the safety
+/// of [`request`] depends on their numbers.
 #[derive(Clone, Copy)]
 pub(crate) struct Request<const LENGTH: usize>(Opcode);
 
@@ -41,7 +41,8 @@ impl<const LENGTH: usize> Request<LENGTH> {
     }
 }
 
-/// Of `linux/videodev2.h`. Types of buffers other than that of capture are not used: their formats have pointers.
+/// Of `linux/videodev2.h`. Types of buffers other than that of capture are not used: their formats have
+/// pointers.
 pub(crate) mod video {
     use super::Request;
 
@@ -113,8 +114,8 @@ pub(crate) fn request<const LENGTH: usize>(
     request: Request<LENGTH>,
     bytes: &mut [u8; LENGTH],
 ) -> io::Result<()> {
-    // SAFETY: `Argument` points to as many bytes as the request's number says that the device reads and writes, and no structure of
-    // the requests of this file has a pointer that a device follows.
+    // SAFETY: `Argument` points to as many bytes as the request's number says that the device reads and
+    // writes, and no structure of the requests of this file has a pointer that a device follows.
     Ok(unsafe { rustix::ioctl::ioctl(device, Argument { opcode: request.0, bytes }) }?)
 }
 
@@ -123,7 +124,8 @@ struct Argument<'a, const LENGTH: usize> {
     bytes: &'a mut [u8; LENGTH],
 }
 
-// SAFETY: the output is not derived from the pointer, and the pointer is valid for `LENGTH` bytes, the size in the opcode.
+// SAFETY: the output is not derived from the pointer, and the pointer is valid for `LENGTH` bytes, the size
+// in the opcode.
 unsafe impl<const LENGTH: usize> Ioctl for Argument<'_, LENGTH> {
     type Output = ();
 
@@ -177,7 +179,8 @@ pub(crate) const CAPTURE: u32 = 1;
 /// `V4L2_MEMORY_MMAP`.
 pub(crate) const MAPPED: u32 = 1;
 
-/// Sends a request about a buffer for capture in mapped memory, so that the structure, a `v4l2_buffer`, has no pointer.
+/// Sends a request about a buffer for capture in mapped memory, so that the structure, a `v4l2_buffer`, has
+/// no pointer.
 pub(crate) fn buffer(device: impl AsFd, about: BufferRequest, index: u32) -> io::Result<[u8; 88]> {
     let mut bytes = [0; 88];
     put_u32(&mut bytes, 0, index);
@@ -210,8 +213,8 @@ impl Mapping {
     pub(crate) fn copy(&self, length: usize) -> Vec<u8> {
         let length = length.min(self.length);
         let mut copy = Vec::<u8>::with_capacity(length);
-        // SAFETY: the mapping is readable for `length` bytes, and the new vector has room for them. No reference to the mapping is
-        // made, as the device may write to it.
+        // SAFETY: the mapping is readable for `length` bytes, and the new vector has room for them. No
+        // reference to the mapping is made, as the device may write to it.
         unsafe {
             std::ptr::copy_nonoverlapping(self.start.cast::<u8>(), copy.as_mut_ptr(), length);
             copy.set_len(length);
@@ -222,7 +225,8 @@ impl Mapping {
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: this is the mapping of `new`, to which there is no reference. It cannot fail for a mapping that exists.
+        // SAFETY: this is the mapping of `new`, to which there is no reference. It cannot fail for a mapping
+        // that exists.
         let _ = unsafe { rustix::mm::munmap(self.start, self.length) };
     }
 }
@@ -269,8 +273,8 @@ pub(crate) fn is_full(error: &io::Error) -> bool {
     error.raw_os_error() == Some(rustix::io::Errno::NOBUFS.raw_os_error())
 }
 
-/// Opens a CAN socket on the interface with this number. Errors of the controller come as frames; other frames by the filters, all if
-/// there is none. Reads and writes never wait.
+/// Opens a CAN socket on the interface with this number. Errors of the controller come as frames; other
+/// frames by the filters, all if there is none. Reads and writes never wait.
 pub(crate) fn can_socket(interface: u32, filters: &[(u32, u32)], receives_own: bool) -> io::Result<File> {
     const FILTER: libc::c_int = 1;
     const ERROR_FILTER: libc::c_int = 2;

@@ -1,7 +1,9 @@
-//! What the kernel offers in C for devices of its classes: cameras, input devices, CAN sockets, lines of a GPIO chip, I²C buses.
+//! What the kernel offers in C for devices of its classes: cameras, input devices, CAN sockets, lines of a
+//! GPIO chip, I²C buses.
 //!
-//! Structures are arrays of bytes here, so that only requests and mapped memory need `unsafe`, in `linux.rs` and `i2c.rs`. Their layouts and numbers
-//! are those of 64-bit Linux; tests compare them with the headers of Linux 6.1 (`linux/videodev2.h`, `input.h`, `can.h`, `gpio.h`).
+//! Structures are arrays of bytes here, so that only requests and mapped memory need `unsafe`, in `linux.rs`
+//! and `i2c.rs`. Their layouts and numbers are those of 64-bit Linux; tests compare them with the headers of
+//! Linux 6.1 (`linux/videodev2.h`, `input.h`, `can.h`, `gpio.h`).
 
 #[cfg_attr(not(all(target_os = "linux", target_pointer_width = "64")), path = "elsewhere.rs")]
 mod linux;
@@ -18,7 +20,8 @@ pub(crate) use linux::*;
 /// Opens a device file for reading and writing, or for reading only, without waiting for the device.
 ///
 /// # Errors
-/// A sentence with what is wrong and what to do. `what` names the device (a camera), `group` the group whose members may use it.
+/// A sentence with what is wrong and what to do. `what` names the device (a camera), `group` the group whose
+/// members may use it.
 pub(crate) fn open_device(path: &Path, is_written: bool, what: &str, group: &str) -> Result<File, String> {
     let at = path.display();
     let failed = |error: io::Error| match error.kind() {
@@ -47,7 +50,8 @@ pub(crate) fn is_file(name: &str) -> bool {
     !name.is_empty() && Path::new(name).exists()
 }
 
-/// The last part of a path, or a whole name: what recordings and diagnostics hold of a device, so that a run replays from any folder.
+/// The last part of a path, or a whole name: what recordings and diagnostics hold of a device, so that a run
+/// replays from any folder.
 pub(crate) fn name_of(device: &str) -> &str {
     device.trim_end_matches('/').rsplit('/').next().unwrap_or(device)
 }

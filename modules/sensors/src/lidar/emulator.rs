@@ -1,10 +1,12 @@
 //! Emulated lidars in an emulated room. No value was measured.
 //!
-//! The lidar stands in a room of 4 m by 3 m with a column, 1 m in front of the middle of its rear wall, and turns clockwise: the LD06 and
-//! LD19 ten times per second with packets of 12 measurements as soon as they have power, the RPLIDAR A1 5.5 times per second with nodes
-//! of single measurements while a scan is requested. Distances have noise of 5 mm; one measurement of a hundred has no echo.
+//! The lidar stands in a room of 4 m by 3 m with a column, 1 m in front of the middle of its rear wall, and
+//! turns clockwise: the LD06 and LD19 ten times per second with packets of 12 measurements as soon as they
+//! have power, the RPLIDAR A1 5.5 times per second with nodes of single measurements while a scan is
+//! requested. Distances have noise of 5 mm; one measurement of a hundred has no echo.
 //!
-//! Not emulated: the time that a motor takes to reach its speed, the line DTR that switches it, and health other than good.
+//! Not emulated: the time that a motor takes to reach its speed, the line DTR that switches it, and health
+//! other than good.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -180,8 +182,8 @@ impl EmulatedDevice for Rplidar {
 
 /// Runs an emulated lidar as long as the robot runs, so that [`Lidar`](super::Lidar) finds a port.
 ///
-/// Settings: `model`; `link`, the path of the port, or `memory:NAME` for a port in memory; `seed`; `faults`. It has no topics:
-/// everything goes through the port. Leave it out of replays.
+/// Settings: `model`; `link`, the path of the port, or `memory:NAME` for a port in memory; `seed`; `faults`.
+/// It has no topics: everything goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct LidarEmulator {
     served: Served,

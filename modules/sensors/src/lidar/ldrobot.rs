@@ -1,6 +1,7 @@
 //! Packets of the LDROBOT LD06 and LD19.
 //!
-//! The lidar sends without being asked, at 230400 bit/s, once its rotation is stable. A packet has 12 measurements:
+//! The lidar sends without being asked, at 230400 bit/s, once its rotation is stable. A packet has 12
+//! measurements:
 //!
 //! | bytes | |
 //! | --- | --- |
@@ -37,7 +38,8 @@ pub const HEADER: [u8; 2] = [0x54, 0x2C];
 const SAMPLE: Duration = Duration::from_nanos(222_222);
 /// A byte on the line: 10 bits.
 const BYTE: Duration = Duration::from_nanos(10 * 1_000_000_000 / BAUD as u64);
-/// A packet that spans more than this, in 0.01°, is nonsense: twelve measurements at 13 revolutions per second span 12.5°.
+/// A packet that spans more than this, in 0.01°, is nonsense: twelve measurements at 13 revolutions per
+/// second span 12.5°.
 const WIDEST: u32 = 4500;
 
 /// A packet.
@@ -94,7 +96,8 @@ impl Packet {
         bytes
     }
 
-    /// The direction of each measurement in degrees from 0 to 360; `None` if the packet's directions are nonsense.
+    /// The direction of each measurement in degrees from 0 to 360; `None` if the packet's directions are
+    /// nonsense.
     #[must_use]
     pub fn directions_deg(&self) -> Option<[f64; MEASUREMENTS]> {
         if self.start_cdeg >= 36_000 || self.end_cdeg >= 36_000 {
@@ -146,7 +149,8 @@ impl Receiver {
         self.buffer.extend(bytes);
     }
 
-    /// The next packet with the number of bytes that follow it so far. Bytes that belong to none are skipped and counted.
+    /// The next packet with the number of bytes that follow it so far. Bytes that belong to none are skipped
+    /// and counted.
     pub fn next_packet(&mut self) -> Option<(Packet, usize)> {
         loop {
             let is_start = |window: &[u8]| HEADER.starts_with(window) || window.starts_with(&HEADER);
@@ -291,13 +295,15 @@ mod tests {
     }
 
     proptest! {
-        /// However a stream is cut into pieces and whatever stands between its packets, no packet is lost or read wrongly.
+        /// However a stream is cut into pieces and whatever stands between its packets, no packet is lost or
+        /// read wrongly.
         #[test]
         fn packets_are_found_among_garbage_and_in_pieces(
             garbage in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..120), 1..5),
             cut in 1_usize..60,
         ) {
-            // Garbage without the start of a packet: what looks like one may swallow its successor's beginning, but no more.
+            // Garbage without the start of a packet: what looks like one may swallow its successor's
+            // beginning, but no more.
             let clean = |bytes: &Vec<u8>| bytes.iter().map(|byte| if *byte == 0x54 { 0 } else { *byte }).collect::<Vec<_>>();
             let stream: Vec<u8> = garbage.iter().flat_map(|bytes| [clean(bytes), EXAMPLE.to_vec()].concat()).collect();
             let (mut receiver, mut samples) = (Receiver::default(), Vec::new());

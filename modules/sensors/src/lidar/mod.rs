@@ -96,7 +96,8 @@ pub struct ModelData {
 /// A measurement of a lidar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// The direction in the lidar's own frame: clockwise from its front, seen from above, in degrees from 0 to 360.
+    /// The direction in the lidar's own frame: clockwise from its front, seen from above, in degrees from 0
+    /// to 360.
     pub clockwise_deg: f64,
     /// In m; 0 if there was no echo.
     pub range: f64,

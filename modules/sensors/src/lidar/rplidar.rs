@@ -1,18 +1,20 @@
 //! Requests and responses of the Slamtec RPLIDAR A1, and the conversation with it.
 //!
-//! A request is `A5` and a command. The response begins with a descriptor of seven bytes: `A5 5A`, the length of its data (30 bits)
-//! and whether they are repeated (2 bits), little endian, and the type of the data. The conversation is:
+//! A request is `A5` and a command. The response begins with a descriptor of seven bytes: `A5 5A`, the length
+//! of its data (30 bits) and whether they are repeated (2 bits), little endian, and the type of the data. The
+//! conversation is:
 //!
 //! 1. `STOP`, and a pause in which a scan that another program began runs out;
 //! 2. `GET_HEALTH`; a lidar in protection stop is reset once, and else reported;
 //! 3. `GET_INFO` and `GET_SAMPLERATE`;
 //! 4. `SCAN`: from then on the lidar sends nodes of five bytes, one per measurement.
 //!
-//! A lidar that does not answer, or stops to send nodes, is addressed from the beginning again. Only the standard scan is used
-//! (2000 measurements per second), not the express scan.
+//! A lidar that does not answer, or stops to send nodes, is addressed from the beginning again. Only the
+//! standard scan is used (2000 measurements per second), not the express scan.
 //!
 //! # References
-//! Slamtec, "RPLIDAR Interface Protocol and Application Notes" v2.2 (LR001); `Slamtec/rplidar_sdk`, `rplidar_cmd.h`.
+//! Slamtec, "RPLIDAR Interface Protocol and Application Notes" v2.2 (LR001); `Slamtec/rplidar_sdk`,
+//! `rplidar_cmd.h`.
 
 use std::time::Duration;
 
@@ -408,7 +410,8 @@ mod tests {
         driver
     }
 
-    /// The examples of the protocol's manual: requests of STOP, RESET, SCAN, GET_HEALTH and their responses' descriptors.
+    /// The examples of the protocol's manual: requests of STOP, RESET, SCAN, GET_HEALTH and their responses'
+    /// descriptors.
     #[test]
     fn requests_and_descriptors_are_those_of_the_manual() {
         let requests = Command::ALL.map(Command::to_bytes);

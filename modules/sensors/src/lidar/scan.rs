@@ -1,12 +1,14 @@
 //! Revolutions of a lidar as `sensor_msgs/LaserScan`.
 //!
-//! A scan has the same number of beams in every revolution, as mapping programs expect, at equal angles, counter-clockwise from the
-//! rear (-π) to the rear (π), as REP-103 wants. A beam takes the nearest measurement within its angle. Distances outside of the
-//! range are ±∞ as in REP-117; a beam between two measured ones that has no measurement takes the nearer of them, and others are NaN.
+//! A scan has the same number of beams in every revolution, as mapping programs expect, at equal angles,
+//! counter-clockwise from the rear (-π) to the rear (π), as REP-103 wants. A beam takes the nearest
+//! measurement within its angle. Distances outside of the range are ±∞ as in REP-117; a beam between two
+//! measured ones that has no measurement takes the nearer of them, and others are NaN.
 //!
-//! The lidars here turn clockwise and a revolution is cut at the rear, so the last beam is measured first. `header.stamp` is the time
-//! of the first beam, as the definition of the message says, and `time_increment` is negative. A program that corrects for the
-//! motion of the robot computes the true time of each beam from both.
+//! The lidars here turn clockwise and a revolution is cut at the rear, so the last beam is measured first.
+//! `header.stamp` is the time of the first beam, as the definition of the message says, and `time_increment`
+//! is negative. A program that corrects for the motion of the robot computes the true time of each beam from
+//! both.
 
 use std::f64::consts::{PI, TAU};
 use std::time::Duration;
@@ -95,7 +97,8 @@ impl ScanBuilder {
         *self = Self::new(self.settings.clone());
     }
 
-    /// Adds a measurement. Returns the revolution that ended before it; the first one, which is not whole, is left out.
+    /// Adds a measurement. Returns the revolution that ended before it; the first one, which is not whole, is
+    /// left out.
     pub fn push(&mut self, sample: &Sample) -> Option<Revolution> {
         if self.last.is_some_and(|(_, last)| sample.time.saturating_since(last) > LONGEST_PAUSE) {
             self.reset();

@@ -36,8 +36,8 @@ pub struct PortSettings {
     pub path: String,
     /// The speed, in bit/s.
     pub baud: u32,
-    /// What the line DTR is set to while the port is open; it is inverted before the port is closed. `None` leaves it alone. Pseudo
-    /// terminals have no such line.
+    /// What the line DTR is set to while the port is open; it is inverted before the port is closed. `None`
+    /// leaves it alone. Pseudo terminals have no such line.
     pub data_terminal_ready: Option<bool>,
 }
 

@@ -42,7 +42,8 @@ impl Emulated {
         Self { device, faults, start: None, now: Duration::ZERO, waiting: VecDeque::new() }
     }
 
-    /// Brings the device to this time. Returns whether the port is open then; what is sent while it is closed is lost.
+    /// Brings the device to this time. Returns whether the port is open then; what is sent while it is closed
+    /// is lost.
     pub(super) fn advance_to(&mut self, now: Duration) -> bool {
         self.now = self.now.max(now);
         let (now, faults, waiting) = (self.now, &mut self.faults, &mut self.waiting);
@@ -70,10 +71,11 @@ impl Emulated {
     }
 }
 
-/// Emulated devices of this process, which modules open by names that start with `memory:` as they open a port by its path. Clones
-/// share them.
+/// Emulated devices of this process, which modules open by names that start with `memory:` as they open a
+/// port by its path. Clones share them.
 ///
-/// The time of a device is that of the module that reads it, so it runs as fast as the module does, with the same bytes in each run.
+/// The time of a device is that of the module that reads it, so it runs as fast as the module does, with the
+/// same bytes in each run.
 #[derive(Clone, Default)]
 pub struct EmulatedPorts(Registry<Emulated>);
 

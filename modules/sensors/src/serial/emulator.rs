@@ -43,7 +43,8 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// Opens a pseudo terminal, links it if `link` is given, and serves it. Times of faults are relative to the start.
+    /// Opens a pseudo terminal, links it if `link` is given, and serves it. Times of faults are relative to
+    /// the start.
     ///
     /// # Errors
     /// If there is no pseudo terminal, or the link cannot be created.
@@ -114,7 +115,8 @@ fn serve(mut emulated: Emulated, terminal: PseudoTerminal, link: Option<&Path>, 
     }
 }
 
-/// The emulated device of a module: behind a pseudo terminal while the module is active, or in memory from the setup on.
+/// The emulated device of a module: behind a pseudo terminal while the module is active, or in memory from
+/// the setup on.
 #[derive(Default)]
 pub(crate) struct Served {
     ports: EmulatedPorts,
@@ -130,8 +132,8 @@ impl Served {
         Self { ports, ..Self::default() }
     }
 
-    /// Declares the settings `link`, `seed` and `faults`; the default of the first is a port in memory. One in memory is offered at
-    /// once, with the device that `make` returns.
+    /// Declares the settings `link`, `seed` and `faults`; the default of the first is a port in memory. One
+    /// in memory is offered at once, with the device that `make` returns.
     pub(crate) fn declare<M: Module>(
         &mut self,
         setup: &mut Setup<'_, M>,

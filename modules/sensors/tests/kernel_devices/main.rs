@@ -1,4 +1,5 @@
-//! The modules for devices of the kernel, on emulated devices, on devices that are tests, and on recordings of them.
+//! The modules for devices of the kernel, on emulated devices, on devices that are tests, and on recordings
+//! of them.
 #![allow(clippy::unwrap_used)]
 
 mod camera;

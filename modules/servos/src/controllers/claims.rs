@@ -1,8 +1,10 @@
-//! Which controller commands which joints: a joint of a topic of commands belongs to one active controller at a time.
+//! Which controller commands which joints: a joint of a topic of commands belongs to one active controller at
+//! a time.
 //!
-//! A controller claims its joints when it is activated, and gives them back when it is deactivated, fails or leaves, as controllers of
-//! ros2_control do with command interfaces. While another one has them its activation is refused. Of two that are activated in the same
-//! cycle, the first of the robot file has them, and the other deactivates itself.
+//! A controller claims its joints when it is activated, and gives them back when it is deactivated, fails or
+//! leaves, as controllers of ros2_control do with command interfaces. While another one has them its
+//! activation is refused. Of two that are activated in the same cycle, the first of the robot file has them,
+//! and the other deactivates itself.
 //!
 //! In cores without this mechanism, and on threads of their own, controllers claim nothing.
 
@@ -132,8 +134,8 @@ impl OwnClaims {
         }
     }
 
-    /// True if the controller may command. One that was activated together with another one of the same joints and has not got them
-    /// deactivates itself.
+    /// True if the controller may command. One that was activated together with another one of the same
+    /// joints and has not got them deactivates itself.
     pub(super) fn are_granted<P>(&mut self, ctx: &mut Context<'_, P>) -> bool {
         let Some(key) = self.key else { return true };
         let Some(((topic, joint), holder)) = self.held_by_another(key, ctx) else { return true };

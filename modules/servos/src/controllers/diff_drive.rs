@@ -1,4 +1,5 @@
-//! Drives a base with two wheels, or with wheels on two sides, as the `diff_drive_controller` of ros2_control does.
+//! Drives a base with two wheels, or with wheels on two sides, as the `diff_drive_controller` of ros2_control
+//! does.
 //!
 //! | topic | type | |
 //! | --- | --- | --- |
@@ -22,8 +23,8 @@
 //! | `enable_odom_tf`, `use_stamped_vel` | true, false | |
 //!
 //! # Odometry
-//! With the distances l and r that the wheels of each side have rolled since the last state, the mean of each side, and
-//! the wheel separation b, the base has moved by
+//! With the distances l and r that the wheels of each side have rolled since the last state, the mean of each
+//! side, and the wheel separation b, the base has moved by
 //!
 //! (1)  d = (l + r) / 2,  a = (r - l) / b
 //!
@@ -31,14 +32,16 @@
 //!
 //! (2)  x' = x + d s cos(h + a/2),  y' = y + d s sin(h + a/2),  h' = h + a,  s = sin(a/2) / (a/2)
 //!
-//! The twist is the mean since the last message. Deactivation stops the base; what it moves until it is activated again is not counted.
+//! The twist is the mean since the last message. Deactivation stops the base; what it moves until it is
+//! activated again is not counted.
 //!
-//! The covariances are guesses that consumers of odometry expect to find: 1 mm and 0.01 rad per state on the axes that
-//! wheels measure, 10^6 on the others.
+//! The covariances are guesses that consumers of odometry expect to find: 1 mm and 0.01 rad per state on the
+//! axes that wheels measure, 10^6 on the others.
 //!
 //! # References
-//! `diff_drive_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst` for names and defaults; for (1) and (2)
-//! R. Siegwart, I. Nourbakhsh, "Introduction to Autonomous Mobile Robots", section 5.2.4.
+//! `diff_drive_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst` for names and
+//! defaults; for (1) and (2) R. Siegwart, I. Nourbakhsh, "Introduction to Autonomous Mobile Robots", section
+//! 5.2.4.
 
 use std::time::Duration;
 

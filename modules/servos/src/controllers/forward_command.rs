@@ -1,5 +1,5 @@
-//! Passes positions, velocities or efforts on to joints, as the `forward_command_controller` of ros2_control and its
-//! kin `position_controllers`, `velocity_controllers` and `effort_controllers` do.
+//! Passes positions, velocities or efforts on to joints, as the `forward_command_controller` of ros2_control
+//! and its kin `position_controllers`, `velocity_controllers` and `effort_controllers` do.
 //!
 //! `NAME` is the name of the module:
 //!
@@ -14,8 +14,9 @@
 //! | `joints` | | names of the joints |
 //! | `interface_name` | `position` | what the values are: `position` (rad or m), `velocity` (rad/s or m/s), `effort` (N·m or N) |
 //!
-//! A message with a wrong number of values is dropped; a value that is not finite leaves its joint alone. Both are
-//! logged the 1st, 10th, 100th time. Deactivation commands velocities and efforts of 0; positions stay.
+//! A message with a wrong number of values is dropped; a value that is not finite leaves its joint alone.
+//! Both are logged the 1st, 10th, 100th time. Deactivation commands velocities and efforts of 0; positions
+//! stay.
 //!
 //! # References
 //! `forward_command_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst`.

@@ -22,13 +22,16 @@
 //! | `constraints.stopped_velocity_tolerance` | 0.01 | rad/s or m/s at the goal; 0 is not checked |
 //! | `constraints.JOINT.trajectory`, `constraints.JOINT.goal` | 0 | tolerance of the position on the way and at the goal, rad or m; 0 is not checked |
 //!
-//! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than `stamp_timeout`, or more than a minute
-//! ahead, is refused: its beginning would be skipped, or the clocks differ. It begins from the command so far, so that a replaced trajectory
-//! causes no jump; without one, and after an activation, from the measured position. A goal that is cancelled or aborted holds the
-//! position in which it ends. Deactivating the controller aborts its goal. Tolerances in a goal replace those of the settings: 0 leaves them, -1 removes them.
+//! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than
+//! `stamp_timeout`, or more than a minute ahead, is refused: its beginning would be skipped, or the clocks
+//! differ. It begins from the command so far, so that a replaced trajectory causes no jump; without one, and
+//! after an activation, from the measured position. A goal that is cancelled or aborted holds the position in
+//! which it ends. Deactivating the controller aborts its goal. Tolerances in a goal replace those of the
+//! settings: 0 leaves them, -1 removes them.
 //!
-//! Differences from ros2_control: only positions are commanded, with the velocity beside them; trajectories of
-//! velocities alone are refused; `open_loop_control`, speed scaling, and joints of several degrees of freedom do not exist.
+//! Differences from ros2_control: only positions are commanded, with the velocity beside them; trajectories
+//! of velocities alone are refused; `open_loop_control`, speed scaling, and joints of several degrees of
+//! freedom do not exist.
 //!
 //! # References
 //! `joint_trajectory_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst`,
@@ -473,7 +476,8 @@ enum Refusal {
     Unknown { joint: String },
 }
 
-/// Puts the tolerances of a goal in place of those of the settings: 0 leaves them, negative values remove them.
+/// Puts the tolerances of a goal in place of those of the settings: 0 leaves them, negative values remove
+/// them.
 fn apply(given: &[JointTolerance], joints: &[String], tolerances: &mut [Tolerance]) {
     let value = |given: f64, known: &mut f64| match given {
         given if given > 0.0 => *known = given,

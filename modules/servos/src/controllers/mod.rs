@@ -1,18 +1,19 @@
 //! Controllers as users of ros2_control know them, for any robot whose joints have names.
 //!
-//! - [`joint_trajectory`]: follows trajectories of joints, as the action `FollowJointTrajectory` or from a topic;
+//! - [`joint_trajectory`]: follows trajectories of joints, as the action `FollowJointTrajectory` or from a
+//!   topic;
 //! - [`forward_command`]: passes positions, velocities or efforts on to joints;
 //! - [`diff_drive`]: two-wheeled bases: `cmd_vel` to wheel speeds, and odometry.
 //!
-//! They read `joint_states` and publish `joint_commands`, both `sensor_msgs/JointState`; remap these to the topics of
-//! the hardware module or of a multiplexer. Their other names begin with the name of the module, as those of a
-//! controller in ros2_control begin with the name of the controller, so that a module called `arm_controller` serves
-//! `arm_controller/follow_joint_trajectory`, which is what MoveIt looks for.
+//! They read `joint_states` and publish `joint_commands`, both `sensor_msgs/JointState`; remap these to the
+//! topics of the hardware module or of a multiplexer. Their other names begin with the name of the module, as
+//! those of a controller in ros2_control begin with the name of the controller, so that a module called
+//! `arm_controller` serves `arm_controller/follow_joint_trajectory`, which is what MoveIt looks for.
 //!
 //! # Switched and chained
-//! Transitions of the lifecycle switch controllers: an active one has its joints for itself ([`claims`]), and the next one starts from where
-//! they are. The commands of one are the reference of another where a remap says so: those of any controller go into
-//! `NAME/reference` of a [`forward_command`].
+//! Transitions of the lifecycle switch controllers: an active one has its joints for itself ([`claims`]), and
+//! the next one starts from where they are. The commands of one are the reference of another where a remap
+//! says so: those of any controller go into `NAME/reference` of a [`forward_command`].
 
 pub mod claims;
 pub mod diff_drive;

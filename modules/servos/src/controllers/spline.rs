@@ -6,13 +6,13 @@
 //! - cubic, if both have velocities: the polynomial that meets positions and velocities at both ends;
 //! - quintic, if both have accelerations too: the one that meets these as well.
 //!
-//! Before the first point the trajectory leads there from the state in which it begins; after the last one it holds
-//! its position.
+//! Before the first point the trajectory leads there from the state in which it begins; after the last one it
+//! holds its position.
 //!
 //! # References
-//! `joint_trajectory_controller/src/trajectory.cpp` and `doc/trajectory.rst` of `ros-controls/ros2_controllers`, branch
-//! jazzy: the choice among the three, and which trajectories are rejected. The coefficients follow from the
-//! conditions.
+//! `joint_trajectory_controller/src/trajectory.cpp` and `doc/trajectory.rst` of
+//! `ros-controls/ros2_controllers`, branch jazzy: the choice among the three, and which trajectories are
+//! rejected. The coefficients follow from the conditions.
 
 use std::time::Duration;
 
@@ -183,8 +183,8 @@ impl Trajectory {
         Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
     }
 
-    /// The state of the controller's joints at a time after the start, for a trajectory that begins in the state `begin`.
-    /// Joints that it does not move stay where they were.
+    /// The state of the controller's joints at a time after the start, for a trajectory that begins in the
+    /// state `begin`. Joints that it does not move stay where they were.
     ///
     /// Writes into `sample`, which has one entry per joint of the controller, as has `begin`.
     pub fn sample(&self, begin: &[JointSample], after: Duration, sample: &mut [JointSample]) {
@@ -252,7 +252,8 @@ impl Point {
         Ok(Self { time, states, has_velocities, has_accelerations })
     }
 
-    /// The state of the trajectory's nth joint at `time`, on the way from the state `from` at `from_time` to this point.
+    /// The state of the trajectory's nth joint at `time`, on the way from the state `from` at `from_time` to
+    /// this point.
     fn between(
         &self,
         from_time: f64,

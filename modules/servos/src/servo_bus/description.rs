@@ -37,7 +37,8 @@ const APPROACH_RAD_S: f64 = 1.0;
 const LARGEST_ZERO: i64 = 1 << 31;
 /// The least gear ratio; the largest is its inverse.
 const LEAST_GEAR: f64 = 0.0001;
-/// How long a commanded velocity or effort is valid by default, and how old the stamp of any command may be, in s.
+/// How long a commanded velocity or effort is valid by default, and how old the stamp of any command may be,
+/// in s.
 const COMMAND_TIMEOUT_S: f64 = 0.5;
 
 /// A robot of serial servos.
@@ -93,7 +94,8 @@ pub struct DevicePlan {
 /// An IMU among the registers of a device, in the frame of REP-103.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuPlan {
-    /// The angular rates about forward, left and up, in rad/s, each with the sign with which the register counts.
+    /// The angular rates about forward, left and up, in rad/s, each with the sign with which the register
+    /// counts.
     pub angular_velocity: [(f64, Register); 3],
     /// The specific forces forward, left and up, in m/s^2.
     pub linear_acceleration: [(f64, Register); 3],
@@ -152,7 +154,8 @@ impl Description {
         Self::parse(path_or_text, &text)
     }
 
-    /// Parses a text. Model files that it names are relative to the folder of `path`, which also appears in errors.
+    /// Parses a text. Model files that it names are relative to the folder of `path`, which also appears in
+    /// errors.
     ///
     /// # Errors
     /// See [`load`](Self::load).

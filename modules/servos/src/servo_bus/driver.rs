@@ -1,7 +1,8 @@
-//! The cycle of the hardware: opens the port, brings the devices into service, then writes goals and reads all devices.
+//! The cycle of the hardware: opens the port, brings the devices into service, then writes goals and reads
+//! all devices.
 //!
-//! It does one step per call and only waits for answers. Its behaviour depends only on the given time, its plan, the
-//! wanted joint positions and torques, and the answers from the bus.
+//! It does one step per call and only waits for answers. Its behaviour depends only on the given time, its
+//! plan, the wanted joint positions and torques, and the answers from the bus.
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::description::BusPlan;
@@ -134,7 +135,8 @@ impl Driver {
         }
     }
 
-    /// Shows the last measurement of a servo that comes back as fresh for one cycle, as recorded bags of the Darwin OP do.
+    /// Shows the last measurement of a servo that comes back as fresh for one cycle, as recorded bags of the
+    /// Darwin OP do.
     pub(crate) fn with_recorded_freshness(self) -> Self {
         Self { comes_back_fresh: true, ..self }
     }
@@ -171,7 +173,8 @@ impl Driver {
         reading
     }
 
-    /// The module is active again: devices may have been switched off or turned meanwhile, and are brought into service anew.
+    /// The module is active again: devices may have been switched off or turned meanwhile, and are brought
+    /// into service anew.
     pub(crate) fn resume(&mut self) {
         if !matches!(self.phase, Phase::Closed { .. }) {
             self.forget_units();
@@ -179,8 +182,8 @@ impl Driver {
         }
     }
 
-    /// Returns whether nothing may move, because a servo was not the declared one at the start and is not exchanged yet: then the
-    /// description is that of another robot, or its ids are mixed up.
+    /// Returns whether nothing may move, because a servo was not the declared one at the start and is not
+    /// exchanged yet: then the description is that of another robot, or its ids are mixed up.
     pub(crate) fn is_held(&self) -> bool {
         self.servos.iter().any(|servo| servo.misfit.is_some())
     }
@@ -214,8 +217,8 @@ impl Driver {
         let _ = self.write_all(&mut line, rest);
     }
 
-    /// Closes the port, after this write to a device. The servos hold their position: without torque the robot would
-    /// collapse.
+    /// Closes the port, after this write to a device. The servos hold their position: without torque the
+    /// robot would collapse.
     pub(crate) fn stop(
         &mut self,
         now: Time,
@@ -366,8 +369,9 @@ impl Driver {
         self.arm_watchdog(joint, plan.line.protocol);
     }
 
-    /// Has a driven servo stop by itself if it hears nothing for as long as a command is valid. Done in one of the next cycles: it
-    /// expects instructions from then on. After it has stopped it takes no goals until the watchdog is cleared.
+    /// Has a driven servo stop by itself if it hears nothing for as long as a command is valid. Done in one
+    /// of the next cycles: it expects instructions from then on. After it has stopped it takes no goals until
+    /// the watchdog is cleared.
     fn arm_watchdog(&mut self, joint: &Joint, protocol: Protocol) {
         let Some((watchdog, Drive { timeout, .. })) =
             joint.model.register("bus_watchdog").zip(joint.drive.as_ref())
@@ -396,8 +400,8 @@ impl Driver {
         Ok(reading)
     }
 
-    /// Gives torque to one of the servos that are to have it: reads its position, makes that its goal, and waits for each
-    /// acknowledgement, as an instruction without one may be lost and the old goal remain.
+    /// Gives torque to one of the servos that are to have it: reads its position, makes that its goal, and
+    /// waits for each acknowledgement, as an instruction without one may be lost and the old goal remain.
     fn engage_one(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) -> Result<(), PortFailed> {
         let Some(index) = self.servos.iter().position(|servo| servo.is_to_engage(now)) else { return Ok(()) };
         let joint = &plan.joints[index];
@@ -432,7 +436,8 @@ impl Driver {
         Ok(())
     }
 
-    /// Writes gains and torque limits that have changed, of servos with torque: those of the others follow when they get it.
+    /// Writes gains and torque limits that have changed, of servos with torque: those of the others follow
+    /// when they get it.
     fn write_softness(&mut self, plan: &BusPlan, line: &mut Line<'_>) -> Result<(), PortFailed> {
         let protocol = plan.line.protocol;
         let (mut gains, mut limits) = (Vec::new(), Vec::new());
@@ -490,7 +495,8 @@ impl Driver {
             .collect()
     }
 
-    /// The goals of all servos that hold one. Devices do not acknowledge, so goals are written in every cycle.
+    /// The goals of all servos that hold one. Devices do not acknowledge, so goals are written in every
+    /// cycle.
     fn goals(&mut self, now: Time, plan: &BusPlan) -> Vec<WriteEntry> {
         let is_held = self.is_held();
         let driven = self.servos.iter_mut().zip(&plan.joints);
@@ -508,7 +514,8 @@ impl Driver {
             .collect()
     }
 
-    /// Writes to several devices at once: by one instruction if all have the same range, or the protocol permits.
+    /// Writes to several devices at once: by one instruction if all have the same range, or the protocol
+    /// permits.
     fn write_all(&mut self, line: &mut Line<'_>, mut entries: Vec<WriteEntry>) -> Result<(), PortFailed> {
         let protocol = line.protocol;
         let mut send = |instruction: &Instruction| match line.exchange(instruction, &[]) {
@@ -570,8 +577,9 @@ impl Driver {
         Ok(reading)
     }
 
-    /// Determines which device caused missing answers. After a silent device no other answers a read of several, so
-    /// only the first missing one is at fault; if others answered after it, its answer was corrupt.
+    /// Determines which device caused missing answers. After a silent device no other answers a read of
+    /// several, so only the first missing one is at fault; if others answered after it, its answer was
+    /// corrupt.
     fn blame(&mut self, answered: &Answered, board: Option<Unit>, now: Time, plan: &BusPlan) {
         let is_silent = answered.first_missing.is_some() && !answered.chain_went_on;
         for (position, (unit, answer)) in answered.units.iter().enumerate() {
@@ -688,7 +696,8 @@ impl Driver {
         link.service = Service::Silent { retry_at: now + RETRY_UNIT };
     }
 
-    /// A cycle that begins late is not made up for. It is always counted, but logged only if the bus `is_live`.
+    /// A cycle that begins late is not made up for. It is always counted, but logged only if the bus
+    /// `is_live`.
     fn notice_late_cycle(&mut self, now: Time, plan: &BusPlan, is_live: bool) {
         let last = self.last_step_at.replace(now);
         let is_late = last.is_some_and(|last| last + plan.cycle + plan.cycle / 2 <= now);

@@ -156,8 +156,8 @@ impl Joint {
         self.sign * self.registers.position.to_si(raw - self.zero) / self.gear
     }
 
-    /// The raw goal for an angle, which is clamped to the limits. `None` if the angle is not finite, or more than a turn beyond
-    /// the limits: that is a mistake of the sender, for example an angle in degrees.
+    /// The raw goal for an angle, which is clamped to the limits. `None` if the angle is not finite, or more
+    /// than a turn beyond the limits: that is a mistake of the sender, for example an angle in degrees.
     #[must_use]
     pub fn goal(&self, angle_rad: f64) -> Option<i64> {
         if !(self.min_rad - TAU..=self.max_rad + TAU).contains(&angle_rad) {
@@ -167,8 +167,8 @@ impl Joint {
         Some(self.steps(angle_rad.clamp(self.min_rad, self.max_rad)).clamp(goal.min, goal.max))
     }
 
-    /// The raw goal for a velocity or effort, which is clamped to the largest one. `None` if it is not finite, or more than ten
-    /// times the largest: that is a mistake of the sender.
+    /// The raw goal for a velocity or effort, which is clamped to the largest one. `None` if it is not
+    /// finite, or more than ten times the largest: that is a mistake of the sender.
     #[must_use]
     pub fn driven_goal(&self, drive: &Drive, value: f64) -> Option<i64> {
         if !(-10.0 * drive.largest..=10.0 * drive.largest).contains(&value) {
@@ -236,8 +236,8 @@ pub struct Guard {
     pub temperature_c: Option<Thresholds>,
     /// In V: protection below these.
     pub voltage_v: Option<Thresholds>,
-    /// For how long a servo rests that has switched itself off for overload or heat, in s from when it is cool, until it gets its torque
-    /// again; without, it stays off until its torque is commanded.
+    /// For how long a servo rests that has switched itself off for overload or heat, in s from when it is
+    /// cool, until it gets its torque again; without, it stays off until its torque is commanded.
     pub shutdown_rest_s: Option<f64>,
 }
 

@@ -1,13 +1,14 @@
 //! Which servos stay limp: those whose present position cannot be their goal.
 //!
-//! A servo holds its present position when it gets its torque. If it could only be given another goal, such as the nearer end of
-//! the register, it would turn there without a command.
+//! A servo holds its present position when it gets its torque. If it could only be given another goal, such
+//! as the nearer end of the register, it would turn there without a command.
 
 use super::joint::Joint;
 use super::models::Register;
 use super::protocol::{Protocol, StatusError};
 
-/// The raw positions that a servo takes as goals: those of the register, within the position limits that the servo keeps.
+/// The raw positions that a servo takes as goals: those of the register, within the position limits that the
+/// servo keeps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Reach {
     min: i64,
@@ -42,7 +43,8 @@ pub(crate) enum Limp {
 }
 
 impl Limp {
-    /// Why this servo stays limp, if it has to. Goals that are velocities or efforts do not depend on the position.
+    /// Why this servo stays limp, if it has to. Goals that are velocities or efforts do not depend on the
+    /// position.
     pub(crate) fn of(joint: &Joint, reach: Reach, position: i64, error: StatusError) -> Option<Self> {
         if joint.drive.is_some() {
             None

@@ -43,8 +43,8 @@ impl Line<'_> {
         self.exchanges.push(exchange);
     }
 
-    /// Sends an instruction and records the exchange. An instruction that the protocol cannot express is not sent, and
-    /// gets no answer.
+    /// Sends an instruction and records the exchange. An instruction that the protocol cannot express is not
+    /// sent, and gets no answer.
     pub(crate) fn exchange(
         &mut self,
         instruction: &Instruction,

@@ -6,7 +6,8 @@
 //! - [`Hardware`] is what the modules of all such robots share;
 //! - [`ServoBus`] is the module; [`ServoPort`] finds and configures single servos.
 //!
-//! It has never been run on hardware, only on the emulated servos of [`servo_emulator`](crate::servo_emulator).
+//! It has never been run on hardware, only on the emulated servos of
+//! [`servo_emulator`](crate::servo_emulator).
 
 pub mod bus;
 pub mod models;

@@ -89,15 +89,16 @@ impl Hardware {
         self.plan = plan;
     }
 
-    /// Writes to a device beside servos, in one of the next cycles. A write that waits for the same range is replaced.
+    /// Writes to a device beside servos, in one of the next cycles. A write that waits for the same range is
+    /// replaced.
     pub fn write_later(&mut self, entry: WriteEntry) {
         let waiting = &mut self.driver.to_write;
         waiting.retain(|other| (other.id, other.address) != (entry.id, entry.address));
         waiting.push_back(entry);
     }
 
-    /// Takes commanded positions, velocities and efforts: unknown names are logged and counted, impossible values refused, others
-    /// clamped to the limits.
+    /// Takes commanded positions, velocities and efforts: unknown names are logged and counted, impossible
+    /// values refused, others clamped to the limits.
     pub fn on_command(&mut self, command: &JointState, now: Time) {
         let JointState { position, velocity, effort, .. } = command;
         let mut stale = None;
@@ -280,8 +281,8 @@ impl Hardware {
         }
     }
 
-    /// All joints. A stale one keeps its last position and has NaN as velocity and effort, and as position if it was never
-    /// read.
+    /// All joints. A stale one keeps its last position and has NaN as velocity and effort, and as position if
+    /// it was never read.
     fn joint_state(&self, reading: &Reading) -> JointState {
         let count = self.plan.joints.len();
         let mut message = JointState {
@@ -344,7 +345,8 @@ impl ImuReading {
         Some((reading, &imu.frame))
     }
 
-    /// The message. The orientation is not measured, as marked by -1; the covariances take one step as standard deviation.
+    /// The message. The orientation is not measured, as marked by -1; the covariances take one step as
+    /// standard deviation.
     #[must_use]
     pub fn message(&self, header: Header) -> Imu {
         let vector = |[x, y, z]: [f64; 3]| Vector3 { x, y, z };
@@ -388,9 +390,9 @@ pub fn battery_state(sent: Time, volts: f64) -> BatteryState {
 
 /// A robot of serial servos as a module: goals out, joints in, in every cycle of its bus.
 ///
-/// It drives one bus of the robot that the setting `description` describes (see [`Description`]). It waits for the bus, so
-/// run it detached; a robot of several buses has one module for each, with the setting `bus`, and `bus/exchanges` and the
-/// service `torque` remapped.
+/// It drives one bus of the robot that the setting `description` describes (see [`Description`]). It waits
+/// for the bus, so run it detached; a robot of several buses has one module for each, with the setting `bus`,
+/// and `bus/exchanges` and the service `torque` remapped.
 ///
 /// | topic | type | |
 /// | --- | --- | --- |
@@ -405,8 +407,9 @@ pub fn battery_state(sent: Time, volts: f64) -> BatteryState {
 ///
 /// The service `torque` (`std_srvs/SetBool`) switches the torque of all joints.
 ///
-/// A joint does not move before it is commanded. It then approaches the command at the `approach_rad_s` of its
-/// description, as after each time it was out of service or without torque. On shutdown the servos keep their torque.
+/// A joint does not move before it is commanded. It then approaches the command at the `approach_rad_s` of
+/// its description, as after each time it was out of service or without torque. On shutdown the servos keep
+/// their torque.
 pub struct ServoBus {
     bus: Option<Box<dyn Bus>>,
     hardware: Option<Hardware>,

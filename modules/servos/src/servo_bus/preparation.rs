@@ -25,8 +25,8 @@ impl From<Trouble> for PrepareError {
     }
 }
 
-/// Persistent settings that can be written while a servo has torque. All others may change what its goal means, or where it can
-/// be, and a servo with torque would then turn.
+/// Persistent settings that can be written while a servo has torque. All others may change what its goal
+/// means, or where it can be, and a servo with torque would then turn.
 const HARMLESS: [&str; 13] = [
     "return_delay",
     "status_return_level",
@@ -43,7 +43,8 @@ const HARMLESS: [&str; 13] = [
     "shutdown",
 ];
 
-/// Checks a device and writes those of its persistent settings that differ. Returns the first bytes of its table.
+/// Checks a device and writes those of its persistent settings that differ. Returns the first bytes of its
+/// table.
 ///
 /// Persistent settings are written only if they differ, since that memory wears out.
 pub(crate) fn prepare_device(
@@ -143,8 +144,9 @@ pub(crate) struct Prepared {
     pub(crate) has_torque: bool,
 }
 
-/// Checks a servo and configures it for the cycle: answers without delay to all instructions, gains and limits of the
-/// joint, and its present position as goal and torque, if torque is wanted and the position can be a goal; else no torque.
+/// Checks a servo and configures it for the cycle: answers without delay to all instructions, gains and
+/// limits of the joint, and its present position as goal and torque, if torque is wanted and the position can
+/// be a goal; else no torque.
 pub(crate) fn prepare(
     line: &mut Line<'_>,
     joint: &Joint,
@@ -196,8 +198,8 @@ pub(crate) fn prepare(
     Ok(Prepared { position, error, reach, has_torque })
 }
 
-/// Joins values of neighbouring registers into as few writes as possible. A single byte that belongs to no register is
-/// written as 0.
+/// Joins values of neighbouring registers into as few writes as possible. A single byte that belongs to no
+/// register is written as 0.
 fn blocks(model: &Model, protocol: Protocol, mut values: Vec<(&Register, i64)>) -> Vec<(u16, Vec<u8>)> {
     values.sort_by_key(|(register, _)| register.address);
     let mut blocks: Vec<(u16, Vec<u8>)> = Vec::new();

@@ -15,8 +15,8 @@ const TORQUE_WRITES: u8 = 3;
 /// The time between attempts to give a servo its torque.
 const RETRY_TORQUE: Duration = Duration::from_secs(1);
 
-/// The number of consecutive reads without an answer after which data is stale: a device behind a silent one in a read of several
-/// misses two until the silent one is left out.
+/// The number of consecutive reads without an answer after which data is stale: a device behind a silent one
+/// in a read of several misses two until the silent one is left out.
 const UNHEARD: u32 = 3;
 
 /// Whether a device is in service.
@@ -38,7 +38,8 @@ pub(crate) struct Link {
     pub(crate) service: Service,
     /// The number of consecutive missing answers of which it is the cause.
     pub(crate) misses: u32,
-    /// The number of consecutive reads without its answer, whatever the cause; [`UNHEARD`] before the first answer.
+    /// The number of consecutive reads without its answer, whatever the cause; [`UNHEARD`] before the first
+    /// answer.
     pub(crate) unheard: u32,
     /// How many times it stopped answering.
     pub(crate) outages: Counted,
@@ -58,8 +59,8 @@ impl Link {
         self.service == Service::Active
     }
 
-    /// Returns whether its data is stale: it is not in service, missed its last answers, or has not answered since it came into
-    /// service.
+    /// Returns whether its data is stale: it is not in service, missed its last answers, or has not answered
+    /// since it came into service.
     pub(crate) fn is_stale(&self) -> bool {
         !self.is_active() || self.misses >= 2 || self.unheard >= UNHEARD
     }
@@ -148,8 +149,8 @@ impl Servo {
         (self.wanted, self.wanted_at) = (Some(raw), now);
     }
 
-    /// Commands a share of the largest torque, from 0 to 1; 0 is none. A new command ends the protection that switched
-    /// the torque off, until the guard demands it again.
+    /// Commands a share of the largest torque, from 0 to 1; 0 is none. A new command ends the protection that
+    /// switched the torque off, until the guard demands it again.
     pub(crate) fn command_torque(&mut self, share: f64) {
         self.is_torque_commanded = share > 0.0;
         if self.is_torque_commanded {
@@ -194,7 +195,8 @@ impl Servo {
         self.resting_since.is_some()
     }
 
-    /// Gives it torque and torque limit once more: a shutdown sets one of them to 0, which one depends on the firmware.
+    /// Gives it torque and torque limit once more: a shutdown sets one of them to 0, which one depends on the
+    /// firmware.
     fn try_again(&mut self) {
         self.resting_since = None;
         (self.torque, self.engage_at) = ((false, TORQUE_WRITES), Time::ZERO);

@@ -255,9 +255,11 @@ impl ServoPort {
         Ok(Some(Found { id, line, number, firmware, model }))
     }
 
-    /// Whether this device switches the power of the servos behind it and has it off: they cannot answer then.
+    /// Whether this device switches the power of the servos behind it and has it off: they cannot answer
+    /// then.
     ///
-    /// A device of an unknown number with the id that such boards have by default is taken for one if its switch reads as 0.
+    /// A device of an unknown number with the id that such boards have by default is taken for one if its
+    /// switch reads as 0.
     ///
     /// # Errors
     /// Returns an error if the port fails.
@@ -310,7 +312,8 @@ impl ServoPort {
     /// Writes a register.
     ///
     /// # Errors
-    /// Returns an error if the value is out of range, the write can do harm, or the device does not answer or refuses.
+    /// Returns an error if the value is out of range, the write can do harm, or the device does not answer or
+    /// refuses.
     pub fn write(
         &mut self,
         id: Id,

@@ -4,12 +4,12 @@ use std::time::Duration;
 
 /// The mechanics of a robot, driven by its servos and measured by its sensors.
 ///
-/// `Standing` of `downbeat-darwin-op` is a formula; the package `downbeat-physics` has rigid bodies with contacts. SI units and the
-/// frames of REP-103 (x forward, y left, z up); joints are in the order of
+/// `Standing` of `downbeat-darwin-op` is a formula; the package `downbeat-physics` has rigid bodies with
+/// contacts. SI units and the frames of REP-103 (x forward, y left, z up); joints are in the order of
 /// `JOINTS` of `downbeat-darwin-op`.
 ///
-/// The state after a number of calls depends only on their arguments, so that the same instructions on the bus get the same
-/// answers.
+/// The state after a number of calls depends only on their arguments, so that the same instructions on the
+/// bus get the same answers.
 pub trait Body: Send {
     /// Advances by `dt`. There is one command for each joint.
     fn advance(&mut self, dt: Duration, commands: &[ServoCommand]);
@@ -25,8 +25,8 @@ pub trait Body: Send {
         None
     }
 
-    /// A step of the owner of the bus begins: see [`MemoryBus`](super::MemoryBus). What others ask of the body takes effect here, so
-    /// that its order does not depend on threads.
+    /// A step of the owner of the bus begins: see [`MemoryBus`](super::MemoryBus). What others ask of the
+    /// body takes effect here, so that its order does not depend on threads.
     fn begin_step(&mut self) {}
 }
 

@@ -39,8 +39,8 @@ const ALL: u16 = 2;
 
 /// Executes an instruction on the devices that have power, and returns their answers.
 ///
-/// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for the devices
-/// after it.
+/// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for the
+/// devices after it.
 pub fn answer(
     protocol: Protocol,
     devices: &mut [&mut dyn Device],
@@ -142,7 +142,8 @@ fn joined(
 ) -> Vec<Answer> {
     let mut statuses = statuses_in_turn(devices, entries, is_lost);
     let came = statuses.len();
-    // The header has the length of the complete packet, so the silent devices are put in and their bytes taken off.
+    // The header has the length of the complete packet, so the silent devices are put in and their bytes
+    // taken off.
     for entry in &entries[came..] {
         let parameters = vec![0; usize::from(entry.length)];
         statuses.push(Status { id: entry.id, error: StatusError::NONE, parameters });

@@ -16,7 +16,8 @@ use std::time::{Duration, Instant};
 
 /// The devices behind the port of an emulator.
 ///
-/// What they answer depends only on the calls, so that the same instructions at the same times get the same answers.
+/// What they answer depends only on the calls, so that the same instructions at the same times get the same
+/// answers.
 pub trait Devices: Send {
     /// The protocol that they speak.
     fn protocol(&self) -> Protocol;
@@ -40,11 +41,12 @@ pub trait Devices: Send {
 
     /// Executes an instruction.
     ///
-    /// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for the devices
-    /// after it.
+    /// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for
+    /// the devices after it.
     fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer>;
 
-    /// Holds a button down for a while; `number` is its position on the robot. Devices without buttons ignore it.
+    /// Holds a button down for a while; `number` is its position on the robot. Devices without buttons ignore
+    /// it.
     fn press(&mut self, number: usize, held: Duration) {
         let _ = (number, held);
     }
@@ -161,14 +163,16 @@ impl Emulator {
         &self.shared
     }
 
-    /// Begins a step at this time of the owner of the bus, as its [`MemoryBus`] does: the one that comes first with a later time
-    /// advances the robot. With another timing than [`Timing::Stepped`] only what others ask of the body takes effect.
+    /// Begins a step at this time of the owner of the bus, as its [`MemoryBus`] does: the one that comes
+    /// first with a later time advances the robot. With another timing than [`Timing::Stepped`] only what
+    /// others ask of the body takes effect.
     pub fn begin_step(&self, now: Time) {
         self.shared.world().begin_step(now);
     }
 
-    /// Calls this before each step of a [`MemoryBus`] of this emulator, with the time of the step: for several emulators that share a
-    /// world and have to be brought to that time together. Only the first call counts.
+    /// Calls this before each step of a [`MemoryBus`] of this emulator, with the time of the step: for
+    /// several emulators that share a world and have to be brought to that time together. Only the first call
+    /// counts.
     pub fn lead_by(&self, lead: impl Fn(Time) + Send + Sync + 'static) {
         let _ = self.shared.lead.set(Box::new(lead));
     }

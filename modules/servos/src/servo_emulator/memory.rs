@@ -14,8 +14,8 @@ use std::time::Duration;
 /// What the names of ports in memory start with.
 const PREFIX: &str = "memory:";
 
-/// Emulators in memory that a hardware module opens by a name that starts with `memory:`, as it opens a serial port by its path.
-/// Clones share them.
+/// Emulators in memory that a hardware module opens by a name that starts with `memory:`, as it opens a
+/// serial port by its path. Clones share them.
 #[derive(Clone, Default)]
 pub struct MemoryPorts {
     emulators: Arc<Mutex<BTreeMap<String, Weak<Shared>>>>,
@@ -112,11 +112,13 @@ impl Bus for PortBus {
     }
 }
 
-/// The bus of an emulator in memory, from [`Emulator::bus`](super::Emulator::bus): the same instructions at the same times
-/// result in the same exchanges, to the nanosecond, whatever the machine is busy with. Silent devices are known at once.
+/// The bus of an emulator in memory, from [`Emulator::bus`](super::Emulator::bus): the same instructions at
+/// the same times result in the same exchanges, to the nanosecond, whatever the machine is busy with. Silent
+/// devices are known at once.
 ///
-/// With [`Timing::Stepped`](super::Timing::Stepped) the robot follows the time of the steps ([`Bus::begin_step`]), so that a module
-/// in a core with a manual clock drives it as fast as it can be computed.
+/// With [`Timing::Stepped`](super::Timing::Stepped) the robot follows the time of the steps
+/// ([`Bus::begin_step`]), so that a module in a core with a manual clock drives it as fast as it can be
+/// computed.
 pub struct MemoryBus {
     shared: Arc<Shared>,
     /// That of the devices: the bus of an emulator cannot be spoken to in another one.

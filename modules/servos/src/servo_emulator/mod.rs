@@ -1,9 +1,9 @@
 //! Emulated servos behind a pseudo terminal, or in memory.
 //!
-//! An [`Emulator`] answers as the devices that a [`Description`](crate::servo_bus::Description) describes, in all protocols
-//! of [`servo_bus`](crate::servo_bus::protocol), with the timing of their bus. All of its data is *emulated*: no value was
-//! measured on a robot. The emulated Darwin OP of `downbeat-darwin-op` is such an emulator with a board and a body of
-//! its own.
+//! An [`Emulator`] answers as the devices that a [`Description`](crate::servo_bus::Description) describes, in
+//! all protocols of [`servo_bus`](crate::servo_bus::protocol), with the timing of their bus. All of its data
+//! is *emulated*: no value was measured on a robot. The emulated Darwin OP of `downbeat-darwin-op` is such an
+//! emulator with a board and a body of its own.
 //!
 //! ```
 //! use downbeat_servos::servo_bus::Description;
@@ -31,19 +31,22 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`Devices`] of another kind, such as a robot with a board, are served by [`Emulator::serve`] and [`Emulator::of`].
+//! [`Devices`] of another kind, such as a robot with a board, are served by [`Emulator::serve`] and
+//! [`Emulator::of`].
 //!
 //! # What is emulated
-//! - **Protocols**: all instructions of [`Instruction`](crate::servo_bus::protocol::Instruction) except a factory reset;
-//!   status return level, return delay, registered writes; a silent device blocks those after it in a read of several.
+//! - **Protocols**: all instructions of [`Instruction`](crate::servo_bus::protocol::Instruction) except a
+//!   factory reset; status return level, return delay, registered writes; a silent device blocks those after
+//!   it in a read of several.
 //! - **Tables**: all registers of the models, with ranges, read-only registers, and EEPROM that is locked.
 //! - **Ports**: a device is silent at another speed than that of its register `baud_rate`.
-//! - **Servos**: position control with P gain and torque limit, velocity and current control, without load; temperature; the
-//!   watchdog of the bus. A servo without power loses its RAM.
+//! - **Servos**: position control with P gain and torque limit, velocity and current control, without load;
+//!   temperature; the watchdog of the bus. A servo without power loses its RAM.
 //!
 //! # What is not emulated
 //! Further operating modes; speed and acceleration limits, I and D gains, homing offsets; shutdown on
-//! overload, overheating or a wrong voltage; the values of sensors on devices beside servos, except an IMU that stands still.
+//! overload, overheating or a wrong voltage; the values of sensors on devices beside servos, except an IMU
+//! that stands still.
 
 mod body;
 mod devices;
@@ -85,8 +88,8 @@ impl Emulator {
         Self::of(Box::new(Servos::new(plan, options.seed, None)), options)
     }
 
-    /// As [`Emulator::servos_in_memory`], with this body in place of joints without load. The commands and motions of the
-    /// body are those of the joints of the plan, in its order.
+    /// As [`Emulator::servos_in_memory`], with this body in place of joints without load. The commands and
+    /// motions of the body are those of the joints of the plan, in its order.
     #[must_use]
     pub fn servos_with(plan: &BusPlan, options: &EmulatorOptions, body: Box<dyn Body>) -> Self {
         Self::of(Box::new(Servos::new(plan, options.seed, Some(body))), options)

@@ -5,11 +5,12 @@ use crate::servo_bus::{BusPlan, Description};
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use std::path::PathBuf;
 
-/// Runs an [`Emulator`] of described servos as long as the robot runs, so that the hardware module finds a port.
+/// Runs an [`Emulator`] of described servos as long as the robot runs, so that the hardware module finds a
+/// port.
 ///
-/// Settings: `description` and `bus`, as those of the hardware module; `link`, the path of the port, or `memory:NAME` for a port in
-/// memory, which exists from the setup on; `seed`; `faults`, each in the textual form of [`Fault`]. It has no topics: everything
-/// goes through the port. Leave it out of replays.
+/// Settings: `description` and `bus`, as those of the hardware module; `link`, the path of the port, or
+/// `memory:NAME` for a port in memory, which exists from the setup on; `seed`; `faults`, each in the textual
+/// form of [`Fault`]. It has no topics: everything goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct ServoEmulator {
     served: Served,
@@ -24,7 +25,8 @@ impl ServoEmulator {
     }
 }
 
-/// The emulator of a module: behind a pseudo terminal while the module is active, or among the ports in memory from the setup on.
+/// The emulator of a module: behind a pseudo terminal while the module is active, or among the ports in
+/// memory from the setup on.
 #[derive(Default)]
 pub struct Served {
     ports: MemoryPorts,

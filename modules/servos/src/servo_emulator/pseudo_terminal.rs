@@ -94,7 +94,8 @@ impl Drop for PseudoTerminal {
 /// The links of this process and their terminals.
 static LINKS: Mutex<BTreeMap<PathBuf, PathBuf>> = Mutex::new(BTreeMap::new());
 
-/// Removes the links of all emulators of this process, for a process that is about to end without dropping them.
+/// Removes the links of all emulators of this process, for a process that is about to end without dropping
+/// them.
 pub fn remove_links() {
     LINKS.lock().iter().for_each(|(link, path)| remove_link(link, path));
 }
@@ -110,11 +111,12 @@ fn remove_link(link: &Path, path: &Path) {
 /// The directory of pseudo terminals.
 const TERMINALS: &str = "/dev/pts";
 
-/// The same directory, in the spelling that only emulators use for their links: links of other programs are not removed.
+/// The same directory, in the spelling that only emulators use for their links: links of other programs are
+/// not removed.
 const OWN_TERMINALS: &str = "/dev/./pts";
 
-/// Creates a link. Replaces one left by a killed emulator: a link of an emulator to a pseudo terminal that no longer
-/// exists, or whose number is now that of `target`. Other links are not touched.
+/// Creates a link. Replaces one left by a killed emulator: a link of an emulator to a pseudo terminal that no
+/// longer exists, or whose number is now that of `target`. Other links are not touched.
 fn make_link(target: &Path, link: &Path) -> Result<(), EmulatorError> {
     let failed = |source| EmulatorError::Link { link: link.to_owned(), source };
     if let Ok(old) = fs::read_link(link) {

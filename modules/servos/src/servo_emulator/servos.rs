@@ -21,7 +21,8 @@ const NO_LOAD_RAD_S: f64 = 5.0;
 const MOTOR_LAG_S: f64 = 0.02;
 /// The share of the full drive below which a joint does not move.
 const FRICTION: f64 = 0.006;
-/// What the register `bus_watchdog` reads once it has stopped the servo. Goals cannot be written until it is 0.
+/// What the register `bus_watchdog` reads once it has stopped the servo. Goals cannot be written until it is
+/// 0.
 const HAS_STOPPED: i64 = 255;
 const STALL_CURRENT_A: f64 = 2.0;
 /// Of the velocity control: how much of an error is added to the goal.
@@ -43,7 +44,8 @@ pub(super) struct Servos {
 }
 
 impl Servos {
-    /// The devices of a bus, whose joints are near the middle of their limits, or near 0 if that is within them.
+    /// The devices of a bus, whose joints are near the middle of their limits, or near 0 if that is within
+    /// them.
     pub(super) fn new(plan: &BusPlan, seed: u64, body: Option<Box<dyn Body>>) -> Self {
         let mut random = Random::new(seed, 1);
         let start: Vec<f64> = plan
@@ -257,7 +259,8 @@ impl Unit {
             .as_ref()
             .map_or(1.0, |limit| self.get(limit) as f64 / limit.max as f64);
         if let Some(drive) = self.driven(joint, body.joint(*index).velocity) {
-            // The drive of a servo is that of a position control: here its goal is ahead by as much as gives this drive.
+            // The drive of a servo is that of a position control: here its goal is ahead by as much as gives
+            // this drive.
             let goal = body.joint(*index).position + drive / DRIVE_PER_RADIAN;
             return ServoCommand { goal, gain: DRIVE_PER_RADIAN, max_drive, supply };
         }

@@ -1,7 +1,7 @@
 //! Charts: states, transitions and what they do, as a file says.
 //!
-//! [`Chart::parse`] reads the subset of SCXML that docs/state_machine.md lists. A chart that exists is valid: its ids are unique,
-//! targets exist and can be active together, expressions are syntactically valid.
+//! [`Chart::parse`] reads the subset of SCXML that docs/state_machine.md lists. A chart that exists is valid:
+//! its ids are unique, targets exist and can be active together, expressions are syntactically valid.
 
 mod parse;
 mod validate;

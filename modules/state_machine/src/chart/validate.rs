@@ -68,7 +68,8 @@ fn validate_state(chart: &Chart, number: usize, state: &State, fail: &mut impl F
     }
 }
 
-/// States can be active together if the innermost state that contains two of them is parallel, or one contains the other.
+/// States can be active together if the innermost state that contains two of them is parallel, or one
+/// contains the other.
 fn validate_targets(chart: &Chart, transition: &Transition, fail: &mut impl FnMut(u32, String)) {
     for (number, &a) in transition.targets.iter().enumerate() {
         for &b in &transition.targets[number + 1..] {
@@ -120,7 +121,8 @@ fn unreachable(chart: &Chart) -> Vec<Problem> {
         }
         let state = &chart.states[number];
         open.extend(state.parent);
-        // Being in it includes being in a default child, even where a target inside is named: that may not be the whole of it.
+        // Being in it includes being in a default child, even where a target inside is named: that may not be
+        // the whole of it.
         match (state.kind, state.initial) {
             (StateKind::Parallel, _) => open.extend(&state.children),
             (_, Some(initial)) => open.extend(&chart.transitions[initial].targets),

@@ -25,7 +25,8 @@ impl Catalog {
     /// and that each is small enough to be sent.
     ///
     /// # Errors
-    /// [`Error::UnknownType`], [`Error::Cycle`], [`Error::TooDeep`] or [`Error::TooLarge`], the first one found.
+    /// [`Error::UnknownType`], [`Error::Cycle`], [`Error::TooDeep`] or [`Error::TooLarge`], the first one
+    /// found.
     pub fn check(&self) -> Result<(), Error> {
         let mut measured = Measured::new();
         self.messages

@@ -23,9 +23,9 @@ pub struct AmentPrefix {
 }
 
 impl Catalog {
-    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and `<folder>/action/*.action`, and the
-    /// `.idl` files in these folders beside which there is no such file. The package's name is that of [`Catalog::package_name`].
-    /// Returns how many files were read.
+    /// Adds the interfaces of one package: `<folder>/msg/*.msg`, `<folder>/srv/*.srv` and
+    /// `<folder>/action/*.action`, and the `.idl` files in these folders beside which there is no such file.
+    /// The package's name is that of [`Catalog::package_name`]. Returns how many files were read.
     ///
     /// # Errors
     /// Returns an error if a file cannot be read or parsed. A folder without interfaces is no error.
@@ -41,7 +41,8 @@ impl Catalog {
         Ok(count)
     }
 
-    /// The name of the package in a folder: that in its `package.xml`, as for colcon, else that of the folder.
+    /// The name of the package in a folder: that in its `package.xml`, as for colcon, else that of the
+    /// folder.
     #[must_use]
     pub fn package_name(folder: &Path) -> String {
         let manifest = read(&folder.join("package.xml")).unwrap_or_default();
@@ -60,8 +61,9 @@ impl Catalog {
         Ok(count)
     }
 
-    /// Adds the interfaces in a folder: of a package, of an ament prefix, or of all packages below it, as in the folder `src` of a
-    /// workspace. Hidden folders and those with a file `COLCON_IGNORE` are left out. Returns how many files were read.
+    /// Adds the interfaces in a folder: of a package, of an ament prefix, or of all packages below it, as in
+    /// the folder `src` of a workspace. Hidden folders and those with a file `COLCON_IGNORE` are left out.
+    /// Returns how many files were read.
     ///
     /// # Errors
     /// See [`Catalog::add_package`]; also if the folder has no interfaces, or two packages of one name.
@@ -73,7 +75,8 @@ impl Catalog {
         if count == 0 { Err(Error::NoInterfaces(folder.into())) } else { Ok(count) }
     }
 
-    /// The folders of the packages with interfaces that [`Catalog::add_folder`] adds, by the names of the packages.
+    /// The folders of the packages with interfaces that [`Catalog::add_folder`] adds, by the names of the
+    /// packages.
     ///
     /// # Errors
     /// Returns an error if a folder cannot be read, or two packages have one name.
@@ -209,7 +212,8 @@ fn packages_in(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(packages)
 }
 
-/// The files that define interfaces of that kind. `rosidl` generates an `.idl` file beside each other one, which says the same.
+/// The files that define interfaces of that kind. `rosidl` generates an `.idl` file beside each other one,
+/// which says the same.
 fn interface_files(folder: &Path, kind: Kind) -> Result<Vec<PathBuf>, Error> {
     let mut files = files_with_extension(folder, kind.as_str())?;
     let mut idl = files_with_extension(folder, "idl")?;

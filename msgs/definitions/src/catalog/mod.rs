@@ -107,7 +107,8 @@ impl Catalog {
         }
     }
 
-    /// Like [`Catalog::add_message_from`], but definitions that are here already stay, also where they differ.
+    /// Like [`Catalog::add_message_from`], but definitions that are here already stay, also where they
+    /// differ.
     pub fn add_missing_from(&mut self, other: &Self, name: &TypeName) {
         let mut wanted = vec![name];
         let mut seen = BTreeSet::from([name]);
@@ -124,8 +125,8 @@ impl Catalog {
         }
     }
 
-    /// The types that a message refers to, directly or indirectly, and that have no definition here; the message itself if it has
-    /// none.
+    /// The types that a message refers to, directly or indirectly, and that have no definition here; the
+    /// message itself if it has none.
     #[must_use]
     pub fn missing_for(&self, name: &TypeName) -> BTreeSet<TypeName> {
         let mut missing = BTreeSet::new();

@@ -1,7 +1,7 @@
 //! Writes definitions in IDL, as `rosidl_adapter` does for files.
 //!
-//! The types of services have no name in the language of `.msg` files that all readers of bags understand, but they have one
-//! in IDL.
+//! The types of services have no name in the language of `.msg` files that all readers of bags understand,
+//! but they have one in IDL.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -12,8 +12,9 @@ use crate::{
 };
 
 impl Catalog {
-    /// The definition text of a message in `ros2idl`, with its dependencies: those of the same package and kind in the first
-    /// block, since the parts of a service are in one file, each of the others in a block of its own.
+    /// The definition text of a message in `ros2idl`, with its dependencies: those of the same package and
+    /// kind in the first block, since the parts of a service are in one file, each of the others in a block
+    /// of its own.
     ///
     /// Comments, defaults, and constants that are texts are left out.
     ///

@@ -2,8 +2,9 @@
 //!
 //! The root's own text comes first. Then each message it depends on follows once, depth first and sorted by
 //! name, after a line of 80 `=` and a line `MSG: package/Type`. The texts of services and actions have such a
-//! header themselves. For a message that rosidl derives from a service or an action, the text is the one its author
-//! would have written, in the [portable](portable_definition_text) form: the real recorder has no text for them.
+//! header themselves. For a message that rosidl derives from a service or an action, the text is the one its
+//! author would have written, in the [portable](portable_definition_text) form: the real recorder has no text
+//! for them.
 
 mod idl;
 mod portable;
@@ -39,8 +40,9 @@ impl Catalog {
         self.with_dependencies(own_text(message).into_owned(), &[message], BTreeSet::from([name.clone()]))
     }
 
-    /// The text that a bag stores as the schema of a message, and its encoding: the portable form of its `ros2msg` text, and
-    /// IDL for the messages of services, whose names some readers of `ros2msg` do not understand.
+    /// The text that a bag stores as the schema of a message, and its encoding: the portable form of its
+    /// `ros2msg` text, and IDL for the messages of services, whose names some readers of `ros2msg` do not
+    /// understand.
     ///
     /// # Errors
     /// [`Error::NotInCatalog`] for the type itself or a message it depends on.
@@ -81,7 +83,8 @@ impl Catalog {
     }
 }
 
-/// The text of a message without its dependencies: of a file as it is, of a part of a service or an action in portable form.
+/// The text of a message without its dependencies: of a file as it is, of a part of a service or an action in
+/// portable form.
 fn own_text(message: &MessageDefinition) -> Cow<'_, str> {
     match message.name.kind {
         Kind::Message => Cow::Borrowed(&message.text),

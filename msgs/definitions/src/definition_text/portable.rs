@@ -1,8 +1,8 @@
 //! Definition texts in the form that all readers of bags understand.
 //!
-//! The files of packages contain what some readers (`rosbags` of PyPI among them) misread: they compute another hash than the
-//! one that ROS 2 publishes, and refuse the whole bag. Each rule here replaces the type of a field by another name of the
-//! same type; comments, spaces and line numbers stay.
+//! The files of packages contain what some readers (`rosbags` of PyPI among them) misread: they compute
+//! another hash than the one that ROS 2 publishes, and refuse the whole bag. Each rule here replaces the type
+//! of a field by another name of the same type; comments, spaces and line numbers stay.
 
 use std::borrow::Cow;
 

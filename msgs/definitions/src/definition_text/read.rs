@@ -78,8 +78,8 @@ impl Catalog {
         self.add_implied()
     }
 
-    /// Like [`Catalog::add_definition_text`], for a text that may be damaged: adds the parts of it that are definitions, and
-    /// returns the errors of the others.
+    /// Like [`Catalog::add_definition_text`], for a text that may be damaged: adds the parts of it that are
+    /// definitions, and returns the errors of the others.
     pub fn add_readable_definitions(
         &mut self,
         name: &TypeName,
@@ -153,8 +153,8 @@ enum Keyword {
 }
 
 impl Keyword {
-    /// The kind of a block without a header, and the name of what it defines. A part of a service or an action is a message
-    /// itself, unless the text is that of the whole file.
+    /// The kind of a block without a header, and the name of what it defines. A part of a service or an
+    /// action is a message itself, unless the text is that of the whole file.
     fn of(name: &TypeName, encoding: DefinitionEncoding, text: &str) -> (Self, TypeName) {
         let is_whole = !name.name.contains('_') || text.lines().any(|line| line == "---");
         let keyword = match name.kind {

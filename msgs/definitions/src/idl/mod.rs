@@ -6,7 +6,8 @@
 //! arrays, `char`, `long double`) are errors.
 //!
 //! # References
-//! OMG IDL 4.2; `rosidl_parser/rosidl_parser/grammar.lark` and `rosidl_adapter/rosidl_adapter/resource/*.em`, branch jazzy.
+//! OMG IDL 4.2; `rosidl_parser/rosidl_parser/grammar.lark` and `rosidl_adapter/rosidl_adapter/resource/*.em`,
+//! branch jazzy.
 
 mod lexer;
 mod literal;
@@ -53,8 +54,9 @@ impl Definition {
 
 /// Parses the text of an `.idl` file. `origin` names it in errors.
 ///
-/// A struct in `module package { module msg {` is a message; in a module `srv` the structs `X_Request` and `X_Response` are the
-/// service `X`; in a module `action` the structs `X_Goal`, `X_Result` and `X_Feedback` are the action `X`.
+/// A struct in `module package { module msg {` is a message; in a module `srv` the structs `X_Request` and
+/// `X_Response` are the service `X`; in a module `action` the structs `X_Goal`, `X_Result` and `X_Feedback`
+/// are the action `X`.
 ///
 /// The `text` of the definitions is that of an equivalent `.msg`, `.srv` or `.action` file without comments.
 ///
@@ -81,8 +83,9 @@ pub fn parse_idl(text: &str, origin: &str) -> Result<Vec<Definition>, Error> {
     })
 }
 
-/// Like [`parse_idl`], for a part of a definition text. There, structs of services and actions need not be complete: a text
-/// has those that its root refers to, including those that rosidl derives (`X_Event`, `X_FeedbackMessage`).
+/// Like [`parse_idl`], for a part of a definition text. There, structs of services and actions need not be
+/// complete: a text has those that its root refers to, including those that rosidl derives (`X_Event`,
+/// `X_FeedbackMessage`).
 pub(crate) fn parse_idl_from(text: &str, origin: &str, first_line: usize) -> Result<Vec<Definition>, Error> {
     let parts = |name: &TypeName, place: Place, parts: Vec<MessageDefinition>| {
         let suffixes: &[&str] = match name.kind {

@@ -371,7 +371,8 @@ fn ours(text: &str) -> Json {
         .iter()
         .map(|field| {
             json!([
-                // rosidl names parts of services and actions, which files cannot refer to, without their kind.
+                // rosidl names parts of services and actions, which files cannot refer to, without their
+                // kind.
                 field.field_type.to_string().replace("/srv/", "/").replace("/action/", "/"),
                 field.name,
                 field.default.as_ref().map_or(Json::Null, value)

@@ -9,8 +9,8 @@ use serde_json::json;
 use crate::carried;
 use crate::peer::ask;
 
-/// What users write, and `rosbags` reads differently: types called `Header`, `char`, line ends of Windows, types of the own
-/// package in services and actions.
+/// What users write, and `rosbags` reads differently: types called `Header`, `char`, line ends of Windows,
+/// types of the own package in services and actions.
 fn users(catalog: &mut Catalog) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     for folder in ["tests/user_msgs", "tests/data/interface", "msgs/tests/data"] {

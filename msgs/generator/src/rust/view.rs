@@ -78,8 +78,8 @@ impl RustSource<'_> {
         })
     }
 
-    /// Returns whether a message contains a string or sequence, directly or in a nested message. A single `wstring` is decoded, and
-    /// borrows nothing.
+    /// Returns whether a message contains a string or sequence, directly or in a nested message. A single
+    /// `wstring` is decoded, and borrows nothing.
     pub(super) fn is_borrowing(&self, message: &MessageDefinition) -> Result<bool, Error> {
         let has_none = self.every_element(message, &|element, shape| match element {
             Element::Primitive(_) | Element::Message(_) => matches!(shape, Shape::Single | Shape::Array(_)),

@@ -7,7 +7,8 @@ use downbeat_msgs_definitions::{Catalog, Error, Kind, TypeName};
 use super::{DefinitionSource, Found, instead};
 use crate::carried;
 
-/// The interfaces in folders: of packages, of workspaces, of ament prefixes. They may refer to each other and to the built-in ones.
+/// The interfaces in folders: of packages, of workspaces, of ament prefixes. They may refer to each other and
+/// to the built-in ones.
 #[derive(Clone, Debug)]
 pub struct InterfaceFolders {
     folders: Vec<String>,
@@ -25,8 +26,8 @@ impl InterfaceFolders {
     /// Adds the interfaces in a folder, see [`Catalog::add_folder`].
     ///
     /// # Errors
-    /// Returns an error if it has none, has two packages of one name, or one of its files is invalid or defines something that is
-    /// already defined, differently. Nothing is then added.
+    /// Returns an error if it has none, has two packages of one name, or one of its files is invalid or
+    /// defines something that is already defined, differently. Nothing is then added.
     pub fn add(&mut self, folder: &Path) -> Result<(), Error> {
         let mut catalog = self.catalog.clone();
         catalog.add_folder(folder)?;

@@ -20,11 +20,14 @@ pub struct RecordedDefinition {
 }
 
 impl Definitions {
-    /// The definition of a type of which a bag has a text, perhaps an incomplete or damaged one, and perhaps the hash.
+    /// The definition of a type of which a bag has a text, perhaps an incomplete or damaged one, and perhaps
+    /// the hash.
     ///
-    /// A text that is complete is used as it is, unless it has another hash than the recorded one and a source has the latter. If it lacks types that it refers to, they are taken from these sources; if
-    /// it cannot be read, or there is none, the whole definition is. What is taken has to agree with the hash or, without a
-    /// hash, with the fields that could be read. `encoding` is that of the text in the bag, empty if there is none.
+    /// A text that is complete is used as it is, unless it has another hash than the recorded one and a
+    /// source has the latter. If it lacks types that it refers to, they are taken from these sources; if it
+    /// cannot be read, or there is none, the whole definition is. What is taken has to agree with the hash
+    /// or, without a hash, with the fields that could be read. `encoding` is that of the text in the bag,
+    /// empty if there is none.
     ///
     /// # Errors
     /// Returns an error if the text is not a definition and no source has one that agrees.
@@ -87,7 +90,8 @@ impl Definitions {
         }
     }
 
-    /// Without a text, or with an empty one, which is the definition of an empty message that no source knows.
+    /// Without a text, or with an empty one, which is the definition of an empty message that no source
+    /// knows.
     fn without_text(
         &self,
         name: &TypeName,

@@ -71,8 +71,8 @@ impl DynamicMessage {
     /// A string is the text as written, quoted or not: `data: 010` is `010`, where `ros2 topic pub` parses a
     /// number first and uses its digits, `8`. Numbers and booleans are read as in YAML 1.1 (`yes`, `0b11`,
     /// `1_000`). A `byte` is a number, or a character as printed by `ros2 topic echo`. An integer does not
-    /// accept `1.5`, which rclpy truncates. `!!binary` gives the bytes of an array of `uint8` or `byte`; what `!!bool`,
-    /// `!!int` and `!!float` do not fit is an error. So is a key without a value, or with `null`.
+    /// accept `1.5`, which rclpy truncates. `!!binary` gives the bytes of an array of `uint8` or `byte`; what
+    /// `!!bool`, `!!int` and `!!float` do not fit is an error. So is a key without a value, or with `null`.
     ///
     /// # Errors
     /// Returns an error if the text is not a YAML mapping, or there is no such field or it cannot have the

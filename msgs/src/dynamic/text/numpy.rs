@@ -1,8 +1,9 @@
 //! Arrays of numbers as printed by NumPy, in which rclpy stores fixed arrays.
 //!
 //! # References
-//! `numpy/_core/arrayprint.py` of NumPy 2 (`FloatingFormat`, `IntegerFormat`, `_formatArray`, `_array_repr_implementation`), with
-//! its default options: precision 8, threshold 1000, 3 items at each end, 75 columns.
+//! `numpy/_core/arrayprint.py` of NumPy 2 (`FloatingFormat`, `IntegerFormat`, `_formatArray`,
+//! `_array_repr_implementation`), with its default options: precision 8, threshold 1000, 3 items at each end,
+//! 75 columns.
 
 use crate::dynamic::{Array, ValueRef};
 

@@ -45,8 +45,8 @@ pub(crate) enum Format {
 }
 
 impl Format {
-    /// How many topics are written while the bag is read once: as many as may have open files, and a Parquet file
-    /// buffers up to 32 MB.
+    /// How many topics are written while the bag is read once: as many as may have open files, and a Parquet
+    /// file buffers up to 32 MB.
     fn together(self) -> usize {
         match self {
             Self::Csv | Self::Jsonl => 256,
@@ -111,8 +111,8 @@ pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::
     Ok(())
 }
 
-/// Reads the bag once, or twice if there are columns to find, and writes the messages into the files of their topics.
-/// Returns also the number of parts of the bag that cannot be read.
+/// Reads the bag once, or twice if there are columns to find, and writes the messages into the files of their
+/// topics. Returns also the number of parts of the bag that cannot be read.
 fn written<'a>(
     bag: &Reader,
     ids: &[TopicId],

@@ -106,8 +106,8 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Completes the file, and prints what is in it, or logs why the topic is left out. The file is moved to `folder` later.
-    /// Returns the number of unreadable messages, or `None` for a topic that is left out.
+    /// Completes the file, and prints what is in it, or logs why the topic is left out. The file is moved to
+    /// `folder` later. Returns the number of unreadable messages, or `None` for a topic that is left out.
     pub(super) fn finish(self, folder: &Path) -> Option<usize> {
         self.tally.warn(self.topic);
         let name = printable(&self.topic.info.name);
@@ -208,8 +208,8 @@ pub(super) struct FileNames {
 }
 
 impl FileNames {
-    /// `/imu/data_raw` becomes `imu.data_raw`; a name that is too long for a file keeps its beginning. If another topic
-    /// already has that name, which can happen in bags of other recorders, a number is added.
+    /// `/imu/data_raw` becomes `imu.data_raw`; a name that is too long for a file keeps its beginning. If
+    /// another topic already has that name, which can happen in bags of other recorders, a number is added.
     fn stem(&mut self, topic: &str) -> String {
         let mut plain = topic.trim_start_matches('/').replace('/', ".").replace('\0', "_");
         let is_end = |end: &usize| plain.is_char_boundary(*end);

@@ -28,7 +28,8 @@ use crate::ros_recorder::QosOverrides;
 
 /// The maximum time to wait for discovery: earlier samples would not be received.
 const DISCOVERY: Duration = Duration::from_secs(3);
-/// How long delivery to reliable subscribers may go on after the last message: some have only begun to listen.
+/// How long delivery to reliable subscribers may go on after the last message: some have only begun to
+/// listen.
 const DELIVERY: Duration = Duration::from_secs(2);
 /// The wait that is not logged, and the number of topics that the log names.
 const PATIENCE: Duration = Duration::from_millis(200);

@@ -1,4 +1,5 @@
-//! The options of `downbeat bag record`: those of `ros2 bag record` of Jazzy by their names, and some of our own.
+//! The options of `downbeat bag record`: those of `ros2 bag record` of Jazzy by their names, and some of our
+//! own.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;

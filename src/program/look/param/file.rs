@@ -121,8 +121,8 @@ pub(super) struct Loaded {
     pub(super) is_wildcard: bool,
 }
 
-/// The parameters in a parameter file for a node: those under wildcards come first and are overridden. Parameters without a value, as a dump
-/// has them for those that are not set, are left out.
+/// The parameters in a parameter file for a node: those under wildcards come first and are overridden.
+/// Parameters without a value, as a dump has them for those that are not set, are left out.
 pub(super) fn values_in(
     source: &Arc<Source>,
     node: &str,

@@ -18,8 +18,8 @@ use crate::{
 /// Lease of a participant that announces none (section 9.6.4.2, as interpreted by Cyclone DDS).
 const DEFAULT_LEASE: Duration = Duration::from_secs(100);
 
-/// An unknown participant is answered again after this time: without it, two that do not know each other would
-/// answer each other's answers.
+/// An unknown participant is answered again after this time: without it, two that do not know each other
+/// would answer each other's answers.
 const REPEATED: Duration = Duration::from_millis(50);
 
 /// How long a participant may take to answer that it is still there.

@@ -1,6 +1,7 @@
 //! The twenty joints of the Darwin OP.
 //!
-//! The joint angle is 0 at tick 2048, legs straight, upper arms 45 degrees out, forearms bent 90 degrees forward.
+//! The joint angle is 0 at tick 2048, legs straight, upper arms 45 degrees out, forearms bent 90 degrees
+//! forward.
 //!
 //! # References
 //! Ids and names: DARwIn-OP framework (the names are those of ROBOTIS for the OP2 and OP3 in ROS). Limits and

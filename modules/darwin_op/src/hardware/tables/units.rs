@@ -186,7 +186,8 @@ impl ImuScale {
         self.axes[0].map(|axis| axis.of(steps) * self.radians_per_lsb)
     }
 
-    /// The specific force forward, left and up, in m/s^2 (9.81 upwards at rest), from `ACC_X`, `ACC_Y`, `ACC_Z`.
+    /// The specific force forward, left and up, in m/s^2 (9.81 upwards at rest), from `ACC_X`, `ACC_Y`,
+    /// `ACC_Z`.
     #[must_use]
     pub fn linear_acceleration(&self, acceleration: [u16; 3]) -> [f64; 3] {
         let steps = acceleration.map(centred);

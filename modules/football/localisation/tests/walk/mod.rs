@@ -1,5 +1,6 @@
-//! Seeded walks over a field with a model of noise: odometry that is 10 % off and drifts, a head that sweeps, landmarks within 4 m and 28 degrees of where
-//! the head looks, each seen in three of five pictures, with errors of direction of 0.02 rad, and one of thirty that is not there.
+//! Seeded walks over a field with a model of noise: odometry that is 10 % off and drifts, a head that sweeps,
+//! landmarks within 4 m and 28 degrees of where the head looks, each seen in three of five pictures, with
+//! errors of direction of 0.02 rad, and one of thirty that is not there.
 #![allow(dead_code)] // not all tests use all of it
 use downbeat_football::{Field, floor_covariance};
 use downbeat_localisation::{Landmarks, Pose};

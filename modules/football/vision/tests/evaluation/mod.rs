@@ -1,4 +1,5 @@
-//! Simulated pictures with a known truth: random places of camera, ball and boxes; random light, colours, noise and blur.
+//! Simulated pictures with a known truth: random places of camera, ball and boxes; random light, colours,
+//! noise and blur.
 
 use downbeat_football::Field;
 use downbeat_physics::camera::{Camera as Rendered, Scene};
@@ -30,7 +31,8 @@ pub struct Totals {
     pub robots: Robots,
 }
 
-/// What was counted of other robots that stand and of others that lie, in the picture and not hidden, within [`ROBOT_RANGE`].
+/// What was counted of other robots that stand and of others that lie, in the picture and not hidden, within
+/// [`ROBOT_RANGE`].
 #[derive(Clone, Debug, Default)]
 pub struct Robots {
     /// Those that stand, and those of them that were found; the same of those that lie.
@@ -38,7 +40,8 @@ pub struct Robots {
     pub lying: [usize; 2],
     /// How often it was said rightly whether one stands or lies, of all that were found.
     pub upright: usize,
-    /// Robots that were found: with the right team, with one that they are not of, with none although they are of one.
+    /// Robots that were found: with the right team, with one that they are not of, with none although they
+    /// are of one.
     pub teams: [usize; 3],
     /// Robots that were reported, and those of them where neither a robot nor a box as large as one is.
     pub reported: [usize; 2],

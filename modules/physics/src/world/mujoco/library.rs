@@ -1,10 +1,12 @@
-//! MuJoCo's library, loaded at run time: a model and its state, by the functions of its C interface that take names and
-//! vectors. No layout of its structs is used, only signatures and constants of `mujoco.h` and `mjtype.h` of one version.
+//! MuJoCo's library, loaded at run time: a model and its state, by the functions of its C interface that take
+//! names and vectors. No layout of its structs is used, only signatures and constants of `mujoco.h` and
+//! `mjtype.h` of one version.
 //!
 //! # References
 //! <https://mujoco.readthedocs.io/en/stable/APIreference/APIfunctions.html>
 
-// This file is the boundary to a C library: each call and each pointer is unsafe, with the reason why it is sound.
+// This file is the boundary to a C library: each call and each pointer is unsafe, with the reason why it is
+// sound.
 #![allow(unsafe_code)]
 
 use crate::world::EngineError;
@@ -66,12 +68,13 @@ pub(super) struct Simulated {
     _library: Library,
 }
 
-// SAFETY: model and data are owned by this value and reached through it only, and MuJoCo keeps no state per thread about them.
+// SAFETY: model and data are owned by this value and reached through it only, and MuJoCo keeps no state per
+// thread about them.
 unsafe impl Send for Simulated {}
 
 impl Simulated {
-    /// Compiles a model in MJCF. All masses and inertias are multiplied by the same number so that their sum is `total_mass`, in
-    /// kg.
+    /// Compiles a model in MJCF. All masses and inertias are multiplied by the same number so that their sum
+    /// is `total_mass`, in kg.
     pub(super) fn new(
         mjcf: &str,
         total_mass: f64,
@@ -88,14 +91,16 @@ impl Simulated {
             // SAFETY: MuJoCo ends the error with 0, and it was all 0 before.
             return Err(refused(unsafe { text(error.as_ptr()) }));
         }
-        // SAFETY: the description is valid until it is deleted, the model does not refer to it, and the error is copied before.
+        // SAFETY: the description is valid until it is deleted, the model does not refer to it, and the error
+        // is copied before.
         let model = unsafe {
             let model = NonNull::new((functions.compile)(spec, null()));
             let model = model.ok_or_else(|| refused(text((functions.spec_error)(spec))));
             (functions.delete_spec)(spec);
             model?
         };
-        // SAFETY: the model is valid. Without data (no memory is left), it is deleted here and not used any more.
+        // SAFETY: the model is valid. Without data (no memory is left), it is deleted here and not used any
+        // more.
         let data = unsafe {
             (functions.set_total_mass)(model.as_ptr(), total_mass);
             NonNull::new((functions.make_data)(model.as_ptr())).ok_or_else(|| {
@@ -163,8 +168,8 @@ impl Simulated {
     pub(super) fn add_force(&mut self, body: usize, force: [f64; 3], point: [f64; 3], applied: &mut [f64]) {
         assert_eq!(applied.len(), self.size(Vector::AppliedForces), "the length of the applied forces");
         let Ok(body) = c_int::try_from(body) else { return };
-        // SAFETY: model and data belong together, force and point have three numbers, no torque is allowed, the body is one
-        // that `id` returned, and there is a number for each degree of freedom.
+        // SAFETY: model and data belong together, force and point have three numbers, no torque is allowed,
+        // the body is one that `id` returned, and there is a number for each degree of freedom.
         unsafe {
             let (model, data) = (self.model.as_ptr(), self.data.as_ptr());
             let (force, point, applied) = (force.as_ptr(), point.as_ptr(), applied.as_mut_ptr());
@@ -207,8 +212,8 @@ fn load(file: &Path) -> Result<(Library, Functions), EngineError> {
     let name = || file.display().to_string();
     let unusable =
         |error: libloading::Error| EngineError::Library { file: name(), reason: error.to_string() };
-    // SAFETY: the initialisers of MuJoCo's library have no preconditions. That the file is MuJoCo is up to who names it, as
-    // with every library.
+    // SAFETY: the initialisers of MuJoCo's library have no preconditions. That the file is MuJoCo is up to
+    // who names it, as with every library.
     let library = unsafe { Library::new(file) }.map_err(unusable)?;
     // SAFETY: the signatures are those of the header of the version that is checked first. `mj_version` and
     // `mj_versionString` have had theirs in all versions.
@@ -239,7 +244,8 @@ fn load(file: &Path) -> Result<(Library, Functions), EngineError> {
     };
     static WARNINGS: Once = Once::new();
     WARNINGS.call_once(|| {
-        // SAFETY: the variable is a handler of this type, which this program writes once, before it calls anything that warns.
+        // SAFETY: the variable is a handler of this type, which this program writes once, before it calls
+        // anything that warns.
         unsafe {
             if let Ok(handler) =
                 library.get::<*mut Option<unsafe extern "C" fn(*const c_char)>>(b"mju_user_warning\0")

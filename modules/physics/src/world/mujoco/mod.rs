@@ -1,7 +1,7 @@
 //! The engine MuJoCo, as a second opinion: the robot's MJCF with a floor and what is on it.
 //!
-//! MuJoCo steps by 1 ms; torques of servos are computed before each of these steps. Contacts are soft, with MuJoCo's
-//! parameters, and have no restitution. It does not say which forces act on the soles.
+//! MuJoCo steps by 1 ms; torques of servos are computed before each of these steps. Contacts are soft, with
+//! MuJoCo's parameters, and have no restitution. It does not say which forces act on the soles.
 
 mod library;
 
@@ -262,7 +262,8 @@ fn fixed_in(body: &Motion, body_from_frame: &Isometry) -> Motion {
     }
 }
 
-/// Name, pose, shape as attributes of MJCF with its inertia for each kg, and mass of a thing; `None` if it is fixed.
+/// Name, pose, shape as attributes of MJCF with its inertia for each kg, and mass of a thing; `None` if it is
+/// fixed.
 type Described = (String, Isometry, (String, [f64; 3]), Option<f64>);
 
 fn things(file: &WorldFile) -> Vec<Described> {
@@ -321,8 +322,8 @@ fn mjcf(plan: Plan<'_>, things: &[Described]) -> String {
     with_moved_trunk(model, variation.centre_of_mass).replace("</mujoco>", &added)
 }
 
-/// The robot's MJCF, with the centre of mass of the first body moved forwards by this length, in m: that of its first link
-/// with a mass moves further, so that all of the body is right.
+/// The robot's MJCF, with the centre of mass of the first body moved forwards by this length, in m: that of
+/// its first link with a mass moves further, so that all of the body is right.
 fn with_moved_trunk(model: &Model, shift: f64) -> String {
     const START: &str = "<inertial pos=\"";
     let moved = || {

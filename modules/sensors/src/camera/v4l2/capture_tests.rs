@@ -1,4 +1,5 @@
-//! A capture on a driver that is a test: it answers the bytes of requests as `linux/videodev2.h` lays them out.
+//! A capture on a driver that is a test: it answers the bytes of requests as `linux/videodev2.h` lays them
+//! out.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::VecDeque;
@@ -12,7 +13,8 @@ const NO_DEVICE: i32 = 19;
 #[derive(Default)]
 struct Fake {
     capabilities: u32,
-    /// What the driver makes of a wanted format: the code, the size, the bytes per line, the bytes of a picture.
+    /// What the driver makes of a wanted format: the code, the size, the bytes per line, the bytes of a
+    /// picture.
     format: Option<(u32, u32, u32, u32, u32)>,
     /// The time between pictures, as a fraction.
     interval: Option<(u32, u32)>,

@@ -1,8 +1,9 @@
-//! USB cameras and others by Video4Linux: formats are negotiated with the driver, pictures come through mapped memory.
+//! USB cameras and others by Video4Linux: formats are negotiated with the driver, pictures come through
+//! mapped memory.
 //!
 //! # References
-//! "Linux Media Infrastructure userspace API", part Video for Linux, chapters "Querying Capabilities", "Data Negotiation" and
-//! "Streaming I/O (Memory Mapping)"; `linux/videodev2.h`.
+//! "Linux Media Infrastructure userspace API", part Video for Linux, chapters "Querying Capabilities", "Data
+//! Negotiation" and "Streaming I/O (Memory Mapping)"; `linux/videodev2.h`.
 
 mod capture;
 mod driver;

@@ -22,7 +22,8 @@ pub trait Bus: Send {
     /// Sets the time. Exchanges until the next call are stamped with this time plus the time elapsed since.
     fn begin_step(&mut self, now: Time);
 
-    /// Sets the speed of the bus and its protocol, before the port is opened. Initially 1 Mbit/s and Dynamixel 1.0.
+    /// Sets the speed of the bus and its protocol, before the port is opened. Initially 1 Mbit/s and
+    /// Dynamixel 1.0.
     fn set_line(&mut self, line: LineSettings);
 
     /// Opens the port, after closing it if it was open.
@@ -36,8 +37,8 @@ pub trait Bus: Send {
     /// Closes the port. Does not affect the devices.
     fn close(&mut self) -> Exchange;
 
-    /// Returns true if the exchanges were recorded earlier. Their lateness then says nothing about this machine, and is
-    /// not logged.
+    /// Returns true if the exchanges were recorded earlier. Their lateness then says nothing about this
+    /// machine, and is not logged.
     fn is_recorded(&self) -> bool {
         false
     }

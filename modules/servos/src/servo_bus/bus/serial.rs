@@ -16,7 +16,8 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// The devices on a serial port: 8 data bits, no parity, one stop bit, no flow control.
 ///
-/// The port of a real robot is an FTDI chip: set its `latency_timer` to 1 ms, else each answer costs up to 16 ms.
+/// The port of a real robot is an FTDI chip: set its `latency_timer` to 1 ms, else each answer costs up to 16
+/// ms.
 pub struct SerialBus {
     port: Option<Box<dyn SerialPort>>,
     line: LineSettings,
@@ -244,9 +245,9 @@ fn longest_packet(protocol: Protocol, expected: &ExpectedStatus) -> usize {
 
 /// The time-out for the answers after sending `instruction`.
 ///
-/// `slack`, plus 12 bit times for each byte sent and expected; if several devices answer, one and a half times as much
-/// for the expected ones. The DARwIn-OP framework gives as much to a bulk read, and less to an instruction to one
-/// device, which would be too little at a low speed.
+/// `slack`, plus 12 bit times for each byte sent and expected; if several devices answer, one and a half
+/// times as much for the expected ones. The DARwIn-OP framework gives as much to a bulk read, and less to an
+/// instruction to one device, which would be too little at a low speed.
 #[must_use]
 pub fn status_timeout(
     line: LineSettings,

@@ -16,15 +16,18 @@
 //! goal_position = { at = 30, size = 2, max = 4095, unit = "turn", per = 4096 }
 //! ```
 //!
-//! A register has an address `at`, a `size` of 1, 2 or 4 bytes (1), an `access` (`"ram"`; `"eeprom"` if it outlives the
-//! power, `"read"` if only the device writes it), `signed = true` (two's complement) or a `sign_bit`, the raw values
-//! `min`, `max` and `initial`, and a unit: raw × `scale` / `per` in `"turn"`, `"rpm"`, `"dps"`, `"g"`, `"V"`, `"A"`, `"N"`,
-//! `"degC"`, `"s"` or `"1"`. Values are published in SI units: rad for turns, rad/s for rpm and degrees per second, m/s^2 for g.
+//! A register has an address `at`, a `size` of 1, 2 or 4 bytes (1), an `access` (`"ram"`; `"eeprom"` if it
+//! outlives the power, `"read"` if only the device writes it), `signed = true` (two's complement) or a
+//! `sign_bit`, the raw values `min`, `max` and `initial`, and a unit: raw × `scale` / `per` in `"turn"`,
+//! `"rpm"`, `"dps"`, `"g"`, `"V"`, `"A"`, `"N"`, `"degC"`, `"s"` or `"1"`. Values are published in SI units:
+//! rad for turns, rad/s for rpm and degrees per second, m/s^2 for g.
 //!
-//! The modules find registers by name. A servo needs `model_number`, `id`, `torque_enable`, `goal_position` and
-//! `present_position`; it may have `firmware_version`, `baud_rate`, `return_delay`, `status_return_level`, `p_gain`,
-//! `i_gain`, `d_gain`, `torque_limit`, `current_limit`, `min_position_limit`, `max_position_limit`, `present_velocity`,
-//! `operating_mode`, `goal_velocity`, `velocity_limit`, `goal_current`, `bus_watchdog`, `present_load` or `present_current`, `present_voltage`, `present_temperature`, `lock`.
+//! The modules find registers by name. A servo needs `model_number`, `id`, `torque_enable`, `goal_position`
+//! and `present_position`; it may have `firmware_version`, `baud_rate`, `return_delay`,
+//! `status_return_level`, `p_gain`, `i_gain`, `d_gain`, `torque_limit`, `current_limit`,
+//! `min_position_limit`, `max_position_limit`, `present_velocity`, `operating_mode`, `goal_velocity`,
+//! `velocity_limit`, `goal_current`, `bus_watchdog`, `present_load` or `present_current`, `present_voltage`,
+//! `present_temperature`, `lock`.
 
 use super::protocol::Protocol;
 use serde::Deserialize;
@@ -52,7 +55,8 @@ pub struct Model {
     pub reads: Reads,
     /// Whether EEPROM can be written only while the torque is disabled.
     pub eeprom_needs_torque_off: bool,
-    /// The registers that are set when a servo comes into service, with raw values, in the order of their addresses.
+    /// The registers that are set when a servo comes into service, with raw values, in the order of their
+    /// addresses.
     pub at_start: Vec<(Register, i64)>,
     /// How it is driven by goals other than positions.
     pub modes: Modes,
@@ -62,7 +66,8 @@ pub struct Model {
     pub registers: Vec<Register>,
 }
 
-/// The values of the register `operating_mode` for goals other than positions; `None` if the model has no such mode.
+/// The values of the register `operating_mode` for goals other than positions; `None` if the model has no
+/// such mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Modes {
@@ -127,7 +132,8 @@ pub struct Register {
     pub max: i64,
     /// The raw value of a new device, or after switching on.
     pub initial: i64,
-    /// The unit of [`to_si`](Self::to_si): "rad", "rad/s", "m/s^2", "V", "A", "N", "degC", "s", "1", or empty for raw values.
+    /// The unit of [`to_si`](Self::to_si): "rad", "rad/s", "m/s^2", "V", "A", "N", "degC", "s", "1", or empty
+    /// for raw values.
     pub unit: &'static str,
     /// A raw value times `factor` divided by `per` is in SI units.
     factor: f64,
@@ -174,7 +180,8 @@ impl Model {
     /// Parses a model file.
     ///
     /// # Errors
-    /// Returns an error with the line if the text is not TOML of the form in [the module](self), or registers overlap.
+    /// Returns an error with the line if the text is not TOML of the form in [the module](self), or registers
+    /// overlap.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
         let file: ModelFile = toml::from_str(text).map_err(|error| ModelError {
             line: line_of(text, error.span().map_or(0, |span| span.start)),

@@ -70,7 +70,8 @@ pub enum Instruction {
         /// The device.
         id: Id,
     },
-    /// Reads the same range from several devices, which answer one after another (Dynamixel 2.0, Feetech STS).
+    /// Reads the same range from several devices, which answer one after another (Dynamixel 2.0, Feetech
+    /// STS).
     SyncRead {
         /// First address.
         address: u16,
@@ -166,10 +167,11 @@ pub enum InstructionError {
 /// The noise in front of an echo, such as that of a switch of direction, in bytes.
 const NOISE: usize = 2;
 
-/// Where the instruction itself ends at the start of a reply: the adapter echoes what is sent. `None` if it does not.
+/// Where the instruction itself ends at the start of a reply: the adapter echoes what is sent. `None` if it
+/// does not.
 ///
-/// Only a ping proves nothing: in the protocols that distinguish answers by their length alone, a device that reports its supply
-/// voltage answers one with the same bytes.
+/// Only a ping proves nothing: in the protocols that distinguish answers by their length alone, a device that
+/// reports its supply voltage answers one with the same bytes.
 #[must_use]
 pub fn echo_end(protocol: Protocol, instruction: &[u8], reply: &[u8]) -> Option<usize> {
     let code = instruction.get(4)?;

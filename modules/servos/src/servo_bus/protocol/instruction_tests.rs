@@ -1,5 +1,5 @@
-//! Golden packets (ROBOTIS e-Manual, the DARwIn-OP framework's own traffic, lerobot's mock of Feetech servos) and round
-//! trips.
+//! Golden packets (ROBOTIS e-Manual, the DARwIn-OP framework's own traffic, lerobot's mock of Feetech servos)
+//! and round trips.
 #![allow(clippy::unwrap_used)]
 
 use super::*;

@@ -3,7 +3,8 @@
 //! Three layers, none of which does input or output:
 //!
 //! - [`Packet`]: a checked view of the bytes of one packet, the framing that both directions share;
-//! - [`Instruction`] and [`Status`]: the meaning of a packet, common to all protocols, with `parse` and `emit`;
+//! - [`Instruction`] and [`Status`]: the meaning of a packet, common to all protocols, with `parse` and
+//!   `emit`;
 //! - [`Receiver`]: finds packets in a fragmented stream of bytes that may contain garbage.
 //!
 //! ```
@@ -18,8 +19,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Not supported: the instructions Clear, Control Table Backup and Fast Sync Write of Dynamixel 2.0, and the MX series'
-//! own instruction 0x82 in Dynamixel 1.0 (undocumented for the MX-28).
+//! Not supported: the instructions Clear, Control Table Backup and Fast Sync Write of Dynamixel 2.0, and the
+//! MX series' own instruction 0x82 in Dynamixel 1.0 (undocumented for the MX-28).
 //!
 //! # References
 //! ROBOTIS e-Manual, "DYNAMIXEL Protocol 1.0" and "Protocol 2.0". Feetech: huggingface/lerobot,

@@ -5,8 +5,8 @@
 //! | Dynamixel 1.0, Feetech | `FF FF`, id, length, code, parameters, checksum |
 //! | Dynamixel 2.0 | `FF FF FD 00`, id, length (2 bytes), code, parameters, CRC (2 bytes) |
 //!
-//! The length counts everything after itself. The code is the instruction; in an answer it is the error byte, or in
-//! Dynamixel 2.0 always 0x55, followed by the error byte.
+//! The length counts everything after itself. The code is the instruction; in an answer it is the error byte,
+//! or in Dynamixel 2.0 always 0x55, followed by the error byte.
 
 use super::Protocol;
 use std::borrow::Cow;

@@ -242,20 +242,21 @@ impl Status {
     }
 }
 
-/// The number of parameters of the one packet in which several devices answer a fast sync read or fast bulk read, with
-/// these numbers of parameters each.
+/// The number of parameters of the one packet in which several devices answer a fast sync read or fast bulk
+/// read, with these numbers of parameters each.
 #[must_use]
 pub fn joined_parameters(each: impl IntoIterator<Item = u16>) -> u16 {
-    // Error, id and data of each device, and a CRC between two devices. The first error is not counted as a parameter.
+    // Error, id and data of each device, and a CRC between two devices. The first error is not counted as a
+    // parameter.
     let all = each.into_iter().fold(0_usize, |sum, length| sum + usize::from(length) + 4);
     u16::try_from(all.saturating_sub(3)).unwrap_or(u16::MAX)
 }
 
-/// Splits the packet in which several devices answered a fast sync read or fast bulk read of these devices with these
-/// numbers of parameters.
+/// Splits the packet in which several devices answered a fast sync read or fast bulk read of these devices
+/// with these numbers of parameters.
 ///
-/// The packet may break off: each device appends a CRC over everything up to it, so that the answers before the first
-/// missing or corrupt one are valid.
+/// The packet may break off: each device appends a CRC over everything up to it, so that the answers before
+/// the first missing or corrupt one are valid.
 #[must_use]
 pub fn split_joined(bytes: &[u8], requested: &[(Id, u16)]) -> Vec<Status> {
     let mut answers = Vec::new();

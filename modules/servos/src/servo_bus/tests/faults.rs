@@ -98,7 +98,8 @@ fn endure(kind: usize, seconds: usize) {
     assert!(longest_gap < 600, "{model}: a joint was stale for {longest_gap} cycles");
 }
 
-/// Which joints' measurements are in valid answers among these exchanges, as an independent reading of the bytes.
+/// Which joints' measurements are in valid answers among these exchanges, as an independent reading of the
+/// bytes.
 fn heard(plan: &BusPlan, exchanges: &[BusExchange]) -> [bool; 4] {
     use crate::servo_bus::protocol::{Instruction, Packet, Receiver, Status, split_joined};
     let mut heard = [false; 4];
@@ -130,7 +131,8 @@ fn heard(plan: &BusPlan, exchanges: &[BusExchange]) -> [bool; 4] {
     heard
 }
 
-/// Asserts that all goals in an instruction are within the limits of their joints. Returns false if it has none.
+/// Asserts that all goals in an instruction are within the limits of their joints. Returns false if it has
+/// none.
 fn check_goals(plan: &BusPlan, exchange: &BusExchange) -> bool {
     use crate::servo_bus::protocol::{Instruction, Packet};
     let protocol = plan.line.protocol;
