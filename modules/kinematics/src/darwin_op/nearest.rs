@@ -65,9 +65,9 @@ impl Leg {
     /// ```
     ///
     /// # References
-    /// Damped least squares as in [`InverseKinematics`](crate::InverseKinematics): each step minimises |J Δq
-    /// - e|² + λ |Δq|² over the joints that are not held at a limit, is moved into the limits, and is taken
-    /// only if the error decreases.
+    /// Damped least squares as in [`InverseKinematics`](crate::InverseKinematics): each step minimises
+    /// `|J Δq - e|² + λ |Δq|²` over the joints that are not held at a limit, is moved into the limits, and is
+    /// taken only if the error decreases.
     #[must_use]
     pub fn nearest(&self, hip_from_sole: &Isometry) -> NearestLeg {
         let solution = self.inverse(hip_from_sole);
