@@ -309,7 +309,7 @@ fn a_goal_of_a_library_in_rust_always_ends() {
         text(&in_domain(folder, case.domain, &["service", "call", service, kind]).output().unwrap())
     };
     let cancel = || call("/lean/_action/cancel_goal", "action_msgs/srv/CancelGoal");
-    let starts = || robot.output().matches("starts again after its panic").count();
+    let starts = || robot.output().matches("restarted after its panic").count();
     let fails = |fail: &mut dyn FnMut()| {
         let before = starts();
         fail();
@@ -395,13 +395,13 @@ services = ["crash", "hang"]
     let robot = Running::start_by(&mut in_domain(folder, 175, &["run", "robot.toml"]));
     robot.wait_for_output("exposed service: /hang");
     for (service, words) in [("/crash", "signal"), ("/hang", "300ms")] {
-        let before = robot.output().matches("starts again").count();
+        let before = robot.output().matches("restarted after its panic").count();
         let call =
             in_domain(folder, 175, &["service", "call", service, "std_srvs/srv/Trigger"]).output().unwrap();
         let called = text(&call);
         assert!(called.contains("success=False") && called.contains(words), "{called}\n{}", robot.output());
         common::wait_until("it has started again", || {
-            robot.output().matches("starts again").count() > before
+            robot.output().matches("restarted after its panic").count() > before
         });
     }
 }
