@@ -5,6 +5,7 @@
 
 mod common;
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -324,15 +325,16 @@ fn a_goal_of_a_library_in_rust_always_ends() {
     // While a goal is open.
     let during = |angle: f64, act: &mut dyn FnMut()| {
         let mut command = send(angle);
-        let goal = command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn();
-        let goal = goal.unwrap();
-        common::wait_until("the goal is open", || {
-            let status =
-                in_domain(folder, case.domain, &["topic", "echo", "--once", "/lean/_action/status"]).output();
-            text(&status.unwrap()).contains("status: 2")
-        });
+        let goal =
+            command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::inherit()).spawn();
+        let mut goal = goal.unwrap();
+        let mut lines = BufReader::new(goal.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let accepted = lines.by_ref().find(|line| line.contains("Goal accepted"));
+        assert!(accepted.is_some(), "{}", robot.output());
         act();
-        text(&goal.wait_with_output().unwrap())
+        let rest: Vec<_> = lines.collect();
+        goal.wait().unwrap();
+        rest.join("\n")
     };
     let canceled = during(-1.0, &mut || assert!(cancel().contains("return_code=0"), "{}", robot.output()));
     assert!(canceled.contains("CANCELED"), "{canceled}");
