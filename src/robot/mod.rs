@@ -57,8 +57,9 @@ pub use recorded_settings::ChangedSetting;
 pub(crate) use recorded_settings::{RecordedSettings, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
 pub(crate) use survey::Survey;
+#[cfg(feature = "cli")]
+pub(crate) use versions::FOLDER as SOURCES_FOLDER;
 pub use versions::LastVersion;
 pub(crate) use versions::{
-    FOLDER as SOURCES_FOLDER, Live, ReplayedTime, SourcedModules, Sources, VersionLog, VersionsInBag,
-    reloads_of,
+    Live, ReplayedTime, SourcedModules, Sources, VersionLog, VersionsInBag, reloads_of,
 };
