@@ -503,8 +503,8 @@
 //!
 //! # 10 A launcher
 //!
-//! The launcher decides on which threads the process phase runs. It does not change the result, because
-//! modules share nothing while they run and their requests are collected in the order of registration.
+//! The launcher decides on which threads the process phase runs. It does not change the result:
+//! running modules share no state, and the sync phase collects their requests in the order of registration.
 //!
 //! | launcher | for |
 //! | --- | --- |

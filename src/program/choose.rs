@@ -9,8 +9,8 @@ use anyhow::bail;
 /// How long a robot may take from its node, which others see, to its socket.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// The running robot with that name or process id; without one, the only running robot. Waits for one that is
-/// starting.
+/// Returns the running robot whose name or process id is `wanted`, or the only running robot if `wanted` is
+/// `None`. Waits for a starting robot for at most [`PATIENCE`].
 pub(crate) fn choose(wanted: Option<&str>) -> anyhow::Result<RunningRobot> {
     let directory = SocketDirectory::open()?;
     let started = Instant::now();

@@ -94,7 +94,7 @@ impl Pool {
     /// If `options` is empty, or the system refuses a thread or its options.
     pub fn with_each(options: Vec<ThreadOptions>) -> Result<Self, PoolError> {
         let threads = options.len();
-        // Spinning gains nothing if threads take CPUs from each other.
+        // A spinning thread would take its CPU from another thread of the pool.
         let spin = match shared_cpus(&options) {
             Some((sharing, cpus)) if options.iter().any(|options| options.spin == Spin::Always) => {
                 return Err(PoolError::TooFewCpus { threads, sharing, cpus });

@@ -338,8 +338,8 @@ impl TimeLimited for Shared {
     }
 }
 
-/// Of servers that are asked in different ways only one can be: one that is asked as most are, the first by
-/// identity.
+/// Chooses the server for the next request, since a request has one form: a server without the header in the
+/// payload if there is one; among equals, the one with the smallest identity.
 fn preferred(servers: &[Gid]) -> Option<Gid> {
     servers.iter().copied().min_by_key(|server| (Mapping::of(*server) == Mapping::PayloadHeader, *server))
 }

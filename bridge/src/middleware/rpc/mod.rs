@@ -3,9 +3,8 @@
 //!
 //! Implementations differ in how a reply names its request. `rmw_fastrtps` puts it beside the payload
 //! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first
-//! 16 bytes of the payload. A server answers each request the way its client speaks, and a client asks the
-//! way the server that is matched speaks; which one that is follows from the vendor in the identity of the
-//! peer.
+//! 16 bytes of the payload. A server answers each request the way its client speaks, and a client uses the
+//! form of the matched server. The vendor in the identity of the peer determines its form.
 //!
 //! As in `rmw_fastrtps`, a reply waits until the client that asked is matched, for at most [`REPLY_HOLD`]:
 //! discovery of a new client may have found one half of it only, and its first reply would be lost. And a
