@@ -271,8 +271,8 @@ impl Arena {
         &self.devices.emulators
     }
 
-    /// Advances devices and world to the time `now` of the cores. The first call sets the start time. Calls with
-    /// a time that was already reached have no effect, so any core of the arena may call first.
+    /// Advances devices and world to the time `now` of the cores. The first call sets the start time. Calls
+    /// with a time that was already reached have no effect, so any core of the arena may call first.
     ///
     /// With robots at ports, which live in real time, a world that is more than 100 ms behind stays behind:
     /// see [`Arena::left_out`].

@@ -155,8 +155,8 @@ impl Sources {
 /// The most imports that are followed from one name.
 const DEEPEST: usize = 8;
 
-/// Returns the circles of files that use each other, each in the order of its paths. Arrows from a file to the
-/// modules below it do not count, because a `mod.rs` may use its children and share items with them.
+/// Returns the circles of files that use each other, each in the order of its paths. Arrows from a file to
+/// the modules below it do not count, because a `mod.rs` may use its children and share items with them.
 pub(super) fn circles(arrows: &Arrows, declared_by: &BTreeMap<&Path, &Path>) -> Vec<Vec<PathBuf>> {
     let declares = |above: &Path, file: &Path| {
         std::iter::successors(declared_by.get(file), |parent| declared_by.get(**parent))
