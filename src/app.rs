@@ -1,15 +1,19 @@
 //! Programs that run robots: registration of what their robot files can name, and all commands.
 
+#[cfg(feature = "cli")]
+use std::ffi::OsString;
 use std::path::Path;
+#[cfg(feature = "cli")]
+use std::process::ExitCode;
 
 use downbeat_bags::{Reader, ReaderError};
 use downbeat_bridge::middleware::ParticipantOptions;
 use downbeat_executor::{Launcher, Mechanism, Module, ThreadOptions};
 use downbeat_msgs::InterfaceSet;
 
-use crate::replay::{self, ReplayError, ReplayOptions, ReplayReport};
-use crate::robot::{Catalog, CatalogError, Kind, RobotFile, RobotFileError, RosArgs};
-use crate::running::{PreparedRobot, RunningRobot, StartError};
+use downbeat_robot::replay::{self, ReplayError, ReplayOptions, ReplayReport};
+use downbeat_robot::running::{PreparedRobot, RunningRobot, StartError};
+use downbeat_robot::{Catalog, CatalogError, Kind, RobotFile, RobotFileError, RosArgs};
 
 /// A user's program: kinds of modules, registered by name, with all commands of `downbeat`.
 ///
@@ -174,6 +178,13 @@ impl App {
     /// Starts the robot of a robot file on its own threads: its core, its node in the ROS domain of the
     /// environment, and the socket for `downbeat top`. It runs until the result is stopped or dropped.
     ///
+    /// ```no_run
+    /// let robot = downbeat::App::with_built_in_kinds().start("robots/darwin_op.toml")?;
+    /// std::thread::sleep(std::time::Duration::from_secs(10));
+    /// robot.stop()?;
+    /// # Ok::<(), downbeat::Failure>(())
+    /// ```
+    ///
     /// For a recording, another domain, no node or inlets, use [`App::robot_file`] and [`PreparedRobot`]
     /// instead.
     ///
@@ -198,5 +209,22 @@ impl App {
         let file = self.robot_file(robot)?;
         let options = ReplayOptions::of(&file);
         Ok(replay::replay(file, &Reader::open(bag.as_ref())?, &options)?)
+    }
+
+    /// Runs the command line with all commands of `downbeat`. Errors are printed and lead to exit code 1.
+    /// Sets up logging, reports panics through it, and handles SIGINT, SIGTERM, SIGHUP and SIGQUIT of the
+    /// process.
+    #[cfg(feature = "cli")]
+    #[must_use]
+    pub fn main(&self) -> ExitCode {
+        self.main_with(std::env::args_os())
+    }
+
+    /// Runs a command line as [`main`](Self::main) does, for programs that another language starts: the name
+    /// of the program comes first.
+    #[cfg(feature = "cli")]
+    #[must_use]
+    pub fn main_with(&self, line: impl IntoIterator<Item = OsString>) -> ExitCode {
+        downbeat_program::main(self.problem.as_ref().map_or(Ok(&self.catalog), Err), line)
     }
 }

@@ -5,24 +5,7 @@
 //! files.
 
 mod app;
-#[cfg(feature = "view")]
-pub mod compose;
-pub mod duration;
-pub mod encoding;
-mod failure;
-mod features;
-pub mod inspect;
-pub mod journal;
 pub mod modules;
-pub mod playback;
-#[cfg(feature = "cli")]
-mod program;
-pub mod recorder;
-pub mod replay;
-pub mod robot;
-pub mod ros_recorder;
-pub mod running;
-pub mod table;
 
 pub use app::{App, AppError};
 pub use downbeat_bags as bags;
@@ -32,9 +15,12 @@ pub use downbeat_edge as edge;
 pub use downbeat_executor as executor;
 pub use downbeat_library_host as library_host;
 pub use downbeat_msgs as msgs;
+pub use downbeat_robot::{
+    self as robot, Failure, TestResult, duration, encoding, inspect, journal, playback, recorder, replay,
+    ros_recorder, running, table,
+};
 #[cfg(feature = "view")]
 pub use downbeat_view as view;
-pub use failure::{Failure, TestResult};
 
 /// The README of the repository, whose examples are compiled with the documentation tests.
 #[cfg(doctest)]

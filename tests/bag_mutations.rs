@@ -32,7 +32,7 @@ const BAGS: [Recorded; 7] = [
         found: &[273],
     },
     Recorded {
-        path: "src/program/new/templates/robot/tests/field_run",
+        path: "program/src/new/templates/robot/tests/field_run",
         field: "imu/data_raw:angular_velocity",
         is_large: false,
         found: &[],

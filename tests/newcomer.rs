@@ -122,7 +122,7 @@ fn the_program_projects_and_the_wheel_have_the_same_features_and_profiles() {
         ["Cargo.toml", "start/Cargo.toml", "start/program/Cargo.toml"].map(table);
     assert_eq!(names(&start), names(&downbeat));
     assert_eq!(names(&program), names(&downbeat));
-    let config = table("src/program/new/templates/shared/cargo_config.toml");
+    let config = table("program/src/new/templates/shared/cargo_config.toml");
     assert_eq!(program["profile"], config["profile"]);
     for key in ["codegen-units", "strip", "package"] {
         assert_eq!(downbeat["profile"]["release"][key], config["profile"]["release"][key], "{key}");

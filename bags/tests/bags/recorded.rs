@@ -19,7 +19,7 @@ fn recorded_bags() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut bags = Vec::new();
     let mut folders =
-        ["bags/recordings", "examples", "src/program/new/templates"].map(|of| root.join(of)).to_vec();
+        ["bags/recordings", "examples", "program/src/new/templates"].map(|of| root.join(of)).to_vec();
     while let Some(folder) = folders.pop() {
         if folder.join("metadata.yaml").exists() {
             bags.push(folder);

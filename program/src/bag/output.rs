@@ -1,0 +1,181 @@
+//! Options for the bag that a command creates.
+
+use std::fs;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use super::custom_data;
+use crate::new_output::{Force, Output};
+use crate::unfinished::Unfinished;
+use downbeat_bags::{
+    Compression, Copied, Copy, Reader, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
+};
+use downbeat_robot::SOURCES_FOLDER;
+
+/// How a new bag is written.
+#[derive(Args)]
+pub(crate) struct OutputArguments {
+    /// The new rosbag2 directory.
+    #[arg(long, short, value_name = "DIR")]
+    pub(crate) output: PathBuf,
+    #[command(flatten)]
+    pub(crate) layout: LayoutArguments,
+}
+
+/// The layout of its files, and whether they may replace others.
+#[derive(Args)]
+pub(crate) struct LayoutArguments {
+    #[command(flatten)]
+    force: Force,
+    /// The storage: mcap or, if built with --features sqlite, sqlite3, which does not store publish times.
+    #[arg(short, long, default_value_t = Storage::Mcap, value_name = "STORAGE")]
+    storage: Storage,
+    /// How chunks are compressed; sqlite3 does not support compression.
+    #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
+    compression: CompressionChoice,
+    /// Preset profile, as in ros2 bag record: none, fastwrite, zstd_fast or zstd_small; for sqlite3 none or
+    /// resilient.
+    #[arg(long, value_name = "PRESET", conflicts_with = "compression")]
+    storage_preset_profile: Option<String>,
+    /// Bytes after which the bag continues in a new file; 0 for never.
+    #[arg(short = 'b', long, default_value_t = 0, value_name = "BYTES")]
+    max_bag_size: u64,
+    /// Seconds after which the bag continues in a new file; 0 for never.
+    #[arg(short = 'd', long, default_value_t = 0, value_name = "SECONDS")]
+    max_bag_duration: u64,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum CompressionChoice {
+    /// No compression.
+    None,
+    /// With LZ4.
+    Lz4,
+    /// With Zstandard.
+    Zstd,
+}
+
+impl LayoutArguments {
+    fn writer_options(&self) -> Result<WriterOptions, StorageError> {
+        let options = match &self.storage_preset_profile {
+            Some(preset) => WriterOptions::new().storage(StorageOptions::preset(self.storage, preset)?),
+            None => WriterOptions::new()
+                .storage(StorageOptions::of(self.storage)?)
+                .compression(self.compression.into()),
+        };
+        let max_bytes = (self.max_bag_size > 0).then_some(self.max_bag_size);
+        let max_duration = (self.max_bag_duration > 0).then(|| Duration::from_secs(self.max_bag_duration));
+        Ok(options.split(SplitLimits { max_bytes, max_duration }))
+    }
+}
+
+impl From<CompressionChoice> for Compression {
+    fn from(choice: CompressionChoice) -> Self {
+        match choice {
+            CompressionChoice::None => Self::None,
+            CompressionChoice::Lz4 => Self::Lz4,
+            CompressionChoice::Zstd => Self::Zstd,
+        }
+    }
+}
+
+/// Writes the copy of `bags` into a new bag, with their custom data and the versions of modules in them, and
+/// prints its summary.
+pub(crate) fn write(
+    copy: Copy<'_>,
+    bags: &[Reader],
+    directory: &Path,
+    layout: &LayoutArguments,
+) -> anyhow::Result<Copied> {
+    let replaces = (layout.force, Output::Bag);
+    let unfinished = Unfinished::directory(directory, replaces, bags.iter().map(Reader::path))?;
+    let options = custom_data(bags)
+        .fold(layout.writer_options()?, |options, (key, value)| options.custom_data(key, value));
+    let mut progress = Progress::new("writing", copy.message_count());
+    let copied = copy.into_writer(options.create(unfinished.written())?, |written| progress.at(written))?;
+    drop(progress);
+    bags.iter().try_for_each(|bag| copy_versions(bag.path(), unfinished.written()))?;
+    unfinished.finish()?;
+    for note in &copied.completed {
+        tracing::info!("{note}");
+    }
+    for error in &copied.unreadable {
+        tracing::warn!("{error}");
+    }
+    for problem in &copied.undecodable {
+        tracing::warn!("{problem}");
+    }
+    if copied.without_publish_time > 0 {
+        tracing::warn!(
+            "the publish times of {} messages are lost: {} only stores receive times",
+            copied.without_publish_time,
+            layout.storage
+        );
+    }
+    println!("wrote {} messages into {}", copied.summary.message_count(), directory.display());
+    Ok(copied)
+}
+
+/// Copies the files of modules that a bag, a directory or a file in one, has in its folder.
+fn copy_versions(from: &Path, to: &Path) -> anyhow::Result<()> {
+    let from = if from.is_dir() { from } else { from.parent().unwrap_or(from) };
+    let (from, to) = (from.join(SOURCES_FOLDER), to.join(SOURCES_FOLDER));
+    if !from.is_dir() {
+        return Ok(());
+    }
+    let reads = || format!("cannot read {}", from.display());
+    for entry in fs::read_dir(&from).with_context(reads)? {
+        let entry = entry.with_context(reads)?;
+        // A link may lead anywhere.
+        if entry.file_type().with_context(reads)?.is_file() {
+            let copy = to.join(entry.file_name());
+            let writes = || format!("cannot copy {} to {}", entry.path().display(), copy.display());
+            fs::create_dir_all(&to).with_context(writes)?;
+            fs::copy(entry.path(), &copy).with_context(writes)?;
+        }
+    }
+    Ok(())
+}
+
+/// The progress bar of an operation.
+pub(crate) struct Progress {
+    bar: ProgressBar,
+    started: Instant,
+    is_shown: bool,
+}
+
+/// Shorter operations show no bar.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+impl Progress {
+    /// Creates a bar for the operation `what` on `total` messages.
+    pub(crate) fn new(what: &'static str, total: u64) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::hidden());
+        let style = "{prefix} {wide_bar} {human_pos}/{human_len} messages, {per_sec}, {eta} left";
+        if let Ok(style) = ProgressStyle::with_template(style) {
+            bar.set_style(style);
+        }
+        bar.set_prefix(what);
+        Self { bar, started: Instant::now(), is_shown: false }
+    }
+
+    /// Updates the number of processed messages.
+    pub(crate) fn at(&mut self, messages: u64) {
+        if !self.is_shown && self.started.elapsed() >= PATIENCE && std::io::stderr().is_terminal() {
+            self.bar.set_draw_target(ProgressDrawTarget::stderr());
+            self.is_shown = true;
+        }
+        self.bar.set_position(messages);
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}

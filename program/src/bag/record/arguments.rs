@@ -1,0 +1,251 @@
+//! The options of `downbeat bag record`: those of `ros2 bag record` of Jazzy by their names, and some of our
+//! own.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::new_output::Force;
+use clap::{Args, ValueEnum};
+use downbeat_bags::Storage;
+use downbeat_msgs::encoding::Encoding;
+use downbeat_robot::LogLevel;
+use downbeat_robot::duration::parse as duration;
+use regex_lite::Regex;
+
+/// The help of each option follows that of `ros2bag/verb/record.py`.
+#[derive(Args)]
+pub(crate) struct RecordArguments {
+    /// Topics to record, as after --topics.
+    #[arg(value_name = "TOPIC", conflicts_with = "topics")]
+    pub(crate) topics_positional: Vec<String>,
+    /// The new bag directory; default is a timestamped one in the current directory.
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) output: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) force: Force,
+    #[command(flatten)]
+    pub(crate) selection: SelectionArguments,
+    #[command(flatten)]
+    pub(crate) discovery: DiscoveryArguments,
+    #[command(flatten)]
+    pub(crate) writing: WritingArguments,
+    /// Start paused.
+    #[arg(long)]
+    pub(crate) start_paused: bool,
+    /// Stamp messages with the time of /clock. Nothing is recorded before the first time is received.
+    #[arg(long, conflicts_with = "no_discovery")]
+    pub(crate) use_sim_time: bool,
+    /// The name of the recorder's node.
+    #[arg(long, default_value = "rosbag2_recorder", value_name = "NAME")]
+    pub(crate) node_name: String,
+    /// Disable the key that pauses and resumes.
+    #[arg(long)]
+    pub(crate) disable_keyboard_controls: bool,
+    /// The minimum severity of logged events.
+    #[arg(long, value_enum, value_name = "LEVEL")]
+    pub(crate) log_level: Option<Level>,
+    /// Run this robot without a bridge and record its topics from the very first message.
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["domain", "use_sim_time", "no_discovery", "qos_profile_overrides_path"])]
+    pub(crate) robot: Option<PathBuf>,
+    /// Stop after this time: 500ms, 10s, 5m, 1h.
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    pub(crate) duration: Option<Duration>,
+    /// The ROS domain, instead of ROS_DOMAIN_ID.
+    #[arg(long, value_name = "N")]
+    pub(crate) domain: Option<u16>,
+}
+
+/// Which topics are recorded.
+#[derive(Args)]
+pub(crate) struct SelectionArguments {
+    /// Topics to record.
+    #[arg(long, num_args = 1.., value_name = "TOPIC")]
+    pub(crate) topics: Vec<String>,
+    /// Services whose events to record.
+    #[arg(long, num_args = 1.., value_name = "SERVICE", conflicts_with = "robot")]
+    pub(crate) services: Vec<String>,
+    /// Types of topics to record.
+    #[arg(long, num_args = 1.., value_name = "TYPE")]
+    pub(crate) topic_types: Vec<String>,
+    /// Record all topics and services, except hidden topics.
+    #[arg(short, long)]
+    pub(crate) all: bool,
+    /// Record all topics, except hidden ones.
+    #[arg(long)]
+    pub(crate) all_topics: bool,
+    /// Record the events of all services.
+    #[arg(long, conflicts_with = "robot")]
+    pub(crate) all_services: bool,
+    /// Record topics and services whose names contain this regular expression.
+    #[arg(short = 'e', long, value_name = "REGEX", value_parser = regex)]
+    pub(crate) regex: Option<Regex>,
+    /// Do not record topics and services whose names contain this regular expression.
+    #[arg(long, value_name = "REGEX", value_parser = regex)]
+    pub(crate) exclude_regex: Option<Regex>,
+    /// Types of topics not to record.
+    #[arg(long, num_args = 1.., value_name = "TYPE")]
+    pub(crate) exclude_topic_types: Vec<String>,
+    /// Topics not to record.
+    #[arg(long, num_args = 1.., value_name = "TOPIC")]
+    pub(crate) exclude_topics: Vec<String>,
+    /// Services whose events not to record.
+    #[arg(long, num_args = 1.., value_name = "SERVICE", conflicts_with = "robot")]
+    pub(crate) exclude_services: Vec<String>,
+    /// With --robot: record what these modules publish.
+    #[arg(long, num_args = 1.., value_name = "MODULE", requires = "robot")]
+    pub(crate) modules: Vec<String>,
+    /// With --robot: record what is exposed to ROS 2, or what is not.
+    #[arg(long, value_enum, requires = "robot", value_name = "WHICH")]
+    pub(crate) exposed: Option<ExposedChoice>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ExposedChoice {
+    Only,
+    Not,
+}
+
+/// How topics are found.
+#[derive(Args)]
+pub(crate) struct DiscoveryArguments {
+    /// Also record topics without publishers.
+    #[arg(long)]
+    pub(crate) include_unpublished_topics: bool,
+    /// Also record hidden topics.
+    #[arg(long)]
+    pub(crate) include_hidden_topics: bool,
+    /// Record only topics that exist at the start.
+    #[arg(long)]
+    pub(crate) no_discovery: bool,
+    /// How many milliseconds to wait between searches for new topics.
+    #[arg(short, long, default_value_t = 100, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) polling_interval: u64,
+    /// Ignore topics without a subscription.
+    #[arg(long)]
+    pub(crate) ignore_leaf_topics: bool,
+    /// A YAML file of QoS profiles to request on topics, instead of those that their publishers offer.
+    #[arg(long, value_name = "FILE.yaml")]
+    pub(crate) qos_profile_overrides_path: Option<PathBuf>,
+}
+
+/// How the bag is written.
+#[derive(Args)]
+pub(crate) struct WritingArguments {
+    /// The storage: mcap or, if built with --features sqlite, sqlite3, which supports neither publish times
+    /// nor encodings other than cdr; default mcap or, with --robot, that of the robot file's [record].
+    #[arg(short, long, value_name = "STORAGE")]
+    pub(crate) storage: Option<Storage>,
+    /// The serialization format: cdr, as in ROS 2; see --encoding for others.
+    #[arg(short = 'f', long, value_parser = ["cdr"], value_name = "FORMAT")]
+    pub(crate) serialization_format: Option<String>,
+    /// Bytes after which the bag continues in a new file; 0 for never.
+    #[arg(short = 'b', long, value_name = "BYTES")]
+    pub(crate) max_bag_size: Option<u64>,
+    /// Seconds after which the bag continues in a new file; 0 for never.
+    #[arg(short = 'd', long, value_name = "SECONDS")]
+    pub(crate) max_bag_duration: Option<u64>,
+    /// Keep at most this many files: the oldest is deleted.
+    #[arg(long, value_name = "N")]
+    pub(crate) max_bag_files: Option<NonZeroUsize>,
+    /// Bytes of messages that may be queued, default 104857600; with 0 every message waits for the disk.
+    #[arg(long, value_name = "BYTES")]
+    pub(crate) max_cache_size: Option<usize>,
+    /// Keep messages in memory, and write them when the service ~/snapshot is called.
+    #[arg(long, conflicts_with = "robot")]
+    pub(crate) snapshot_mode: bool,
+    /// With --snapshot-mode: keep the messages of this duration, if they fit into --max-cache-size.
+    #[arg(long, value_parser = duration, value_name = "TIME", requires = "snapshot_mode")]
+    pub(crate) snapshot_duration: Option<Duration>,
+    /// Add this to the metadata. The last value of a key is used.
+    #[arg(long, num_args = 1.., value_name = "KEY=VALUE", value_parser = key_and_value)]
+    pub(crate) custom_data: Vec<(String, String)>,
+    /// Preset profile: none, fastwrite, zstd_fast or zstd_small, default as none with checksums; for sqlite3
+    /// none or resilient (default).
+    #[arg(long, value_name = "PRESET")]
+    pub(crate) storage_preset_profile: Option<String>,
+    /// A YAML file of storage options for rosbag2_storage_mcap or rosbag2_storage_sqlite3.
+    #[arg(long, value_name = "FILE.yaml")]
+    pub(crate) storage_config_file: Option<PathBuf>,
+    /// Compress chunks with Zstandard, like --storage-preset-profile zstd_fast.
+    #[arg(long, conflicts_with = "storage_preset_profile")]
+    pub(crate) zstd: bool,
+    /// Only none: the storage compresses chunks, but neither messages nor whole files.
+    #[arg(long, value_parser = ["none"], default_value = "none", value_name = "MODE")]
+    pub(crate) compression_mode: String,
+    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers;
+    /// default cdr or, with --robot, that of the robot file's [record].
+    #[arg(long, value_name = "ENCODING")]
+    pub(crate) encoding: Option<Encoding>,
+    /// What to do if messages arrive faster than they can be written.
+    #[arg(long, value_enum, value_name = "WHAT")]
+    pub(crate) when_slow: Option<OnTrouble>,
+    /// What to do if the disk is full.
+    #[arg(long, value_enum, value_name = "WHAT")]
+    pub(crate) when_disk_full: Option<OnTrouble>,
+    /// When to sync written data to disk.
+    #[arg(long, value_enum, value_name = "WHEN")]
+    pub(crate) sync: Option<SyncWhen>,
+    /// The most that a killed recording loses, default 1s.
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    pub(crate) flush_interval: Option<Duration>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Level {
+    Debug,
+    Info,
+    Warn,
+    Error,
+    Fatal,
+}
+
+impl From<Level> for LogLevel {
+    fn from(level: Level) -> Self {
+        match level {
+            Level::Debug => Self::Debug,
+            Level::Info => Self::Info,
+            Level::Warn => Self::Warn,
+            Level::Error => Self::Error,
+            Level::Fatal => Self::Fatal,
+        }
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum OnTrouble {
+    /// Drop and count messages, and continue.
+    Drop,
+    /// Stop recording; earlier messages are kept.
+    Stop,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum SyncWhen {
+    /// Never.
+    Never,
+    /// At the end of each file.
+    Files,
+    /// After each chunk.
+    Chunks,
+}
+
+impl SelectionArguments {
+    /// Returns whether anything is selected.
+    pub(crate) fn is_given(&self) -> bool {
+        self.all
+            || self.all_topics
+            || self.all_services
+            || self.regex.is_some()
+            || !(self.topics.is_empty() && self.services.is_empty() && self.topic_types.is_empty())
+    }
+}
+
+fn key_and_value(text: &str) -> Result<(String, String), String> {
+    let (key, value) = text.split_once('=').ok_or_else(|| format!("\"{text}\" is not KEY=VALUE"))?;
+    Ok((key.to_owned(), value.to_owned()))
+}
+
+fn regex(text: &str) -> Result<Regex, String> {
+    Regex::new(text).map_err(|error| format!("regex parse error: {error}"))
+}

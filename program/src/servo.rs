@@ -1,0 +1,273 @@
+//! `downbeat servo`
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use clap::{Args, Subcommand};
+use downbeat_servos::servo_bus::bus::LineSettings;
+use downbeat_servos::servo_bus::models::{self, Model, Register};
+use downbeat_servos::servo_bus::protocol::{Id, Protocol};
+use downbeat_servos::servo_bus::{Caution, Found, ServoError, ServoPort};
+
+#[derive(Subcommand)]
+pub(crate) enum ServoCommand {
+    /// List the devices on a port, in all protocols and at all speeds, or in those that are given.
+    Scan {
+        #[command(flatten)]
+        port: PortArguments,
+        /// The last id to ask: those from 0 are asked.
+        #[arg(long, value_name = "ID", default_value_t = 253)]
+        last_id: u8,
+    },
+    /// Print what a device is.
+    Ping {
+        #[command(flatten)]
+        port: PortArguments,
+        /// The device.
+        id: u8,
+    },
+    /// Print registers of a device, by name; without a name, all.
+    Read {
+        #[command(flatten)]
+        port: PortArguments,
+        /// The device.
+        id: u8,
+        /// Names of registers, such as present_position.
+        registers: Vec<String>,
+    },
+    /// Write a register of a device. What outlives the power, and what makes a joint jump, needs --force.
+    Write {
+        #[command(flatten)]
+        port: PortArguments,
+        /// The device.
+        id: u8,
+        /// The name of the register, such as goal_position.
+        register: String,
+        /// The raw value, as in the control table.
+        #[arg(allow_negative_numbers = true)]
+        value: i64,
+        /// Write it in any case.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Give a device another id.
+    SetId {
+        #[command(flatten)]
+        port: PortArguments,
+        /// Its present id.
+        id: u8,
+        /// Its new id.
+        new: u8,
+        /// Write it even if another device has that id.
+        #[arg(long)]
+        force: bool,
+    },
+}
+
+#[derive(Args)]
+pub(crate) struct PortArguments {
+    /// The serial port, such as /dev/ttyUSB0.
+    #[arg(value_name = "PORT")]
+    path: String,
+    /// The speed, in bit/s; may be given more than once. Default: all usual ones.
+    #[arg(long, value_name = "BPS")]
+    baud: Vec<u32>,
+    /// The protocol: dynamixel1, dynamixel2, feetech_sts, feetech_scs; may be given more than once. Default:
+    /// all.
+    #[arg(long, value_name = "PROTOCOL")]
+    protocol: Vec<Protocol>,
+    /// How long a device may take to answer.
+    #[arg(long, value_name = "MS", default_value_t = 10)]
+    timeout_ms: u64,
+    /// A file with the registers of a model that is not built in; may be given more than once.
+    #[arg(long, value_name = "FILE")]
+    model_file: Vec<PathBuf>,
+}
+
+/// The speeds of a scan, the most usual first.
+const BAUDS: [u32; 9] = [1_000_000, 57_600, 2_000_000, 115_200, 3_000_000, 4_000_000, 500_000, 9_600, 19_200];
+
+pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
+    match command {
+        ServoCommand::Scan { port, last_id } => scan(&port, last_id),
+        ServoCommand::Ping { port, id } => {
+            let (_, found) = port.find(id)?;
+            println!("{}", described(&found));
+            Ok(())
+        }
+        ServoCommand::Read { port, id, registers } => read(&port, id, &registers),
+        ServoCommand::Write { port, id, register, value, force } => {
+            let (mut port, found) = port.find(id)?;
+            let (_, model) = port.known(found.id)?;
+            let register = ServoPort::register(&model, &register)?;
+            port.write(found.id, &model, &register, value, caution(force))?;
+            println!("{}", shown(&register, value));
+            Ok(())
+        }
+        ServoCommand::SetId { port, id, new, force } => {
+            let (mut port, found) = port.find(id)?;
+            let new = device(new)?;
+            port.set_id(found.id, new, caution(force))?;
+            println!("id {id} is now id {new}");
+            Ok(())
+        }
+    }
+}
+
+fn scan(arguments: &PortArguments, last_id: u8) -> anyhow::Result<()> {
+    let ids: Vec<Id> = (0..=last_id.min(253)).filter_map(Id::new).collect();
+    let mut port = arguments.open()?;
+    let mut count = 0;
+    for baud in arguments.bauds() {
+        let found = match port.scan(*baud, arguments.protocols(), &ids) {
+            Ok(found) => found,
+            // Not every port has every speed.
+            Err(ServoError::Port(reason)) if arguments.baud.is_empty() && *baud != BAUDS[0] => {
+                tracing::debug!("skipped {baud} bit/s: {reason}");
+                continue;
+            }
+            Err(error) => return Err(error.into()),
+        };
+        for found in &found {
+            println!("{}", described(found));
+        }
+        for board in &found {
+            if port.withholds_power(board)? {
+                println!("{}", without_power(board, &arguments.path));
+            }
+        }
+        count += found.len();
+    }
+    if count == 0 {
+        bail!(
+            "{}: no device answered; is the power on, is the port the right one, and does nothing else use it?",
+            arguments.path
+        );
+    }
+    Ok(())
+}
+
+fn read(arguments: &PortArguments, id: u8, names: &[String]) -> anyhow::Result<()> {
+    let (mut port, found) = arguments.find(id)?;
+    let (_, model) = port.known(found.id)?;
+    let registers: Vec<Register> = if names.is_empty() {
+        model.registers.clone()
+    } else {
+        names.iter().map(|name| ServoPort::register(&model, name)).collect::<Result<_, _>>()?
+    };
+    for register in registers {
+        let value = port.read(found.id, &register)?;
+        println!("{}", shown(&register, value));
+    }
+    Ok(())
+}
+
+impl PortArguments {
+    fn open(&self) -> anyhow::Result<ServoPort> {
+        let model = |path: &PathBuf| -> anyhow::Result<Arc<Model>> { own_model(path) };
+        let own_models = self.model_file.iter().map(model).collect::<anyhow::Result<Vec<_>>>()?;
+        Ok(ServoPort::open(&self.path, Duration::from_millis(self.timeout_ms), own_models)?)
+    }
+
+    fn protocols(&self) -> &[Protocol] {
+        if self.protocol.is_empty() { &Protocol::ALL } else { &self.protocol }
+    }
+
+    fn bauds(&self) -> &[u32] {
+        if self.baud.is_empty() { &BAUDS } else { &self.baud }
+    }
+
+    fn lines(&self) -> Vec<LineSettings> {
+        let lines = self.bauds().iter().flat_map(|baud| {
+            self.protocols().iter().map(|protocol| LineSettings { baud: *baud, protocol: *protocol })
+        });
+        lines.collect()
+    }
+
+    /// Opens the port and finds a device on it.
+    fn find(&self, id: u8) -> anyhow::Result<(ServoPort, Found)> {
+        let id = device(id)?;
+        let mut port = self.open()?;
+        let mut unknown = None;
+        for line in self.lines() {
+            if let Err(error) = port.speak(line) {
+                tracing::debug!("skipped {} bit/s: {error}", line.baud);
+                continue;
+            }
+            match port.identify(id)? {
+                Some(found) if found.model.is_some() => return Ok((port, found)),
+                Some(found) if unknown.is_none() => unknown = Some(found),
+                _ => {}
+            }
+        }
+        match unknown {
+            Some(found) => {
+                port.speak(found.line)?;
+                Ok((port, found))
+            }
+            None => bail!(
+                "{}: no answer from id {id}; is it powered? `downbeat servo scan {}` lists the devices",
+                self.path,
+                self.path
+            ),
+        }
+    }
+}
+
+fn own_model(path: &Path) -> anyhow::Result<Arc<Model>> {
+    let text = downbeat_msgs::user_file::read_text(path)
+        .with_context(|| format!("cannot read the model {}", path.display()))?;
+    Model::parse(&text).map(Arc::new).with_context(|| path.display().to_string())
+}
+
+fn device(raw: u8) -> anyhow::Result<Id> {
+    Id::new(raw)
+        .filter(|id| id.raw() <= 253)
+        .with_context(|| format!("{raw} is no id of a device; ids are 0 to 253"))
+}
+
+fn caution(force: bool) -> Caution {
+    if force { Caution::Force } else { Caution::Refuse }
+}
+
+/// What to do about servos that cannot answer, since the board before them has switched them off.
+fn without_power(board: &Found, path: &str) -> String {
+    let Found { id, line, model, .. } = board;
+    let remedy = match model {
+        Some(_) => format!(
+            "`downbeat servo write {path} {id} dynamixel_power 1 --baud {} --protocol {}` switches it on; then scan again",
+            line.baud,
+            line.protocol.key()
+        ),
+        // Registers are written by name.
+        None => "a robot switches it on with `power` of [[device]] (docs/servos.md)".to_owned(),
+    };
+    let seems = if model.is_some() { "has" } else { "seems to have" };
+    format!("id {id} {seems} switched off the power of the servos behind it, which cannot answer: {remedy}")
+}
+
+fn described(found: &Found) -> String {
+    let model = match (&found.model, found.number) {
+        (Some(model), _) => model.name.clone(),
+        (None, Some(number)) => format!("unknown model {number}"),
+        (None, None) => "unknown model".to_owned(),
+    };
+    let firmware = found.firmware.map_or_else(String::new, |firmware| format!(", firmware {firmware}"));
+    format!("id {}: {model}{firmware}, {} at {} bit/s", found.id, found.line.protocol.key(), found.line.baud)
+}
+
+fn shown(register: &Register, value: i64) -> String {
+    let access = match register.access {
+        models::Access::Read => "read",
+        models::Access::Ram => "ram",
+        models::Access::Eeprom => "eeprom",
+    };
+    let si = if register.unit.is_empty() || register.unit == "1" && value == 0 {
+        String::new()
+    } else {
+        format!("  {:.4} {}", register.to_si(value), register.unit)
+    };
+    format!("{:<28} {value:>8}  {access:<6}{si}", register.name)
+}

@@ -1,0 +1,173 @@
+//! The text of a robot file, and errors that point into it.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use downbeat_executor::SettingValue;
+
+use super::RobotFile;
+use crate::parameters::line_of;
+
+/// Error in a robot file or in arguments for it, with its place.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotFileError {
+    /// The file cannot be read.
+    #[error("cannot read the {what} {}: {source}", path.display())]
+    Unreadable {
+        /// "robot file" or "parameter file".
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// A line is invalid.
+    #[error("{}:{line}: {problem}", path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What was found, what was expected, and the most similar valid name if there is one.
+        problem: String,
+    },
+    /// An argument of the command line is invalid.
+    #[error("-p {argument}: {problem}")]
+    Argument {
+        /// The argument as given.
+        argument: String,
+        /// What was found, what was expected, and the most similar valid name if there is one.
+        problem: String,
+    },
+}
+
+/// The path and the text of a robot file, or of a parameter file.
+pub struct Source {
+    path: PathBuf,
+    text: String,
+    /// The offsets of the newlines.
+    newlines: Vec<usize>,
+}
+
+impl Source {
+    /// Reads a file that a user wrote; `what` names it in errors.
+    ///
+    /// # Errors
+    /// If it cannot be read, or is far too large for its kind.
+    pub fn read(path: &Path, what: &'static str) -> Result<Self, RobotFileError> {
+        match downbeat_msgs::user_file::read_text(path) {
+            Ok(text) => Ok(Self::new(path, text)),
+            Err(source) => Err(RobotFileError::Unreadable { what, path: path.into(), source }),
+        }
+    }
+
+    /// A text that was read from `path`.
+    #[must_use]
+    pub fn new(path: &Path, text: String) -> Self {
+        let newlines =
+            text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+        Self { path: path.into(), text, newlines }
+    }
+
+    /// The path as the user wrote it.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The whole text.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The line of the first byte of a span, from 1.
+    #[must_use]
+    pub fn line_of(&self, span: &Range<usize>) -> usize {
+        1 + self.newlines.partition_point(|newline| *newline < span.start)
+    }
+
+    /// An error that names the file and the line.
+    pub fn error(&self, line: usize, problem: impl Into<String>) -> RobotFileError {
+        RobotFileError::Line { path: self.path.clone(), line, problem: problem.into() }
+    }
+}
+
+/// Returns a TOML string with all special characters escaped.
+pub fn toml_string(text: &str) -> String {
+    let escape = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
+        c => c.to_string(),
+    };
+    format!("\"{}\"", text.chars().map(escape).collect::<String>())
+}
+
+/// The value of a setting with the place at which it was given.
+#[derive(Clone)]
+pub struct Given {
+    pub place: Place,
+    pub value: SettingValue,
+    /// Whether it was given under a wildcard, and may be meant for other nodes.
+    pub is_wildcard: bool,
+}
+
+/// The place at which a value was given.
+#[derive(Clone)]
+pub enum Place {
+    /// On a line of the robot file.
+    Line(usize),
+    /// On a line of a file that it includes.
+    Included(Arc<Source>, usize),
+    /// In a parameter file.
+    Parameter(ParameterPlace),
+    /// In this argument of the command line.
+    Argument(String),
+}
+
+/// A value in a parameter file, identified by the keys that lead to it.
+#[derive(Clone)]
+pub struct ParameterPlace {
+    pub source: Arc<Source>,
+    pub keys: Vec<String>,
+}
+
+impl Place {
+    /// True for the command line and parameter files, which say how this run is to be, and not how the robot
+    /// is.
+    pub fn is_for_this_run(&self) -> bool {
+        matches!(self, Self::Parameter(_) | Self::Argument(_))
+    }
+}
+
+impl RobotFile {
+    /// Creates an error that points to a place.
+    pub fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {
+        match place {
+            Place::Line(line) => self.source.error(*line, problem),
+            Place::Included(source, line) => source.error(*line, problem),
+            Place::Parameter(place) => place.error(problem),
+            Place::Argument(argument) => {
+                RobotFileError::Argument { argument: argument.clone(), problem: problem.into() }
+            }
+        }
+    }
+}
+
+impl ParameterPlace {
+    pub fn error(&self, problem: impl Into<String>) -> RobotFileError {
+        self.source.error(line_of(self.source.text(), &self.keys), problem)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_count_from_one() {
+        let source = Source::new(Path::new("a.toml"), "a\nb\nc".into());
+        assert_eq!([0, 1, 2, 4, 99].map(|start| source.line_of(&(start..start))), [1, 1, 2, 3, 3]);
+    }
+}

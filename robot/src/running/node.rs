@@ -1,0 +1,209 @@
+//! The node of a running robot.
+
+use std::collections::BTreeMap;
+
+use downbeat_bridge::clock::{self, NodeClock, SimTime};
+use downbeat_bridge::diagnostics::ProcessDiagnostics;
+use downbeat_bridge::expose::{
+    Bridge, EndpointReport, ExposedServices, ParameterExposure, ParameterServer, ParameterServices,
+};
+use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
+use downbeat_bridge::middleware::{Direction, ParticipantOptions};
+use downbeat_bridge::network::NetworkWatch;
+use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
+use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
+
+use super::{LogTail, StartError};
+use crate::inspect::{ClaimError, NodeClaim, SocketDirectory};
+use crate::{ClockChoice, Robot, RobotFile};
+
+/// The log of a program, as the node of a robot needs it.
+#[derive(Clone)]
+pub struct NodeLog {
+    /// The lines for `/rosout`.
+    pub rosout: Rosout,
+    /// The levels of loggers, which `ros2 service call` may change.
+    pub levels: LoggerLevels,
+    /// The names of loggers.
+    pub names: LoggerNames,
+    /// The last lines, for the page.
+    pub tail: LogTail,
+}
+
+/// The node of a running robot with all that belongs to it. ROS 2 sees it until it is dropped.
+pub struct RobotNode {
+    // Fields drop in this order.
+    bridge: Bridge,
+    services: ExposedServices,
+    _sim_time: Option<SimTime>,
+    /// Dropped before the node, so that the last lines are sent.
+    _rosout: Option<RosoutPublisher>,
+    _logger_services: Option<LoggerServices>,
+    _parameters: ParameterServices,
+    _lifecycle: LifecycleNodes,
+    _network: Option<NetworkWatch>,
+    _furnishing: Furnishing,
+    node: Node,
+    domain: u16,
+    /// Released after the node.
+    _claim: Option<NodeClaim>,
+}
+
+impl RobotNode {
+    /// Creates the node with all that the robot file exposes.
+    pub(super) fn start(
+        robot: &mut Robot,
+        clock: &NodeClock,
+        diagnostics: Option<&ProcessDiagnostics>,
+        options: &ParticipantOptions,
+        log: Option<&NodeLog>,
+    ) -> Result<Self, StartError> {
+        let exposed = robot.exposed()?;
+        let claim = claim(&robot.file, options.domain_id)?;
+        let features = robot.file.expose.features.clone();
+        let participant = Participant::join_with(
+            &ParticipantOptions { engine: features.engine, ..options.clone() },
+            robot.file.remaps.clone(),
+            robot.file.catalog.interfaces.clone(),
+        )?;
+        let node = participant.create_node(robot.file.given_node_name()?)?;
+        if let Some(log) = log {
+            log.names.set_node(node.name());
+        }
+        let rosout = log.map(|log| &log.rosout);
+        let rosout = rosout.filter(|_| features.rosout && !robot.file.is_rosout_disabled);
+        if let (None, Some(log)) = (rosout, log) {
+            log.rosout.turn_off();
+        }
+        let rosout_publisher = rosout.map(|rosout| rosout.publish(&node)).transpose()?;
+        let levels = log.filter(|_| features.logger_service).map(|log| &log.levels);
+        let logger_services = levels.map(|levels| levels.serve(&node)).transpose()?;
+        if let ClockChoice::Publish(period) = features.clock {
+            clock::publish(&mut robot.core, &node, period)?;
+        }
+        let network = features.network.then(|| NetworkWatch::start(&mut robot.core, &participant));
+        let network = network.transpose()?;
+        let sim_time = sim_time(robot, clock, &node)?;
+        let parameters = ParameterServer::new(&robot.core, sim_time.clone());
+        let of_robot = parameters.serve(&node, robot.parameter_exposure()?)?;
+        let furnishing = furnish(robot, &participant, parameters, rosout.cloned())?;
+        let managed = robot.lifecycle_exposures()?;
+        let lifecycle = expose_lifecycle(&robot.core, &participant, &managed)?;
+        for (LifecycleExposure { module, .. }, node) in managed.iter().zip(lifecycle.nodes()) {
+            if let Some(log) = log {
+                log.names.set_module(module, node.name());
+            }
+            tracing::info!("exposed lifecycle: {}", node.name());
+        }
+        let bridge = Bridge::start(&mut robot.core, &node, &exposed.topics)?;
+        if let Some(diagnostics) = diagnostics {
+            diagnostics.watch_endpoints(bridge.status());
+        }
+        for EndpointReport { endpoint, .. } in bridge.status().endpoints() {
+            let arrow = match endpoint.direction {
+                Direction::Out => "to ROS 2",
+                Direction::In => "from ROS 2",
+            };
+            tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
+        }
+        let introspection = robot.file.expose.introspection;
+        let services =
+            ExposedServices::start(&mut robot.core, &node, &exposed.services, &exposed.calls, introspection)?;
+        if let Some(diagnostics) = diagnostics {
+            diagnostics.watch_services(services.status());
+        }
+        for (name, ..) in services.status().services() {
+            tracing::info!("exposed service: {name}");
+        }
+        Ok(Self {
+            bridge,
+            services,
+            _sim_time: sim_time,
+            _rosout: rosout_publisher,
+            _logger_services: logger_services,
+            _parameters: of_robot,
+            _lifecycle: lifecycle,
+            _network: network,
+            _furnishing: furnishing,
+            node,
+            domain: options.domain_id,
+            _claim: claim,
+        })
+    }
+
+    /// The node.
+    #[must_use]
+    pub fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// The bridge, which can change what is exposed while the robot runs.
+    #[must_use]
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    pub(super) fn services(&self) -> &ExposedServices {
+        &self.services
+    }
+
+    /// The ROS domain.
+    #[must_use]
+    pub fn domain(&self) -> u16 {
+        self.domain
+    }
+}
+
+/// Gives the other nodes of the robot file what every node has, parameters and `/rosout`, and those of a
+/// module its settings and its log.
+fn furnish(
+    robot: &Robot,
+    participant: &Participant,
+    parameters: ParameterServer,
+    rosout: Option<Rosout>,
+) -> Result<Furnishing, StartError> {
+    let settings = robot.parameter_exposure()?.settings;
+    let module = |exposure: LifecycleExposure| -> Result<_, StartError> {
+        let node = robot.file.remaps.node(&exposure.node).map_err(NodeError::from)?;
+        Ok((node, exposure.module))
+    };
+    let modules = robot.lifecycle_exposures()?.into_iter().map(module);
+    let modules: BTreeMap<_, _> = modules.collect::<Result<_, StartError>>()?;
+    Ok(participant.furnish(move |node| {
+        let module = modules.get(node.name());
+        if let Some(rosout) = &rosout {
+            node.attach(rosout.publish_also(node, module.map(String::as_str))?);
+        }
+        let exposure = module.map_or_else(ParameterExposure::default, |module| ParameterExposure {
+            settings: settings.clone(),
+            of_module: Some(module.clone()),
+        });
+        node.attach(parameters.serve(node, exposure)?);
+        Ok(())
+    }))
+}
+
+/// Refuses a second robot of the same name, if the directory of robots is readable.
+fn claim(file: &RobotFile, domain: u16) -> Result<Option<NodeClaim>, StartError> {
+    let node = file.node_name()?.to_string();
+    let directory = SocketDirectory::open().map_err(ClaimError::from);
+    match directory.and_then(|directory| directory.claim(&file.name, &node, domain)) {
+        Ok(claim) => Ok(Some(claim)),
+        Err(taken @ ClaimError::Taken { .. }) => Err(taken.into()),
+        Err(ClaimError::Directory(error)) => {
+            tracing::debug!("whether another robot has the name {node} is not known: {error}");
+            Ok(None)
+        }
+    }
+}
+
+/// The switch behind `use_sim_time`; `None` if others follow the time of this robot.
+fn sim_time(robot: &Robot, clock: &NodeClock, node: &Node) -> Result<Option<SimTime>, StartError> {
+    let choice = robot.file.expose.features.clock;
+    if matches!(choice, ClockChoice::Publish(_)) {
+        return Ok(None);
+    }
+    let sim_time = clock.sim_time(node, &robot.core.handle());
+    sim_time.set(choice == ClockChoice::Follow)?;
+    Ok(Some(sim_time))
+}
