@@ -36,8 +36,13 @@ enum Command {
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
-    /// The wheel of the Python package, for release, under target/wheels; prints its path.
+    /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features it
+    /// shares what the first command of the README has compiled.
     Wheel {
+        /// Features of downbeat that it has beside the default ones, such as `physics`, or `full`, which compiles
+        /// for a quarter of an hour.
+        #[arg(long, value_delimiter = ',', conflicts_with = "test")]
+        features: Vec<String>,
         /// Build it for development instead, and run its tests in a fresh environment.
         #[arg(long)]
         test: bool,
@@ -68,8 +73,10 @@ fn main() -> ExitCode {
         Command::Wire => wire::wire(),
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),
-        Command::Wheel { test: true } => wheel::test(),
-        Command::Wheel { test: false } => wheel::build().map(|path| println!("{}", path.display())),
+        Command::Wheel { test: true, .. } => wheel::test(),
+        Command::Wheel { test: false, features } => {
+            wheel::build(&features).map(|path| println!("{}", path.display()))
+        }
         Command::Physics { arguments } => physics::physics(&arguments),
         Command::Football(arguments) => football::football(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),

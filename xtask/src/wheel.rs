@@ -16,11 +16,13 @@ const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
 
-/// Builds the wheel for release and returns its path. Cargo compiles it with what `cargo run` in the checkout
-/// has compiled already, and shows its progress.
-pub(crate) fn build() -> anyhow::Result<PathBuf> {
+/// Builds the wheel for release and returns its path. Without features cargo compiles it with what `cargo run`
+/// in the checkout has compiled already; it shows its progress.
+pub(crate) fn build(features: &[String]) -> anyhow::Result<PathBuf> {
     downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
-    pack("release", &[])
+    let features = features.join(",");
+    let options: &[&str] = if features.is_empty() { &[] } else { &["--features", &features] };
+    pack("release", options)
 }
 
 /// Builds the wheel with a profile of cargo.

@@ -59,7 +59,7 @@ use downbeat_robot::{Catalog, ModuleSource, PROFILE_SCHEMA};
 const MOST_STEPS: usize = 500;
 
 /// The longest text of a document.
-const LONGEST_TEXT: usize = 4 << 20;
+pub(super) const LONGEST_TEXT: usize = 4 << 20;
 
 /// How long a robot may take to open its page.
 const START: Duration = Duration::from_secs(30);
@@ -122,7 +122,7 @@ enum End {
     To,
 }
 
-type Answer = Result<Value, String>;
+pub(super) type Answer = Result<Value, String>;
 
 impl Composer {
     /// Opens a robot file, which may not exist yet.
