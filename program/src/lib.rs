@@ -18,12 +18,12 @@ mod expose;
 mod football;
 mod graph;
 mod interface;
-#[cfg(any(feature = "football", feature = "view"))]
-mod itself;
 mod logging;
 mod look;
 mod new;
 mod new_output;
+#[cfg(any(feature = "football", feature = "view"))]
+mod own_command;
 mod parameters;
 mod run;
 mod screen;

@@ -11,7 +11,7 @@ use rustix::io::Errno;
 
 use super::logging::Stream;
 use super::screen::Screen;
-use super::stop::{self, OutputEnd};
+use super::stop::requested::{self, OutputEnd};
 use downbeat_msgs::write_printable_lines;
 
 macro_rules! print {
@@ -66,7 +66,7 @@ fn output_failed(error: &io::Error) {
     if is_reported && !HAS_FAILED.swap(true, Ordering::Relaxed) {
         print_error(format_args!("downbeat: cannot write to standard output: {error}\n"));
     }
-    match stop::output_failed(is_unread) {
+    match requested::output_failed(is_unread) {
         OutputEnd::Continue => {}
         OutputEnd::Exit => {
             Screen::of_process().flush();

@@ -11,7 +11,7 @@ use console::Term;
 use parking_lot::{Condvar, Mutex};
 
 use super::logging::Stream;
-use super::stop;
+use super::stop::requested;
 use downbeat_msgs::printable;
 
 /// Standard error, shared by the log and the status block. The block is only drawn on terminals.
@@ -102,7 +102,7 @@ impl Screen {
             self.shared.changed.wait_for(&mut pending, PATIENCE / 10);
             if pending.written != written {
                 (written, since) = (pending.written, Instant::now());
-            } else if stop::is_handled() && since.elapsed() >= PATIENCE {
+            } else if requested::is_handled() && since.elapsed() >= PATIENCE {
                 return;
             }
         }

@@ -53,7 +53,7 @@ impl Catalog {
     /// Creates a catalog with the built-in kinds of modules.
     #[must_use]
     pub fn built_in() -> Self {
-        let kinds = super::kind::built_in().into_iter().map(|kind| (Arc::from(kind.name()), kind));
+        let kinds = crate::built_in::kinds().into_iter().map(|kind| (Arc::from(kind.name()), kind));
         let own = downbeat_state_machine::INTERFACES;
         #[cfg(feature = "leagues")]
         let own = (own, downbeat_football::INTERFACES);

@@ -6,6 +6,7 @@
 
 mod actions;
 mod build;
+mod built_in;
 mod catalog;
 mod commanders;
 pub mod duration;
@@ -56,7 +57,7 @@ pub use file::{
     ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
     TopicChoice, ViewAccess, ViewEntry,
 };
-pub use kind::{Kind, ModuleSource};
+pub use kind::Kind;
 pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
     SettingProfile,
@@ -66,7 +67,7 @@ pub(crate) use recorded_settings::{RecordedSettings, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
 pub(crate) use survey::Survey;
 pub use versions::FOLDER as SOURCES_FOLDER;
-pub use versions::LastVersion;
+pub use versions::{LastVersion, ModuleSource};
 pub(crate) use versions::{
     Live, ReplayedTime, SourcedModules, Sources, VersionLog, VersionsInBag, reloads_of,
 };

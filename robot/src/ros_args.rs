@@ -6,9 +6,9 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-use downbeat_bridge::ros::{NodeName, ParameterRule, RemapRule, RemapRules};
+use downbeat_bridge::ros::{ParameterRule, RemapRule, RemapRules};
 
-use super::file::{RobotFile, RobotFileError, suggestion};
+use downbeat_msgs::definitions::suggestion;
 
 /// Arguments between `--ros-args` and `--`, or the end.
 ///
@@ -244,40 +244,6 @@ impl LogLevel {
             Self::Warn => "warn",
             Self::Error | Self::Fatal => "error",
         }
-    }
-}
-
-impl RobotFile {
-    /// Applies arguments for names. Must be called before anything that depends on the name of the node.
-    pub(super) fn apply_names(&mut self, arguments: &RosArgs) {
-        if let (Some(namespace), false) = (&arguments.namespace, self.has_namespace) {
-            self.namespace.clone_from(namespace);
-        }
-        self.remaps = arguments.remaps.iter().chain(self.remaps.rules()).cloned().collect();
-        self.is_rosout_disabled = arguments.log.is_rosout_disabled;
-    }
-
-    /// Applies values of parameters. A value for another node changes nothing and is reported with a warning.
-    pub(super) fn apply_parameters(&mut self, arguments: &RosArgs) -> Result<(), RobotFileError> {
-        for argument in &arguments.parameters {
-            match argument {
-                ParameterArgument::File(path) => self.set_from_parameter_file(path)?,
-                ParameterArgument::Value(rule) => {
-                    let node = self.node_name()?;
-                    let is_meant = |name: &String| NodeName::new("/", name).is_ok_and(|meant| meant == node);
-                    let ParameterRule { name, value, .. } = rule;
-                    if rule.node.as_ref().is_none_or(is_meant) {
-                        self.set_from_argument(&format!("{name}:={value}"))?;
-                    } else {
-                        let meant = rule.node.as_deref().unwrap_or_default();
-                        tracing::warn!(
-                            "-p {meant}:{name}:={value} is for the node /{meant}; this one is {node}"
-                        );
-                    }
-                }
-            }
-        }
-        Ok(())
     }
 }
 

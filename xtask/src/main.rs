@@ -36,11 +36,11 @@ enum Command {
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
-    /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features it
-    /// shares what the first command of the README has compiled.
+    /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features
+    /// it shares what the first command of the README has compiled.
     Wheel {
-        /// Features of downbeat that it has beside the default ones, such as `physics`, or `full`, which compiles
-        /// for a quarter of an hour.
+        /// Features of downbeat that it has beside the default ones, such as `physics`, or `full`, which
+        /// compiles for a quarter of an hour.
         #[arg(long, value_delimiter = ',', conflicts_with = "test")]
         features: Vec<String>,
         /// Build it for development instead, and run its tests in a fresh environment.

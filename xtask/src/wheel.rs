@@ -16,8 +16,8 @@ const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
 
-/// Builds the wheel for release and returns its path. Without features cargo compiles it with what `cargo run`
-/// in the checkout has compiled already; it shows its progress.
+/// Builds the wheel for release and returns its path. Without features cargo compiles it with what `cargo
+/// run` in the checkout has compiled already; it shows its progress.
 pub(crate) fn build(features: &[String]) -> anyhow::Result<PathBuf> {
     downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
     let features = features.join(",");

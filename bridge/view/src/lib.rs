@@ -57,4 +57,4 @@ pub use bag::BagPlayback;
 pub use options::{Access, Limits, Token, TokenError, ViewOptions, ViewTime};
 pub use page::{Ask, Host, ModuleProfile, PAGE_PORT, PageOptions, Panel, PanelScript};
 pub use server::{ViewError, ViewServer};
-pub use source::Seed;
+pub use source::CoreLink;

@@ -9,7 +9,7 @@ use crate::outbox::{Frame, Outbox};
 use crate::page::{PAGE_PORT, http};
 use crate::session::Session;
 use crate::shared::{Connection, Door, Shared};
-use crate::source::{CoreSource, Seed, Source};
+use crate::source::{CoreLink, CoreSource, Source};
 use downbeat_bags::{PlayerError, Reader};
 use downbeat_edge::{CoreAccess, Interfaces};
 use downbeat_executor::{Core, SetupError};
@@ -78,21 +78,21 @@ impl ViewServer {
     /// # Errors
     /// If the address is in use or not of this machine, or a thread cannot be started.
     pub fn start(core: &mut Core, interfaces: &Interfaces, options: ViewOptions) -> Result<Self, ViewError> {
-        let seed = Seed::of(core, interfaces)?;
+        let link = CoreLink::of(core, interfaces)?;
         let topics: Vec<_> = core.topics().cloned().collect();
-        let source = CoreSource::new(seed, &mut CoreAccess::Idle(core), &topics, &options);
+        let source = CoreSource::new(link, &mut CoreAccess::Idle(core), &topics, &options);
         Self::open(Source::Core(source), options)
     }
 
-    /// Starts the server for a core that may run already, of which the seed was taken before it ran.
+    /// Starts the server for a core that may run already, of which the link was taken before it ran.
     ///
     /// # Errors
     /// If the core does not answer, the address is in use or not of this machine, or a thread cannot be
     /// started.
-    pub fn start_from(seed: Seed, options: ViewOptions) -> Result<Self, ViewError> {
-        let core = seed.core.clone();
+    pub fn start_from(link: CoreLink, options: ViewOptions) -> Result<Self, ViewError> {
+        let core = link.core.clone();
         let topics = core.topics().wait(PATIENCE).ok_or(ViewError::NoAnswer)?;
-        let source = CoreSource::new(seed, &mut CoreAccess::Running(&core), &topics, &options);
+        let source = CoreSource::new(link, &mut CoreAccess::Running(&core), &topics, &options);
         Self::open(Source::Core(source), options)
     }
 

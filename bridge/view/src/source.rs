@@ -24,15 +24,15 @@ pub(crate) enum Source {
 
 /// What a server needs of a core that only a core that does not run yet can give.
 #[derive(Clone)]
-pub struct Seed {
+pub struct CoreLink {
     pub(crate) core: CoreHandle,
     pub(crate) clock: Arc<dyn Clock>,
     pub(crate) interfaces: Interfaces,
     pub(crate) services: Arc<[ShownService]>,
 }
 
-impl Seed {
-    /// Takes the seed of a core. Viewers can call the services that modules serve now.
+impl CoreLink {
+    /// Links to a core. Viewers can call the services that modules serve now.
     ///
     /// # Errors
     /// If the core has no caller for a service.
@@ -139,12 +139,12 @@ impl Source {
 
 impl CoreSource {
     pub(crate) fn new(
-        seed: Seed,
+        link: CoreLink,
         access: &mut CoreAccess<'_>,
         topics: &[TopicInfo],
         options: &ViewOptions,
     ) -> Self {
-        let Seed { core, clock, interfaces, services } = seed;
+        let CoreLink { core, clock, interfaces, services } = link;
         let channels = Channels::new(&interfaces);
         channels.refresh(access, topics, options);
         Self { handle: core, channels, services, clock }

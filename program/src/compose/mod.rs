@@ -18,7 +18,7 @@ use rustix::io::Errno;
 use serde_json::{Value, json};
 
 use crate::cli::ComposeArguments;
-use crate::itself::itself;
+use crate::own_command::own_command;
 use crate::stop::Stop;
 use child::Runner;
 use composer::Composer;
@@ -41,7 +41,7 @@ pub(crate) fn compose(arguments: &ComposeArguments, catalog: &Catalog) -> anyhow
 
 /// This program, for robots.
 fn runner() -> anyhow::Result<Runner> {
-    let (program, arguments) = itself("compose")?;
+    let (program, arguments) = own_command("compose")?;
     Ok(Runner { program, arguments })
 }
 

@@ -24,8 +24,8 @@ use downbeat_match::Team;
 use downbeat_network::udp::keep_free_port;
 
 use super::robot::EVERYBODY;
-use crate::itself::itself;
 use crate::logging::Stream;
+use crate::own_command::own_command;
 use crate::screen::Screen;
 use downbeat_bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, RemapRules};
@@ -190,7 +190,7 @@ impl Prepared {
         bags: Option<&Path>,
         screen: &Screen,
     ) -> anyhow::Result<Processes> {
-        let (program, before) = itself("match")?;
+        let (program, before) = own_command("match")?;
         let mut processes = Processes { robots: Vec::with_capacity(self.robots.len()), _prepared: self };
         for Entrant { name, team, domain, .. } in &processes._prepared.robots {
             let prepared = &processes._prepared;

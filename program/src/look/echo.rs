@@ -16,7 +16,7 @@ use super::clock::LookClock;
 use super::definitions::{Types, full_name};
 use super::network::{Environment, Look, LookArguments};
 use super::qos::{Preset, QosArguments};
-use super::topic::{Absent, type_on_network};
+use super::topic_type::{Absent, type_on_network};
 use super::values::seconds;
 
 #[derive(Args)]

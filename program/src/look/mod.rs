@@ -18,6 +18,7 @@ mod qos;
 mod rate;
 mod service;
 mod topic;
+mod topic_type;
 mod values;
 
 pub(crate) use action::{ActionCommand, action};

@@ -16,7 +16,7 @@ use downbeat_msgs::qos::QosProfile;
 use super::clock::{ClockFollower, LookClock};
 use super::definitions::Types;
 use super::network::{Environment, Look, LookArguments};
-use super::topic::{Absent, type_on_network};
+use super::topic_type::{Absent, type_on_network};
 
 #[derive(Args)]
 pub(crate) struct HzArguments {

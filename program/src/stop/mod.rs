@@ -12,17 +12,17 @@
 
 mod hurry;
 mod keyboard;
+pub(crate) mod requested;
 mod requests;
 mod trace;
 
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{OnceLock, mpsc};
+use std::sync::atomic::Ordering;
+use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use parking_lot::{Condvar, Mutex};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 use signal_hook::iterator::Signals;
 
@@ -31,27 +31,12 @@ use super::output;
 use hurry::HURRY;
 use keyboard::restore_terminal;
 pub(crate) use keyboard::{Key, Keyboard};
-use requests::{Meaning, ONE_REQUEST, Requests};
+use requested::{ENDS_WITH_OUTPUT, HANDLED, REQUESTED};
+use requests::{Meaning, ONE_REQUEST};
 
 /// A request to stop. All values share the requests of the process.
 pub(crate) struct Stop {
     end: Option<Instant>,
-}
-
-/// The requests of the process.
-static REQUESTED: Requested =
-    Requested { requests: Mutex::new(Requests::NONE), is_set: Mutex::new(false), changed: Condvar::new() };
-
-/// Whether signals are handled, or why not.
-static HANDLED: OnceLock<Result<(), String>> = OnceLock::new();
-
-/// Whether the command has nothing to do once nobody reads its output.
-static ENDS_WITH_OUTPUT: AtomicBool = AtomicBool::new(false);
-
-struct Requested {
-    requests: Mutex<Requests>,
-    is_set: Mutex<bool>,
-    changed: Condvar,
 }
 
 impl Stop {
@@ -103,40 +88,6 @@ impl Stop {
         let until = self.end.map_or(until, |end| end.min(until));
         REQUESTED.changed.wait_while_until(&mut REQUESTED.is_set.lock(), |is_set| !*is_set, until);
     }
-}
-
-impl Requested {
-    fn set(&self) {
-        *self.is_set.lock() = true;
-        self.changed.notify_all();
-    }
-}
-
-/// Whether the command handles requests to stop.
-pub(super) fn is_handled() -> bool {
-    matches!(HANDLED.get(), Some(Ok(())))
-}
-
-/// What a failed write to standard output means for the process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum OutputEnd {
-    /// No command waits for a stop: the process can end.
-    Exit,
-    /// The command was asked to stop, or does not depend on its output.
-    Continue,
-}
-
-/// Standard output cannot be written; `is_unread` if what read it has gone. A pipe that nobody reads ends
-/// every command, as it ends `yes | head`; a terminal that was closed, or a full disk, only ends those that
-/// do nothing but print.
-pub(crate) fn output_failed(is_unread: bool) -> OutputEnd {
-    if !is_handled() {
-        return OutputEnd::Exit;
-    }
-    if is_unread || ENDS_WITH_OUTPUT.load(Ordering::Relaxed) {
-        REQUESTED.set();
-    }
-    OutputEnd::Continue
 }
 
 fn handle_signals() -> io::Result<()> {

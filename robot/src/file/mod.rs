@@ -2,6 +2,7 @@
 
 #[cfg(feature = "football")]
 mod apart;
+mod arguments;
 mod expose;
 mod features;
 mod include;
@@ -11,6 +12,7 @@ mod record;
 mod source;
 mod table;
 mod view;
+mod yaml_line;
 
 use std::path::{Path, PathBuf};
 
@@ -215,6 +217,18 @@ impl RobotFile {
     #[must_use]
     pub fn is_emulated(&self) -> bool {
         self.modules.iter().any(|module| module.kind.is_emulated())
+    }
+
+    /// Creates an error that points to a place.
+    pub fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {
+        match place {
+            Place::Line(line) => self.source.error(*line, problem),
+            Place::Included(source, line) => source.error(*line, problem),
+            Place::Parameter(place) => place.error(problem),
+            Place::Argument(argument) => {
+                RobotFileError::Argument { argument: argument.clone(), problem: problem.into() }
+            }
+        }
     }
 }
 

@@ -17,7 +17,8 @@ use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, l
 use crate::Catalog;
 use crate::features::missing_kind;
 use crate::journal;
-use crate::kind::{INBOX, Kind, ModuleSource};
+use crate::kind::{INBOX, Kind};
+use crate::versions::ModuleSource;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 

@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use downbeat_executor::SettingValue;
 
-use super::RobotFile;
-use crate::parameters::line_of;
+use super::yaml_line::line_of;
 
 /// Error in a robot file or in arguments for it, with its place.
 #[derive(Debug, thiserror::Error)]
@@ -107,7 +106,9 @@ pub fn toml_string(text: &str) -> String {
 /// The value of a setting with the place at which it was given.
 #[derive(Clone)]
 pub struct Given {
+    /// Where it was given.
     pub place: Place,
+    /// The value.
     pub value: SettingValue,
     /// Whether it was given under a wildcard, and may be meant for other nodes.
     pub is_wildcard: bool,
@@ -129,33 +130,24 @@ pub enum Place {
 /// A value in a parameter file, identified by the keys that lead to it.
 #[derive(Clone)]
 pub struct ParameterPlace {
+    /// The file.
     pub source: Arc<Source>,
+    /// From the root of the file.
     pub keys: Vec<String>,
 }
 
 impl Place {
     /// True for the command line and parameter files, which say how this run is to be, and not how the robot
     /// is.
+    #[must_use]
     pub fn is_for_this_run(&self) -> bool {
         matches!(self, Self::Parameter(_) | Self::Argument(_))
     }
 }
 
-impl RobotFile {
-    /// Creates an error that points to a place.
-    pub fn error_at(&self, place: &Place, problem: impl Into<String>) -> RobotFileError {
-        match place {
-            Place::Line(line) => self.source.error(*line, problem),
-            Place::Included(source, line) => source.error(*line, problem),
-            Place::Parameter(place) => place.error(problem),
-            Place::Argument(argument) => {
-                RobotFileError::Argument { argument: argument.clone(), problem: problem.into() }
-            }
-        }
-    }
-}
-
 impl ParameterPlace {
+    /// An error that names the file and the line of the value.
+    #[must_use]
     pub fn error(&self, problem: impl Into<String>) -> RobotFileError {
         self.source.error(line_of(self.source.text(), &self.keys), problem)
     }

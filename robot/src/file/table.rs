@@ -8,8 +8,8 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use super::source::{RobotFileError, Source};
-use super::suggestion;
 use downbeat_executor::SettingValue;
+use downbeat_msgs::definitions::suggestion;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 

@@ -13,7 +13,7 @@ use serde_norway::Value;
 use super::file::{Given, ParameterPlace, Place, Source, suggestion};
 use super::{ClockChoice, RobotFile, RobotFileError};
 use crate::file::list_of;
-pub use file::{NodeParameter, is_wildcard, line_of, matches, parameters_of_nodes};
+pub use file::{NodeParameter, is_wildcard, matches, parameters_of_nodes};
 pub use scalar::values_in as yaml_values;
 
 type Result<T, E = RobotFileError> = std::result::Result<T, E>;

@@ -180,7 +180,7 @@ impl Events {
     fn make(&self, core: &Core, event: &ModuleEvent) -> Result<(), PlaybackError> {
         let ModuleEvent { module, service, port, number, data, reason, .. } = event;
         let handle = core.handle();
-        let wrong = |problem: String| PlaybackError::account(journal::EVENTS, problem);
+        let wrong = |problem: String| PlaybackError::journal(journal::EVENTS, problem);
         match event.kind {
             ModuleEvent::REQUEST => {
                 if let Some(caller) = self.callers.get(service) {

@@ -1,8 +1,8 @@
 //! Playback of bags into a core. The same bag always gives the same result.
 
-pub(crate) mod account;
+pub(crate) mod cycles;
 pub(crate) mod events;
-pub(crate) mod follow;
+pub(crate) mod journals;
 mod steps;
 
 use downbeat_bags::{Reader, ReaderError};
@@ -13,9 +13,9 @@ use downbeat_msgs::encoding;
 use crate::ReplayedTime;
 use crate::encoding::RecordedTypeError;
 use crate::journal;
-use account::{Cycles, Extract, SettingsChanges};
+use cycles::{Follower, Inputs};
 use events::Events;
-use follow::{Follower, Inputs};
+use journals::{Cycles, Extract, SettingsChanges};
 
 pub use steps::{ReplayedSteps, replay_module};
 pub(crate) use steps::{first_step, replay_steps};
@@ -50,7 +50,7 @@ pub enum PlaybackError {
     },
     /// A message that describes the recorded run does not match the type of its topic, or cannot be replayed.
     #[error("a message of /{topic}: {problem}")]
-    Account {
+    Journal {
         /// The topic, without the leading slash.
         topic: &'static str,
         /// The decoding error.
@@ -91,8 +91,8 @@ pub enum PlaybackError {
 }
 
 impl PlaybackError {
-    fn account(topic: &'static str, problem: impl ToString) -> Self {
-        Self::Account { topic, problem: problem.to_string() }
+    fn journal(topic: &'static str, problem: impl ToString) -> Self {
+        Self::Journal { topic, problem: problem.to_string() }
     }
 }
 

@@ -9,8 +9,8 @@ use downbeat_executor::{Core, ManualClock, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
 use super::PlaybackError;
-use super::account::{Cycles, Extract, SettingsChanges};
 use super::events::{Events, WiredServices};
+use super::journals::{Cycles, Extract, SettingsChanges};
 use crate::encoding::RecordedType;
 use crate::journal;
 use crate::{ReplayedTime, reloads_of};

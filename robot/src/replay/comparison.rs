@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::iter::Peekable;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::{Comparer, FieldRule, Messages, Reader, Selection, TopicId};
@@ -10,10 +11,9 @@ use downbeat_edge::Interfaces;
 
 use super::plan::Plan;
 use super::report::{Difference, TopicReport, What};
-use super::runs::Replayed;
 use crate::encoding::RecordedType;
 use crate::playback::PlaybackError;
-use crate::playback::account::Cycles;
+use crate::playback::journals::Cycles;
 
 /// The comparisons of all topics. The bag is read only as far as the replay has advanced.
 pub(super) struct Comparisons {
@@ -45,6 +45,15 @@ struct Comparison {
 
 /// How many messages ahead a message is searched for on a topic that other modules publish as well.
 const WINDOW: usize = 1000;
+
+/// A message that a replayed module published.
+pub(super) struct Replayed {
+    /// Without the leading slash.
+    pub(super) topic: Arc<str>,
+    /// The time of the cycle that published it.
+    pub(super) time: i64,
+    pub(super) cdr: Bytes,
+}
 
 impl Comparisons {
     pub(super) fn new(

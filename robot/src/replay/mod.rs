@@ -25,8 +25,10 @@ mod calls;
 mod comparison;
 mod coverage;
 mod plan;
+mod planning;
 mod report;
 mod runs;
+mod wiring;
 
 use std::time::Instant;
 
@@ -36,7 +38,7 @@ use downbeat_executor::SetupError;
 
 use crate::journal;
 use crate::playback::PlaybackError;
-use crate::playback::account::Extract;
+use crate::playback::journals::Extract;
 use crate::{
     LastVersion, ReplaySection, RobotFile, RobotFileError, Sources, VersionsInBag, use_recorded_settings,
 };
@@ -44,8 +46,9 @@ use calls::Calls;
 use comparison::Comparisons;
 use plan::Plan;
 
-pub use coverage::{NotCompared, NotComparedReason};
-pub use report::{Difference, LeftOut, NotSame, ReplayReport, Strictness, TopicReport, What};
+pub use report::{
+    Difference, LeftOut, NotCompared, NotComparedReason, NotSame, ReplayReport, Strictness, TopicReport, What,
+};
 
 /// What to replay and how exactly to compare.
 #[derive(Clone, Debug, Default)]

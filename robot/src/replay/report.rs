@@ -6,7 +6,6 @@ use std::time::Duration;
 use downbeat_bags::FieldDifference;
 use downbeat_executor::Time;
 
-use super::NotCompared;
 use crate::ChangedSetting;
 use crate::{TestResult, journal};
 
@@ -115,6 +114,71 @@ pub enum Strictness {
     /// Every topic that the chosen modules publish, except for excluded topics and topics of plain Rust
     /// types.
     EveryTopic,
+}
+
+/// A topic of the bag, or of the replayed modules, that was not compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NotCompared {
+    /// With the leading slash.
+    pub topic: String,
+    /// The reason.
+    pub reason: NotComparedReason,
+}
+
+/// Why a topic was not compared.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NotComparedReason {
+    /// No module of the robot publishes the topic: its messages came from outside.
+    Input,
+    /// The topic describes the recorded run itself.
+    Journal,
+    /// The process publishes the topic, not a module of the robot file.
+    Process,
+    /// All modules that publish the topic were not chosen.
+    NotChosen {
+        /// The modules that publish it.
+        modules: Vec<String>,
+    },
+    /// All modules that publish the topic cannot be replayed.
+    LeftOut {
+        /// The modules that publish it.
+        modules: Vec<String>,
+    },
+    /// Excluded by [`ReplayOptions::except`].
+    Excluded,
+    /// The messages have a plain Rust type, which cannot be recorded.
+    PlainType {
+        /// The type.
+        rust_type: String,
+    },
+    /// A service that is called between modules, one of them detached, has plain Rust types, which cannot be
+    /// recorded.
+    PlainService {
+        /// The types of request and response.
+        rust_types: String,
+    },
+    /// The messages of the bag cannot be read.
+    Unreadable {
+        /// The reason.
+        problem: String,
+    },
+    /// Replayed modules publish the topic, but the bag lacks it.
+    NotInBag {
+        /// The modules that publish it.
+        modules: Vec<String>,
+    },
+    /// Replayed modules publish the topic, but there was no message, neither recorded nor replayed.
+    NoMessages,
+}
+
+impl NotCompared {
+    /// Returns whether the topic should have been compared, because replayed or chosen modules publish it. A
+    /// [strict](ReplayReport::assert_same) comparison then fails.
+    #[must_use]
+    pub fn is_gap(&self) -> bool {
+        use NotComparedReason as Why;
+        matches!(self.reason, Why::LeftOut { .. } | Why::Unreadable { .. } | Why::NotInBag { .. })
+    }
 }
 
 impl ReplayReport {
@@ -306,4 +370,42 @@ impl fmt::Display for Difference {
             What::Extra => writeln!(f, "    recorded not at all\n    replayed"),
         }
     }
+}
+
+impl fmt::Display for NotComparedReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Input => write!(f, "input, no module of the robot publishes it"),
+            Self::Journal => write!(f, "the recording's own account of the run"),
+            Self::Process => write!(f, "published by the process, not by a module"),
+            Self::NotChosen { modules } => {
+                write!(f, "published by {}, which {} not chosen", modules.join(", "), are(modules))
+            }
+            Self::LeftOut { modules } => {
+                write!(f, "published by {}, which {} not replayed", modules.join(", "), are(modules))
+            }
+            Self::Excluded => write!(f, "excluded"),
+            Self::PlainType { rust_type } => {
+                write!(f, "messages of the plain Rust type {rust_type} are in no bag")
+            }
+            Self::PlainService { rust_types } => {
+                write!(f, "calls of the plain Rust types {rust_types} are in no bag")
+            }
+            Self::Unreadable { problem } => write!(f, "{problem}"),
+            Self::NotInBag { modules } => {
+                write!(f, "published by {}, but the bag lacks the topic", modules.join(", "))
+            }
+            Self::NoMessages => write!(f, "no messages, neither recorded nor replayed"),
+        }
+    }
+}
+
+impl fmt::Display for NotCompared {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.topic, self.reason)
+    }
+}
+
+fn are(modules: &[String]) -> &'static str {
+    if modules.len() == 1 { "was" } else { "were" }
 }

@@ -13,13 +13,13 @@ use parking_lot::Mutex;
 
 use super::ReplayError;
 use super::calls::Calls;
-use super::comparison::Comparisons;
+use super::comparison::{Comparisons, Replayed};
 use super::plan::Plan;
 use crate::RobotFile;
 use crate::journal;
-use crate::playback::account::{Extract, SettingsChanges};
+use crate::playback::cycles::{Follower, Inputs};
 use crate::playback::events::Events;
-use crate::playback::follow::{Follower, Inputs};
+use crate::playback::journals::{Extract, SettingsChanges};
 use crate::playback::{first_step, replay_steps};
 
 /// Replays the modules inside the cycle together, in the recorded cycles. Returns the number of cycles.
@@ -125,15 +125,6 @@ fn build(
         }
     });
     problem.map_or_else(|| Ok(built?), Err)
-}
-
-/// A message that a replayed module published.
-pub(super) struct Replayed {
-    /// Without the leading slash.
-    pub(super) topic: Arc<str>,
-    /// The time of the cycle that published it.
-    pub(super) time: i64,
-    pub(super) cdr: Bytes,
 }
 
 /// The captured messages that have not been taken yet.

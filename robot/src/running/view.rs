@@ -8,8 +8,8 @@ use downbeat_bridge::expose::Exposure;
 use downbeat_executor::{SettingValue, TopicInfo};
 use downbeat_msgs::qos::{Durability, History};
 use downbeat_view::{
-    Access, ModuleProfile, PageOptions, Panel, PanelScript, Seed, Token, ViewError, ViewOptions, ViewServer,
-    ViewTime,
+    Access, CoreLink, ModuleProfile, PageOptions, Panel, PanelScript, Token, ViewError, ViewOptions,
+    ViewServer, ViewTime,
 };
 use parking_lot::Mutex;
 
@@ -21,7 +21,7 @@ use crate::{ClockChoice, Direction, ModuleEntry, Robot, RobotFile, ViewAccess};
 
 /// What shows a running robot to viewers: what its robot file asks for, and a page that is opened later.
 pub(crate) struct RobotView {
-    seed: Seed,
+    link: CoreLink,
     /// Without doors.
     options: ViewOptions,
     page: PageOptions,
@@ -43,8 +43,8 @@ impl RobotView {
         let tail = log.map(|log| log.tail.clone());
         let host = Arc::new(PageHost::new(robot.core.handle(), recordable, tail, recording));
         let page = page(&robot.file, Arc::clone(&host));
-        let seed = Seed::of(&mut robot.core, &robot.file.catalog.interfaces)?;
-        let mut view = Self { seed, options, page, host, server: None, later: Mutex::default() };
+        let link = CoreLink::of(&mut robot.core, &robot.file.catalog.interfaces)?;
+        let mut view = Self { link, options, page, host, server: None, later: Mutex::default() };
         let asked = &robot.file.view;
         if asked.foxglove.is_some() || asked.page.is_some() {
             let page = asked.page.map(|port| PageOptions { port, ..view.page.clone() });
@@ -74,7 +74,7 @@ impl RobotView {
         let mut later = self.later.lock();
         if later.is_none() {
             let options = ViewOptions { page: Some(self.page.clone()), ..self.options.clone() };
-            *later = Some(ViewServer::start_from(self.seed.clone(), options)?);
+            *later = Some(ViewServer::start_from(self.link.clone(), options)?);
         }
         Ok(later.as_ref().and_then(ViewServer::page_url).unwrap_or_default())
     }

@@ -1,16 +1,14 @@
-//! The versions of a module of a running robot: its files as they are, and whether they were saved since they
-//! were loaded.
+//! A module of a running robot, in the versions that its files have.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::SystemTime;
 
 use downbeat_edge::foreign::{Foreign, Life, Made, Prepared, Versions};
 use downbeat_executor::Time;
-use parking_lot::Mutex;
 
-use super::{Source, Version};
-use crate::kind::{LoadForeign, ModuleSource};
+use super::source::{LoadForeign, ModuleSource};
+use super::state::stamps;
+use super::version::{Source, Version, names_of};
 
 /// A module whose files are on disk.
 pub(crate) struct Live {
@@ -18,30 +16,6 @@ pub(crate) struct Live {
     source: ModuleSource,
     files: Vec<PathBuf>,
 }
-
-/// What is known of the files and of the module, for all lives of the module and for the thread that watches
-/// the files.
-#[derive(Default)]
-pub(crate) struct LiveState(Mutex<Known>);
-
-#[derive(Default)]
-struct Known {
-    /// The files as they were when the module was last loaded, or could not be loaded.
-    tried: Stamps,
-    /// As they were when they were last looked at.
-    last: Stamps,
-    has_stopped: bool,
-    /// Why the module could not be made when it was last made.
-    failure: Option<String>,
-    prepared: Option<Prepared>,
-    /// As they were for the version that a recording knows, once the module was made.
-    described: Option<Stamps>,
-    /// What they held when the module was last made: what runs, also if they were saved since.
-    made: Option<Source>,
-}
-
-/// Time of modification and size of each file, `None` for missing files.
-type Stamps = Vec<Option<(SystemTime, u64)>>;
 
 impl Live {
     pub(crate) fn new(load: Arc<LoadForeign>, source: &ModuleSource, files: Vec<PathBuf>) -> Self {
@@ -61,24 +35,6 @@ impl Live {
     /// Gives the next life this version.
     pub(crate) fn set_prepared(&self, prepared: Prepared) {
         self.source.live.0.lock().prepared = Some(prepared);
-    }
-}
-
-impl LiveState {
-    /// Why the module could not be made when it was last made.
-    pub(crate) fn failure(&self) -> Option<String> {
-        self.0.lock().failure.clone()
-    }
-
-    /// What the module was last made from; `None` if it never was.
-    pub(super) fn made(&self) -> Option<Source> {
-        self.0.lock().made.clone()
-    }
-}
-
-impl std::fmt::Debug for LiveState {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LiveState").finish_non_exhaustive()
     }
 }
 
@@ -131,20 +87,4 @@ impl Versions for Live {
     fn source(&self) -> String {
         names_of(&self.files)
     }
-}
-
-/// The names of files, for the log.
-pub(super) fn names_of(files: &[PathBuf]) -> String {
-    let names = files.iter().filter_map(|file| Some(file.file_name()?.to_string_lossy().into_owned()));
-    let names = names.collect::<Vec<_>>().join(", ");
-    if names.is_empty() { "the source".to_owned() } else { names }
-}
-
-fn stamps(files: &[PathBuf]) -> Stamps {
-    files.iter().map(|file| stamp(file)).collect()
-}
-
-fn stamp(file: &Path) -> Option<(SystemTime, u64)> {
-    let file = std::fs::metadata(file).ok()?;
-    Some((file.modified().ok()?, file.len()))
 }

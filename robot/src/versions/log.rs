@@ -9,7 +9,7 @@ use downbeat_executor::{ModuleEvent, ModuleEventKind};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
-use super::{SourceFile, Version};
+use super::version::{SourceFile, Version};
 
 /// The key of a bag's custom data that holds them, as JSON.
 const KEY: &str = "module_versions_made";

@@ -248,27 +248,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "python/src/messages/message.rs",
     ],
     &["python/src/modules/loader.rs", "python/src/modules/python_module.rs"],
-    &["program/src/look/echo.rs", "program/src/look/rate.rs", "program/src/look/topic.rs"],
-    &["program/src/output.rs", "program/src/screen.rs", "program/src/stop/mod.rs"],
-    &["robot/src/replay/comparison.rs", "robot/src/replay/runs.rs"],
-    &["robot/src/replay/coverage.rs", "robot/src/replay/plan.rs", "robot/src/replay/report.rs"],
-    &[
-        "robot/src/catalog.rs",
-        "robot/src/feature_kinds.rs",
-        "robot/src/file/features.rs",
-        "robot/src/file/mod.rs",
-        "robot/src/file/source.rs",
-        "robot/src/file/table.rs",
-        "robot/src/kind.rs",
-        "robot/src/parameters/file.rs",
-        "robot/src/parameters/mod.rs",
-        "robot/src/ros_args.rs",
-        "robot/src/sensors.rs",
-        "robot/src/versions/live.rs",
-        "robot/src/versions/log.rs",
-        "robot/src/versions/mod.rs",
-        "robot/src/versions/recorded.rs",
-    ],
 ];
 
 /// The problem of a file that uses one of a higher folder, by `names`.

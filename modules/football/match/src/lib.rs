@@ -9,7 +9,6 @@
 //!
 //! `docs/football.md` explains matches and players.
 
-mod air;
 mod drawing;
 mod drill;
 mod field_world;
@@ -18,6 +17,7 @@ mod module;
 mod official;
 pub mod player;
 mod referee;
+mod team_radio;
 
 /// The panel of a match for the robot's page.
 pub const PANEL: &str = include_str!("football.panel.js");

@@ -1,11 +1,11 @@
 //! The module of a match.
 
-use crate::air::Air;
 use crate::drill::Drill;
 use crate::field_world::world_of;
 use crate::game::{Order, Seat, Team, Truth};
 use crate::official::Official;
 use crate::referee::{Referee, Rules};
+use crate::team_radio::TeamRadio;
 use downbeat_darwin_op::emulator::MemoryPorts;
 use downbeat_executor::{
     Context, Job, JobError, Module, Publication, Received, Setting, SettingType, Setup, SetupError, Time,
@@ -75,7 +75,7 @@ struct Game {
     names: Vec<String>,
     began: Option<Time>,
     tell_at: Time,
-    air: Air,
+    radio: TeamRadio,
     /// Pictures that have not been delivered, in the order of their times: robot, time, pixels.
     pictures: VecDeque<(usize, Time, Vec<u8>)>,
     reported_left_out: Duration,
@@ -227,12 +227,12 @@ impl FootballMatch {
         let Seat { team, number } = game.seats[robot];
         let message = TeamMessage { team: team.number(), player: number, ..message.clone() };
         let is_mate = |mate: &usize| *mate != robot && game.seats[*mate].team == team && plays(*mate);
-        game.air.send(&message, (0..game.seats.len()).filter(is_mate), ctx.now());
+        game.radio.send(&message, (0..game.seats.len()).filter(is_mate), ctx.now());
     }
 
     fn deliver_messages(&mut self, ctx: &mut Context<'_, Ports>) {
         let Some(game) = &mut self.game else { return };
-        for (robot, message) in game.air.arrived(ctx.now()) {
+        for (robot, message) in game.radio.arrived(ctx.now()) {
             ctx.publish(ctx.ports.robots[robot].team_messages, message);
         }
     }
@@ -360,7 +360,7 @@ impl Module for FootballMatch {
                 offered.map_err(|error| setup.refuse_value(settings.robots, error.to_string()))?;
             }
         }
-        let air = Air::new(seed, within(setup, settings.team_loss, [0.0, 1.0])?);
+        let radio = TeamRadio::new(seed, within(setup, settings.team_loss, [0.0, 1.0])?);
         setup.every(DELIVER, Self::deliver_messages)?;
         for (robot, name) in names.iter().enumerate() {
             let topic = format!("{name}/team_status");
@@ -406,7 +406,7 @@ impl Module for FootballMatch {
             names,
             began: None,
             tell_at: Time::ZERO,
-            air,
+            radio,
             pictures: VecDeque::new(),
             reported_left_out: Duration::ZERO,
         });

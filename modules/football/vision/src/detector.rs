@@ -5,7 +5,7 @@ use crate::labels::Labels;
 use crate::picture::Picture;
 use crate::seen::{Exposure, Seen};
 use crate::view::View;
-use crate::{markings, round, upright};
+use crate::{balls, markings, posts_and_robots};
 use downbeat_football::Field;
 
 /// Finds what is on a field. The same picture gives the same result.
@@ -48,9 +48,9 @@ impl Detector {
             return Seen { exposure, ..Seen::default() };
         }
         let markings = markings::markings(labels, view, &boundary, field);
-        let balls = round::balls(labels, view, &boundary, &field.ball);
-        let posts = upright::posts(labels, view, &boundary, field);
-        let robots = upright::robots(labels, view, &boundary, field, &posts, &balls);
+        let balls = balls::balls(labels, view, &boundary, &field.ball);
+        let posts = posts_and_robots::posts(labels, view, &boundary, field);
+        let robots = posts_and_robots::robots(labels, view, &boundary, field, &posts, &balls);
         let markings::Markings { lines, circle, intersections } = markings;
         Seen { boundary, lines, circle, intersections, balls, posts, robots, exposure }
     }

@@ -17,6 +17,7 @@
 //! - M. A. Fischler, R. C. Bolles, "Random Sample Consensus", Communications of the ACM 24 (1981), for lines
 //!   and the circle.
 
+mod balls;
 mod colours;
 mod detector;
 mod drawing;
@@ -25,9 +26,8 @@ mod learn;
 mod markings;
 mod module;
 mod picture;
-mod round;
+mod posts_and_robots;
 mod seen;
-mod upright;
 mod view;
 
 pub use colours::{Class, ClassRange, Colours, ColoursError, Table};

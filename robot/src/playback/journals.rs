@@ -69,7 +69,7 @@ impl Extract {
     ) -> Result<Option<Vec<T>>, PlaybackError> {
         let Some(id) = reader.topic(&format!("/{topic}")) else { return Ok(None) };
         let messages = self.of(reader, id)?.iter().map(|message| cdr::from_slice(message));
-        Ok(Some(messages.collect::<Result<_, _>>().map_err(|error| PlaybackError::account(topic, error))?))
+        Ok(Some(messages.collect::<Result<_, _>>().map_err(|error| PlaybackError::journal(topic, error))?))
     }
 }
 
@@ -210,7 +210,7 @@ impl MessageCycles {
                 for &position in positions.by_ref().take(size as usize) {
                     let topic = message.topics.get(usize::from(position)).ok_or_else(|| {
                         let count = message.topics.len();
-                        PlaybackError::account(
+                        PlaybackError::journal(
                             journal::MESSAGES,
                             format!("topic {position} of {count} in cycle {cycle}"),
                         )
@@ -310,7 +310,7 @@ impl SettingsChanges {
             for parameter in change.settings {
                 let setting = format!("{}.{}", change.module, parameter.name);
                 let value = setting_value(parameter.value).map_err(|problem| {
-                    PlaybackError::account(journal::SETTINGS, format!("{setting}: {problem}"))
+                    PlaybackError::journal(journal::SETTINGS, format!("{setting}: {problem}"))
                 })?;
                 // If the module refuses the value, the difference shows in its messages.
                 drop(core.handle().set(&change.module, &parameter.name, value));

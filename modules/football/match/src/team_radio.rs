@@ -7,7 +7,7 @@ use downbeat_servos::servo_emulator::Random;
 use std::time::Duration;
 
 /// Messages that are being transmitted.
-pub(crate) struct Air {
+pub(crate) struct TeamRadio {
     random: Random,
     /// The share of messages that are lost.
     loss: f64,
@@ -21,7 +21,7 @@ const LATENCY: [f64; 2] = [0.05, 0.15];
 /// whole team have fewer within the longest latency.
 const MOST: usize = 512;
 
-impl Air {
+impl TeamRadio {
     pub(crate) fn new(seed: u64, loss: f64) -> Self {
         // A separate random stream; the noise of the robots uses others.
         Self { random: Random::new(seed, 0xA1), loss, waiting: Vec::new() }
@@ -51,15 +51,15 @@ mod tests {
     use super::*;
 
     fn arrivals(seed: u64, loss: f64) -> Vec<(u64, usize, u8)> {
-        let mut air = Air::new(seed, loss);
+        let mut radio = TeamRadio::new(seed, loss);
         let mut heard = Vec::new();
         for step in 0..300_u64 {
             let now = Time::from_nanos(10_000_000 * step as i64);
             if step < 200 && step % 20 == 0 {
                 let message = TeamMessage { player: (step / 20) as u8, ..TeamMessage::default() };
-                air.send(&message, [1, 2, 3].into_iter(), now);
+                radio.send(&message, [1, 2, 3].into_iter(), now);
             }
-            heard.extend(air.arrived(now).map(|(robot, message)| (step, robot, message.player)));
+            heard.extend(radio.arrived(now).map(|(robot, message)| (step, robot, message.player)));
         }
         heard
     }
@@ -84,8 +84,8 @@ mod tests {
 
     #[test]
     fn however_many_are_sent_a_bounded_number_is_on_its_way() {
-        let mut air = Air::new(1, 0.0);
-        air.send(&TeamMessage::default(), (0..10_000).map(|_| 0), Time::ZERO);
-        assert_eq!(air.arrived(Time::from_nanos(i64::MAX)).count(), MOST);
+        let mut radio = TeamRadio::new(1, 0.0);
+        radio.send(&TeamMessage::default(), (0..10_000).map(|_| 0), Time::ZERO);
+        assert_eq!(radio.arrived(Time::from_nanos(i64::MAX)).count(), MOST);
     }
 }

@@ -6,7 +6,7 @@ use anyhow::Context;
 
 /// This program, as it was started, and its arguments before `command`: in Python it is an interpreter with a
 /// script.
-pub(crate) fn itself(command: &str) -> anyhow::Result<(PathBuf, Vec<String>)> {
+pub(crate) fn own_command(command: &str) -> anyhow::Result<(PathBuf, Vec<String>)> {
     let program = std::env::current_exe().context("cannot find this program")?;
     let is_interpreter = program.file_name().is_some_and(|name| name.to_string_lossy().starts_with("python"));
     let line: Vec<String> = std::fs::read("/proc/self/cmdline")

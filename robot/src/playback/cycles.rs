@@ -8,8 +8,8 @@ use downbeat_bags::{Messages, Reader, Selection, TopicId};
 use downbeat_edge::EncodedInlet;
 use downbeat_executor::{Clock, Core, ManualClock, Time};
 
-use super::account::{Cycles, Extract, LaterMessages, MessageCycles, Moment, SettingsChanges};
 use super::events::Events;
+use super::journals::{Cycles, Extract, LaterMessages, MessageCycles, Moment, SettingsChanges};
 use super::{MOST_CYCLES, PlaybackError};
 use crate::ReplayedTime;
 use crate::encoding::RecordedType;

@@ -16,10 +16,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 /// The CDR functions of C.
-const HEADER_CDR: &str = include_str!("../include/downbeat_cdr.h");
+const HEADER_CDR: &str = include_str!("../../include/downbeat_cdr.h");
 
 /// Actions in C.
-const HEADER_ACTION: &str = include_str!("../include/downbeat_action.h");
+const HEADER_ACTION: &str = include_str!("../../include/downbeat_action.h");
 
 /// A language that headers are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

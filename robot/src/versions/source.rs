@@ -1,0 +1,58 @@
+//! What a robot file says about a module in another language.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use downbeat_edge::foreign::Foreign;
+use downbeat_executor::SettingValue;
+
+use super::joined::Versions;
+use super::state::LiveState;
+
+/// What a robot file says about a module in another language.
+#[derive(Clone, Debug, Default)]
+pub struct ModuleSource {
+    /// The name of the module.
+    pub module: String,
+    /// The folder of the robot file, which relative paths begin at.
+    pub folder: PathBuf,
+    /// The keys of the kind, such as `module` or `path`.
+    pub keys: BTreeMap<String, SettingValue>,
+    /// How long one run of the module may take.
+    pub deadline: Option<Duration>,
+    /// The folders of interfaces that the robot file names.
+    pub interfaces: Vec<PathBuf>,
+    /// What is known of the files while the robot runs.
+    pub(crate) live: Arc<LiveState>,
+    /// In a replay, the versions that were recorded.
+    pub(crate) recorded: Option<Arc<Versions>>,
+    /// Of an earlier version in a replay: the file that holds what a file held.
+    pub(crate) replaced: BTreeMap<PathBuf, PathBuf>,
+    /// Whether the robot starts without the module if it cannot be made and is reloaded.
+    pub(crate) may_be_late: bool,
+}
+
+impl ModuleSource {
+    /// A module of this name, whose relative paths begin at this folder.
+    #[must_use]
+    pub fn new(module: impl Into<String>, folder: impl Into<PathBuf>) -> Self {
+        Self { module: module.into(), folder: folder.into(), ..Self::default() }
+    }
+
+    /// The file to read for this file of the module: itself or, in a replay of an earlier version, another
+    /// one with the content that it had.
+    #[must_use]
+    pub fn file_to_read(&self, file: &Path) -> PathBuf {
+        self.replaced.get(file).map_or_else(|| file.to_owned(), Clone::clone)
+    }
+
+    /// True if the robot file says that the module is reloaded.
+    pub(crate) fn is_reloaded(&self) -> bool {
+        self.keys.get("reload") == Some(&SettingValue::Bool(true))
+    }
+}
+
+/// Loads the module that a robot file names.
+pub(crate) type LoadForeign = dyn Fn(&ModuleSource) -> Result<Box<dyn Foreign>, String> + Send + Sync;
