@@ -38,7 +38,7 @@ const SENSORS: &[&str] = &[
     "lidar_emulator",
 ];
 
-const FEATURES: [Feature; 12] = [
+const FEATURES: [Feature; 13] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
@@ -68,6 +68,12 @@ const FEATURES: [Feature; 12] = [
     Feature { name: "plots", is_built_in: cfg!(feature = "plots"), ..NOTHING },
     Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: SENSORS, ..NOTHING },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },
+    Feature {
+        name: "state_machine",
+        is_built_in: cfg!(feature = "state_machine"),
+        kinds: &["state_machine"],
+        ..NOTHING
+    },
     Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
     Feature { name: "top", is_built_in: cfg!(feature = "top"), options: &[("--plot", &["top"])], ..NOTHING },
     Feature {
@@ -162,6 +168,7 @@ mod tests {
         assert!(without("game_controller").unwrap().starts_with("built without \"leagues\": "));
         assert!(without("udp_lines").unwrap().starts_with("built without \"network\": "));
         assert!(without("mqtt").unwrap().starts_with("built without \"mqtt\": "));
+        assert!(without("state_machine").unwrap().starts_with("built without \"state_machine\": "));
         assert_eq!(without("darwin"), None);
         let app = missing_kind_if("mqtt", |_| true).unwrap();
         assert!(app.contains("App::with_built_in_kinds"), "{app}");
