@@ -59,6 +59,7 @@ fn robot_with_chart(folder: &Path, chart: &str) -> String {
 }
 
 #[test]
+#[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn output_that_nobody_reads_halts_neither_a_robot_nor_its_end() {
     for (is_on_terminal, is_read_later) in [(true, true), (true, false), (false, true), (false, false)] {
         let context = format!("on a terminal {is_on_terminal}, read later {is_read_later}");
@@ -229,6 +230,7 @@ fn an_interrupted_command_leaves_nothing_that_looks_whole() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_chart_that_computes_for_long_is_interrupted_by_a_stop() {
     let folder = tempfile::tempdir().unwrap();
     let chart = r#"

@@ -228,6 +228,7 @@ fn lines_of_libraries_have_their_place_in_the_source() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_robot_starts_without_a_module_whose_file_has_an_error_until_it_is_saved() {
     let site = Site::new(
         "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\nreload = true\n",
@@ -408,6 +409,7 @@ impl Page {
 }
 
 #[test]
+#[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
     if !has_compiler() {
         return;
@@ -516,6 +518,7 @@ const GAIN: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downb
 "#;
 
 #[test]
+#[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_replay_uses_the_recorded_settings_and_says_which_are_others_now() {
     let player = "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\n";
     let site = Site::new(&format!("{player}settings = {{ gain = 0.1 }}\n"));

@@ -2,9 +2,10 @@
 
 use downbeat_executor::queue::Queue;
 use downbeat_executor::{
-    AnyMessage, AnyReceived, Caller, Core, CoreHandle, Inlet, MessageType, Module, ModuleOptions, Outlet,
-    OutletInbox, Receipt, Received, ServiceType, SettingInfo, SetupError,
+    AnyMessage, AnyReceived, AnyValue, Caller, Core, CoreHandle, Inlet, MessageType, Module, ModuleOptions,
+    Outlet, OutletInbox, Receipt, Received, ServiceType, SettingInfo, SetupError,
 };
+use std::any::Any;
 use std::time::Duration;
 
 /// How long a running core may take to come to the end of a cycle.
@@ -116,12 +117,12 @@ impl CoreAccess<'_> {
     }
 
     /// Encodes the requests and answers of a service in events, see [`Core::encode_service_of`].
-    pub(crate) fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
+    pub(crate) fn encode_service_of(
         &mut self,
-        of: ServiceType<Q, R>,
+        of: ServiceType<AnyValue, AnyValue>,
         service: &str,
-        request: fn(&Q) -> Vec<u8>,
-        answer_of: fn(&R) -> Vec<u8>,
+        request: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
+        answer_of: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
     ) -> Result<(), SetupError> {
         match self {
             Self::Idle(core) => core.encode_service_of(of, service, request, answer_of),

@@ -25,7 +25,6 @@ mod message;
 mod parameter;
 mod refusal;
 mod service;
-mod service_codec;
 
 pub use action::KnownAction;
 pub use core_access::CoreAccess;

@@ -4,13 +4,14 @@ use crate::CoreAccess;
 use bytes::Bytes;
 use downbeat_executor::queue::{Locked, Overflow};
 use downbeat_executor::{
-    AnyMessage, AnyReceived, Core, Inlet, InletError, MessageType, Outlet, OutletInbox, SetupError, Time,
+    AnyMessage, AnyReceived, Core, ErasedType, Inlet, InletError, MessageType, Outlet, OutletInbox,
+    SetupError, Time,
 };
 use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition, TypeLookupError};
 use downbeat_msgs::{Message, cdr};
 use parking_lot::Mutex;
-use std::any::{Any, TypeId};
+use std::any::{Any, TypeId, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
@@ -256,10 +257,12 @@ impl KnownType {
     /// The Rust type; [`RawMessage`] for all raw types.
     #[must_use]
     pub fn rust_type(self) -> TypeId {
-        match &self.entry.rust {
-            Rust::Compiled(compiled) => (compiled.rust_type)(),
-            Rust::Raw(_) => TypeId::of::<RawMessage>(),
-        }
+        self.entry.message_type()
+    }
+
+    /// The Rust type, and the name under which a core knows the type.
+    pub(crate) fn in_core_as(self) -> (TypeId, &'static str) {
+        (self.entry.message_type(), self.entry.type_name())
     }
 
     /// True if messages of the type are [`RawMessage`]s.
@@ -350,13 +353,8 @@ impl KnownType {
     /// For a raw type whose definition is unknown it has no body.
     #[must_use]
     pub fn default_cdr(self) -> Vec<u8> {
-        match &self.entry.rust {
-            Rust::Compiled(compiled) => (compiled.default_cdr)(),
-            Rust::Raw(_) => {
-                let message = self.dynamic().map(|dynamic| DynamicMessage::new(&dynamic).to_cdr());
-                message.unwrap_or_else(|| vec![0, 1, 0, 0])
-            }
-        }
+        let message = self.dynamic().map(|dynamic| DynamicMessage::new(&dynamic).to_cdr());
+        message.unwrap_or_else(|| vec![0, 1, 0, 0])
     }
 
     /// The type as the executor knows it, for [`Setup::publish_of`](downbeat_executor::Setup::publish_of) and
@@ -364,7 +362,7 @@ impl KnownType {
     #[must_use]
     pub fn in_core(self) -> MessageType {
         match &self.entry.rust {
-            Rust::Compiled(compiled) => compiled.in_core,
+            Rust::Compiled(_) => MessageType::erased(self.entry),
             Rust::Raw(_) => MessageType::of::<RawMessage>().named(self.name()),
         }
     }
@@ -378,6 +376,14 @@ impl KnownType {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.decode)(cdr),
             Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, Bytes::copy_from_slice(cdr)))),
+        }
+    }
+
+    /// As [`decode`](Self::decode), and checks the bytes of a raw type too.
+    pub(crate) fn decode_checked(self, cdr: &[u8]) -> cdr::Result<AnyMessage> {
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.decode)(cdr),
+            Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, self.checked(Bytes::copy_from_slice(cdr))?))),
         }
     }
 
@@ -533,11 +539,35 @@ enum Rust {
 struct Compiled {
     hash: &'static str,
     definition: &'static str,
-    rust_type: fn() -> TypeId,
-    in_core: MessageType,
+    rust_type: fn() -> (TypeId, &'static str),
     decode: fn(&[u8]) -> cdr::Result<AnyMessage>,
     encode: fn(&dyn Any) -> Option<Vec<u8>>,
-    default_cdr: fn() -> Vec<u8>,
+}
+
+// A core keeps messages of compiled types in the boxes that `decode` returns, unless a module uses their topic.
+impl ErasedType for Entry {
+    fn message_type(&self) -> TypeId {
+        match &self.rust {
+            Rust::Compiled(compiled) => (compiled.rust_type)().0,
+            Rust::Raw(_) => TypeId::of::<RawMessage>(),
+        }
+    }
+
+    fn type_name(&self) -> &'static str {
+        match &self.rust {
+            Rust::Compiled(compiled) => (compiled.rust_type)().1,
+            Rust::Raw(_) => self.name,
+        }
+    }
+
+    fn copy(&self, message: &dyn Any) -> Option<AnyMessage> {
+        match &self.rust {
+            Rust::Compiled(compiled) => (compiled.decode)(&(compiled.encode)(message)?).ok(),
+            Rust::Raw(_) => {
+                message.downcast_ref().map(|raw: &RawMessage| Box::new(raw.clone()) as AnyMessage)
+            }
+        }
+    }
 }
 
 /// The definition of a raw type.
@@ -556,11 +586,9 @@ impl<T: Message> Of<T> {
         rust: Rust::Compiled(Compiled {
             hash: T::TYPE_HASH,
             definition: T::DEFINITION,
-            rust_type: TypeId::of::<T>,
-            in_core: MessageType::of::<T>(),
+            rust_type: || (TypeId::of::<T>(), type_name::<T>()),
             decode: |bytes| Ok(Box::new(cdr::from_slice::<T>(bytes)?)),
             encode: |message| message.downcast_ref::<T>().map(cdr::to_vec),
-            default_cdr: || cdr::to_vec(&T::default()),
         }),
     };
 }

@@ -1,18 +1,17 @@
 //! Types of services, and how requests and responses enter a core as bytes and leave it as bytes.
 
 use crate::foreign::{CallEncodedIn, ForeignError, ForeignModule, ReplyEncoded};
-use crate::service_codec::{Compiled, RawService, ServiceCodec};
 use crate::{CoreAccess, KnownType, RawTypeError, Waiting};
 use bytes::Bytes;
 use downbeat_executor::{
-    CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, Setup, SetupError,
+    AnyValue, CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Reply, Responder, Role,
+    ServiceType, Setup, SetupError, StandIn,
 };
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, FieldError, InterfaceDefinition, TypeLookupError};
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
-use downbeat_msgs::std_srvs::srv::Empty;
-use downbeat_msgs::{Message, Service, cdr};
+use downbeat_msgs::{Service, cdr};
 use parking_lot::Mutex;
-use std::any::{Any, type_name};
+use std::any::Any;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::marker::PhantomData;
@@ -57,7 +56,10 @@ pub enum EncodedCallError {
 pub struct EncodedAnswer(Box<dyn FnOnce() -> Vec<u8> + Send>);
 
 /// Answers calls of modules with serialized responses, in place of a server that is not in the core.
-pub struct EncodedStandIn(Box<AnswerEncoded>);
+pub struct EncodedStandIn {
+    service: KnownService,
+    stand_in: StandIn<AnyValue>,
+}
 
 /// A server outside the core.
 pub trait RemoteCall: Send + 'static {
@@ -76,7 +78,7 @@ pub struct RemoteService {
     service: String,
     service_type: KnownService,
     answers_topic: String,
-    answers: Answers,
+    answers: Inlet<Answer>,
     call: Box<dyn RemoteCall>,
 }
 
@@ -107,42 +109,27 @@ pub enum EventError {
     Fields(#[from] FieldError),
 }
 
-fn encode_event<S: Service>(
-    info: ServiceEventInfo,
-    content: EventContent<'_>,
-) -> Result<Vec<u8>, EventError> {
-    let event = match content {
-        EventContent::Nothing => S::event(info, None, None),
-        // Decoded and encoded again: the alignment in the middle of a message differs.
-        EventContent::Request(request) => S::event(info, Some(cdr::from_slice(request)?), None),
-        EventContent::Response(response) => S::event(info, None, Some(cdr::from_slice(response)?)),
-    };
-    Ok(cdr::to_vec(&event))
+/// The types of an event and of what it holds, for writing events field by field.
+struct EventTypes {
+    event: DynamicType,
+    request: DynamicType,
+    response: DynamicType,
 }
 
-fn encode_raw_event(
-    raw: &RawService,
-    info: ServiceEventInfo,
-    content: EventContent<'_>,
-) -> Result<Vec<u8>, EventError> {
-    // Those of a raw service are known.
-    let (Some(event), Some(request), Some(response)) =
-        (raw.event.dynamic(), raw.request.dynamic(), raw.response.dynamic())
-    else {
-        return encode_event::<Empty>(info, EventContent::Nothing);
-    };
-    let mut event = DynamicMessage::new(&event);
-    let bytes = cdr::to_vec(&info);
-    let info = event.get("info")?.as_message().map(|info| info.message_type());
-    if let Some(info) = info {
-        event.set("info", DynamicMessage::from_cdr(&info, &bytes)?)?;
+impl EventTypes {
+    /// Those of a service, which are read from its definitions once.
+    fn of(entry: &'static Entry) -> Option<Arc<Self>> {
+        static READ: Mutex<BTreeMap<&'static str, Arc<EventTypes>>> = Mutex::new(BTreeMap::new());
+        if let Some(types) = READ.lock().get(entry.hash) {
+            return Some(Arc::clone(types));
+        }
+        let types = Self {
+            event: entry.event.dynamic()?,
+            request: entry.request.dynamic()?,
+            response: entry.response.dynamic()?,
+        };
+        Some(Arc::clone(READ.lock().entry(entry.hash).or_insert_with(|| Arc::new(types))))
     }
-    match content {
-        EventContent::Nothing => {}
-        EventContent::Request(cdr) => event.push("request", DynamicMessage::from_cdr(&request, cdr)?)?,
-        EventContent::Response(cdr) => event.push("response", DynamicMessage::from_cdr(&response, cdr)?)?,
-    }
-    Ok(event.to_cdr())
 }
 
 impl KnownService {
@@ -167,61 +154,47 @@ impl KnownService {
             |part: &str| KnownType::defined(definition.message(&format!("{name}_{part}")).map_err(unusable)?);
         let (request, response, event) = (message("Request")?, message("Response")?, message("Event")?);
         let (name, hash, definition) = (leak(name), leak(&hash), leak(&definition_text));
-        let raw = RawService { name, hash, definition, request, response, event };
+        let entry = Entry { name, hash, definition, request, response, event };
         let mut services = SERVICES.lock();
-        Ok(Self { entry: services.entry(hash).or_insert_with(|| Box::leak(Box::new(Entry::Raw(raw)))) })
+        Ok(Self { entry: services.entry(hash).or_insert_with(|| Box::leak(Box::new(entry))) })
     }
 
     /// As in `std_srvs/srv/SetBool`.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self.entry {
-            Entry::Compiled(of) => of.name,
-            Entry::Raw(raw) => raw.name,
-        }
+        self.entry.name
     }
 
     /// `RIHS01_` and 64 hexadecimal digits.
     #[must_use]
     pub fn hash(self) -> &'static str {
-        match self.entry {
-            Entry::Compiled(of) => of.hash,
-            Entry::Raw(raw) => raw.hash,
-        }
+        self.entry.hash
     }
 
     /// The definition text with all dependencies, as rosbag2 stores it for service events.
     #[must_use]
     pub fn definition(self) -> &'static str {
-        match self.entry {
-            Entry::Compiled(of) => of.definition,
-            Entry::Raw(raw) => raw.definition,
-        }
+        self.entry.definition
     }
 
     /// True if its requests and responses pass through as bytes.
     #[must_use]
     pub fn is_raw(self) -> bool {
-        matches!(self.entry, Entry::Raw(_))
+        self.entry.request.is_raw()
     }
 
     /// The hashes of the messages of its requests, responses and events.
     #[must_use]
     pub fn message_hashes(self) -> [&'static str; 3] {
-        match self.entry {
-            Entry::Compiled(of) => of.message_hashes,
-            Entry::Raw(raw) => [raw.request, raw.response, raw.event].map(KnownType::hash),
-        }
+        let Entry { request, response, event, .. } = self.entry;
+        [*request, *response, *event].map(KnownType::hash)
     }
 
     /// The type of its responses, for reading and writing them field by field; `None` while its definition is
     /// unknown.
     #[must_use]
     pub fn response_type(self) -> Option<DynamicType> {
-        match self.entry {
-            Entry::Compiled(of) => (of.response_type)(),
-            Entry::Raw(raw) => raw.response.dynamic(),
-        }
+        self.entry.response.dynamic()
     }
 
     /// Serializes an event of the service: encapsulation header (little-endian) and body. An event without
@@ -234,10 +207,24 @@ impl KnownService {
         info: ServiceEventInfo,
         content: EventContent<'_>,
     ) -> Result<Vec<u8>, EventError> {
-        match self.entry {
-            Entry::Compiled(of) => (of.encode_event)(info, content),
-            Entry::Raw(raw) => encode_raw_event(raw, info, content),
+        // Known for every service: a raw one is made of its definitions.
+        let Some(types) = EventTypes::of(self.entry) else { return Ok(self.entry.event.default_cdr()) };
+        let mut event = DynamicMessage::new(&types.event);
+        let of_info = event.get("info")?.as_message().map(|info| info.message_type());
+        if let Some(of_info) = of_info {
+            event.set("info", DynamicMessage::from_cdr(&of_info, &cdr::to_vec(&info))?)?;
         }
+        // Decoded and encoded again: the alignment in the middle of a message differs.
+        match content {
+            EventContent::Nothing => {}
+            EventContent::Request(cdr) => {
+                event.push("request", DynamicMessage::from_cdr(&types.request, cdr)?)?;
+            }
+            EventContent::Response(cdr) => {
+                event.push("response", DynamicMessage::from_cdr(&types.response, cdr)?)?;
+            }
+        }
+        Ok(event.to_cdr())
     }
 
     /// Opens a caller of a service of modules, which any thread may use.
@@ -253,11 +240,37 @@ impl KnownService {
     /// # Errors
     /// Those of [`caller`](Self::caller), and one if the core does not answer.
     pub fn caller_in(self, core: &mut CoreAccess<'_>, service: &str) -> Result<EncodedCaller, SetupError> {
-        let call = match self.entry {
-            Entry::Compiled(of) => (of.caller)(core, service)?,
-            Entry::Raw(raw) => caller(raw, core, service)?,
-        };
-        Ok(EncodedCaller { service: service.into(), call: call.into() })
+        let caller = core.caller_of(self.in_core(), service)?;
+        let service: Arc<str> = service.into();
+        let name = Arc::clone(&service);
+        let call: Arc<CallEncoded> = Arc::new(move |bytes, timeout, on_answer: OnAnswer| {
+            let request = match self.read_request(bytes) {
+                Ok(request) => request,
+                Err(error) => {
+                    let (service, reason) = (Arc::clone(&name), error.to_string());
+                    let type_name = self.name();
+                    return on_answer(Err(EncodedCallError::Decode { service, type_name, reason }));
+                }
+            };
+            // Whichever of the two outcomes comes first takes it.
+            let on_answer = Arc::new(Mutex::new(Some(on_answer)));
+            let finish = |on_answer: &Mutex<Option<OnAnswer>>, result| {
+                let on_answer = on_answer.lock().take();
+                if let Some(on_answer) = on_answer {
+                    on_answer(result);
+                }
+            };
+            let answered = Arc::clone(&on_answer);
+            let called = caller.call(request, timeout, move |result| {
+                let answer =
+                    |response: AnyValue| EncodedAnswer(Box::new(move || self.write_response(&*response.0)));
+                finish(&answered, result.map(answer).map_err(EncodedCallError::from));
+            });
+            if let Err(error) = called {
+                finish(&on_answer, Err(error.into()));
+            }
+        });
+        Ok(EncodedCaller { service, call })
     }
 
     /// Prepares a service that modules call and whose requests `call` takes. [`RemoteServices::add_to`]
@@ -285,10 +298,7 @@ impl KnownService {
         call: impl RemoteCall,
     ) -> Result<RemoteService, SetupError> {
         let answers_topic = format!("bridge/answers/{}", service.trim_start_matches('/'));
-        let answers = match self.entry {
-            Entry::Compiled(of) => (of.answers)(core, &answers_topic)?,
-            Entry::Raw(raw) => answers(raw, core, &answers_topic)?,
-        };
+        let answers = core.inlet::<Answer>(&answers_topic, Waiting::All.queue())?;
         Ok(RemoteService {
             service: service.to_owned(),
             service_type: self,
@@ -312,10 +322,9 @@ impl KnownService {
     /// # Errors
     /// Those of [`encode`](Self::encode), and one if the core does not answer.
     pub fn encode_in(self, core: &mut CoreAccess<'_>, service: &str) -> Result<(), SetupError> {
-        match self.entry {
-            Entry::Compiled(of) => (of.encode)(core, service),
-            Entry::Raw(raw) => encode(raw, core, service),
-        }
+        let Entry { request, response, .. } = *self.entry;
+        let write = |of: KnownType| move |value: &dyn Any| of.encode(value).map(Vec::from);
+        core.encode_service_of(self.in_core(), service, write(request), write(response))
     }
 
     /// Opens a stand-in, which answers calls of modules with serialized responses in place of a server.
@@ -323,10 +332,8 @@ impl KnownService {
     /// # Errors
     /// [`SetupError`] when the name is not valid or the service has other types.
     pub fn stand_in(self, core: &mut Core, service: &str) -> Result<EncodedStandIn, SetupError> {
-        Ok(EncodedStandIn(match self.entry {
-            Entry::Compiled(of) => (of.stand_in)(core, service)?,
-            Entry::Raw(raw) => stand_in(raw, core, service)?,
-        }))
+        let stand_in = core.stand_in_of(self.in_core(), service)?;
+        Ok(EncodedStandIn { service: self, stand_in })
     }
 
     /// Declares that a module in another language serves the service.
@@ -336,10 +343,28 @@ impl KnownService {
         service: &str,
         server: u32,
     ) -> Result<(), SetupError> {
-        match self.entry {
-            Entry::Compiled(of) => (of.serve_foreign)(setup, service, server),
-            Entry::Raw(raw) => serve_foreign(raw, setup, service, server),
-        }
+        let name: Arc<str> = service.into();
+        setup.serve_later_of(
+            self.in_core(),
+            service,
+            move |module: &mut ForeignModule, request, responder: Responder<_, AnyValue>, ctx| {
+                let name = Arc::clone(&name);
+                let reply: ReplyEncoded = Box::new(move |ctx, result| {
+                    let (answer, outcome) = match result.map(|cdr| self.read_response(cdr)) {
+                        Ok(Ok(response)) => (Ok(response), Ok(())),
+                        Ok(Err(error)) => {
+                            let type_name = format!("response of {self}");
+                            let error = ForeignError::Decode { name: name.to_string(), type_name, error };
+                            (Err(error.to_string()), Err(error))
+                        }
+                        Err(reason) => (Err(reason), Ok(())),
+                    };
+                    ctx.reply(responder, answer);
+                    outcome
+                });
+                module.take_request(server, self.write_request(&*request.0).into(), reply, ctx);
+            },
+        )
     }
 
     /// Declares that a module in another language calls the service.
@@ -350,19 +375,61 @@ impl KnownService {
         timeout: Duration,
         client: u32,
     ) -> Result<CallEncodedIn, SetupError> {
-        match self.entry {
-            Entry::Compiled(of) => (of.foreign_client)(setup, service, timeout, client),
-            Entry::Raw(raw) => foreign_client(raw, setup, service, timeout, client),
-        }
+        let on_reply = move |module: &mut ForeignModule,
+                             reply: Reply<AnyValue>,
+                             ctx: &mut Context<'_, <ForeignModule as Module>::Ports>| {
+            let result = reply.result.map(|response| self.write_response(&*response.0).into());
+            let result = result.map_err(|error| error.to_string());
+            module.take_reply(client, reply.call.number(), result, ctx);
+        };
+        let key = setup.client_of(self.in_core(), service, timeout, on_reply)?;
+        let name = service.to_owned();
+        Ok(Box::new(move |ctx, cdr| {
+            let request = self.read_request(cdr).map_err(|error| {
+                let type_name = format!("request of {self}");
+                ForeignError::Decode { name: name.clone(), type_name, error }
+            })?;
+            Ok(ctx.call(key, request).number())
+        }))
     }
 
     /// The names of the types of request and response in a core.
     pub(crate) fn types_in_core(self) -> (&'static str, &'static str) {
-        match self.entry {
-            Entry::Compiled(of) => (of.rust_types)(),
-            Entry::Raw(raw) => (raw.request.name(), raw.response.name()),
-        }
+        (self.entry.request.in_core_as().1, self.entry.response.in_core_as().1)
     }
+
+    /// The types as the executor knows them. In a core, requests and responses are in boxes here, and values
+    /// of their Rust types where modules use them.
+    fn in_core(self) -> ServiceType<AnyValue, AnyValue> {
+        ServiceType::erased(self.entry.request.in_core_as(), self.entry.response.in_core_as())
+    }
+
+    /// Reads a request of either byte order.
+    fn read_request(self, cdr: &[u8]) -> cdr::Result<AnyValue> {
+        self.entry.request.decode_checked(cdr).map(|request| AnyValue(request))
+    }
+
+    /// Reads a response of either byte order.
+    fn read_response(self, cdr: &[u8]) -> cdr::Result<AnyValue> {
+        self.entry.response.decode_checked(cdr).map(|response| AnyValue(response))
+    }
+
+    /// Writes a request, little-endian.
+    fn write_request(self, request: &dyn Any) -> Vec<u8> {
+        written(self.entry.request, request)
+    }
+
+    /// Writes a response, little-endian.
+    fn write_response(self, response: &dyn Any) -> Vec<u8> {
+        written(self.entry.response, response)
+    }
+}
+
+/// The executor passes only values of the types that a service was opened with.
+fn written(of: KnownType, value: &dyn Any) -> Vec<u8> {
+    let written = of.encode(value);
+    debug_assert!(written.is_some(), "a value of another type than {of}");
+    written.map(Vec::from).unwrap_or_default()
 }
 
 impl fmt::Debug for KnownService {
@@ -425,7 +492,12 @@ impl EncodedStandIn {
         number: u64,
         result: Result<&[u8], CallError>,
     ) -> Result<(), cdr::Error> {
-        (self.0)(client, port, number, result)
+        let result = match result {
+            Ok(cdr) => Ok(self.service.read_response(cdr)?),
+            Err(error) => Err(error),
+        };
+        self.stand_in.answer(client, port, number, result);
+        Ok(())
     }
 }
 
@@ -459,162 +531,54 @@ impl Module for RemoteServices {
     type Ports = ();
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        self.services.drain(..).try_for_each(|service| match service.service_type.entry {
-            Entry::Compiled(of) => (of.serve)(setup, service),
-            Entry::Raw(raw) => serve(raw, setup, service),
-        })
+        self.services.drain(..).try_for_each(|service| serve(setup, service))
     }
 }
 
 type OnAnswer = Box<dyn FnOnce(Result<EncodedAnswer, EncodedCallError>) + Send>;
 type CallEncoded = dyn Fn(&[u8], Duration, OnAnswer) + Send + Sync;
-type AnswerEncoded = dyn Fn(&str, u32, u64, Result<&[u8], CallError>) -> Result<(), cdr::Error> + Send + Sync;
-
-/// An `Inlet<Answer<R>>` whose type only the service knows.
-type Answers = Box<dyn Any + Send>;
 
 /// The outcome of one request.
-struct Answer<R> {
+struct Answer {
     number: u64,
-    result: Result<R, String>,
+    /// The subscription of [`RemoteServices`], the only one of its topic, takes it out.
+    result: Mutex<Option<Result<AnyValue, String>>>,
 }
 
-/// Requests without an answer so far.
-type Open<Q, R> = Arc<Mutex<HashMap<u64, Responder<Q, R>>>>;
-
-enum Entry {
-    Compiled(CompiledEntry),
-    Raw(RawService),
-}
-
-// Each function exists once per service type: what does not depend on the type is elsewhere.
-struct CompiledEntry {
+struct Entry {
     name: &'static str,
     hash: &'static str,
     definition: &'static str,
-    message_hashes: [&'static str; 3],
-    rust_types: fn() -> (&'static str, &'static str),
-    caller: fn(&mut CoreAccess<'_>, &str) -> Result<Box<CallEncoded>, SetupError>,
-    answers: fn(&mut CoreAccess<'_>, &str) -> Result<Answers, SetupError>,
-    serve: fn(&mut Setup<'_, RemoteServices>, RemoteService) -> Result<(), SetupError>,
-    serve_foreign: fn(&mut Setup<'_, ForeignModule>, &str, u32) -> Result<(), SetupError>,
-    foreign_client:
-        fn(&mut Setup<'_, ForeignModule>, &str, Duration, u32) -> Result<CallEncodedIn, SetupError>,
-    encode: fn(&mut CoreAccess<'_>, &str) -> Result<(), SetupError>,
-    stand_in: fn(&mut Core, &str) -> Result<Box<AnswerEncoded>, SetupError>,
-    response_type: fn() -> Option<DynamicType>,
-    encode_event: fn(ServiceEventInfo, EventContent<'_>) -> Result<Vec<u8>, EventError>,
+    request: KnownType,
+    response: KnownType,
+    event: KnownType,
 }
 
 /// Holds the entry of a type as a constant, so that a handle is a reference to it.
 struct Of<S>(PhantomData<S>);
 
 impl<S: Service> Of<S> {
-    const ENTRY: &'static Entry = &Entry::Compiled(CompiledEntry {
+    const ENTRY: &'static Entry = &Entry {
         name: S::TYPE_NAME,
         hash: S::TYPE_HASH,
         definition: S::DEFINITION,
-        message_hashes: [
-            <S::Request as Message>::TYPE_HASH,
-            <S::Response as Message>::TYPE_HASH,
-            <S::Event as Message>::TYPE_HASH,
-        ],
-        rust_types: || (type_name::<S::Request>(), type_name::<S::Response>()),
-        caller: |core, service| caller(Compiled::<S>::NEW, core, service),
-        answers: |core, topic| answers(Compiled::<S>::NEW, core, topic),
-        serve: |setup, remote| serve(Compiled::<S>::NEW, setup, remote),
-        serve_foreign: |setup, service, server| serve_foreign(Compiled::<S>::NEW, setup, service, server),
-        foreign_client: |setup, service, timeout, client| {
-            foreign_client(Compiled::<S>::NEW, setup, service, timeout, client)
-        },
-        encode: |core, service| encode(Compiled::<S>::NEW, core, service),
-        stand_in: |core, service| stand_in(Compiled::<S>::NEW, core, service),
-        response_type: || {
-            let (name, text) = (<S::Response as Message>::TYPE_NAME, <S::Response as Message>::DEFINITION);
-            DynamicType::from_definition_text(name, "ros2msg", text).ok()
-        },
-        encode_event: encode_event::<S>,
-    });
+        request: KnownType::of::<S::Request>(),
+        response: KnownType::of::<S::Response>(),
+        event: KnownType::of::<S::Event>(),
+    };
 }
 
 fn leak(text: &str) -> &'static str {
     Box::leak(text.to_owned().into_boxed_str())
 }
 
-fn answers<C: ServiceCodec>(_: C, core: &mut CoreAccess<'_>, topic: &str) -> Result<Answers, SetupError> {
-    Ok(Box::new(core.inlet::<Answer<C::Response>>(topic, Waiting::All.queue())?))
-}
-
-fn encode<C: ServiceCodec>(codec: C, core: &mut CoreAccess<'_>, service: &str) -> Result<(), SetupError> {
-    core.encode_service_of(codec.in_core(), service, C::write_request, C::write_response)
-}
-
-fn caller<C: ServiceCodec>(
-    codec: C,
-    core: &mut CoreAccess<'_>,
-    service: &str,
-) -> Result<Box<CallEncoded>, SetupError> {
-    let caller = core.caller_of(codec.in_core(), service)?;
-    let service: Arc<str> = service.into();
-    Ok(Box::new(move |bytes, timeout, on_answer| {
-        let request = match codec.read_request(bytes) {
-            Ok(request) => request,
-            Err(error) => {
-                let (service, reason) = (Arc::clone(&service), error.to_string());
-                return on_answer(Err(EncodedCallError::Decode { service, type_name: codec.name(), reason }));
-            }
-        };
-        // Whichever of the two outcomes comes first takes it.
-        let on_answer = Arc::new(Mutex::new(Some(on_answer)));
-        let finish = |on_answer: &Mutex<Option<OnAnswer>>, result| {
-            let on_answer = on_answer.lock().take();
-            if let Some(on_answer) = on_answer {
-                on_answer(result);
-            }
-        };
-        let answered = Arc::clone(&on_answer);
-        let called = caller.call(request, timeout, move |result| {
-            let answer =
-                |response: C::Response| EncodedAnswer(Box::new(move || C::write_response(&response)));
-            finish(&answered, result.map(answer).map_err(EncodedCallError::from));
-        });
-        if let Err(error) = called {
-            finish(&on_answer, Err(error.into()));
-        }
-    }))
-}
-
-fn stand_in<C: ServiceCodec>(
-    codec: C,
-    core: &mut Core,
-    service: &str,
-) -> Result<Box<AnswerEncoded>, SetupError> {
-    let stand_in = core.stand_in_of(codec.in_core(), service)?;
-    Ok(Box::new(move |client, port, number, result| {
-        let result = match result {
-            Ok(cdr) => Ok(codec.read_response(cdr)?),
-            Err(error) => Err(error),
-        };
-        stand_in.answer(client, port, number, result);
-        Ok(())
-    }))
-}
-
-fn serve<C: ServiceCodec>(
-    codec: C,
-    setup: &mut Setup<'_, RemoteServices>,
-    remote: RemoteService,
-) -> Result<(), SetupError> {
-    let RemoteService { service, answers_topic, answers, mut call, .. } = remote;
-    let answers = match answers.downcast::<Inlet<Answer<C::Response>>>() {
-        Ok(answers) => *answers,
-        Err(_) => return Err(setup.refuse(format!("service {service:?} was prepared for another type"))),
-    };
-    let open = Open::<C::Request, C::Response>::default();
+fn serve(setup: &mut Setup<'_, RemoteServices>, remote: RemoteService) -> Result<(), SetupError> {
+    let RemoteService { service, service_type, answers_topic, answers, mut call } = remote;
+    let open = Arc::<Mutex<HashMap<u64, Responder<AnyValue, AnyValue>>>>::default();
     let mut next = 0;
     let asked = Arc::clone(&open);
     setup.serve_later_of(
-        codec.in_core(),
+        service_type.in_core(),
         &service,
         move |_: &mut RemoteServices, request, responder, _: &mut Context<'_>| {
             let number = next;
@@ -623,84 +587,27 @@ fn serve<C: ServiceCodec>(
             let answers = answers.clone();
             let on_answer = move |result: Result<Bytes, String>| {
                 let result = result.and_then(|cdr| {
-                    codec
-                        .read_response(&cdr)
-                        .map_err(|error| format!("the answer is no {}: {error}", codec.name()))
+                    let response = service_type.read_response(&cdr);
+                    response.map_err(|error| format!("the answer is no {service_type}: {error}"))
                 });
                 // Fails only if the core has stopped or is flooded; the call then times out.
-                if let Err(error) = answers.publish(Answer { number, result }) {
+                if let Err(error) = answers.publish(Answer { number, result: Mutex::new(Some(result)) }) {
                     tracing::debug!(%error, "an answer did not enter the core");
                 }
             };
-            call.call(Box::new(move || C::write_request(&request).into()), Box::new(on_answer));
+            let request = move || service_type.write_request(&*request.0).into();
+            call.call(Box::new(request), Box::new(on_answer));
         },
     )?;
     setup.subscribe(
         &answers_topic,
-        move |_: &mut RemoteServices, answer: Received<'_, Answer<C::Response>>, ctx: &mut Context<'_>| {
+        move |_: &mut RemoteServices, answer: Received<'_, Answer>, ctx: &mut Context<'_>| {
             let responder = open.lock().remove(&answer.number);
-            if let Some(responder) = responder {
-                ctx.reply(responder, answer.result.clone());
+            if let (Some(responder), Some(result)) = (responder, answer.result.lock().take()) {
+                ctx.reply(responder, result);
             }
         },
     )
-}
-
-fn serve_foreign<C: ServiceCodec>(
-    codec: C,
-    setup: &mut Setup<'_, ForeignModule>,
-    service: &str,
-    server: u32,
-) -> Result<(), SetupError> {
-    let name: Arc<str> = service.into();
-    setup.serve_later_of(
-        codec.in_core(),
-        service,
-        move |module: &mut ForeignModule, request, responder: Responder<_, C::Response>, ctx| {
-            let name = Arc::clone(&name);
-            let reply: ReplyEncoded = Box::new(move |ctx, result| {
-                let (answer, outcome) = match result.map(|cdr| codec.read_response(cdr)) {
-                    Ok(Ok(response)) => (Ok(response), Ok(())),
-                    Ok(Err(error)) => {
-                        let type_name = format!("response of {}", codec.name());
-                        let error = ForeignError::Decode { name: name.to_string(), type_name, error };
-                        (Err(error.to_string()), Err(error))
-                    }
-                    Err(reason) => (Err(reason), Ok(())),
-                };
-                ctx.reply(responder, answer);
-                outcome
-            });
-            module.take_request(server, C::write_request(&request).into(), reply, ctx);
-        },
-    )
-}
-
-fn foreign_client<C: ServiceCodec>(
-    codec: C,
-    setup: &mut Setup<'_, ForeignModule>,
-    service: &str,
-    timeout: Duration,
-    client: u32,
-) -> Result<CallEncodedIn, SetupError> {
-    let key = setup.client_of(
-        codec.in_core(),
-        service,
-        timeout,
-        move |module: &mut ForeignModule, reply, ctx| {
-            let result = reply.result.map(|response| C::write_response(&response).into());
-            let result = result.map_err(|error| error.to_string());
-            module.take_reply(client, reply.call.number(), result, ctx);
-        },
-    )?;
-    let name = service.to_owned();
-    Ok(Box::new(move |ctx, cdr| {
-        let request = codec.read_request(cdr).map_err(|error| {
-            let type_name = format!("request of {}", codec.name());
-            ForeignError::Decode { name: name.clone(), type_name, error }
-        })?;
-        Ok(ctx.call(key, request).number())
-    }))
 }
 
 #[cfg(test)]
@@ -708,6 +615,13 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use downbeat_msgs::std_srvs::srv::{Empty, SetBool, SetBoolEvent, SetBoolRequest};
+
+    fn encode_event<S: Service>(
+        info: ServiceEventInfo,
+        content: EventContent<'_>,
+    ) -> Result<Vec<u8>, EventError> {
+        KnownService::of::<S>().encode_event(info, content)
+    }
 
     fn info() -> ServiceEventInfo {
         ServiceEventInfo {

@@ -181,8 +181,8 @@ pub use cycle::{
 };
 pub use error::{SetupError, Version};
 pub use exchange::{
-    CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError, Job,
-    JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
+    AnyValue, CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError,
+    Job, JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
     RestartRefused, ServiceInfo, ServiceType, Setting, SettingRefused, SettingsChange, StandIn, StepInput,
     Task, UnknownModule,
 };
@@ -201,6 +201,6 @@ pub use probe::{Heard, Probe, ProbeError};
 pub use threads::{Failure, Overrun, Receipt, Spin, ThreadError, ThreadOptions};
 pub use time::{Clock, ManualClock, SystemClock, Time};
 pub use topics::{
-    AnyMessage, AnyPublication, AnyReceived, Kept, MessageType, Publication, Received, TopicCounter,
-    TopicInfo,
+    AnyMessage, AnyPublication, AnyReceived, ErasedType, Kept, MessageType, Publication, Received,
+    TopicCounter, TopicInfo,
 };

@@ -175,7 +175,11 @@ pub(crate) enum Command {
     /// running it.
     Graph(GraphArguments),
     /// Check the chart of a state machine and draw it: for Graphviz, or for Mermaid.
+    #[cfg(feature = "state_machine")]
     Chart(ChartArguments),
+    /// (Not in this program, built without "state_machine".) Check the chart of a state machine and draw it.
+    #[cfg(not(feature = "state_machine"))]
+    Chart(NotBuiltIn),
     /// Inspect, record, play and process bags.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -406,6 +410,7 @@ pub(crate) struct GraphArguments {
     pub(crate) wait: Duration,
 }
 
+#[cfg(feature = "state_machine")]
 #[derive(Args)]
 pub(crate) struct ChartArguments {
     /// The chart.

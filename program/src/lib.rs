@@ -4,6 +4,7 @@
 mod output;
 
 mod bag;
+#[cfg(feature = "state_machine")]
 mod chart;
 mod check;
 mod choose;
@@ -98,7 +99,10 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Trace(arguments) => trace::trace(&arguments),
         #[cfg(feature = "view")]
         Command::View(arguments) => view::view(&arguments, catalog, &ros),
+        #[cfg(feature = "state_machine")]
         Command::Chart(arguments) => chart::chart(&arguments, catalog),
+        #[cfg(not(feature = "state_machine"))]
+        Command::Chart(_) => not_built("state_machine", ""),
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {
@@ -169,7 +173,7 @@ fn ends_when_done(command: &Command) -> bool {
 
 /// The error of a command that needs a feature of the package.
 #[cfg_attr(
-    all(feature = "football", feature = "plots", feature = "tables", feature = "top", feature = "view"),
+    all(feature = "football", feature = "plots", feature = "tables", feature = "top", feature = "view"), // football has state_machine
     allow(dead_code)
 )]
 fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {

@@ -22,7 +22,6 @@ use downbeat_servos::joint_command_mux::JointCommandMux;
 use downbeat_servos::servo_bus::ServoBus;
 use downbeat_servos::servo_bus::bus::{Bus, Exchange, RecordedBus};
 use downbeat_servos::servo_emulator::ServoEmulator;
-use downbeat_state_machine::StateMachineOptions;
 use downbeat_transforms::transform_server::TransformServer;
 
 use crate::feature_kinds::of_features;
@@ -99,16 +98,6 @@ pub(crate) fn kinds() -> Vec<Kind> {
             |source| library(source).map(|options| vec![options.path]).unwrap_or_default(),
         )
         .with_synchrony(Synchrony::WhenDue),
-        Kind::foreign(
-            "state_machine",
-            "decisions as a statechart in a file, a subset of SCXML (docs/state_machine.md)",
-            [&["file"], &["reload"]],
-            |source| downbeat_state_machine::load(&state_machine(source)?),
-            |source| state_machine(source).map(|options| vec![options.path]).unwrap_or_default(),
-        )
-        .reloaded()
-        .with_panel("Chart", downbeat_state_machine::PANEL, &["~/mermaid", "~/state"])
-        .with_synchrony(Synchrony::WhenDue),
         Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
         Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default),
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
@@ -151,8 +140,8 @@ fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
     Ok(LibraryOptions {
         module: source.module.clone(),
         path: source.file_to_read(&source.folder.join(path)),
-        is_reloaded: is_set(source, "reload", false)?,
-        is_isolated: is_set(source, "isolate", false)?,
+        is_reloaded: source.is_set("reload", false)?,
+        is_isolated: source.is_set("isolate", false)?,
         time_limit: match source.keys.get("time_limit") {
             // A module that may run for longer is not killed before that is reported.
             None => source.deadline.unwrap_or_default().max(LibraryOptions::TIME_LIMIT),
@@ -164,28 +153,11 @@ fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
     })
 }
 
-/// Reads the keys of a state machine.
-fn state_machine(source: &ModuleSource) -> Result<StateMachineOptions, String> {
-    let Some(SettingValue::Text(file)) = source.keys.get("file") else {
-        return Err("`file` is the chart, such as \"player.scxml\"".to_owned());
-    };
-    let path = source.file_to_read(&source.folder.join(file));
-    Ok(StateMachineOptions { path, is_reloaded: is_set(source, "reload", true)? })
-}
-
 fn time_limit(text: &str) -> Result<Duration, String> {
     match crate::duration::parse(text) {
         Ok(limit) if !limit.is_zero() => Ok(limit),
         Ok(_) => Err("`time_limit` has to be above 0".to_owned()),
         Err(problem) => Err(format!("`time_limit`: {problem}")),
-    }
-}
-
-fn is_set(source: &ModuleSource, key: &str, default: bool) -> Result<bool, String> {
-    match source.keys.get(key) {
-        None => Ok(default),
-        Some(SettingValue::Bool(value)) => Ok(*value),
-        Some(other) => Err(format!("`{key}` is true or false, not {other}")),
     }
 }
 

@@ -54,13 +54,14 @@ impl Catalog {
     #[must_use]
     pub fn built_in() -> Self {
         let kinds = crate::built_in::kinds().into_iter().map(|kind| (Arc::from(kind.name()), kind));
-        let own = downbeat_state_machine::INTERFACES;
+        let interfaces = Interfaces::carried();
+        // No carried interface has the names of these.
         #[cfg(feature = "leagues")]
-        let own = (own, downbeat_football::INTERFACES);
+        let interfaces = interfaces.with(downbeat_football::INTERFACES).unwrap_or_default();
         #[cfg(feature = "sensors")]
-        let own = (own, downbeat_sensors::INTERFACES);
-        // No carried interface has these names.
-        let interfaces = Interfaces::carried().with(own).unwrap_or_default();
+        let interfaces = interfaces.with(downbeat_sensors::INTERFACES).unwrap_or_default();
+        #[cfg(feature = "state_machine")]
+        let interfaces = interfaces.with(downbeat_state_machine::INTERFACES).unwrap_or_default();
         Self { kinds: kinds.collect(), interfaces, ..Self::default() }
     }
 

@@ -22,7 +22,32 @@ pub(super) fn of_features(ports: &MemoryPorts) -> impl Iterator<Item = Kind> {
     let kinds = kinds.chain([mqtt()]);
     #[cfg(feature = "sensors")]
     let kinds = kinds.chain(super::sensors::kinds());
+    #[cfg(feature = "state_machine")]
+    let kinds = kinds.chain([state_machine()]);
     kinds
+}
+
+#[cfg(feature = "state_machine")]
+fn state_machine() -> Kind {
+    use downbeat_executor::{SettingValue, Synchrony};
+    use downbeat_state_machine::StateMachineOptions;
+    let options = |source: &super::ModuleSource| {
+        let Some(SettingValue::Text(file)) = source.keys.get("file") else {
+            return Err("`file` is the chart, such as \"player.scxml\"".to_owned());
+        };
+        let path = source.file_to_read(&source.folder.join(file));
+        Ok(StateMachineOptions { path, is_reloaded: source.is_set("reload", true)? })
+    };
+    Kind::foreign(
+        "state_machine",
+        "decisions as a statechart in a file, a subset of SCXML (docs/state_machine.md)",
+        [&["file"], &["reload"]],
+        move |source| downbeat_state_machine::load(&options(source)?),
+        move |source| options(source).map(|options| vec![options.path]).unwrap_or_default(),
+    )
+    .reloaded()
+    .with_panel("Chart", downbeat_state_machine::PANEL, &["~/mermaid", "~/state"])
+    .with_synchrony(Synchrony::WhenDue)
 }
 
 #[cfg(feature = "mqtt")]

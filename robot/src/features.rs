@@ -33,7 +33,7 @@ const SENSORS: &[&str] = &[
     "lidar_emulator",
 ];
 
-const FEATURES: [Feature; 10] = [
+const FEATURES: [Feature; 11] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
@@ -62,6 +62,12 @@ const FEATURES: [Feature; 10] = [
     },
     Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: SENSORS, ..NOTHING },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },
+    Feature {
+        name: "state_machine",
+        is_built_in: cfg!(feature = "state_machine"),
+        kinds: &["state_machine"],
+        ..NOTHING
+    },
     Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
     Feature { name: "view", is_built_in: cfg!(feature = "view"), ..NOTHING },
 ];
@@ -136,6 +142,7 @@ mod tests {
         assert!(without("game_controller").unwrap().starts_with("built without \"leagues\": "));
         assert!(without("udp_lines").unwrap().starts_with("built without \"network\": "));
         assert!(without("mqtt").unwrap().starts_with("built without \"mqtt\": "));
+        assert!(without("state_machine").unwrap().starts_with("built without \"state_machine\": "));
         assert_eq!(without("darwin"), None);
         let app = missing_kind_if("mqtt", |_| true).unwrap();
         assert!(app.contains("App::with_built_in_kinds"), "{app}");

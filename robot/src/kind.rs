@@ -135,6 +135,7 @@ impl Kind {
     }
 
     /// Declares that modules of the kind are reloaded unless the robot file says otherwise.
+    #[cfg_attr(not(feature = "state_machine"), allow(dead_code))]
     pub(crate) fn reloaded(self) -> Self {
         Self { reloads_by_default: true, ..self }
     }

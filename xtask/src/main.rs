@@ -1,6 +1,7 @@
 //! Developer commands. `cargo xtask test` runs all checks that a change must pass.
 
 mod bags;
+mod budget;
 mod football;
 mod matrix;
 mod node;
@@ -30,6 +31,13 @@ enum Command {
     Test,
     /// The rules of the layout: what may use what, links, the code map. Part of the test run.
     Tidy,
+    /// What a default build costs: its crates, and the code of ours as the tests compile it. Part of the test
+    /// run, which fails if it is more than 10 % above the recorded numbers.
+    Budget {
+        /// Record the numbers of now in place of comparing with those recorded.
+        #[arg(long)]
+        record: bool,
+    },
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
@@ -70,6 +78,8 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Tidy => tidy::tidy(),
+        Command::Budget { record: false } => budget::check(test::ALL),
+        Command::Budget { record: true } => budget::record(test::ALL),
         Command::Wire => wire::wire(),
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),

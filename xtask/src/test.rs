@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::matrix::Notes;
 use crate::steps::{Steps, run, workspace};
-use crate::{node, python, tidy, wheel};
+use crate::{budget, node, python, tidy, wheel};
 
 /// The steps of new users, which the tests of pages and templates write down.
 struct FirstHour(PathBuf);
@@ -43,7 +43,7 @@ impl FirstHour {
 
 /// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in
 /// the Python environment.
-const ALL: &[&str] = &[
+pub(crate) const ALL: &[&str] = &[
     "--features",
     "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/sensors,downbeat/tables",
 ];
@@ -107,6 +107,9 @@ pub(crate) fn test() -> anyhow::Result<()> {
         command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         command.envs(node_modules.map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
         run(command.env("DOWNBEAT_MATRIX", notes.folder()))
+    });
+    steps.step("the size of the default build", || {
+        budget::check(if has_nextest { ALL } else { &["--features", "downbeat/tables"] })
     });
     steps.step("the Python package", wheel::test);
     steps.step("what works with ROS 2", || notes.compare());

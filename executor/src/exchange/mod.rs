@@ -15,7 +15,9 @@ pub(crate) use messages::Messages;
 pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
 pub use modules::{RestartRefused, UnknownModule};
 pub(crate) use services::Services;
-pub use services::{CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, StandIn};
+pub use services::{
+    AnyValue, CallError, CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, StandIn,
+};
 pub use settings::{Setting, SettingRefused, SettingsChange};
 pub use timers::Task;
 

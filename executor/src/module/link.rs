@@ -11,6 +11,7 @@ use super::causes::Asked;
 use super::lifecycle::Listeners;
 use crate::observe::{SharedTiming, Span};
 use crate::threads::drop_guarded;
+use crate::topics::AnyBatch;
 use crate::{LifecycleState, ModuleId, Time};
 
 /// The queue from other threads to the core. The sync phase takes posts in the order of arrival.
@@ -70,7 +71,7 @@ pub(crate) struct TopicInput {
 /// A batch for a module on another thread, for all its subscriptions of the topic.
 pub(crate) struct Delivery {
     pub(crate) topic: usize,
-    pub(crate) batch: Arc<dyn Any + Send + Sync>,
+    pub(crate) batch: Arc<dyn AnyBatch>,
     pub(crate) messages: u32,
     /// Messages of the topic that the inbox dropped since the previous delivery.
     pub(crate) missed: u32,

@@ -1,8 +1,10 @@
 //! The messages that a topic has carried in one cycle, stored once and shared by all subscribers.
 
+use std::any::Any;
 use std::ops::Deref;
 use std::sync::Arc;
 
+use super::outbox::AnyMessage;
 use crate::Time;
 
 /// The messages that were published on one topic in one cycle, one segment per publisher.
@@ -22,7 +24,47 @@ impl<T> Default for Batch<T> {
     }
 }
 
+/// A message as passed to the sink of [`Core::outlet_of`](crate::Core::outlet_of).
+#[derive(Clone, Copy, Debug)]
+pub struct AnyReceived<'a> {
+    /// The message, of the type given when the outlet was made.
+    pub message: &'a (dyn Any + Send + Sync),
+    /// As [`Received::time`].
+    pub time: Time,
+    /// As [`Received::is_last`].
+    pub is_last: bool,
+    /// As [`Received::missed`].
+    pub missed: u32,
+}
+
+/// A [`Batch`] whose message type is known only to its topic.
+pub(crate) trait AnyBatch: Any + Send + Sync {
+    /// Calls `visitor` with each message.
+    fn visit(&self, visitor: &mut dyn FnMut(AnyReceived<'_>));
+}
+
+impl<T: Send + Sync + 'static> AnyBatch for Batch<T> {
+    fn visit(&self, visitor: &mut dyn FnMut(AnyReceived<'_>)) {
+        self.visit_as(|message| message, visitor);
+    }
+}
+
 impl<T> Batch<T> {
+    /// Calls `visitor` with what `look` returns for each message.
+    #[inline]
+    pub(crate) fn visit_as<'a>(
+        &'a self,
+        look: impl Fn(&'a T) -> &'a (dyn Any + Send + Sync),
+        visitor: &mut dyn FnMut(AnyReceived<'_>),
+    ) {
+        let mut left = self.len();
+        for message in self.segments().iter().flatten() {
+            left -= 1;
+            let message = look(message);
+            visitor(AnyReceived { message, time: self.time, is_last: left == 0, missed: 0 });
+        }
+    }
+
     /// Drops the messages.
     pub(crate) fn clear(&mut self) {
         for segment in &mut self.segments[..self.used] {
@@ -49,6 +91,35 @@ impl<T> Batch<T> {
         segment.clear();
         std::mem::swap(segment, messages);
         self.used += 1;
+    }
+
+    /// Takes the messages of type `T` out of boxes, and returns their number. The others are dropped.
+    #[cold]
+    pub(crate) fn unbox(&mut self, messages: &mut Vec<AnyMessage>) -> usize
+    where
+        T: 'static,
+    {
+        if self.used == self.segments.len() {
+            self.segments.push(Vec::new());
+        }
+        let segment = &mut self.segments[self.used];
+        segment.clear();
+        self.used += 1;
+        for message in messages.drain(..) {
+            if let Ok(message) = message.downcast() {
+                segment.push(*message);
+            }
+        }
+        let count = segment.len();
+        self.messages += count;
+        count
+    }
+
+    /// Moves all messages out, in their order.
+    pub(crate) fn take_all(&mut self) -> Vec<T> {
+        let messages = self.segments[..self.used].iter_mut().flat_map(|segment| segment.drain(..)).collect();
+        self.forget();
+        messages
     }
 
     pub(crate) fn stamp(&mut self, time: Time) {

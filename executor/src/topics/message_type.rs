@@ -1,10 +1,11 @@
 //! Messages whose type is known only at run time.
 
-use std::any::Any;
 use std::fmt;
 
-use super::{AnyOutbox, Batch, Outbox, Topics};
-use crate::{SetupError, Time};
+use super::boxed::{ErasedType, open_boxed};
+use super::outbox::{AnyOutbox, BoxedOutbox, Outbox};
+use super::topic::Topics;
+use crate::SetupError;
 
 /// A Rust message type as a value, for code that moves messages of hundreds of types into and out of a core,
 /// such as a bridge to a network. [`Core::inlet_of`](crate::Core::inlet_of) and
@@ -30,25 +31,40 @@ use crate::{SetupError, Time};
 /// ```
 #[derive(Clone, Copy)]
 pub struct MessageType {
-    open: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
-    pub(crate) outbox: fn(usize) -> Box<dyn AnyOutbox>,
-    pub(crate) visit: VisitBatch,
+    storage: Storage,
     name: Option<&'static str>,
 }
 
-/// Calls a function with each message of a batch, a `Batch<T>`.
-pub(crate) type VisitBatch = fn(&dyn Any, &mut dyn FnMut(AnyReceived<'_>));
+/// How messages of a type are stored between publishers and subscribers.
+#[derive(Clone, Copy)]
+enum Storage {
+    /// In the functions that are compiled for the type.
+    Typed {
+        open: fn(&mut Topics, &str, &str) -> Result<usize, SetupError>,
+        outbox: fn(usize) -> Box<dyn AnyOutbox>,
+    },
+    /// In boxes, until a user of the topic knows the type.
+    Boxed(&'static dyn ErasedType),
+}
 
 impl MessageType {
     /// The type `T`.
     #[must_use]
     pub const fn of<T: Send + Sync + 'static>() -> Self {
         Self {
-            open: Topics::open::<T>,
-            outbox: |topic| Box::new(Outbox::<T> { topic, messages: Vec::new() }),
-            visit: visit::<T>,
+            storage: Storage::Typed {
+                open: Topics::open::<T>,
+                outbox: |topic| Box::new(Outbox::<T> { topic, messages: Vec::new() }),
+            },
             name: None,
         }
+    }
+
+    /// A type that is given by its identity: nothing is compiled for it. Its messages are in boxes until a
+    /// module, inlet or outlet uses the topic with the Rust type.
+    #[must_use]
+    pub const fn erased(of: &'static dyn ErasedType) -> Self {
+        Self { storage: Storage::Boxed(of), name: None }
     }
 
     /// The same Rust type under a name, for a type that carries messages of many kinds. A topic of named
@@ -62,39 +78,28 @@ impl MessageType {
 
     /// The index of the topic of this name; creates the topic if there is none.
     pub(crate) fn open(self, topics: &mut Topics, topic: &str, module: &str) -> Result<usize, SetupError> {
-        let index = (self.open)(topics, topic, module)?;
+        let index = match self.storage {
+            Storage::Typed { open, .. } => open(topics, topic, module),
+            Storage::Boxed(of) => open_boxed(topics, of, topic, module),
+        }?;
         match self.name {
             Some(name) => topics.name_messages(index, name, module),
             None => Ok(()),
         }?;
         Ok(index)
     }
+
+    /// An outbox for the topic with this index.
+    pub(crate) fn outbox(self, topic: usize) -> Box<dyn AnyOutbox> {
+        match self.storage {
+            Storage::Typed { outbox, .. } => outbox(topic),
+            Storage::Boxed(of) => Box::new(BoxedOutbox::new(topic, of.message_type())),
+        }
+    }
 }
 
 impl fmt::Debug for MessageType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("MessageType").finish_non_exhaustive()
-    }
-}
-
-/// A message as passed to the sink of [`Core::outlet_of`](crate::Core::outlet_of).
-#[derive(Clone, Copy, Debug)]
-pub struct AnyReceived<'a> {
-    /// The message, of the type given when the outlet was made.
-    pub message: &'a (dyn Any + Send + Sync),
-    /// As [`Received::time`](crate::Received::time).
-    pub time: Time,
-    /// As [`Received::is_last`](crate::Received::is_last).
-    pub is_last: bool,
-    /// As [`Received::missed`](crate::Received::missed).
-    pub missed: u32,
-}
-
-fn visit<T: Send + Sync + 'static>(batch: &dyn Any, visitor: &mut dyn FnMut(AnyReceived<'_>)) {
-    let Some(batch) = batch.downcast_ref::<Batch<T>>() else { return };
-    let mut left = batch.len();
-    for message in batch.segments().iter().flatten() {
-        left -= 1;
-        visitor(AnyReceived { message, time: batch.time(), is_last: left == 0, missed: 0 });
     }
 }

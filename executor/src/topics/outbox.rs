@@ -1,11 +1,11 @@
 //! Queues of a module's publications until the sync phase. They are private to the module, so publishing is a
 //! plain push.
 
-use std::any::Any;
+use std::any::{Any, TypeId};
 use std::marker::PhantomData;
 
 /// A message whose type is known only to its topic.
-pub type AnyMessage = Box<dyn Any + Send>;
+pub type AnyMessage = Box<dyn Any + Send + Sync>;
 
 /// A module's key to one of its topics, from [`Setup::publish`](crate::Setup::publish).
 ///
@@ -55,6 +55,10 @@ pub(crate) trait AnyOutbox: Any + Send {
     fn add_any(&mut self, message: AnyMessage) -> bool;
     /// Moves the messages into a new outbox, and leaves this one empty.
     fn split_off(&mut self) -> Box<dyn AnyOutbox>;
+    /// The messages, if they are in boxes.
+    fn boxed(&mut self) -> Option<&mut Vec<AnyMessage>> {
+        None
+    }
 }
 
 impl<T: Send + 'static> AnyOutbox for Outbox<T> {
@@ -79,6 +83,49 @@ impl<T: Send + 'static> AnyOutbox for Outbox<T> {
     }
 }
 
+/// An outbox of boxed messages, for publishers that know the type only by its identity.
+pub(crate) struct BoxedOutbox {
+    topic: usize,
+    message_type: TypeId,
+    messages: Vec<AnyMessage>,
+}
+
+impl BoxedOutbox {
+    pub(crate) fn new(topic: usize, message_type: TypeId) -> Self {
+        Self { topic, message_type, messages: Vec::new() }
+    }
+}
+
+impl AnyOutbox for BoxedOutbox {
+    fn topic(&self) -> usize {
+        self.topic
+    }
+
+    fn discard(&mut self) {
+        self.messages.clear();
+    }
+
+    fn is_empty(&self) -> bool {
+        self.messages.is_empty()
+    }
+
+    fn add_any(&mut self, message: AnyMessage) -> bool {
+        let is_of_type = (*message).type_id() == self.message_type;
+        if is_of_type {
+            self.messages.push(message);
+        }
+        is_of_type
+    }
+
+    fn split_off(&mut self) -> Box<dyn AnyOutbox> {
+        Box::new(Self { messages: std::mem::take(&mut self.messages), ..*self })
+    }
+
+    fn boxed(&mut self) -> Option<&mut Vec<AnyMessage>> {
+        Some(&mut self.messages)
+    }
+}
+
 /// The outboxes of one module, and the indices of those that hold messages.
 #[derive(Default)]
 pub(crate) struct Outboxes {
@@ -96,7 +143,11 @@ impl Outboxes {
     }
 
     /// As [`open`](Self::open), for an outbox that `make` creates.
-    pub(crate) fn open_any(&mut self, topic: usize, make: fn(usize) -> Box<dyn AnyOutbox>) -> AnyPublication {
+    pub(crate) fn open_any(
+        &mut self,
+        topic: usize,
+        make: impl FnOnce(usize) -> Box<dyn AnyOutbox>,
+    ) -> AnyPublication {
         AnyPublication { outbox: u32::try_from(self.open_with(topic, make)).unwrap_or(u32::MAX) }
     }
 

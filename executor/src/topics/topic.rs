@@ -5,8 +5,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::batch::{AnyBatch, Batch};
 use super::names::canonical_name;
-use super::{AnyOutbox, Batch, Outbox};
+use super::outbox::{AnyMessage, AnyOutbox, Outbox};
 use crate::observe::TopicMeter;
 use crate::threads::drop_guarded;
 use crate::{SetupError, Time, TopicStatistics};
@@ -36,6 +37,12 @@ impl TopicCounter {
     pub fn messages(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
+
+    /// Only the thread of the core writes the counter, so a read-modify-write operation is not needed.
+    #[inline]
+    pub(super) fn add(&self, messages: usize) {
+        self.0.store(self.messages() + messages as u64, Ordering::Relaxed);
+    }
 }
 
 /// A receiver of a topic's batches.
@@ -62,9 +69,30 @@ pub(crate) trait AnyTopic: Any + Send + Sync {
     /// the earlier cycle. Returns the number of messages taken.
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize;
     /// The batch, for use on another thread, and the number of messages in it.
-    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32);
+    fn share(&self) -> (Arc<dyn AnyBatch>, u32);
     /// The number of messages in the batch.
     fn messages(&self) -> usize;
+    /// Takes the messages out of a topic that carries them in boxes; `None` for a typed one.
+    fn take_boxed(&mut self) -> Option<Carried> {
+        None
+    }
+}
+
+/// The messages of a topic that becomes a typed one.
+#[derive(Default)]
+pub(crate) struct Carried {
+    pub(super) time: Time,
+    pub(super) messages: Vec<AnyMessage>,
+}
+
+/// How to create a topic of a type.
+pub(crate) struct NewTopic<'a> {
+    /// The identity of the message type, and its path.
+    pub(super) identity: (TypeId, &'static str),
+    pub(super) needs_drop: bool,
+    /// False if the messages are in boxes.
+    pub(super) is_typed: bool,
+    pub(super) make: &'a dyn Fn(TopicCounter, Carried) -> Box<dyn AnyTopic>,
 }
 
 /// The batch, emptied; a new one if the old one is still shared.
@@ -83,32 +111,46 @@ fn renewed<T>(batch: &mut Arc<Batch<T>>) -> Option<&mut Batch<T>> {
     Some(batch)
 }
 
+impl<T: Send + Sync + 'static> Topic<T> {
+    fn carrying(counter: TopicCounter, mut carried: Carried) -> Box<dyn AnyTopic> {
+        let mut batch = Batch::<T>::default();
+        if !carried.messages.is_empty() {
+            batch.stamp(carried.time);
+            batch.unbox(&mut carried.messages);
+        }
+        Box::new(Self { batch: Arc::new(batch), counter })
+    }
+}
+
 impl<T: Send + Sync + 'static> AnyTopic for Topic<T> {
     fn retire(&mut self) {
         renewed(&mut self.batch);
     }
 
     fn absorb(&mut self, outbox: &mut dyn AnyOutbox, now: Time, is_first: bool) -> usize {
-        let outbox = (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>();
         let batch = if is_first { renewed(&mut self.batch) } else { Arc::get_mut(&mut self.batch) };
-        // Both hold by construction: outboxes are opened through the topic's type check, and a batch is
-        // shared only after the sync phase has filled it.
-        let (Some(outbox), Some(batch)) = (outbox, batch) else {
-            debug_assert!(false, "an outbox reached a topic of another type, or a batch in use");
+        // Holds by construction: a batch is shared only after the sync phase has filled it.
+        let Some(batch) = batch else {
+            debug_assert!(false, "an outbox reached a batch in use");
             return 0;
         };
-        // Only this thread writes the counter, so a read-modify-write operation is not needed.
-        let messages = outbox.messages.len();
-        let count = self.counter.0.load(Ordering::Relaxed) + messages as u64;
-        self.counter.0.store(count, Ordering::Relaxed);
         batch.stamp(now);
-        batch.take_over(&mut outbox.messages);
+        let messages = match (outbox as &mut dyn Any).downcast_mut::<Outbox<T>>() {
+            Some(outbox) => {
+                let messages = outbox.messages.len();
+                batch.take_over(&mut outbox.messages);
+                messages
+            }
+            // Outboxes are opened through the topic's type check, so this one is of boxes.
+            None => outbox.boxed().map_or(0, |messages| batch.unbox(messages)),
+        };
+        self.counter.add(messages);
         messages
     }
 
-    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
+    fn share(&self) -> (Arc<dyn AnyBatch>, u32) {
         let messages = u32::try_from(self.batch.len()).unwrap_or(u32::MAX);
-        (Arc::clone(&self.batch) as Arc<dyn Any + Send + Sync>, messages)
+        (Arc::clone(&self.batch) as Arc<dyn AnyBatch>, messages)
     }
 
     fn messages(&self) -> usize {
@@ -181,8 +223,8 @@ impl AnyTopic for Forgotten {
         0
     }
 
-    fn share(&self) -> (Arc<dyn Any + Send + Sync>, u32) {
-        (Arc::new(()), 0)
+    fn share(&self) -> (Arc<dyn AnyBatch>, u32) {
+        (Arc::new(Batch::<()>::default()), 0)
     }
 
     fn messages(&self) -> usize {
@@ -197,10 +239,15 @@ impl Topics {
         name: &str,
         module: &str,
     ) -> Result<usize, SetupError> {
-        let make = |counter: TopicCounter| {
-            Box::new(Topic::<T> { batch: Arc::default(), counter }) as Box<dyn AnyTopic>
+        // As a pointer, so that the closure type is one for all message types.
+        let make: fn(TopicCounter, Carried) -> Box<dyn AnyTopic> = Topic::<T>::carrying;
+        let new = NewTopic {
+            identity: (TypeId::of::<T>(), type_name::<T>()),
+            needs_drop: std::mem::needs_drop::<T>(),
+            is_typed: true,
+            make: &make,
         };
-        self.open_of((TypeId::of::<T>(), type_name::<T>()), std::mem::needs_drop::<T>(), make, name, module)
+        self.open_of(&new, name, module)
     }
 
     /// Names the messages of a topic, unless they have another name.
@@ -224,18 +271,18 @@ impl Topics {
     }
 
     /// As [`open`](Self::open), for a type given by identity and name; compiled once for all message types.
-    fn open_of(
+    pub(super) fn open_of(
         &mut self,
-        (message_type_id, message_type): (TypeId, &'static str),
-        needs_drop: bool,
-        make: fn(TopicCounter) -> Box<dyn AnyTopic>,
+        new: &NewTopic<'_>,
         name: &str,
         module: &str,
     ) -> Result<usize, SetupError> {
+        let (message_type_id, message_type) = new.identity;
         let name = canonical_name(name)
             .ok_or_else(|| SetupError::InvalidTopicName { module: module.into(), topic: name.into() })?;
         if let Some(&index) = self.by_name.get(name) {
-            let known = &self.entries[index].info;
+            let entry = &mut self.entries[index];
+            let known = &entry.info;
             if known.message_type_id != message_type_id {
                 return Err(SetupError::TopicType {
                     module: module.into(),
@@ -244,10 +291,20 @@ impl Topics {
                     known: known.message_type,
                 });
             }
+            if new.is_typed
+                && let Some(carried) = entry.topic.take_boxed()
+            {
+                let is_fresh = entry.epoch == self.epoch;
+                let (carried, old) =
+                    if is_fresh { (carried, Carried::default()) } else { (Carried::default(), carried) };
+                entry.topic = (new.make)(entry.info.counter.clone(), carried);
+                entry.needs_drop = new.needs_drop;
+                drop_guarded("a message", || drop(old));
+            }
             return Ok(index);
         }
         let (name, counter) = (Arc::<str>::from(name), TopicCounter::default());
-        let topic = make(counter.clone());
+        let topic = (new.make)(counter.clone(), Carried::default());
         let info = TopicInfo {
             name: Arc::clone(&name),
             message_type,
@@ -258,7 +315,7 @@ impl Topics {
         let entry = Entry {
             topic,
             epoch: 0,
-            needs_drop,
+            needs_drop: new.needs_drop,
             meter: TopicMeter::default(),
             attached: Vec::new(),
             others: Vec::new(),
@@ -416,13 +473,12 @@ impl Topics {
         (&*entry.topic as &dyn Any).downcast_ref::<Topic<T>>().map(|topic| &topic.batch)
     }
 
-    /// As [`batch`](Self::batch), for a type known only to the topic: a `Batch<T>`, and the number of
-    /// messages in it.
-    pub(crate) fn batch_of(&self, topic: usize) -> Option<(Arc<dyn Any + Send + Sync>, u32)> {
+    /// As [`batch`](Self::batch), for a type known only to the topic, and the number of messages in it.
+    pub(crate) fn batch_of(&self, topic: usize) -> Option<(Arc<dyn AnyBatch>, u32)> {
         (self.entries[topic].epoch == self.epoch).then(|| self.share(topic))
     }
 
-    pub(crate) fn share(&self, topic: usize) -> (Arc<dyn Any + Send + Sync>, u32) {
+    pub(crate) fn share(&self, topic: usize) -> (Arc<dyn AnyBatch>, u32) {
         self.entries[topic].topic.share()
     }
 

@@ -282,8 +282,8 @@ fn errors_contain_file_line_and_the_nearest_name() {
             ":4: unknown kind of module \"darwin\", did you mean \"darwin_op\"?",
         ),
         (
-            "[robot]\nname = \"r\"\n[[module]]\nkind = \"state_machine\"\nsettings = { file = \"a.scxml\" }",
-            ":5: \"file\" of a state_machine is not a setting: it stands next to `kind`",
+            "[robot]\nname = \"r\"\n[[module]]\nkind = \"library\"\nsettings = { path = \"a.so\" }",
+            ":5: \"path\" of a library is not a setting: it stands next to `kind`",
         ),
         ("[robot]\nname = r", ":2:"),
     ];

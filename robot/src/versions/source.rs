@@ -48,6 +48,15 @@ impl ModuleSource {
         self.replaced.get(file).map_or_else(|| file.to_owned(), Clone::clone)
     }
 
+    /// The value of a key that is true or false.
+    pub(crate) fn is_set(&self, key: &str, default: bool) -> Result<bool, String> {
+        match self.keys.get(key) {
+            None => Ok(default),
+            Some(SettingValue::Bool(value)) => Ok(*value),
+            Some(other) => Err(format!("`{key}` is true or false, not {other}")),
+        }
+    }
+
     /// True if the robot file says that the module is reloaded.
     pub(crate) fn is_reloaded(&self) -> bool {
         self.keys.get("reload") == Some(&SettingValue::Bool(true))

@@ -191,7 +191,7 @@ fn open_inlet_of(
     queue: impl Queue<AnyMessage> + 'static,
 ) -> Result<Inlet<AnyMessage>, SetupError> {
     let topic = message_type.open(phase.topics(), topic, "inlet")?;
-    Ok(add_inlet(phase, queue, (message_type.outbox)(topic)))
+    Ok(add_inlet(phase, queue, message_type.outbox(topic)))
 }
 
 fn add_inlet<T: Send + 'static>(

@@ -16,7 +16,7 @@ use crate::cycle::{Agenda, CoreState, DetachedModule};
 use crate::module::{
     Asked, Causes, Delivery, Direction, Host, Input, MESSAGES, Place, StepOutcome, Use, UseEnds,
 };
-use crate::topics::{AnyOutbox, Batch, Outboxes, Report, Subscriber, Topics, for_each_message};
+use crate::topics::{AnyBatch, AnyOutbox, Batch, Outboxes, Report, Subscriber, Topics, for_each_message};
 use crate::{
     AnyMessage, AnyPublication, AnyReceived, Context, Core, CoreHandle, Mechanism, MessageType, Module,
     ModuleChange, ModuleId, OutletStatistics, Port, Publication, Receipt, Received, Role, Setup, SetupError,
@@ -360,7 +360,7 @@ impl<M: Module> Setup<'_, M> {
     pub fn publish_of(&mut self, message: MessageType, topic: &str) -> Result<AnyPublication, SetupError> {
         let index = self.open_topic(topic, message)?;
         self.use_to_publish(index);
-        Ok(self.io.outboxes.open_any(index, message.outbox))
+        Ok(self.io.outboxes.open_any(index, |topic| message.outbox(topic)))
     }
 
     fn use_to_publish(&mut self, index: usize) {
@@ -394,7 +394,8 @@ impl<M: Module> Setup<'_, M> {
             }
             Input::Batches(deliveries) => {
                 for delivery in deliveries.iter().filter(|delivery| delivery.topic == index) {
-                    if let Ok(batch) = Arc::clone(&delivery.batch).downcast::<Batch<T>>() {
+                    let batch = Arc::clone(&delivery.batch) as Arc<dyn Any + Send + Sync>;
+                    if let Ok(batch) = batch.downcast::<Batch<T>>() {
                         for_each_message(&batch, delivery.missed, |message| callback(module, message, ctx));
                     }
                 }
@@ -419,12 +420,13 @@ impl<M: Module> Setup<'_, M> {
     {
         let index = self.open_topic(topic, message)?;
         self.use_to_receive(index);
-        let mut each = move |module: &mut M, ctx: &mut Context<'_, M::Ports>, batch: &dyn Any, missed| {
-            let mut missed = missed;
-            (message.visit)(batch, &mut |received| {
-                callback(module, AnyReceived { missed: std::mem::take(&mut missed), ..received }, ctx);
-            });
-        };
+        let mut each =
+            move |module: &mut M, ctx: &mut Context<'_, M::Ports>, batch: &dyn AnyBatch, missed| {
+                let mut missed = missed;
+                batch.visit(&mut |received| {
+                    callback(module, AnyReceived { missed: std::mem::take(&mut missed), ..received }, ctx);
+                });
+            };
         self.steps.add(Causes::MESSAGES, move |module, ctx| match ctx.input() {
             Input::Views(views) => {
                 if let Some((batch, messages)) = views.topics.batch_of(index) {

@@ -1,6 +1,7 @@
 //! The use of services by modules and programs: functions of [`Setup`], [`Context`], [`Core`] and
 //! [`CoreHandle`].
 
+use std::any::Any;
 use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,7 +10,8 @@ use super::client::ClientPort;
 use super::registry::Encoder;
 use super::server::{Incoming, ServerPort};
 use super::{
-    CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, Services, ServicesPort, StandIn,
+    AnyValue, CallId, Caller, Client, Reply, Responder, ServiceInfo, ServiceType, Services, ServicesPort,
+    StandIn,
 };
 use crate::cycle::Mechanisms;
 use crate::module::{Causes, Direction, Host, Link, SERVICES, TIMERS, Use, UseEnds};
@@ -304,21 +306,23 @@ impl Core {
         request: fn(&Q) -> Vec<u8>,
         answer: fn(&R) -> Vec<u8>,
     ) -> Result<(), SetupError> {
-        self.encode_service_of(ServiceType::of(), service, request, answer)
+        let encoder = Encoder::new(request, answer);
+        set_encoder(services_among(&mut self.mechanisms), ServiceType::<Q, R>::of(), service, encoder)
     }
 
-    /// As [`encode_service`](Self::encode_service), for types with names.
+    /// As [`encode_service`](Self::encode_service), for types given as values. The functions return `None` for
+    /// values of other types.
     ///
     /// # Errors
     /// As for [`encode_service`](Self::encode_service).
-    pub fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
+    pub fn encode_service_of(
         &mut self,
-        of: ServiceType<Q, R>,
+        of: ServiceType<AnyValue, AnyValue>,
         service: &str,
-        request: fn(&Q) -> Vec<u8>,
-        answer: fn(&R) -> Vec<u8>,
+        request: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
+        answer: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
     ) -> Result<(), SetupError> {
-        set_encoder(services_among(&mut self.mechanisms), of, service, Encoder::new(request, answer))
+        set_encoder(services_among(&mut self.mechanisms), of, service, Encoder::of_any(request, answer))
     }
 
     /// The services, in the order in which they were first declared.
@@ -372,14 +376,14 @@ impl CoreHandle {
 
     /// As [`Core::encode_service_of`](crate::Core::encode_service_of), while the core runs.
     #[must_use = "the answer is in the receipt"]
-    pub fn encode_service_of<Q: Send + 'static, R: Send + 'static>(
+    pub fn encode_service_of(
         &self,
-        of: ServiceType<Q, R>,
+        of: ServiceType<AnyValue, AnyValue>,
         service: &str,
-        request: fn(&Q) -> Vec<u8>,
-        answer: fn(&R) -> Vec<u8>,
+        request: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
+        answer: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
     ) -> Receipt<Result<(), SetupError>> {
-        let (service, encoder) = (service.to_owned(), Encoder::new(request, answer));
+        let (service, encoder) = (service.to_owned(), Encoder::of_any(request, answer));
         self.ask(move |phase| set_encoder(services_among(phase.mechanisms), of, &service, encoder))
     }
 }

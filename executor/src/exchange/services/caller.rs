@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::Services;
-use super::call::{CallError, Reply, ReplyTo};
-use super::server::{AnyReply, Incoming};
+use super::any_value::into_any;
+use super::call::{CallError, ReplyTo};
+use super::server::{AnyReply, AnyRequests, Incoming, take_reply};
 use crate::Time;
 use crate::module::{Link, SERVICES};
 use crate::threads::end_of;
@@ -109,8 +110,8 @@ impl<Q, R> Drop for ExternalCall<Q, R> {
 pub(crate) trait AnyCall: Send {
     fn service(&self) -> usize;
     fn timeout(&self) -> Duration;
-    /// Appends the request to `staged`, a `Vec<Incoming<Q>>`.
-    fn stage(&mut self, call: u64, staged: &mut dyn Any);
+    /// Appends the request to `staged`.
+    fn stage(&mut self, call: u64, staged: &mut dyn AnyRequests);
     fn finish(&mut self, reply: &mut dyn AnyReply);
     fn fail(&mut self, error: CallError);
     fn name(&self) -> Arc<str>;
@@ -125,17 +126,21 @@ impl<Q: Send + 'static, R: Send + 'static> AnyCall for ExternalCall<Q, R> {
         self.timeout
     }
 
-    fn stage(&mut self, call: u64, staged: &mut dyn Any) {
-        if let Some(staged) = staged.downcast_mut::<Vec<Incoming<Q>>>()
-            && let Some(request) = self.request.take()
-        {
-            staged.push(Incoming { to: ReplyTo::External { call }, request });
+    fn stage(&mut self, call: u64, staged: &mut dyn AnyRequests) {
+        let Some(request) = self.request.take() else { return };
+        let to = ReplyTo::External { call };
+        match (&mut *staged as &mut dyn Any).downcast_mut::<Vec<Incoming<Q>>>() {
+            Some(staged) => staged.push(Incoming { to, request }),
+            // A caller of boxes.
+            None => {
+                let is_of_type = staged.add_any(to, into_any(request));
+                debug_assert!(is_of_type, "a call reached a service of another type");
+            }
         }
     }
 
     fn finish(&mut self, reply: &mut dyn AnyReply) {
-        if let Some(reply) = (reply as &mut dyn Any).downcast_mut::<Option<Reply<R>>>()
-            && let Some(reply) = reply.take()
+        if let Some(reply) = take_reply::<R>(reply)
             && let Some(on_reply) = self.on_reply.take()
         {
             on_reply(reply.result);
@@ -162,7 +167,7 @@ pub(crate) struct ExternalCalls {
 
 impl ExternalCalls {
     /// Stages the call under a new number, and keeps it until it is answered.
-    pub(crate) fn add(&mut self, mut call: Box<dyn AnyCall>, staged: &mut dyn Any, now: Time) {
+    pub(crate) fn add(&mut self, mut call: Box<dyn AnyCall>, staged: &mut dyn AnyRequests, now: Time) {
         let number = self.next;
         self.next += 1;
         call.stage(number, staged);

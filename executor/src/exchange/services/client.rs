@@ -4,8 +4,9 @@ use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::any_value::into_any;
 use super::call::{CallError, CallId, Reply, ReplyTo};
-use super::server::{AnyReply, Incoming};
+use super::server::{AnyReply, AnyRequests, Incoming, take_reply};
 use crate::{ModuleId, Time};
 
 /// The calls of one module to one service: new ones, and those that wait for an answer.
@@ -75,8 +76,8 @@ pub(crate) trait AnyClient: Any + Send {
     fn has_calls(&self) -> bool;
     /// The numbers of the calls that have not been sent yet.
     fn calls(&self) -> Vec<u64>;
-    /// Appends the calls to `staged`, a `Vec<Incoming<Q>>`.
-    fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn Any);
+    /// Appends the calls to `staged`.
+    fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn AnyRequests);
     /// Answers the calls with an error.
     fn fail_calls(&mut self, error: &CallError);
     /// Moves the calls to a new port, which takes them to the thread of the core.
@@ -109,9 +110,14 @@ impl<Q: Send + 'static, R: Send + 'static> AnyClient for ClientPort<Q, R> {
         self.outgoing.iter().map(|(call, _)| *call).collect()
     }
 
-    fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn Any) {
-        let Some(staged) = staged.downcast_mut::<Vec<Incoming<Q>>>() else {
-            debug_assert!(false, "a call reached a service of another type");
+    fn stage(&mut self, from: ModuleId, port: u32, staged: &mut dyn AnyRequests) {
+        let Some(staged) = (&mut *staged as &mut dyn Any).downcast_mut::<Vec<Incoming<Q>>>() else {
+            // A client of boxes.
+            for (call, request) in self.outgoing.drain(..) {
+                let is_of_type =
+                    staged.add_any(ReplyTo::Module { module: from, port, call }, into_any(request));
+                debug_assert!(is_of_type, "a call reached a service of another type");
+            }
             return;
         };
         staged.extend(
@@ -139,9 +145,7 @@ impl<Q: Send + 'static, R: Send + 'static> AnyClient for ClientPort<Q, R> {
     }
 
     fn accept_any(&mut self, reply: &mut dyn AnyReply) {
-        if let Some(reply) = (reply as &mut dyn Any).downcast_mut::<Option<Reply<R>>>() {
-            self.replies.extend(reply.take());
-        }
+        self.replies.extend(take_reply(reply));
     }
 
     fn reset(&mut self) {

@@ -3,6 +3,7 @@
 //! A call takes effect in the sync phase: the server runs in the next cycle, and its answer reaches the
 //! caller in the cycle after that. Every call gets exactly one [`Reply`].
 
+mod any_value;
 mod api;
 mod call;
 mod caller;
@@ -14,6 +15,7 @@ mod stand_in;
 use std::any::Any;
 use std::sync::Arc;
 
+pub use any_value::AnyValue;
 use call::ReplyTo;
 pub use call::{CallError, CallId, Client, Reply, Responder};
 pub use caller::Caller;
@@ -21,7 +23,7 @@ use caller::{AnyCall, ExternalCalls};
 use client::{AnyClient, ClientPort};
 use registry::ServiceRegistry;
 pub use registry::{ServiceInfo, ServiceType};
-use server::{AnyReply, AnyServer, ServerPort};
+use server::{AnyReply, AnyRequests, AnyServer, ServerPort};
 pub use stand_in::StandIn;
 
 use super::events::{CallOrigin, ModuleEvent, ModuleEventKind, hears_events, note_event};
@@ -378,8 +380,8 @@ fn take_reply(cell: &mut ModuleCell, port: u32, reply: &mut dyn AnyReply) {
     }
 }
 
-/// Passes the requests in a `Vec<Incoming<Q>>` to a module.
-fn accept(cell: &mut ModuleCell, port: u32, requests: &mut dyn Any) {
+/// Passes the requests to a module.
+fn accept(cell: &mut ModuleCell, port: u32, requests: &mut dyn AnyRequests) {
     let ports = cell.port::<ServicesPort>(SERVICES);
     if let Some(server) = ports.and_then(|ports| ports.servers.get_mut(port as usize)) {
         server.accept(requests);

@@ -6,8 +6,9 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::sync::Arc;
 
+use super::any_value::AnyValue;
 use super::call::ReplyTo;
-use super::server::Incoming;
+use super::server::{AnyRequests, Incoming};
 use crate::topics::canonical_name;
 use crate::{ModuleId, SetupError};
 
@@ -28,6 +29,7 @@ pub struct ServiceInfo {
 /// are.
 pub struct ServiceType<Q, R> {
     names: (&'static str, &'static str),
+    ids: (TypeId, TypeId),
     types: PhantomData<fn(Q) -> R>,
 }
 
@@ -35,13 +37,24 @@ impl<Q: Send + 'static, R: Send + 'static> ServiceType<Q, R> {
     /// The types under their Rust names.
     #[must_use]
     pub fn of() -> Self {
-        Self { names: (type_name::<Q>(), type_name::<R>()), types: PhantomData }
+        Self::named(type_name::<Q>(), type_name::<R>())
     }
 
     /// The types under given names, for Rust types that carry the requests and answers of many services.
     #[must_use]
-    pub const fn named(request: &'static str, response: &'static str) -> Self {
-        Self { names: (request, response), types: PhantomData }
+    pub fn named(request: &'static str, response: &'static str) -> Self {
+        let ids = (TypeId::of::<Q>(), TypeId::of::<R>());
+        Self { names: (request, response), ids, types: PhantomData }
+    }
+}
+
+impl ServiceType<AnyValue, AnyValue> {
+    /// Types that are given by the identities of their Rust types and by their names: nothing is compiled for
+    /// them. Servers and clients that use the service with the Rust types exchange values with those that use
+    /// it with boxes.
+    #[must_use]
+    pub fn erased(request: (TypeId, &'static str), response: (TypeId, &'static str)) -> Self {
+        Self { names: (request.1, response.1), ids: (request.0, response.0), types: PhantomData }
     }
 }
 
@@ -59,9 +72,6 @@ impl<Q, R> fmt::Debug for ServiceType<Q, R> {
     }
 }
 
-/// Visits a type-erased `Vec<Incoming<Q>>`.
-type EachStaged = fn(&dyn Any, &mut dyn FnMut(ReplyTo, &dyn Any));
-
 /// The services that modules offer or call, by name.
 #[derive(Default)]
 pub(crate) struct ServiceRegistry {
@@ -77,8 +87,8 @@ pub(crate) struct Service {
     pub(crate) server: Option<(ModuleId, u32)>,
     /// The number of modules and callers that hold the index.
     users: u32,
-    /// A `Vec<Incoming<Q>>`: requests to be delivered to the server.
-    pub(crate) staged: Box<dyn Any + Send>,
+    /// Requests to be delivered to the server.
+    pub(crate) staged: Box<dyn AnyRequests>,
     pub(crate) has_staged: bool,
     /// True if a [`StandIn`](crate::StandIn) answers while no module serves the service.
     pub(crate) has_stand_in: bool,
@@ -92,10 +102,10 @@ struct ServiceTypes {
     /// As in [`ServiceInfo`].
     request: &'static str,
     response: &'static str,
+    /// True if all users so far pass requests in boxes.
+    is_boxed: bool,
     /// Creates an empty `Vec<Incoming<Q>>`.
-    staged: fn() -> Box<dyn Any + Send>,
-    each: EachStaged,
-    split: fn(&mut dyn Any) -> Box<dyn Any + Send>,
+    staged: fn() -> Box<dyn AnyRequests>,
 }
 
 impl Service {
@@ -105,23 +115,22 @@ impl Service {
 
     /// Calls `visit` with each staged request.
     pub(crate) fn each_staged(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
-        (self.types.each)(&*self.staged, visit);
+        self.staged.each(visit);
     }
 
     /// Takes the staged requests, for another thread.
-    pub(crate) fn take_staged(&mut self) -> Box<dyn Any + Send> {
-        (self.types.split)(&mut *self.staged)
+    pub(crate) fn take_staged(&mut self) -> Box<dyn AnyRequests> {
+        self.staged.split_off()
     }
-}
 
-fn each<Q: Send + 'static>(staged: &dyn Any, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
-    for incoming in staged.downcast_ref::<Vec<Incoming<Q>>>().into_iter().flatten() {
-        visit(incoming.to, &incoming.request);
+    /// Stores requests as values from now on, for a user that knows their type.
+    fn become_typed(&mut self, types: ServiceTypes) {
+        let mut boxed = std::mem::replace(&mut self.staged, (types.staged)());
+        for Incoming { to, request } in boxed.take_any() {
+            self.staged.add_any(to, request);
+        }
+        self.types = types;
     }
-}
-
-fn split<Q: Send + 'static>(staged: &mut dyn Any) -> Box<dyn Any + Send> {
-    Box::new(staged.downcast_mut::<Vec<Incoming<Q>>>().map(std::mem::take).unwrap_or_default())
 }
 
 impl ServiceRegistry {
@@ -134,12 +143,11 @@ impl ServiceRegistry {
         module: &str,
     ) -> Result<usize, SetupError> {
         let types = ServiceTypes {
-            ids: (TypeId::of::<Q>(), TypeId::of::<R>()),
+            ids: of.ids,
             request: of.names.0,
             response: of.names.1,
+            is_boxed: TypeId::of::<Q>() == TypeId::of::<AnyValue>(),
             staged: || Box::new(Vec::<Incoming<Q>>::new()),
-            each: each::<Q>,
-            split: split::<Q>,
         };
         self.open_of(types, name, module)
     }
@@ -160,6 +168,9 @@ impl ServiceRegistry {
                 });
             }
             service.users += 1;
+            if service.types.is_boxed && !types.is_boxed {
+                service.become_typed(types);
+            }
             return Ok(index);
         }
         let name: Arc<str> = Arc::from(name);
@@ -227,7 +238,7 @@ impl ServiceRegistry {
         if service.users == 0 {
             self.free_from = self.free_from.min(index);
             self.by_name.remove(&service.info.name);
-            service.staged = Box::new(());
+            service.staged = Box::new(Vec::<Incoming<()>>::new());
             service.has_staged = false;
         }
     }
@@ -271,5 +282,12 @@ impl Encoder {
             request: Box::new(move |value| value.downcast_ref().map(request)),
             answer: Box::new(move |value| value.downcast_ref().map(answer)),
         }
+    }
+
+    pub(crate) fn of_any(
+        request: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
+        answer: impl Fn(&dyn Any) -> Option<Vec<u8>> + Send + 'static,
+    ) -> Self {
+        Self { request: Box::new(request), answer: Box::new(answer) }
     }
 }

@@ -3,12 +3,48 @@
 use std::any::Any;
 use std::sync::Arc;
 
+use super::any_value::{AnyValue, from_any, into_any, look};
 use super::call::{CallError, CallId, Reply, ReplyTo};
 
 /// A request with the address for its answer.
 pub(crate) struct Incoming<Q> {
     pub(crate) to: ReplyTo,
     pub(crate) request: Q,
+}
+
+/// A `Vec<Incoming<Q>>` with its type erased: requests to be delivered to the server.
+pub(crate) trait AnyRequests: Any + Send {
+    /// Calls `visit` with each request.
+    fn each(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any));
+    /// Moves the requests to the heap, for another thread.
+    fn split_off(&mut self) -> Box<dyn AnyRequests>;
+    /// Appends a request. Returns false, and drops it, if it has another type.
+    fn add_any(&mut self, to: ReplyTo, request: AnyValue) -> bool;
+    /// Takes all requests, in boxes.
+    fn take_any(&mut self) -> Vec<Incoming<AnyValue>>;
+}
+
+impl<Q: Send + 'static> AnyRequests for Vec<Incoming<Q>> {
+    fn each(&self, visit: &mut dyn FnMut(ReplyTo, &dyn Any)) {
+        for incoming in self {
+            visit(incoming.to, look(&incoming.request));
+        }
+    }
+
+    fn split_off(&mut self) -> Box<dyn AnyRequests> {
+        Box::new(std::mem::take(self))
+    }
+
+    fn add_any(&mut self, to: ReplyTo, request: AnyValue) -> bool {
+        let request = from_any(request);
+        let is_of_type = request.is_some();
+        self.extend(request.map(|request| Incoming { to, request }));
+        is_of_type
+    }
+
+    fn take_any(&mut self) -> Vec<Incoming<AnyValue>> {
+        self.drain(..).map(|Incoming { to, request }| Incoming { to, request: into_any(request) }).collect()
+    }
 }
 
 /// The requests to one service that its module has not received yet, and its answers.
@@ -57,16 +93,40 @@ pub(crate) trait AnyReply: Any + Send {
     fn look(&self) -> Option<Result<&dyn Any, &CallError>>;
     /// Moves the reply to the heap, for another thread.
     fn take_boxed(&mut self) -> Box<dyn AnyReply>;
+    /// Takes the reply, with its answer in a box.
+    fn take_any(&mut self) -> Option<Reply<AnyValue>>;
 }
 
 impl<R: Send + 'static> AnyReply for Option<Reply<R>> {
     fn look(&self) -> Option<Result<&dyn Any, &CallError>> {
-        self.as_ref().map(|reply| reply.result.as_ref().map(|answer| answer as &dyn Any))
+        self.as_ref().map(|reply| reply.result.as_ref().map(look))
     }
 
     fn take_boxed(&mut self) -> Box<dyn AnyReply> {
         Box::new(self.take())
     }
+
+    fn take_any(&mut self) -> Option<Reply<AnyValue>> {
+        let Reply { call, result } = self.take()?;
+        Some(Reply { call, result: result.map(into_any) })
+    }
+}
+
+/// Takes a reply with an answer of type `R`, or of boxes on one of the two sides.
+pub(super) fn take_reply<R: Send + 'static>(reply: &mut dyn AnyReply) -> Option<Reply<R>> {
+    if let Some(reply) = (&mut *reply as &mut dyn Any).downcast_mut::<Option<Reply<R>>>() {
+        return reply.take();
+    }
+    let Reply { call, result } = reply.take_any()?;
+    let result = match result {
+        Ok(answer) => {
+            let answer = from_any(answer);
+            debug_assert!(answer.is_some(), "an answer reached a call of another type");
+            Ok(answer?)
+        }
+        Err(error) => Err(error),
+    };
+    Some(Reply { call, result })
 }
 
 /// A [`ServerPort`] with its types erased.
@@ -74,8 +134,8 @@ pub(crate) trait AnyServer: Any + Send {
     /// The name of the service.
     fn name(&self) -> &Arc<str>;
     fn has_answers(&self) -> bool;
-    /// Takes the requests out of a `Vec<Incoming<Q>>`.
-    fn accept(&mut self, staged: &mut dyn Any);
+    /// Takes the requests.
+    fn accept(&mut self, staged: &mut dyn AnyRequests);
     /// Passes each answer to `deliver`.
     fn drain_answers(&mut self, deliver: &mut dyn FnMut(ReplyTo, &mut dyn AnyReply));
     /// Answers all open requests with an error.
@@ -93,9 +153,13 @@ impl<Q: Send + 'static, R: Send + 'static> AnyServer for ServerPort<Q, R> {
         !self.answers.is_empty()
     }
 
-    fn accept(&mut self, staged: &mut dyn Any) {
-        let Some(staged) = staged.downcast_mut::<Vec<Incoming<Q>>>() else {
-            debug_assert!(false, "a request reached a server of another type");
+    fn accept(&mut self, staged: &mut dyn AnyRequests) {
+        let Some(staged) = (&mut *staged as &mut dyn Any).downcast_mut::<Vec<Incoming<Q>>>() else {
+            // A server of boxes.
+            for Incoming { to, request } in staged.take_any() {
+                let is_of_type = self.requests.add_any(to, request);
+                debug_assert!(is_of_type, "a request reached a server of another type");
+            }
             return;
         };
         if self.requests.is_empty() {

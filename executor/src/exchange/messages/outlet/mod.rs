@@ -16,7 +16,7 @@ use super::Messages;
 use crate::cycle::CoreLife;
 use crate::module::MESSAGES;
 use crate::threads::{drop_guarded, end_of, unpoisoned};
-use crate::topics::{AnyReceived, Batch, MessageType, Topics, VisitBatch, for_each_message};
+use crate::topics::{AnyBatch, AnyReceived, Batch, MessageType, Topics, for_each_message};
 use crate::{Core, CoreHandle, Inbox, Receipt, Received, SetupError, SyncPhase};
 
 /// A subscription of a topic from outside the core, which ends when it is dropped. Made by
@@ -227,7 +227,7 @@ impl OutletShared {
 
 /// A batch on its way to a sink.
 pub(crate) struct Delivery {
-    batch: Arc<dyn Any + Send + Sync>,
+    batch: Arc<dyn AnyBatch>,
     messages: u32,
     /// Messages that the inbox dropped since the previous delivery.
     missed: u32,
@@ -246,7 +246,7 @@ struct TypedSink<T, F> {
 
 impl<T: Send + Sync + 'static, F: FnMut(Received<'_, T>) + Send> AnySink for TypedSink<T, F> {
     fn take(&mut self, delivery: Delivery, is_closed: &AtomicBool) {
-        if let Ok(batch) = delivery.batch.downcast::<Batch<T>>() {
+        if let Ok(batch) = (delivery.batch as Arc<dyn Any + Send + Sync>).downcast::<Batch<T>>() {
             for_each_message(&batch, delivery.missed, |message| {
                 if !is_closed.load(Ordering::Relaxed) {
                     (self.take)(message);
@@ -259,13 +259,12 @@ impl<T: Send + Sync + 'static, F: FnMut(Received<'_, T>) + Send> AnySink for Typ
 /// A sink for messages whose type is known only to the topic.
 struct AnyTypeSink<F> {
     take: F,
-    visit: VisitBatch,
 }
 
 impl<F: FnMut(AnyReceived<'_>) + Send> AnySink for AnyTypeSink<F> {
     fn take(&mut self, delivery: Delivery, is_closed: &AtomicBool) {
         let mut missed = delivery.missed;
-        (self.visit)(&*delivery.batch, &mut |message| {
+        delivery.batch.visit(&mut |message| {
             let missed = std::mem::take(&mut missed);
             if !is_closed.load(Ordering::Relaxed) {
                 (self.take)(AnyReceived { missed, ..message });
@@ -299,7 +298,7 @@ impl NewOutlet {
         inbox: OutletInbox,
         sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
     ) -> Self {
-        let sink = Box::new(AnyTypeSink { take: sink, visit: message_type.visit });
+        let sink = Box::new(AnyTypeSink { take: sink });
         Self { topic: topic.to_owned(), message_type, inbox, sink }
     }
 
