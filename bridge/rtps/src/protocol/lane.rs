@@ -3,12 +3,13 @@
 //! A sample is sent over a link once, for all readers there. Missing samples of a reader are sent again only
 //! to that reader.
 //!
-//! Heartbeats accompany samples, so that a reader requests a lost sample as soon as the next one arrives. Most
-//! of them are final: a reader answers only if it lacks something, because an answer to each sample costs the
-//! subscriber more than the sample does. An acknowledgement is requested
+//! Heartbeats accompany samples, so that a reader requests a lost sample as soon as the next one arrives.
+//! Most of them are final: a reader answers only if it lacks something, because an answer to each sample
+//! costs the subscriber more than the sample does. An acknowledgement is requested
 //!
 //! - from readers that have not answered yet, and from all with a sample that follows a pause;
-//! - every [`ASK_PERIOD`] while samples are sent;
+//! - every [`ASK_PERIOD`] while samples are sent, and then with each heartbeat until it is answered: Fast DDS
+//!   answers after 5 ms, unless a final heartbeat has come meanwhile;
 //! - [`HEARTBEAT_PERIOD`] after the last sample, which is when a lost last sample is noticed;
 //! - when the window of the link or of the writer is half full, or much data was sent.
 
@@ -29,8 +30,8 @@ use super::part::{Part, fragment_count};
 
 /// Minimum time between heartbeats that accompany samples.
 const HEARTBEAT_PAUSE: Duration = Duration::from_millis(5);
-/// Delay of the first separate heartbeat for unacknowledged samples. It doubles each time. A sample that comes
-/// later than this after the previous one requests an acknowledgement itself.
+/// Delay of the first separate heartbeat for unacknowledged samples. It doubles each time. A sample that
+/// comes later than this after the previous one requests an acknowledgement itself.
 const HEARTBEAT_PERIOD: Duration = Duration::from_millis(20);
 const HEARTBEAT_PERIOD_MAX: Duration = Duration::from_secs(3);
 /// How often an acknowledgement is requested while samples are sent.
@@ -559,6 +560,7 @@ impl Lane {
     fn should_ask(&self, sending: &Sending<'_>, links: &Links) -> bool {
         sending.writer.is_builtin()
             || self.follows_pause
+            || self.unanswered_since.is_some()
             || self.last_asked.is_none_or(|last| sending.now >= last + ASK_PERIOD)
             || links.is_half_full(self.link)
             || self.readers.iter().any(|reader| reader.is_reliable && !reader.has_answered)
@@ -645,7 +647,8 @@ impl Lane {
         self.sent.saturating_sub(self.heartbeat_sent)
     }
 
-    /// Returns whether so much was sent since the last request for an acknowledgement that the next one is due.
+    /// Returns whether so much was sent since the last request for an acknowledgement that the next one is
+    /// due.
     fn is_much_unasked(&self, links: &Links) -> bool {
         self.sent.saturating_sub(self.asked_sent) >= self.heartbeat_data(links)
     }

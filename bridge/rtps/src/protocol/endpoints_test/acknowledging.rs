@@ -119,6 +119,25 @@ fn a_lost_request_is_repeated() {
 }
 
 #[test]
+fn an_unanswered_request_is_repeated_with_the_next_samples_of_a_stream() {
+    for mut world in settled_pairs(&reliable()) {
+        world.cut.push((1, 0));
+        for number in 0..4 {
+            world.write(0, sample(number)).unwrap();
+            world.run(8 * MS);
+        }
+        assert_eq!(world.asking, 4);
+        world.cut.clear();
+        for number in 4..12 {
+            world.write(0, sample(number)).unwrap();
+            world.run(8 * MS);
+        }
+        assert_eq!((world.asking, world.acknowledgements), (5, 1));
+        assert_eq!(world.numbers(1), (0..12).collect::<Vec<_>>());
+    }
+}
+
+#[test]
 fn a_writer_that_keeps_all_never_waits_for_a_reader_that_answers() {
     for mut world in settled_pairs(&keep_all()) {
         for number in 0..2000 {

@@ -136,7 +136,9 @@ fn the_size_of_samples_bounds_the_window() {
 fn a_deep_history_of_large_samples_is_kept() {
     let mut world = World::new(1, &latched(), true);
     let payload = Bytes::from(vec![0; 50_000_000]);
-    (0..30).for_each(|_| drop(world.write(0, payload.clone()).unwrap()));
+    for _ in 0..30 {
+        world.write(0, payload.clone()).unwrap();
+    }
     let writer = &world.sides[0].writer;
     assert_eq!(writer.next().0 - writer.first().0, DEPTH as i64);
 }
