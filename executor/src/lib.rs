@@ -182,7 +182,7 @@ pub use cycle::{
 pub use error::{SetupError, Version};
 pub use exchange::{
     CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError, Job,
-    JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
+    JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletGate, OutletInbox, Reply, Responder,
     RestartRefused, ServiceInfo, ServiceType, Setting, SettingRefused, SettingsChange, StandIn, StepInput,
     Task, UnknownModule,
 };
