@@ -8,8 +8,8 @@ use common::rclpy::Peer;
 use common::{on_loopback, wait_until};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::{
-    Endpoint, EventHandler, Gid, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample, SampleHandler,
-    WriteError, WriteOptions, Writer,
+    Endpoint, EventHandler, Gid, MatchedCounter, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample,
+    SampleHandler, WriteError, WriteOptions, Writer,
 };
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat_bridge::rosout::{Rosout, RosoutError, RosoutStatus};
@@ -174,6 +174,10 @@ impl Writer for BrokenWriter {
 
     fn matched(&self) -> usize {
         self.0.matched()
+    }
+
+    fn matched_counter(&self) -> MatchedCounter {
+        self.0.matched_counter()
     }
 
     fn matched_readers(&self) -> Vec<Gid> {

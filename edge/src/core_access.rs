@@ -3,7 +3,7 @@
 use downbeat_executor::queue::Queue;
 use downbeat_executor::{
     AnyMessage, AnyReceived, AnyValue, Caller, Core, CoreHandle, Inlet, MessageType, Module, ModuleOptions,
-    Outlet, OutletInbox, Receipt, Received, ServiceType, SettingInfo, SetupError,
+    Outlet, OutletGate, OutletInbox, Receipt, Received, ServiceType, SettingInfo, SetupError,
 };
 use std::any::Any;
 use std::time::Duration;
@@ -83,11 +83,18 @@ impl CoreAccess<'_> {
         message_type: MessageType,
         topic: &str,
         inbox: &OutletInbox,
+        gate: Option<OutletGate>,
         sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
     ) -> Result<Outlet, SetupError> {
-        match self {
-            Self::Idle(core) => core.outlet_of(message_type, topic, inbox, sink),
-            Self::Running(core) => answer("outlet", &core.outlet_of(message_type, topic, inbox, sink)),
+        match (self, gate) {
+            (Self::Idle(core), None) => core.outlet_of(message_type, topic, inbox, sink),
+            (Self::Idle(core), Some(gate)) => core.gated_outlet_of(message_type, topic, inbox, gate, sink),
+            (Self::Running(core), None) => {
+                answer("outlet", &core.outlet_of(message_type, topic, inbox, sink))
+            }
+            (Self::Running(core), Some(gate)) => {
+                answer("outlet", &core.gated_outlet_of(message_type, topic, inbox, gate, sink))
+            }
         }
     }
 

@@ -4,8 +4,8 @@ use crate::CoreAccess;
 use bytes::Bytes;
 use downbeat_executor::queue::{Locked, Overflow};
 use downbeat_executor::{
-    AnyMessage, AnyReceived, Core, ErasedType, Inlet, InletError, MessageType, Outlet, OutletInbox,
-    SetupError, Time,
+    AnyMessage, AnyReceived, Core, ErasedType, Inlet, InletError, MessageType, Outlet, OutletGate,
+    OutletInbox, SetupError, Time,
 };
 use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::dynamic::{Definitions, DynamicMessage, DynamicType, TypeDefinition, TypeLookupError};
@@ -28,6 +28,12 @@ pub struct KnownType {
 
 /// Takes the serialized messages of a topic. A closure takes all of them.
 pub trait Sink: Send + 'static {
+    /// Decides, on the thread of the core, whether messages are passed to the thread of the sink at all.
+    /// `None` if all are.
+    fn gate(&self) -> Option<OutletGate> {
+        None
+    }
+
     /// Whether to serialize the next message and pass it to [`take`](Self::take).
     fn is_wanted(&mut self, _message: Offered) -> bool {
         true
@@ -314,6 +320,7 @@ impl KnownType {
         inbox: &OutletInbox,
         mut sink: Box<dyn Sink>,
     ) -> Result<Outlet, SetupError> {
+        let gate = sink.gate();
         let take = move |AnyReceived { message, time, is_last, missed }: AnyReceived<'_>| {
             let offered = Offered { time, is_last_of_cycle: is_last, missed };
             if self.is_type_of(message)
@@ -323,7 +330,7 @@ impl KnownType {
                 sink.take(time, cdr);
             }
         };
-        core.outlet_of(self.in_core(), topic, inbox, take)
+        core.outlet_of(self.in_core(), topic, inbox, gate, take)
     }
 
     /// Opens an inlet for serialized messages, which any thread may use.
@@ -384,6 +391,17 @@ impl KnownType {
         match &self.entry.rust {
             Rust::Compiled(compiled) => (compiled.decode)(cdr),
             Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, self.checked(Bytes::copy_from_slice(cdr))?))),
+        }
+    }
+
+    /// As [`decode`](Self::decode), for bytes that can be shared: a raw message keeps them instead of a copy.
+    ///
+    /// # Errors
+    /// If the bytes are no such message.
+    pub fn decode_shared(self, cdr: &Bytes) -> cdr::Result<AnyMessage> {
+        match &self.entry.rust {
+            Rust::Compiled(compiled) => (compiled.decode)(cdr),
+            Rust::Raw(_) => Ok(Box::new(RawMessage::new(self, cdr.clone()))),
         }
     }
 
@@ -468,9 +486,21 @@ impl EncodedInlet {
     /// # Errors
     /// [`EncodedInletError`] when the bytes are no such message, or the core refuses it.
     pub fn publish(&self, cdr: &[u8]) -> Result<(), EncodedInletError> {
+        self.publish_decoded(self.message_type.decode(cdr))
+    }
+
+    /// As [`publish`](Self::publish), for bytes that can be shared: a raw message keeps them instead of a
+    /// copy.
+    ///
+    /// # Errors
+    /// As for [`publish`](Self::publish).
+    pub fn publish_shared(&self, cdr: &Bytes) -> Result<(), EncodedInletError> {
+        self.publish_decoded(self.message_type.decode_shared(cdr))
+    }
+
+    fn publish_decoded(&self, message: cdr::Result<AnyMessage>) -> Result<(), EncodedInletError> {
         let topic = || Arc::clone(&self.topic);
         let type_name = self.message_type.name();
-        let message = self.message_type.decode(cdr);
         let message =
             message.map_err(|error| EncodedInletError::Decode { topic: topic(), type_name, error })?;
         self.inlet.publish(message).map_err(|error| EncodedInletError::Inlet { topic: topic(), error })

@@ -3,8 +3,8 @@
 
 use bytes::Bytes;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, ForeignModule};
-use downbeat_edge::{EventContent, Interfaces};
-use downbeat_executor::{Core, Failure, ManualClock, ModuleOptions, Time};
+use downbeat_edge::{CoreAccess, EventContent, Interfaces};
+use downbeat_executor::{Core, Failure, Inbox, ManualClock, ModuleOptions, OutletInbox, Time};
 use downbeat_msgs::dynamic::DynamicMessage;
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
 use std::path::{Path, PathBuf};
@@ -290,4 +290,21 @@ fn a_message_that_is_none_does_not_reach_the_module() {
     inlet.publish(&tilt.default_cdr()).unwrap();
     (0..2).for_each(|_| core.cycle().unwrap());
     assert_eq!(kept.try_iter().collect::<Vec<_>>(), [tilt.default_cdr()]);
+}
+
+#[test]
+fn a_raw_message_enters_and_leaves_the_core_without_being_copied() {
+    let interfaces = known("shared");
+    let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    let tilt = interfaces.find_message("my_msgs/msg/Tilt").unwrap();
+    let inlet = tilt.inlet(&mut core, "tilt").unwrap();
+    let (sender, left) = channel();
+    let inbox = OutletInbox::from(Inbox::KeepAll);
+    let sink = move |_: Time, cdr: Bytes| drop(sender.send(cdr));
+    let _outlet = tilt.outlet(&mut CoreAccess::Idle(&mut core), "tilt", &inbox, sink).unwrap();
+    let cdr = Bytes::from(tilt.default_cdr());
+    inlet.publish_shared(&cdr).unwrap();
+    (0..2).for_each(|_| core.cycle().unwrap());
+    let left = left.try_recv().unwrap();
+    assert_eq!((left.as_ptr(), left.len()), (cdr.as_ptr(), cdr.len()));
 }

@@ -182,9 +182,9 @@ pub use cycle::{
 pub use error::{SetupError, Version};
 pub use exchange::{
     AnyValue, CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError,
-    Job, JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletInbox, Reply, Responder,
-    RestartRefused, ServiceInfo, ServiceType, Setting, SettingRefused, SettingsChange, StandIn, StepInput,
-    Task, UnknownModule,
+    Job, JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletGate, OutletInbox, Reply,
+    Responder, RestartRefused, ServiceInfo, ServiceType, Setting, SettingRefused, SettingsChange, StandIn,
+    StepInput, Task, UnknownModule,
 };
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
 pub use module::{

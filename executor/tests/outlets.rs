@@ -384,3 +384,57 @@ fn messages_of_a_type_that_is_a_value_arrive_as_typed_ones_do() {
     assert_eq!(inlet.dropped(), 1);
     assert!(core.outlet_of(MessageType::of::<u8>(), "numbers", Inbox::KeepAll, |_| {}).is_err());
 }
+
+#[test]
+fn a_gate_is_asked_on_the_thread_of_the_core_and_while_it_is_closed_no_thread_is_woken() {
+    use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+    let mut core = Core::new();
+    let (is_open, offered) = (Arc::<AtomicBool>::default(), Arc::<AtomicU32>::default());
+    let gate = {
+        let (is_open, offered, here) =
+            (Arc::clone(&is_open), Arc::clone(&offered), std::thread::current().id());
+        OutletGate::new(move |messages| {
+            assert_eq!(std::thread::current().id(), here);
+            offered.fetch_add(messages, Ordering::Relaxed);
+            is_open.load(Ordering::Relaxed)
+        })
+    };
+    let (sender, received) = channel();
+    let inbox = OutletInbox::new("behind_a_gate", Inbox::KeepAll);
+    let sink = move |message: AnyReceived<'_>| {
+        sender.send((*message.message.downcast_ref::<u64>().unwrap(), message.missed)).unwrap();
+    };
+    let _outlet = core.gated_outlet_of(MessageType::of::<u64>(), "numbers", &inbox, gate, sink).unwrap();
+    let inlet = core.inlet("numbers").unwrap();
+    for number in 0..100_u64 {
+        inlet.publish(number).unwrap();
+        inlet.publish(number).unwrap();
+        core.cycle().unwrap();
+    }
+    assert_eq!(offered.load(Ordering::Relaxed), 200);
+    let snapshot = core.handle().snapshot();
+    core.cycle().unwrap();
+    let outlet = &snapshot.try_take().unwrap().outlets[0];
+    assert_eq!((outlet.received, outlet.inbox), (0, 0), "a thread is woken for what is in its inbox");
+    is_open.store(true, Ordering::Relaxed);
+    inlet.publish(100_u64).unwrap();
+    core.cycle().unwrap();
+    assert_eq!(received.recv_timeout(WATCHDOG).unwrap(), (100, 0), "nothing was missed: it was not wanted");
+}
+
+#[test]
+fn a_gate_that_panics_closes_its_outlet_only() {
+    let (mut core, _clock) = manual_core();
+    let gate = OutletGate::new(|_| panic!("no gate"));
+    let count = |_: AnyReceived<'_>| panic!("the gate never opened");
+    let _outlet =
+        core.gated_outlet_of(MessageType::of::<u64>(), "numbers", Inbox::KeepAll, gate, count).unwrap();
+    let (_other, numbers) = collect::<u64>(&mut core, "numbers", Inbox::KeepAll);
+    let inlet = core.inlet("numbers").unwrap();
+    for number in 0..3_u64 {
+        inlet.publish(number).unwrap();
+        core.cycle().unwrap();
+    }
+    core.cycle().unwrap();
+    assert_eq!(numbers.try_iter().collect::<Vec<_>>(), [0, 1, 2]);
+}

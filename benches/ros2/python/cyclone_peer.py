@@ -8,7 +8,7 @@ import peer
 from cyclonedds.core import Listener, Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import sequence, uint8, uint32
+from cyclonedds.idl.types import float64, int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -34,6 +34,27 @@ class Bytes(IdlStruct, typename="std_msgs::msg::dds_::UInt8MultiArray_"):
     data: sequence[uint8]
 
 
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
 LAYOUT = Layout(dim=[], data_offset=0)
 QOS = Qos(
     Policy.Reliability.Reliable(max_blocking_time=duration(seconds=1)),
@@ -49,7 +70,7 @@ class Arrivals(Listener):
 
     def on_data_available(self, reader):
         for sample in reader.take(N=100):
-            if isinstance(sample, Bytes):
+            if isinstance(sample, (Bytes, JointState)):
                 self.take(sample)
 
 
@@ -99,7 +120,18 @@ def camera(participant, options):
     peer.end_of_input().wait()
 
 
-ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "camera": camera}
+def joint_states(participant, options):
+    """Measures how old joint states are."""
+    ages = peer.Ages()
+    topic = Topic(participant, "rt/joint_states", JointState)
+    listener = Arrivals(lambda sample: ages.take(sample.header.stamp))
+    reader = DataReader(participant, topic, qos=QOS, listener=listener)
+    peer.end_of_input().wait()
+    del reader
+    ages.report()
+
+
+ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "camera": camera, "joint-states": joint_states}
 
 
 def main():

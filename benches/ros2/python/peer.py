@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 
-ROLES = ["ping", "echo", "acknowledge", "count", "camera", "latch", "late"]
+ROLES = ["ping", "echo", "acknowledge", "count", "camera", "latch", "late", "joint-states"]
 PATIENCE = 2.0
 """How long a message may be in flight before it counts as lost, in seconds."""
 
@@ -37,6 +37,27 @@ def end_of_input():
     ended = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
     return ended
+
+
+def quantile_us(sorted_seconds, part):
+    if not sorted_seconds:
+        return 0.0
+    return sorted_seconds[min(int(len(sorted_seconds) * part), len(sorted_seconds) - 1)] * 1e6
+
+
+class Ages:
+    """How old messages are when they arrive, by the clock that all processes of this machine share."""
+
+    def __init__(self):
+        self.ages = []
+
+    def take(self, stamp):
+        self.ages.append(time.time() - stamp.sec - stamp.nanosec * 1e-9)
+
+    def report(self):
+        self.ages.sort()
+        p50, p99 = (quantile_us(self.ages, part) for part in (0.5, 0.99))
+        print(json.dumps({"messages": len(self.ages), "p50_us": p50, "p99_us": p99}), flush=True)
 
 
 class Pinger:
@@ -89,10 +110,7 @@ class Pinger:
             "messages": len(self.times),
             "lost": self.lost,
             "seconds": self.last - self.started if self.times else 0.0,
-            "p50_us": self.quantile_us(0.5),
-            "p99_us": self.quantile_us(0.99),
+            "p50_us": quantile_us(self.times, 0.5),
+            "p99_us": quantile_us(self.times, 0.99),
         }
         print(json.dumps(outcome), flush=True)
-
-    def quantile_us(self, part):
-        return self.times[min(int(len(self.times) * part), len(self.times) - 1)] * 1e6 if self.times else 0.0

@@ -7,6 +7,7 @@ import time
 import peer
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
 QOS = QoSProfile(depth=100)
@@ -51,6 +52,16 @@ def count(node, options):
     print(len(heard), flush=True)
 
 
+def joint_states(node, options):
+    """Measures how old joint states are."""
+    ages = peer.Ages()
+    node.create_subscription(JointState, "joint_states", lambda message: ages.take(message.header.stamp), 10)
+    ended = peer.end_of_input()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    ages.report()
+
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -78,14 +89,22 @@ def late(node, options):
     print(json.dumps(times), flush=True)
 
 
-ROLES = {"ping": ping, "echo": echo, "acknowledge": echo, "count": count, "latch": latch, "late": late}
+ROLES = {
+    "ping": ping,
+    "echo": echo,
+    "acknowledge": echo,
+    "count": count,
+    "joint-states": joint_states,
+    "latch": latch,
+    "late": late,
+}
 
 
 def main():
     options = peer.options()
     options.start = time.perf_counter()
     rclpy.init()
-    node = rclpy.create_node(f"rclpy_{options.role}")
+    node = rclpy.create_node(f"rclpy_{options.role.replace('-', '_')}")
     ROLES[options.role](node, options)
     node.destroy_node()
     rclpy.shutdown()

@@ -66,10 +66,14 @@ impl Contestant {
             .args(["--window", &task.window.to_string(), "--seconds", &task.seconds.to_string()])
             .env("ROS_DOMAIN_ID", task.domain_id.to_string())
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            .env("CYCLONEDDS_URI", CYCLONE_ON_THIS_MACHINE)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped());
-        let mut process = command.spawn().with_context(|| format!("cannot start {}", kind.name()))?;
+            .env("CYCLONEDDS_URI", CYCLONE_ON_THIS_MACHINE);
+        Self::spawn(command, kind.name())
+    }
+
+    /// Starts a command whose input and output are like those of a contestant.
+    pub fn spawn(mut command: Command, name: &str) -> anyhow::Result<Self> {
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut process = command.spawn().with_context(|| format!("cannot start {name}"))?;
         let stdout = process.stdout.take().context("its output is piped")?;
         Ok(Self { process, lines: BufReader::new(stdout).lines() })
     }
@@ -96,9 +100,20 @@ impl Contestant {
         processor_time(self.process.id())
     }
 
+    /// The seconds that the threads of the process have run so far.
+    pub fn on_processor(&self) -> anyhow::Result<f64> {
+        on_processor(self.process.id())
+    }
+
     /// The resident memory of the process in bytes.
     pub fn resident_bytes(&self) -> anyhow::Result<u64> {
         resident_bytes(self.process.id())
+    }
+
+    /// Closes the input of the process and returns the object that it then prints.
+    pub fn result<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
+        drop(self.process.stdin.take());
+        self.outcome()
     }
 
     /// Closes the input of the process and returns the number that it then prints.
@@ -150,6 +165,17 @@ fn processor_time(process: u32) -> anyhow::Result<Duration> {
     let mut times = fields.split_ascii_whitespace().skip(11).map(str::parse::<u64>);
     let (user, system) = (times.next().context("user time")??, times.next().context("system time")??);
     Ok(Duration::from_millis((user + system) * 1000 / TICKS_PER_SECOND))
+}
+
+/// The seconds that the present threads of a process have run, to the nanosecond.
+pub fn on_processor(process: u32) -> anyhow::Result<f64> {
+    let mut nanoseconds = 0;
+    for task in std::fs::read_dir(format!("/proc/{process}/task"))? {
+        // A thread may have ended.
+        let Ok(text) = std::fs::read_to_string(task?.path().join("schedstat")) else { continue };
+        nanoseconds += text.split(' ').next().context("/proc/PID/task/TID/schedstat")?.parse::<u64>()?;
+    }
+    Ok(nanoseconds as f64 / 1e9)
 }
 
 /// The resident memory of a process.

@@ -8,6 +8,7 @@
 mod added_delay;
 mod contest;
 mod contestant;
+mod football;
 mod hold;
 mod hostile;
 mod images;
@@ -32,6 +33,11 @@ enum Command {
     Pairs(contest::Options),
     /// Delay from the publish of a module until the bridge passes the bytes to the middleware.
     AddedDelay(added_delay::Options),
+    /// A football robot, its topics exposed or not, with subscribers on rclpy and Cyclone DDS or without.
+    Football(football::Options),
+    /// The robot of `football`.
+    #[command(hide = true)]
+    FootballRobot(football::RobotOptions),
     /// Number of large messages that reach an rclpy node.
     Images(images::Options),
     /// 1000 messages per second to another process and back, with the memory use of both once a minute.
@@ -58,6 +64,8 @@ fn main() -> anyhow::Result<()> {
     match Cli::parse().command {
         Command::Pairs(options) => contest::run(&options),
         Command::AddedDelay(options) => added_delay::run(&options),
+        Command::Football(options) => football::run(&options),
+        Command::FootballRobot(options) => football::run_robot(&options),
         Command::Images(options) => images::run(&options),
         Command::Hold(options) => hold::run(&options),
         Command::Meeting(options) => meeting::run(&options),

@@ -58,7 +58,9 @@ pub struct Outcome {
 pub fn run(options: &Options) -> anyhow::Result<()> {
     let join = || anyhow::Ok(Participant::join(&ParticipantOptions::from_env()?)?);
     match options.role {
-        Role::Count | Role::Camera => anyhow::bail!("only Python contestants have this role"),
+        Role::Count | Role::Camera | Role::JointStates => {
+            anyhow::bail!("only Python contestants have this role")
+        }
         Role::Latch => meeting::latch()?,
         Role::Late => meeting::late()?,
         Role::Ping => {

@@ -13,6 +13,8 @@ pub enum Role {
     Acknowledge,
     /// Counts received messages. Only Python contestants have this role.
     Count,
+    /// Subscribes to joint states and measures how old they are. Only Python contestants have this role.
+    JointStates,
     /// Sends large messages at a constant rate. Only Python contestants have this role.
     Camera,
     /// Offers a latched sample.

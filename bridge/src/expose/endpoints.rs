@@ -7,7 +7,7 @@ use crate::edge::{EncodedInlet, EncodedInletError, Offered, Sink};
 use crate::middleware::Sample;
 use crate::ros::{Publisher, Subscription};
 use bytes::Bytes;
-use downbeat_executor::{Clock, InletError, Outlet, Time};
+use downbeat_executor::{Clock, InletError, Outlet, OutletGate, Time};
 use downbeat_msgs::qos::Durability;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
@@ -206,7 +206,29 @@ pub(super) struct ToRos {
     pub(super) of_a_cycle: OfACycle,
 }
 
+impl ToRos {
+    /// Latched messages are kept for subscriptions that come later.
+    fn is_latched(&self) -> bool {
+        self.publisher.qos().durability == Durability::TransientLocal
+    }
+}
+
 impl Sink for ToRos {
+    fn gate(&self) -> Option<OutletGate> {
+        if self.is_latched() {
+            return None;
+        }
+        // Not the publisher: dropping the last handle of it leaves DDS, which must not happen on that thread.
+        let (matched, traffic) = (self.publisher.matched_counter(), Arc::clone(&self.traffic));
+        Some(OutletGate::new(move |messages| {
+            let is_wanted = matched() > 0;
+            if !is_wanted {
+                traffic.skipped.fetch_add(messages.into(), Ordering::Relaxed);
+            }
+            is_wanted
+        }))
+    }
+
     fn is_wanted(&mut self, message: Offered) -> bool {
         if message.missed > 0 {
             self.traffic.dropped.fetch_add(message.missed.into(), Ordering::Relaxed);
@@ -216,8 +238,8 @@ impl Sink for ToRos {
             self.traffic.limited.fetch_add(1, Ordering::Relaxed);
             return false;
         }
-        let is_latched = self.publisher.qos().durability == Durability::TransientLocal;
-        let is_wanted = is_latched || self.publisher.matched_subscriptions() > 0;
+        // The last subscription may have left since the gate was asked.
+        let is_wanted = self.is_latched() || self.publisher.matched_subscriptions() > 0;
         if !is_wanted {
             self.traffic.skipped.fetch_add(1, Ordering::Relaxed);
         }
@@ -249,7 +271,7 @@ impl FromRos {
             self.traffic.limited.fetch_add(1, Ordering::Relaxed);
             return;
         }
-        let result = self.inlet.publish(&sample.cdr);
+        let result = self.inlet.publish_shared(&sample.cdr);
         if matches!(result, Err(EncodedInletError::Inlet { error: InletError::Stopped, .. })) {
             return;
         }

@@ -48,22 +48,24 @@ pub struct Endpoint {
     pub type_name: String,
     /// What is offered or requested.
     pub qos: QosProfile,
-    /// How many samples a writer may hold for readers that have not acknowledged them. Bounds the memory that
-    /// a dead or best-effort reader can cost: about this number times the size of a sample. A transient local
-    /// writer holds no more than the greater of 64 and its history depth.
+    /// How many samples a writer may hold for readers that have not acknowledged them, beyond those of its
+    /// history depth. A transient local writer holds no more than the greater of 64 and its history depth.
     pub send_window: u32,
+    /// How many bytes of samples it may hold for them, beyond those of its history depth: few large samples,
+    /// whatever their type. Bounds the memory that a dead or best-effort reader can cost.
+    pub send_window_bytes: u64,
     /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can announce it.
     pub type_hash: Option<String>,
 }
 
 impl Endpoint {
-    /// A window for small samples: at 125 Hz it outlasts the 20 s that Fast DDS takes to notice a killed
-    /// process, and at 1 kB it holds 4 MB.
+    /// A window that at 125 Hz outlasts the 20 s that Fast DDS takes to notice a killed process; at 1 kB it
+    /// holds 4 MB.
     pub const SEND_WINDOW: u32 = 4096;
-    /// A window for images, clouds and maps: 64 MB at 1 MB a sample.
-    pub const SEND_WINDOW_LARGE_SAMPLES: u32 = 64;
+    /// Holds 64 images of 1 MB.
+    pub const SEND_WINDOW_BYTES: u64 = 64 << 20;
 
-    /// An endpoint with the window for small samples.
+    /// An endpoint with these windows.
     #[must_use]
     pub fn new(topic_name: impl Into<String>, type_name: impl Into<String>, qos: QosProfile) -> Self {
         Self {
@@ -71,6 +73,7 @@ impl Endpoint {
             type_name: type_name.into(),
             qos,
             send_window: Self::SEND_WINDOW,
+            send_window_bytes: Self::SEND_WINDOW_BYTES,
             type_hash: None,
         }
     }

@@ -33,6 +33,9 @@ use std::time::Duration;
 /// that all readers of the participant share, so it must pass the sample on and return.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 
+/// Counts the matched readers of a writer; 0 or the last count once the writer is dropped.
+pub type MatchedCounter = Box<dyn Fn() -> usize + Send + Sync>;
+
 /// Handles changes of the matched endpoints. It runs on a thread of the middleware, so it must not block.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
@@ -83,6 +86,10 @@ pub trait Writer: Send + Sync {
     /// The number of matched readers. A reliable reader counts once it has answered this writer, and so
     /// receives what is written now.
     fn matched(&self) -> usize;
+
+    /// Returns a function that counts the matched readers as [`matched`](Self::matched) does, from any
+    /// thread, without keeping the endpoint.
+    fn matched_counter(&self) -> MatchedCounter;
 
     /// The matched readers.
     fn matched_readers(&self) -> Vec<Gid>;

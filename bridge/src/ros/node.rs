@@ -99,6 +99,11 @@ impl Node {
         Ok(resolve(request, direction, &peers))
     }
 
+    /// The identity of the participant.
+    pub(crate) fn participant_gid(&self) -> Gid {
+        self.membership.shared.middleware.gid()
+    }
+
     /// The worker of the participant.
     pub(crate) fn worker(&self) -> WorkerLink {
         self.membership.shared.worker.link()

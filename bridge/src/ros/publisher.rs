@@ -6,7 +6,7 @@ use super::membership::Shared;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::edge::Interfaces;
-use crate::middleware::{Direction, Endpoint, EventHandler, Gid, WriteError, Writer};
+use crate::middleware::{Direction, Endpoint, EventHandler, Gid, MatchedCounter, WriteError, Writer};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 use std::time::Duration;
@@ -47,6 +47,11 @@ impl Publisher {
     #[must_use]
     pub fn matched_subscriptions(&self) -> usize {
         self.writer.matched()
+    }
+
+    /// Returns a function that counts the matched subscriptions without keeping the publisher.
+    pub(crate) fn matched_counter(&self) -> MatchedCounter {
+        self.writer.matched_counter()
     }
 
     /// Registers a handler for events of the quality of service of this publisher: first the present state,
@@ -130,20 +135,6 @@ pub(super) fn endpoint(
     message_type: &MessageType,
     qos: QosProfile,
 ) -> Endpoint {
-    let send_window = if LARGE_MESSAGES.contains(&message_type.as_str()) {
-        Endpoint::SEND_WINDOW_LARGE_SAMPLES
-    } else {
-        Endpoint::SEND_WINDOW
-    };
     let type_hash = interfaces.message_hash(message_type.as_str());
-    Endpoint { send_window, type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
+    Endpoint { type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }
-
-/// Types whose messages are often larger than 100 kB.
-const LARGE_MESSAGES: [&str; 5] = [
-    "nav_msgs/msg/OccupancyGrid",
-    "sensor_msgs/msg/CompressedImage",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/PointCloud",
-    "sensor_msgs/msg/PointCloud2",
-];

@@ -316,10 +316,9 @@ impl<'a> Session<'a> {
         };
         let published = match &publication.codec {
             None => publication.inlet.publish(data).map_err(|error| error.to_string()),
-            Some(codec) => codec
-                .decode(data)
-                .map_err(|error| error.to_string())
-                .and_then(|cdr| publication.inlet.publish(&cdr).map_err(|error| error.to_string())),
+            Some(codec) => codec.decode(data).map_err(|error| error.to_string()).and_then(|cdr| {
+                publication.inlet.publish_shared(&cdr.into()).map_err(|error| error.to_string())
+            }),
         };
         match published {
             Err(reason) => match publication.failures.report(reason, Instant::now()) {

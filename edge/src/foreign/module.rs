@@ -5,8 +5,8 @@ use super::versions::{Life, Made, OneVersion, StopsByPanic, Versions};
 use crate::KnownType;
 use bytes::Bytes;
 use downbeat_executor::{
-    AnyPublication, Context, Failure, ModuleOptions, Setting, SettingValue, StopRequest, Task, Time,
-    Transition,
+    AnyMessage, AnyPublication, Context, Failure, ModuleOptions, Setting, SettingValue, StopRequest, Task,
+    Time, Transition,
 };
 use downbeat_msgs::cdr;
 use parking_lot::Mutex;
@@ -247,8 +247,25 @@ impl ForeignContext<'_, '_> {
     /// # Errors
     /// If there is no such publisher, or the bytes are no message of its type.
     pub fn publish(&mut self, publisher: u32, cdr: &[u8]) -> Result<(), ForeignError> {
+        self.publish_decoded(publisher, |of| of.decode(cdr))
+    }
+
+    /// As [`publish`](Self::publish), for bytes that can be shared: a raw message keeps them instead of a
+    /// copy.
+    ///
+    /// # Errors
+    /// As for [`publish`](Self::publish).
+    pub fn publish_shared(&mut self, publisher: u32, cdr: &Bytes) -> Result<(), ForeignError> {
+        self.publish_decoded(publisher, |of| of.decode_shared(cdr))
+    }
+
+    fn publish_decoded(
+        &mut self,
+        publisher: u32,
+        decode: impl FnOnce(KnownType) -> cdr::Result<AnyMessage>,
+    ) -> Result<(), ForeignError> {
         let found = find(&self.ports.publishers, publisher, "publisher")?;
-        let message = found.message.decode(cdr).map_err(|error| ForeignError::Decode {
+        let message = decode(found.message).map_err(|error| ForeignError::Decode {
             name: found.topic.clone(),
             type_name: found.message.name().to_owned(),
             error,

@@ -13,7 +13,7 @@ use super::stage::{Launcher, StageHolder};
 use super::state::{CoreLife, CoreState, Pause};
 use crate::module::{Input, Link, Place};
 use crate::observe::{CycleInfo, Measuring, spans_are_on};
-use crate::threads::{Watch, end_of, reason};
+use crate::threads::{PromptTimers, Watch, end_of, reason};
 use crate::{Role, ThreadError, Time, TraceCause};
 
 /// Errors of [`Core::run`] and [`Core::cycle`].
@@ -143,6 +143,7 @@ impl Core {
         if !self.state.clock.runs_by_itself() {
             return Err(RunError::ClockStandsStill);
         }
+        let _timers = PromptTimers::start();
         while !self.state.link.stop_is_requested() {
             match &mut self.state.pause {
                 Pause::Paused { steps: 0 } => self.attend(),

@@ -10,7 +10,7 @@ use crossbeam::sync::{Parker, Unparker};
 
 use crate::module::{Causes, Delivery, Input, Link, ModuleCell, Post, StepOutcome, TopicInput};
 use crate::observe::{Measuring, ModuleMeter, Span, Stopwatch};
-use crate::threads::{drop_guarded, processor_time, unpoisoned};
+use crate::threads::{PromptTimers, drop_guarded, processor_time, unpoisoned};
 use crate::{
     Clock, Inbox, LifecycleState, ModuleId, ModuleOptions, Role, Synchrony, ThreadError, ThreadOptions, Time,
 };
@@ -244,6 +244,7 @@ struct Runner {
 
 impl Runner {
     fn run(mut self) {
+        let _timers = PromptTimers::start();
         self.step(Causes::ALL, VecDeque::new(), Vec::new(), self.clock.now());
         loop {
             let Some(contents) = self.take_contents() else { continue };

@@ -12,7 +12,7 @@ mod timers;
 pub use events::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
 pub use jobs::{Completion, Job, JobError};
 pub(crate) use messages::Messages;
-pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletInbox, StepInput};
+pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletGate, OutletInbox, StepInput};
 pub use modules::{RestartRefused, UnknownModule};
 pub(crate) use services::Services;
 pub use services::{

@@ -13,8 +13,8 @@ use crate::threads::{drop_guarded, reason};
 use crate::{Launcher, Stage, ThreadError, ThreadOptions};
 
 /// Runs the modules one after another on the thread of the core. It is the fastest launcher if the work of a
-/// cycle costs less than waking a thread. [`Scheduled`](crate::Scheduled) sets the CPUs and the priority of
-/// that thread.
+/// cycle costs less than waking a thread, as that of most robots: [`Pool`] states the price.
+/// [`Scheduled`](crate::Scheduled) sets the CPUs and the priority of that thread.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Linear;
 

@@ -56,6 +56,10 @@ pub enum PoolError {
 ///
 /// A cycle wakes at most one thread per module beyond the first. Work that a woken thread has not begun when
 /// the core's thread has finished is withdrawn, so cheap modules do not wait for a wake-up.
+///
+/// Waking threads has a price: on eight modules that do little, as most of a robot do, `Pool(2)` takes 1.6 to
+/// 1.8 times the time of [`Linear`](crate::Linear). A pool is for cycles in which several modules each work
+/// for much longer than a wake-up takes, some 50 µs. For one slow module, run that one detached.
 pub struct Pool {
     workers: Vec<Worker>,
     gate: Arc<Gate>,

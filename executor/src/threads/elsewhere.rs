@@ -15,6 +15,14 @@ impl Scheduling {
     pub(super) fn restore(self) {}
 }
 
+pub(crate) struct PromptTimers;
+
+impl PromptTimers {
+    pub(crate) fn start() -> Self {
+        Self
+    }
+}
+
 pub(crate) fn processor_time() -> Option<Duration> {
     None
 }

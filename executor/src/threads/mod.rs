@@ -19,6 +19,6 @@ pub use receipt::Receipt;
 pub(crate) use receipt::{ReceiptSender, receipt};
 pub use spin::Spin;
 pub(crate) use spin::Spinner;
-pub(crate) use system::processor_time;
+pub(crate) use system::{PromptTimers, processor_time};
 pub use watchdog::Overrun;
 pub(crate) use watchdog::{Watch, Watchdog};

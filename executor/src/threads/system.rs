@@ -1,10 +1,11 @@
-//! Linux: CPU affinity and `SCHED_FIFO`, see sched(7).
+//! Linux: CPU affinity and `SCHED_FIFO`, see sched(7); timers, see `PR_SET_TIMERSLACK` in prctl(2).
 
 use std::io;
+use std::num::NonZeroU64;
 use std::time::Duration;
 
 use rustix::process::{getpriority_process, setpriority_process};
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity, set_current_timer_slack};
 use rustix::time::{ClockId, clock_gettime};
 use thread_priority::unix::{
     RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
@@ -48,6 +49,25 @@ impl Scheduling {
             }
             None => {}
         }
+    }
+}
+
+/// Lets the calling thread sleep no longer than it asks for, until this is dropped. By default the system may
+/// prolong each sleep by 50 µs, to wake several threads together.
+pub(crate) struct PromptTimers;
+
+impl PromptTimers {
+    pub(crate) fn start() -> Self {
+        // An older system refuses; sleeps then take a little longer.
+        let _ = set_current_timer_slack(Some(NonZeroU64::MIN));
+        Self
+    }
+}
+
+impl Drop for PromptTimers {
+    fn drop(&mut self) {
+        // Back to what the thread was started with.
+        let _ = set_current_timer_slack(None);
     }
 }
 
@@ -133,7 +153,18 @@ fn ranges(cpus: impl Iterator<Item = usize>) -> String {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)] // a test may fail
     use super::*;
+
+    #[test]
+    fn timers_are_prompt_until_they_are_dropped() {
+        use rustix::thread::current_timer_slack;
+        let before = current_timer_slack().unwrap();
+        let prompt = PromptTimers::start();
+        assert_eq!(current_timer_slack().unwrap(), 1);
+        drop(prompt);
+        assert_eq!(current_timer_slack().unwrap(), before);
+    }
 
     #[test]
     fn cpus_are_listed_as_ranges() {

@@ -482,6 +482,11 @@ impl Topics {
         self.entries[topic].topic.share()
     }
 
+    /// The number of messages that [`share`](Self::share) would return.
+    pub(crate) fn messages(&self, topic: usize) -> u32 {
+        u32::try_from(self.entries[topic].topic.messages()).unwrap_or(u32::MAX)
+    }
+
     /// The first step of messaging in the sync phase: marks the messages of the last cycle as stale.
     #[inline]
     pub(crate) fn begin(&mut self) {

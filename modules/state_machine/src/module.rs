@@ -358,7 +358,8 @@ impl StateMachine {
     ) -> Result<(), String> {
         if let Some((number, of)) = self.ports.publishers.get(target) {
             let message = to_message(of, data)?;
-            return context.publish(*number, &message.to_cdr()).map_err(|error| error.to_string());
+            let cdr = message.to_cdr().into();
+            return context.publish_shared(*number, &cdr).map_err(|error| error.to_string());
         }
         if let Some(&client) = self.ports.services.get(target) {
             return self.call(client, data, id, Goal::default(), context);

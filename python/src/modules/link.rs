@@ -181,7 +181,7 @@ fn hash_of(service: &str) -> Option<String> {
 
 fn apply(context: &mut ForeignContext<'_, '_>, asked: Asked) -> Result<(), Failure> {
     let refused = match asked {
-        Asked::Publish { publisher, cdr } => context.publish(publisher, &cdr).err(),
+        Asked::Publish { publisher, cdr } => context.publish_shared(publisher, &cdr.into()).err(),
         Asked::Call { client, cdr } => context.call(client, &cdr).err(),
         Asked::Reply { request, result } => {
             context.reply(request, result.as_deref().map_err(String::clone)).err()

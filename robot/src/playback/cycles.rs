@@ -203,7 +203,7 @@ impl Inputs {
         for input in self.topics.values_mut().filter(|input| !input.waiting.is_empty()) {
             let due = count(input);
             for message in input.waiting.drain(..due) {
-                input.inlet.publish(&message)?;
+                input.inlet.publish_shared(&message)?;
                 self.given += 1;
             }
         }

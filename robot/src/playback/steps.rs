@@ -172,7 +172,7 @@ impl Inputs {
     }
 
     fn give(&mut self, step: &ModuleStep) -> Result<(), PlaybackError> {
-        self.take(step, |inlet, message| inlet.publish(message))
+        self.take(step, |inlet, message| inlet.publish_shared(message))
     }
 
     /// Drops what a run received.

@@ -369,7 +369,10 @@ impl Engine {
     pub(super) fn wait_until_acknowledged(&self, writer: EntityId, timeout: Duration) -> bool {
         let deadline = Instant::now().checked_add(timeout);
         let mut protocol = self.lock();
-        // Sends delayed samples of a burst now.
+        if !protocol.has_left {
+            protocol.participant.ask_for_acknowledgements(now(), writer);
+        }
+        // Sends delayed samples of a burst now, and the request.
         self.wake();
         loop {
             if protocol.participant.is_acknowledged(writer) {

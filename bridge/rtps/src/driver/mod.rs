@@ -208,6 +208,12 @@ impl Writer {
         self.state.matched()
     }
 
+    /// Returns a function that counts the matched readers, without keeping the writer.
+    pub fn matched_counter(&self) -> impl Fn() -> usize + Send + Sync + use<> {
+        let state = Arc::clone(&self.state);
+        move || state.matched()
+    }
+
     /// The matched readers.
     #[must_use]
     pub fn matched_readers(&self) -> Vec<Guid> {

@@ -73,10 +73,12 @@ pub struct EndpointConfig {
     /// The most samples of a writer that wait to be sent (keep last) or acknowledged (keep all) before writes
     /// are refused.
     pub send_window: usize,
+    /// The most bytes of such samples.
+    pub send_window_bytes: u64,
 }
 
 impl EndpointConfig {
-    /// A configuration without user data and with a window of 1024 samples.
+    /// A configuration without user data and with a window of 1024 samples or 64 MiB.
     pub fn new(topic: impl Into<String>, type_name: impl Into<String>, qos: Qos) -> Self {
         Self {
             topic: topic.into(),
@@ -84,6 +86,7 @@ impl EndpointConfig {
             qos,
             user_data: Bytes::new(),
             send_window: 1024,
+            send_window_bytes: 64 << 20,
         }
     }
 }

@@ -49,6 +49,11 @@ impl History {
         self.entries.len()
     }
 
+    /// The bytes of all samples, including what each costs in a receive buffer.
+    pub fn bytes(&self) -> u64 {
+        self.entries.front().map_or(0, |entry| self.end - entry.position)
+    }
+
     /// The number of the next sample.
     pub fn next(&self) -> SequenceNumber {
         self.next

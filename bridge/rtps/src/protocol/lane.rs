@@ -2,6 +2,16 @@
 //!
 //! A sample is sent over a link once, for all readers there. Missing samples of a reader are sent again only
 //! to that reader.
+//!
+//! Heartbeats accompany samples, so that a reader requests a lost sample as soon as the next one arrives.
+//! Most of them are final: a reader answers only if it lacks something, because an answer to each sample
+//! costs the subscriber more than the sample does. An acknowledgement is requested
+//!
+//! - from readers that have not answered yet, and from all with a sample that follows a pause;
+//! - every [`ASK_PERIOD`] while samples are sent, and then with each heartbeat until it is answered: Fast DDS
+//!   answers after 5 ms, unless a final heartbeat has come meanwhile;
+//! - [`HEARTBEAT_PERIOD`] after the last sample, which is when a lost last sample is noticed;
+//! - when the window of the link or of the writer is half full, or much data was sent.
 
 use std::time::{Duration, Instant};
 
@@ -18,16 +28,20 @@ use super::outgoing::{MatchedReader, Outgoing, Sending};
 use super::pacer::Load;
 use super::part::{Part, fragment_count};
 
-/// Minimum time between heartbeats that accompany samples: at high rates not every sample is acknowledged.
+/// Minimum time between heartbeats that accompany samples.
 const HEARTBEAT_PAUSE: Duration = Duration::from_millis(5);
-/// Delay of the first separate heartbeat for unacknowledged samples. It doubles each time.
+/// Delay of the first separate heartbeat for unacknowledged samples. It doubles each time. A sample that
+/// comes later than this after the previous one requests an acknowledgement itself.
 const HEARTBEAT_PERIOD: Duration = Duration::from_millis(20);
 const HEARTBEAT_PERIOD_MAX: Duration = Duration::from_secs(3);
-/// The longest such delay while a reader requests samples.
+/// How often an acknowledgement is requested while samples are sent.
+const ASK_PERIOD: Duration = Duration::from_millis(100);
+/// The longest delay of a separate heartbeat while a reader requests samples.
 const REPAIR_PERIOD_MAX: Duration = Duration::from_millis(100);
-/// Without a window, a heartbeat accompanies data after this many bytes.
+/// Without a window, an acknowledgement is requested after this many bytes.
 const HEARTBEAT_DATA: u64 = 64 * 1024;
-/// A link whose window is full is considered stalled after this time without an acknowledgement.
+/// A link whose window is full is considered stalled if a request for an acknowledgement is not answered for
+/// this time.
 const STALL: Duration = Duration::from_millis(100);
 /// Bytes of a heartbeat.
 const HEARTBEAT_LEN: usize = 32;
@@ -55,18 +69,29 @@ pub(super) struct Lane {
     heartbeat_period: Duration,
     /// The heartbeat to send with the next datagram.
     heartbeat: HeartbeatWish,
+    /// The next heartbeat also asserts that the writer is alive.
+    is_liveliness: bool,
     last_heartbeat: Option<Instant>,
     /// The sent position in the stream at the last heartbeat.
     heartbeat_sent: u64,
+    /// When an acknowledgement of all readers was last requested, and the sent position at that time.
+    last_asked: Option<Instant>,
+    asked_sent: u64,
+    /// When an acknowledgement was first requested since the acknowledged position last advanced.
+    unanswered_since: Option<Instant>,
+    /// When samples were last sent for the first time.
+    last_data: Option<Instant>,
+    /// A sample was sent after a pause, and no heartbeat since then.
+    follows_pause: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum HeartbeatWish {
     None,
-    /// Requests an answer.
-    Plain,
-    /// Also asserts that the writer is alive.
-    Liveliness,
+    /// Only readers that lack something answer.
+    Final,
+    /// Requests an acknowledgement.
+    Ask,
 }
 
 /// The readers of a lane that receive a sample.
@@ -91,8 +116,14 @@ impl Lane {
             heartbeat_at: None,
             heartbeat_period: HEARTBEAT_PERIOD,
             heartbeat: HeartbeatWish::None,
+            is_liveliness: false,
             last_heartbeat: None,
             heartbeat_sent: sent,
+            last_asked: None,
+            asked_sent: sent,
+            unanswered_since: None,
+            last_data: None,
+            follows_pause: false,
         }
     }
 
@@ -104,7 +135,7 @@ impl Lane {
     /// Returns whether the peer has stopped acknowledging, so that samples need not be kept for it.
     pub fn is_stalled(&self, now: Instant, links: &Links) -> bool {
         let is_held = links.window_size(self.link).is_some() && self.acknowledged < self.sent;
-        is_held && now.saturating_duration_since(self.progress) >= STALL
+        is_held && self.unanswered_since.is_some_and(|since| now.saturating_duration_since(since) >= STALL)
     }
 
     /// Adds a reader. A reader that `moved` from another link keeps its acknowledged position.
@@ -189,13 +220,22 @@ impl Lane {
     }
 
     pub fn wish_liveliness(&mut self) {
-        self.heartbeat = HeartbeatWish::Liveliness;
+        self.heartbeat = self.heartbeat.max(HeartbeatWish::Final);
+        self.is_liveliness = true;
+    }
+
+    /// Requests an acknowledgement with the next datagram if a reader lacks samples.
+    pub fn ask_all(&mut self, sending: &Sending<'_>, links: &mut Links) {
+        if self.is_behind(sending.history) {
+            self.heartbeat = HeartbeatWish::Ask;
+            links.request(self.link, sending.writer);
+        }
     }
 
     /// Sends a heartbeat soon if a reader lacks samples.
     pub fn resume(&mut self, now: Instant, history: &History) {
         if self.is_behind(history) {
-            self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
+            self.heartbeat = HeartbeatWish::Ask;
             self.heartbeat_period = HEARTBEAT_PERIOD;
             self.heartbeat_at = Some(now + HEARTBEAT_PERIOD);
         }
@@ -212,13 +252,24 @@ impl Lane {
         if self.heartbeat_at.is_none_or(|at| at > sending.now) {
             return;
         }
-        self.heartbeat_at = None;
+        self.heartbeat_at = self.waits_for_pause(sending);
+        if self.heartbeat_at.is_some() {
+            return;
+        }
         if self.is_behind(sending.history) {
-            self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
+            self.heartbeat = HeartbeatWish::Ask;
             self.heartbeat_at = Some(sending.now + self.heartbeat_period);
             self.heartbeat_period = (2 * self.heartbeat_period).min(HEARTBEAT_PERIOD_MAX);
             links.request(self.link, sending.writer);
         }
+    }
+
+    /// Until when a heartbeat can wait because samples are being sent, which have heartbeats of their own.
+    fn waits_for_pause(&self, sending: &Sending<'_>) -> Option<Instant> {
+        let is_stream = self.sent > self.asked_sent && !sending.writer.is_builtin();
+        let pause = self.last_data.filter(|_| is_stream)? + HEARTBEAT_PERIOD;
+        let until = self.last_asked.map_or(pause, |asked| pause.min(asked + ASK_PERIOD));
+        (sending.now < until).then_some(until)
     }
 
     /// Handles an acknowledgement of the reader at `index`. Returns whether the reader has begun anew, as one
@@ -319,9 +370,13 @@ impl Lane {
     }
 
     /// Fills a datagram.
+    ///
+    /// `is_pressed` requests an acknowledgement because samples that are not acknowledged take up much of the
+    /// window of the writer.
     pub fn emit(
         &mut self,
         sending: &mut Sending<'_>,
+        is_pressed: bool,
         links: &mut Links,
         builder: &mut MessageBuilder<'_>,
     ) -> Emitted {
@@ -336,7 +391,7 @@ impl Lane {
             };
         }
         if self.heartbeat > HeartbeatWish::None
-            && self.data_since_heartbeat() >= self.heartbeat_data(links)
+            && self.is_much_unasked(links)
             && !self.emit_heartbeats(sending, links, builder)
         {
             return Emitted::More;
@@ -351,7 +406,7 @@ impl Lane {
         }
         match self.emit_new(sending, links, builder) {
             Emitted::More => {
-                if self.data_since_heartbeat() >= self.heartbeat_data(links) {
+                if self.is_much_unasked(links) {
                     // If it does not fit, it is sent with the next datagram.
                     let _ = self.emit_heartbeats(sending, links, builder);
                 }
@@ -360,7 +415,9 @@ impl Lane {
             Emitted::Blocked => emitted = Emitted::Blocked,
             Emitted::Done => {}
         }
-        if !self.wish_heartbeat(sending, emitted, links) || self.emit_heartbeats(sending, links, builder) {
+        if !self.wish_heartbeat(sending, is_pressed, emitted, links)
+            || self.emit_heartbeats(sending, links, builder)
+        {
             emitted
         } else {
             Emitted::More
@@ -421,6 +478,8 @@ impl Lane {
             if self.acknowledged == self.sent {
                 self.progress = sending.now;
             }
+            self.follows_pause |= self.last_data.is_none_or(|last| sending.now >= last + HEARTBEAT_PERIOD);
+            self.last_data = Some(sending.now);
             if part.is_last(entry) {
                 self.skip(entry.number.next(), |reader| !is_for(reader), history, links);
             } else {
@@ -428,8 +487,8 @@ impl Lane {
                 self.set_sent(entry.position + part.end(), links);
             }
             // Within a large sample or a long series of small ones, acknowledgements must be requested.
-            if self.data_since_heartbeat() >= self.heartbeat_data(links) && self.has_reliable() {
-                self.heartbeat = self.heartbeat.max(HeartbeatWish::Plain);
+            if self.is_much_unasked(links) && self.has_reliable() {
+                self.heartbeat = HeartbeatWish::Ask;
                 if builder.remaining() < 2 * HEARTBEAT_LEN || self.next_fragment > 0 {
                     return Emitted::More;
                 }
@@ -466,25 +525,45 @@ impl Lane {
     }
 
     /// Returns whether a heartbeat is due, after everything was sent that can be sent.
-    fn wish_heartbeat(&mut self, sending: &Sending<'_>, emitted: Emitted, links: &Links) -> bool {
+    fn wish_heartbeat(
+        &mut self,
+        sending: &Sending<'_>,
+        is_pressed: bool,
+        emitted: Emitted,
+        links: &Links,
+    ) -> bool {
         let now = sending.now;
         if self.heartbeat > HeartbeatWish::None || self.readers.iter().any(|reader| reader.heartbeat) {
             return true;
         }
-        if !self.has_reliable() || self.data_since_heartbeat() == 0 {
+        let is_blocked = emitted == Emitted::Blocked;
+        let is_held_up = is_blocked && self.sent > self.asked_sent && links.is_half_full(self.link);
+        if !self.has_reliable() || self.data_since_heartbeat() == 0 && !is_held_up {
             return false;
         }
         let is_early = self.last_heartbeat.is_some_and(|last| now < last + HEARTBEAT_PAUSE);
-        let is_much = self.data_since_heartbeat() >= self.heartbeat_data(links);
-        if emitted == Emitted::Done && (!is_early || is_much) || emitted == Emitted::Blocked && is_much {
-            self.heartbeat = HeartbeatWish::Plain;
+        let is_much = self.is_much_unasked(links);
+        if is_much || is_held_up || !is_blocked && !is_early {
+            let asks = is_much || is_pressed || self.should_ask(sending, links);
+            self.heartbeat = if asks { HeartbeatWish::Ask } else { HeartbeatWish::Final };
             return true;
         }
-        if let (true, Some(last)) = (is_early, self.last_heartbeat) {
+        // Announcements are few, and others wait for them.
+        if let (true, true, Some(last)) = (is_early, sending.writer.is_builtin(), self.last_heartbeat) {
             let soon = last + HEARTBEAT_PAUSE;
             self.heartbeat_at = Some(self.heartbeat_at.map_or(soon, |at| at.min(soon)));
         }
         false
+    }
+
+    /// Returns whether a heartbeat that accompanies samples requests an acknowledgement.
+    fn should_ask(&self, sending: &Sending<'_>, links: &Links) -> bool {
+        sending.writer.is_builtin()
+            || self.follows_pause
+            || self.unanswered_since.is_some()
+            || self.last_asked.is_none_or(|last| sending.now >= last + ASK_PERIOD)
+            || links.is_half_full(self.link)
+            || self.readers.iter().any(|reader| reader.is_reliable && !reader.has_answered)
     }
 
     /// Writes the heartbeats that are due. Returns `false` if one does not fit.
@@ -500,14 +579,16 @@ impl Lane {
             [reader] => Some(reader.guid.entity),
             _ => None,
         };
+        let has_reliable = self.has_reliable();
+        let mut asks_all = false;
         let mut heartbeat = Heartbeat {
             reader: single.unwrap_or(EntityId::UNKNOWN),
             writer: sending.writer,
             first,
             last: self.next.previous().max(first.previous()),
             count: sending.heartbeats.wrapping_add(1),
-            is_final: !self.has_reliable(),
-            is_liveliness: self.heartbeat == HeartbeatWish::Liveliness,
+            is_final: !has_reliable,
+            is_liveliness: self.is_liveliness,
         };
         for reader in self.readers.iter_mut().filter(|reader| reader.heartbeat) {
             let first = first.max(reader.start);
@@ -519,16 +600,19 @@ impl Lane {
             heartbeat.count = heartbeat.count.wrapping_add(1);
             reader.heartbeat = false;
             if single.is_some() {
-                self.heartbeat = HeartbeatWish::None;
+                (self.heartbeat, asks_all) = (HeartbeatWish::None, true);
             }
         }
         if self.heartbeat > HeartbeatWish::None {
+            heartbeat.is_final |= self.heartbeat == HeartbeatWish::Final;
             if !builder.heartbeat(&heartbeat) {
                 return false;
             }
             *sending.heartbeats = heartbeat.count;
             self.heartbeat = HeartbeatWish::None;
+            asks_all |= !heartbeat.is_final;
         }
+        self.is_liveliness = false;
         // Between participants of this engine, fragments of an incomplete sample are acknowledged as well.
         if self.next_fragment > 0 && self.has_reliable() && links.window_size(self.link).is_some() {
             let fragments = HeartbeatFragment {
@@ -539,14 +623,23 @@ impl Lane {
                 count: sending.heartbeats.wrapping_add(1),
             };
             if !builder.heartbeat_fragment(&fragments) {
-                self.heartbeat = HeartbeatWish::Plain;
+                self.heartbeat = HeartbeatWish::Ask;
                 return false;
             }
             *sending.heartbeats = fragments.count;
         }
         self.last_heartbeat = Some(now);
         self.heartbeat_sent = self.sent;
-        self.heartbeat_at = self.is_behind(history).then(|| now + self.heartbeat_period);
+        self.follows_pause = false;
+        if asks_all {
+            self.last_asked = Some(now);
+            self.asked_sent = self.sent;
+            self.unanswered_since.get_or_insert(now);
+        }
+        self.heartbeat_at = self.is_behind(history).then(|| {
+            let is_asked = self.asked_sent == self.sent;
+            now + if is_asked { self.heartbeat_period } else { HEARTBEAT_PERIOD }
+        });
         true
     }
 
@@ -554,7 +647,13 @@ impl Lane {
         self.sent.saturating_sub(self.heartbeat_sent)
     }
 
-    /// Number of bytes after which a heartbeat is sent even if more data wait.
+    /// Returns whether so much was sent since the last request for an acknowledgement that the next one is
+    /// due.
+    fn is_much_unasked(&self, links: &Links) -> bool {
+        self.sent.saturating_sub(self.asked_sent) >= self.heartbeat_data(links)
+    }
+
+    /// Number of bytes after which an acknowledgement is requested even if more data wait.
     fn heartbeat_data(&self, links: &Links) -> u64 {
         match links.window_size(self.link) {
             Some(window) => window / 4,
@@ -592,6 +691,9 @@ impl Lane {
 
     fn set_acknowledged(&mut self, acknowledged: u64, links: &mut Links) {
         let before = self.in_flight();
+        if acknowledged > self.acknowledged {
+            self.unanswered_since = None;
+        }
         self.acknowledged = acknowledged;
         links.change_in_flight(self.link, before, self.in_flight());
     }

@@ -244,6 +244,11 @@ impl Links {
         self.get(id)?.pacer.window_size()
     }
 
+    /// Returns whether at least half of the window of the link is in flight.
+    pub(super) fn is_half_full(&self, id: LinkId) -> bool {
+        self.get(id).is_some_and(|link| link.pacer.is_half_full())
+    }
+
     /// Returns whether `bytes` that will be acknowledged may be sent for the first time. If not, the sender
     /// is woken when they may be sent.
     pub(super) fn may_send_reliable(&mut self, id: LinkId, now: Instant, load: Load, bytes: usize) -> bool {

@@ -105,6 +105,14 @@ impl Pacer {
         }
     }
 
+    /// Returns whether at least half of the window is in flight.
+    pub fn is_half_full(&self) -> bool {
+        match self {
+            Self::Limited(Limits { window: Some(window), .. }) => window.in_flight >= window.size / 2,
+            _ => false,
+        }
+    }
+
     /// Requests `bytes` from the window, or from the bucket if there is no window.
     pub fn ask_window(&mut self, now: Instant, load: Load, bytes: usize) -> Permit {
         let Self::Limited(Limits { window: Some(window), .. }) = self else {

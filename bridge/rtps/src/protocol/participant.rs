@@ -192,8 +192,12 @@ impl Participant {
         self.note_time(now);
         let id = EntityId::user_writer(self.next_key()?);
         let data = self.announceable(id, &config)?;
-        let writer =
-            Writer::new(WriterConfig { guid: data.guid, qos: config.qos, send_window: config.send_window });
+        let writer = Writer::new(WriterConfig {
+            guid: data.guid,
+            qos: config.qos,
+            send_window: config.send_window,
+            send_window_bytes: config.send_window_bytes,
+        });
         self.locals.add_writer(data, writer);
         self.introduce(now, id);
         Ok(id)
@@ -271,6 +275,12 @@ impl Participant {
         self.locals.writers.get(&writer).is_none_or(|local| local.machine.is_acknowledged())
     }
 
+    /// Requests acknowledgements of all readers that have not acknowledged all samples.
+    pub fn ask_for_acknowledgements(&mut self, now: Now, writer: EntityId) {
+        self.note_time(now);
+        self.with_writer(now, writer, |writer, links| writer.ask_all(now, links));
+    }
+
     /// Announces the departure after everything that waits to be sent. Afterwards call only
     /// [`Participant::poll_transmit`] until it returns `None`.
     pub fn leave(&mut self, now: Now) {
@@ -344,7 +354,12 @@ impl Participant {
             let config = EndpointConfig::new("", "", qos(history));
             let guid = Guid::new(prefix, writer);
             // Announcements are never refused, however slow the other participants are.
-            let config_of_writer = WriterConfig { guid, qos: qos(history), send_window: usize::MAX };
+            let config_of_writer = WriterConfig {
+                guid,
+                qos: qos(history),
+                send_window: usize::MAX,
+                send_window_bytes: u64::MAX,
+            };
             self.locals.add_writer(self.endpoint_data(writer, &config), Writer::new(config_of_writer));
             let config_of_reader = self.reader_config(Guid::new(prefix, reader), qos(History::KeepAll));
             self.locals.add_reader(self.endpoint_data(reader, &config), Reader::new(config_of_reader));

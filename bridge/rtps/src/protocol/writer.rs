@@ -22,6 +22,9 @@ pub struct WriterConfig {
     /// The most waiting samples: unacknowledged ones if the writer keeps all, otherwise those beyond its
     /// depth that a pacer has not let through yet.
     pub send_window: usize,
+    /// The most bytes of waiting samples: a window that counts samples only would hold gigabytes of images.
+    /// One sample always fits.
+    pub send_window_bytes: u64,
 }
 
 /// Options of a sample.
@@ -57,6 +60,7 @@ pub struct Writer {
     guid: Guid,
     qos: Qos,
     send_window: usize,
+    send_window_bytes: u64,
     history: History,
     lanes: BTreeMap<LinkId, Lane>,
     /// The link of each matched reader.
@@ -78,6 +82,7 @@ impl Writer {
             guid: config.guid,
             qos: config.qos,
             send_window: config.send_window.max(1),
+            send_window_bytes: config.send_window_bytes,
             history: History::new(),
             lanes: BTreeMap::new(),
             readers: BTreeMap::new(),
@@ -144,7 +149,7 @@ impl Writer {
 
     /// Returns whether [`Writer::write`] would accept a sample.
     pub fn can_write(&self, now: Now, links: &Links) -> bool {
-        self.history.len() < self.limit() || !self.is_waited_for(self.history.first(), now.steady, links)
+        !self.is_full() || !self.is_waited_for(self.history.first(), now.steady, links)
     }
 
     /// Removes a sample from the history. Readers that lack it receive a GAP.
@@ -254,6 +259,17 @@ impl Writer {
         });
     }
 
+    /// Requests acknowledgements of all readers that lack samples.
+    pub(super) fn ask_all(&mut self, now: Now, links: &mut Links) {
+        let sending = Sending {
+            now: now.steady,
+            writer: self.guid.entity,
+            history: &self.history,
+            heartbeats: &mut self.heartbeats,
+        };
+        self.lanes.values_mut().for_each(|lane| lane.ask_all(&sending, links));
+    }
+
     /// Handles a request for fragments. Readers that are not matched are ignored.
     pub fn handle_nack_fragment(&mut self, now: Now, reader: Guid, nack: &NackFragment, links: &mut Links) {
         self.with_reader(now, reader, |lane, index, sending| {
@@ -320,6 +336,7 @@ impl Writer {
         builder: &mut MessageBuilder<'_>,
     ) -> Emitted {
         self.expire(now.steady);
+        let is_pressed = self.is_half_full();
         let Some(lane) = self.lanes.get_mut(&link) else { return Emitted::Done };
         let mut sending = Sending {
             now: now.steady,
@@ -330,7 +347,7 @@ impl Writer {
         let behind =
             |lane: &Lane| lane.readers.iter().filter(|reader| reader.is_behind(&self.history)).count();
         let before = behind(lane);
-        let emitted = lane.emit(&mut sending, links, builder);
+        let emitted = lane.emit(&mut sending, is_pressed, links, builder);
         // Samples for others need no acknowledgement.
         let acknowledged = before - behind(lane);
         let heartbeat_at = lane.heartbeat_at;
@@ -412,12 +429,26 @@ impl Writer {
         if self.keeps_all() { self.send_window } else { self.send_window.max(self.depth()) }
     }
 
+    /// Returns whether the window is full, of samples or of bytes. The depth of a history is not limited by
+    /// bytes.
+    fn is_full(&self) -> bool {
+        let kept = if self.keeps_all() { 1 } else { self.depth() };
+        let len = self.history.len();
+        len >= self.limit() || len >= kept && self.history.bytes() >= self.send_window_bytes
+    }
+
+    /// Returns whether samples that are not acknowledged take up half of the window.
+    fn is_half_full(&self) -> bool {
+        self.keeps_all()
+            && (self.history.len() >= self.limit() / 2 || self.history.bytes() >= self.send_window_bytes / 2)
+    }
+
     /// Removes old samples to make room for a new one.
     fn make_room(&mut self, now: Instant, links: &Links) -> Result<(), WindowFull> {
         let kept = self.depth().min(self.limit());
-        while self.history.len() >= kept {
+        while self.history.len() >= kept || self.is_full() {
             if self.is_waited_for(self.history.first(), now, links) {
-                return if self.history.len() >= self.limit() { Err(WindowFull) } else { Ok(()) };
+                return if self.is_full() { Err(WindowFull) } else { Ok(()) };
             }
             self.history.remove_oldest();
         }

@@ -7,8 +7,8 @@ mod state;
 
 use super::rtps::is_cdr;
 use super::{
-    Direction, Endpoint, EventHandler, Gid, MatchHandler, Middleware, MiddlewareError, Reader,
-    RemoteEndpoint, SampleHandler, WriteError, WriteOptions, Writer,
+    Direction, Endpoint, EventHandler, Gid, MatchHandler, MatchedCounter, Middleware, MiddlewareError,
+    Reader, RemoteEndpoint, SampleHandler, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::Durability;
@@ -142,6 +142,11 @@ impl Writer for InProcessWriter {
 
     fn matched(&self) -> usize {
         self.matched_readers().len()
+    }
+
+    fn matched_counter(&self) -> MatchedCounter {
+        let (hub, endpoint) = (self.hub.clone(), self.endpoint.clone());
+        Box::new(move || hub.state.lock().readers_of(&endpoint).count())
     }
 
     fn matched_readers(&self) -> Vec<Gid> {

@@ -5,10 +5,11 @@ mod qos;
 
 use super::{
     Aliveness, Direction, DiscoveryRange, Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler,
-    Middleware, MiddlewareError, ParticipantOptions, QosPolicyKind, Reader, RemoteEndpoint, Sample,
-    SampleHandler, SampleIdentity, WriteError, WriteOptions, Writer,
+    MatchedCounter, Middleware, MiddlewareError, ParticipantOptions, QosPolicyKind, Reader, RemoteEndpoint,
+    Sample, SampleHandler, SampleIdentity, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
+pub use downbeat_rtps::protocol::Counters;
 use downbeat_rtps::protocol::{self, EndpointConfig, LivelinessChange};
 use downbeat_rtps::wire::{self, EndpointData, EntityId, Guid, InlineQos, SequenceNumber};
 use downbeat_rtps::{Options, Participant, Range};
@@ -47,6 +48,12 @@ impl RtpsParticipant {
         let failed =
             |error: downbeat_rtps::JoinError| MiddlewareError::Join { domain_id, reason: error.to_string() };
         Ok(Self { participant: joined.map_err(failed)? })
+    }
+
+    /// Counts the traffic and the invalid input since the participant joined.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.participant.counters()
     }
 }
 
@@ -92,6 +99,10 @@ impl Writer for RtpsWriter {
 
     fn matched(&self) -> usize {
         self.0.matched()
+    }
+
+    fn matched_counter(&self) -> MatchedCounter {
+        Box::new(self.0.matched_counter())
     }
 
     fn matched_readers(&self) -> Vec<Gid> {
@@ -174,6 +185,7 @@ fn config(endpoint: &Endpoint) -> Result<EndpointConfig, MiddlewareError> {
         config.user_data = format!("{TYPE_HASH}{hash};").into();
     }
     config.send_window = endpoint.send_window.try_into().unwrap_or(usize::MAX);
+    config.send_window_bytes = endpoint.send_window_bytes;
     Ok(config)
 }
 

@@ -10,6 +10,17 @@ use std::time::Duration;
 /// The send window of a transient local writer, unless its history is deeper: rustdds keeps this many for
 /// late readers whatever the depth. Such topics hold values that change seldom.
 const TRANSIENT_LOCAL_WINDOW: u32 = 64;
+/// The send window of a writer of [`LARGE_SAMPLES`]: 64 MB at 1 MB a sample.
+const WINDOW_OF_LARGE_SAMPLES: u32 = 64;
+/// Types whose samples are often larger than 100 kB. rustdds counts samples, not bytes, and takes the window
+/// before the first sample is written.
+const LARGE_SAMPLES: [&str; 5] = [
+    "nav_msgs::msg::dds_::OccupancyGrid_",
+    "sensor_msgs::msg::dds_::CompressedImage_",
+    "sensor_msgs::msg::dds_::Image_",
+    "sensor_msgs::msg::dds_::PointCloud_",
+    "sensor_msgs::msg::dds_::PointCloud2_",
+];
 /// How many samples a reader that keeps all may hold before its callback has taken them.
 pub(super) const KEEP_ALL_SAMPLES: i32 = 8192;
 
@@ -52,6 +63,9 @@ pub(super) fn policies(endpoint: &Endpoint, direction: Direction) -> Result<QosP
     let max_samples = match direction {
         Direction::Out => {
             let window = match durability {
+                Durability::Volatile if LARGE_SAMPLES.contains(&endpoint.type_name.as_str()) => {
+                    endpoint.send_window.min(WINDOW_OF_LARGE_SAMPLES)
+                }
                 Durability::Volatile => endpoint.send_window,
                 Durability::TransientLocal => endpoint.send_window.min(TRANSIENT_LOCAL_WINDOW),
             };

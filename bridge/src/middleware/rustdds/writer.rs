@@ -5,7 +5,7 @@ use super::payload::{OutgoingBody, SendLittleEndian};
 use super::reader_thread::Link;
 use super::{RustddsParticipant, SharedMatches};
 use crate::middleware::{
-    Direction, Endpoint, EventHandler, Gid, MatchHandler, WriteError, WriteOptions, Writer,
+    Direction, Endpoint, EventHandler, Gid, MatchHandler, MatchedCounter, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use rustdds::dds::WriteError as DdsWriteError;
@@ -49,6 +49,11 @@ impl Writer for DdsWriter {
 
     fn matched(&self) -> usize {
         self.matched.load(Ordering::Acquire)
+    }
+
+    fn matched_counter(&self) -> MatchedCounter {
+        let matched = Arc::clone(&self.matched);
+        Box::new(move || matched.load(Ordering::Acquire))
     }
 
     fn matched_readers(&self) -> Vec<Gid> {

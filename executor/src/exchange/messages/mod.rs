@@ -10,7 +10,7 @@ use std::sync::Arc;
 use inlet::AnyInlet;
 pub use inlet::{Inlet, InletError};
 use outlet::Outlets;
-pub use outlet::{Outlet, OutletInbox};
+pub use outlet::{Outlet, OutletGate, OutletInbox};
 
 use crate::cycle::{Agenda, CoreState, DetachedModule};
 use crate::module::{

@@ -5,7 +5,7 @@ use crate::detector::Detector;
 use crate::picture::Picture;
 use crate::seen::{Exposure, Seen, SeenIntersection, SeenRobot, TeamColour};
 use crate::view::{Camera, CameraError, View};
-use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_executor::{Context, Kept, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_football::soccer_model_msgs::msg::Ball as BallEstimate;
@@ -51,7 +51,7 @@ pub struct Vision {
     camera: Option<Result<Camera, CameraError>>,
     transforms: TransformBuffer,
     /// The last picture, until the transforms at its time are known.
-    waiting: Option<(Time, Image)>,
+    waiting: Option<(Time, Kept<Image>)>,
     told: Option<String>,
     /// As `game_state` has it.
     own_colour: Option<TeamColour>,
@@ -99,11 +99,11 @@ impl Vision {
     }
 
     fn on_image(&mut self, image: Received<'_, Image>, ctx: &mut Context<'_, Ports>) {
-        // A picture that cannot be used is not copied.
+        // A picture that cannot be used is not kept.
         if let Err(problem) = Picture::of(&image) {
             return self.report(&problem.to_string(), ctx);
         }
-        self.waiting = Some((ctx.now(), image.clone()));
+        self.waiting = Some((ctx.now(), image.keep()));
         self.look(ctx);
     }
 
@@ -155,7 +155,6 @@ impl Vision {
             };
             ctx.publish(ctx.ports.annotated, annotated);
         }
-        let field = detector.field().clone();
         let state = match seen.exposure {
             Exposure::Good => "",
             Exposure::Black => "the picture is black; look for a lens cap, or raise exposure and gain",
@@ -168,7 +167,9 @@ impl Vision {
             "red" => Some(TeamColour::Red),
             _ => self.own_colour,
         };
-        publish(&seen, own, &view, &field, header, ctx);
+        if let Some(detector) = &self.detector {
+            publish(&seen, own, &view, detector.field(), header, ctx);
+        }
     }
 
     /// The camera over the floor below the base.

@@ -294,7 +294,9 @@ impl Mqtt {
                 continue;
             }
             let decoded = codec.decode(&packet.payload).map_err(|error| error.to_string());
-            match decoded.and_then(|cdr| message.decode(&cdr).map_err(|error| error.to_string())) {
+            match decoded
+                .and_then(|cdr| message.decode_shared(&cdr.into()).map_err(|error| error.to_string()))
+            {
                 Ok(decoded) => ctx.publish_any(*publication, decoded),
                 Err(error) => problems.push(format!("a message on {:?} was ignored: {error}", packet.topic)),
             }

@@ -119,6 +119,31 @@ fn undeliverable_samples_are_bounded() {
 }
 
 #[test]
+fn the_size_of_samples_bounds_the_window() {
+    for (size, most) in [(1_000, 64), (1_000_000, 64), (8_000_000, 9), (100_000_000, 1)] {
+        let mut world = World::pair(&Qos { history: History::KeepAll, ..reliable() });
+        world.settle();
+        world.cut = vec![(0, 1), (1, 0)];
+        let payload = Bytes::from(vec![0; size]);
+        let accepted = (0..100).take_while(|_| world.write(0, payload.clone()).is_ok()).count();
+        assert_eq!(accepted, most, "{size} bytes");
+        let side = &world.sides[0];
+        assert!(!side.writer.can_write(world.now, &side.links));
+    }
+}
+
+#[test]
+fn a_deep_history_of_large_samples_is_kept() {
+    let mut world = World::new(1, &latched(), true);
+    let payload = Bytes::from(vec![0; 50_000_000]);
+    for _ in 0..30 {
+        world.write(0, payload.clone()).unwrap();
+    }
+    let writer = &world.sides[0].writer;
+    assert_eq!(writer.next().0 - writer.first().0, DEPTH as i64);
+}
+
+#[test]
 fn a_sample_beyond_the_limit_is_lost_and_blocks_nothing() {
     let mut world = World::pair(&reliable());
     world.write(0, large(0, 17 << 20)).unwrap();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test may fail
 
+mod acknowledging;
 mod bounds;
 mod delivery;
 mod late_joiners;
@@ -62,6 +63,9 @@ struct World {
     /// Pairs of sides between which all datagrams are lost.
     cut: Vec<(usize, usize)>,
     sent: u64,
+    /// Received acknowledgements, and received heartbeats that request one.
+    acknowledgements: u64,
+    asking: u64,
     /// The largest delay of timers.
     lateness: Duration,
 }
@@ -111,6 +115,7 @@ impl World {
                     guid: Guid::new(prefix(side), WRITER),
                     qos: qos.clone(),
                     send_window: 64,
+                    send_window_bytes: 64 << 20,
                 }),
                 reader: Reader::new(ReaderConfig {
                     guid: Guid::new(prefix(side), READER),
@@ -134,6 +139,8 @@ impl World {
             jitter: Duration::ZERO,
             cut: Vec::new(),
             sent: 0,
+            acknowledgements: 0,
+            asking: 0,
             lateness: Duration::ZERO,
         }
     }
@@ -338,13 +345,17 @@ impl World {
                     reader.handle_fragment(now, from(data.writer), timestamp, &data, received);
                 }
                 Submessage::Heartbeat(it) => {
+                    self.asking += u64::from(!it.is_final);
                     reader.handle_heartbeat(now, from(it.writer), &it, received, links)
                 }
                 Submessage::HeartbeatFragment(it) => {
                     reader.handle_heartbeat_fragment(now, from(it.writer), &it, links);
                 }
                 Submessage::Gap(it) => reader.handle_gap(now, from(it.writer), &it, received),
-                Submessage::AckNack(it) => writer.handle_ack_nack(now, from(it.reader), &it, links),
+                Submessage::AckNack(it) => {
+                    self.acknowledgements += 1;
+                    writer.handle_ack_nack(now, from(it.reader), &it, links);
+                }
                 Submessage::NackFragment(it) => writer.handle_nack_fragment(now, from(it.reader), &it, links),
                 _ => {}
             }

@@ -142,9 +142,52 @@ impl From<&OutletInbox> for OutletInbox {
     }
 }
 
+/// Decides whether the sink of an outlet receives the messages of a cycle, before its thread is woken for
+/// them. Made from a closure that takes the number of these messages.
+///
+/// It is asked in the sync phase, on the thread of the core, so it must answer at once. If it panics, the
+/// panic is logged, and the outlet is closed.
+///
+/// ```
+/// use downbeat_executor::{Core, Inbox, ManualClock, MessageType, OutletGate, Time};
+/// use std::sync::Arc;
+/// use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+///
+/// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+/// let (is_open, taken) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
+/// let (opens, counts) = (Arc::clone(&is_open), Arc::clone(&taken));
+/// let gate = OutletGate::new(move |_messages| opens.load(Relaxed));
+/// let count = move |_: downbeat_executor::AnyReceived<'_>| drop(counts.fetch_add(1, Relaxed));
+/// core.gated_outlet_of(MessageType::of::<f64>(), "range", Inbox::KeepAll, gate, count)?.keep();
+/// let ranges = core.inlet("range")?;
+/// ranges.publish(1.25)?;
+/// (0..2).try_for_each(|_| core.cycle())?;
+/// is_open.store(true, Relaxed);
+/// ranges.publish(1.5)?;
+/// (0..2).try_for_each(|_| core.cycle())?;
+/// assert_eq!(taken.load(Relaxed), 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct OutletGate(Box<dyn Fn(u32) -> bool + Send + Sync>);
+
+impl OutletGate {
+    /// A gate that opens when `is_wanted` returns true.
+    #[must_use]
+    pub fn new(is_wanted: impl Fn(u32) -> bool + Send + Sync + 'static) -> Self {
+        Self(Box::new(is_wanted))
+    }
+}
+
+impl std::fmt::Debug for OutletGate {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("OutletGate").finish_non_exhaustive()
+    }
+}
+
 /// The state of an outlet, shared by the core, the thread and the [`Outlet`].
 pub(crate) struct OutletShared {
     topic: Arc<str>,
+    gate: Option<OutletGate>,
     /// `None` once the outlet is closed.
     sink: Mutex<Option<Box<dyn AnySink>>>,
     is_closed: AtomicBool,
@@ -161,9 +204,10 @@ thread_local! {
 }
 
 impl OutletShared {
-    fn new(topic: Arc<str>, sink: Box<dyn AnySink>) -> Self {
+    fn new(topic: Arc<str>, gate: Option<OutletGate>, sink: Box<dyn AnySink>) -> Self {
         Self {
             topic,
+            gate,
             sink: Mutex::new(Some(sink)),
             is_closed: AtomicBool::new(false),
             closes_itself: AtomicBool::new(false),
@@ -175,6 +219,23 @@ impl OutletShared {
 
     fn is_closed(&self) -> bool {
         self.is_closed.load(Ordering::Acquire)
+    }
+
+    /// Returns whether the sink is to receive this number of messages.
+    fn is_wanted(&self, messages: impl FnOnce() -> u32) -> bool {
+        let Some(OutletGate(is_wanted)) = &self.gate else { return true };
+        let answer = catch_unwind(AssertUnwindSafe(|| is_wanted(messages())));
+        answer.unwrap_or_else(|panic| {
+            self.has_failed.store(true, Ordering::Relaxed);
+            let reason = end_of(panic);
+            tracing::error!(
+                topic = &*self.topic,
+                "the gate of an outlet panicked, which closes it: {reason}"
+            );
+            // Not `close`, which waits for the sink: this is the thread of the core.
+            self.is_closed.store(true, Ordering::Release);
+            false
+        })
     }
 
     /// Closes the outlet and drops its sink. A sink that closes its own outlet is dropped when it returns.
@@ -279,6 +340,7 @@ struct NewOutlet {
     topic: String,
     message_type: MessageType,
     inbox: OutletInbox,
+    gate: Option<OutletGate>,
     sink: Box<dyn AnySink>,
 }
 
@@ -289,17 +351,18 @@ impl NewOutlet {
         sink: impl FnMut(Received<'_, T>) + Send + 'static,
     ) -> Self {
         let sink = Box::new(TypedSink { take: sink, message: PhantomData::<fn(T)> });
-        Self { topic: topic.to_owned(), message_type: MessageType::of::<T>(), inbox, sink }
+        Self { topic: topic.to_owned(), message_type: MessageType::of::<T>(), inbox, gate: None, sink }
     }
 
     fn of(
         message_type: MessageType,
         topic: &str,
         inbox: OutletInbox,
+        gate: Option<OutletGate>,
         sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
     ) -> Self {
         let sink = Box::new(AnyTypeSink { take: sink });
-        Self { topic: topic.to_owned(), message_type, inbox, sink }
+        Self { topic: topic.to_owned(), message_type, inbox, gate, sink }
     }
 
     fn open(self, phase: &mut SyncPhase<'_>) -> Result<Outlet, SetupError> {
@@ -311,7 +374,7 @@ impl NewOutlet {
             return Err(SetupError::Stopped(format!("outlet of {}", self.topic)));
         };
         topics.add_user(topic);
-        let shared = Arc::new(OutletShared::new(Arc::clone(topics.name(topic)), self.sink));
+        let shared = Arc::new(OutletShared::new(Arc::clone(topics.name(topic)), self.gate, self.sink));
         let opened = match has_stopped {
             true => Err(SetupError::Stopped(format!("outlet of {}", shared.topic))),
             false => outlets.open(topics, topic, &self.inbox, &shared, has_thread),
@@ -357,7 +420,22 @@ impl Core {
         inbox: impl Into<OutletInbox>,
         sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
     ) -> Result<Outlet, SetupError> {
-        NewOutlet::of(message_type, topic, inbox.into(), sink).open(&mut self.between_cycles())
+        NewOutlet::of(message_type, topic, inbox.into(), None, sink).open(&mut self.between_cycles())
+    }
+
+    /// As [`outlet_of`](Self::outlet_of), with a gate.
+    ///
+    /// # Errors
+    /// As for [`outlet`](Self::outlet).
+    pub fn gated_outlet_of(
+        &mut self,
+        message_type: MessageType,
+        topic: &str,
+        inbox: impl Into<OutletInbox>,
+        gate: OutletGate,
+        sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
+    ) -> Result<Outlet, SetupError> {
+        NewOutlet::of(message_type, topic, inbox.into(), Some(gate), sink).open(&mut self.between_cycles())
     }
 }
 
@@ -384,7 +462,21 @@ impl CoreHandle {
         inbox: impl Into<OutletInbox>,
         sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
     ) -> Receipt<Result<Outlet, SetupError>> {
-        let outlet = NewOutlet::of(message_type, topic, inbox.into(), sink);
+        let outlet = NewOutlet::of(message_type, topic, inbox.into(), None, sink);
+        self.ask(move |phase| outlet.open(phase))
+    }
+
+    /// As [`outlet_of`](Self::outlet_of), with a gate.
+    #[must_use = "the answer is in the receipt"]
+    pub fn gated_outlet_of(
+        &self,
+        message_type: MessageType,
+        topic: &str,
+        inbox: impl Into<OutletInbox>,
+        gate: OutletGate,
+        sink: impl FnMut(AnyReceived<'_>) + Send + 'static,
+    ) -> Receipt<Result<Outlet, SetupError>> {
+        let outlet = NewOutlet::of(message_type, topic, inbox.into(), Some(gate), sink);
         self.ask(move |phase| outlet.open(phase))
     }
 }

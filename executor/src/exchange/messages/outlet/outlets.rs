@@ -102,14 +102,15 @@ impl Outlets {
         });
     }
 
-    /// Queues the topic's batch for the next [`dispatch`](Self::dispatch).
+    /// Queues the topic's batch for the next [`dispatch`](Self::dispatch), if the gate of the outlet is open.
     #[inline(never)]
     pub(crate) fn deliver(&mut self, topics: &Topics, slot: usize) {
         let Some(port) = self.ports.get(slot).and_then(Option::as_ref) else { return };
+        if port.shared.is_closed() || !port.shared.is_wanted(|| topics.messages(port.topic)) {
+            return;
+        }
         let inbox = self.inboxes.iter_mut().find(|inbox| Arc::ptr_eq(&inbox.identity, &port.identity));
-        if let Some(inbox) = inbox
-            && !port.shared.is_closed()
-        {
+        if let Some(inbox) = inbox {
             let (batch, messages) = topics.share(port.topic);
             let delivery = Delivery { batch, messages, missed: 0 };
             let outlet = Arc::clone(&port.shared);
