@@ -10,14 +10,7 @@ use std::time::Instant;
 
 use common::new_user::NewUser;
 use common::{Running, downbeat, text_of};
-
-fn has_compiler() -> bool {
-    let found = ["cc", "c++"].iter().all(|name| Command::new(name).arg("--version").output().is_ok());
-    if !found {
-        eprintln!("skipped: this machine has no cc and c++");
-    }
-    found
-}
+use test_machine::has_compilers;
 
 const PAGE: &str = include_str!("../docs/libraries.md");
 
@@ -40,7 +33,7 @@ fn shell(user: &mut NewUser, folder: &Path, line: &str) {
 
 #[test]
 fn the_page_leads_to_a_module_on_the_network() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -74,7 +67,7 @@ fn the_page_leads_to_a_module_on_the_network() {
 
 #[test]
 fn the_module_in_c_of_the_page_is_a_module() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -101,7 +94,7 @@ fn the_module_in_c_of_the_page_is_a_module() {
 
 #[test]
 fn the_action_in_c_of_the_page_is_an_action() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -156,7 +149,7 @@ DOWNBEAT_MODULE(Sums)
 
 #[test]
 fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

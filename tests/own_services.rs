@@ -9,14 +9,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use common::{Running, downbeat};
-
-fn has_compiler() -> bool {
-    let found = ["cc", "c++"].iter().all(|name| Command::new(name).arg("--version").output().is_ok());
-    if !found {
-        eprintln!("skipped: this machine has no cc and c++");
-    }
-    found
-}
+use test_machine::has_compilers;
 
 fn shell(folder: &Path, command: &str) {
     let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
@@ -152,7 +145,7 @@ topics = "all"
 
 /// A folder with the package `lab_msgs`, and the libraries in C++ and C that use it.
 fn site() -> Option<tempfile::TempDir> {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return None;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -242,11 +235,7 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
 
 #[test]
 fn foxglove_and_the_page_call_what_only_a_library_knows() {
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        return eprintln!(
-            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)"
-        );
-    };
+    let Some(modules) = test_machine::node_modules() else { return };
     let Some(folder) = site() else { return };
     let folder = folder.path();
     let mut robot =
@@ -622,7 +611,7 @@ fn serve_and_use_an_action(
     compiler: &str,
     sources: [&str; 2],
 ) -> Option<Vec<f64>> {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return None;
     }
     let folder = tempfile::tempdir().unwrap();

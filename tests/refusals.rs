@@ -12,6 +12,7 @@ use std::process::{Command, Output};
 use common::rclpy::Peer;
 use common::{Running, downbeat};
 use serde_json::{Value, json};
+use test_machine::has_compilers;
 
 const CPP: &str = r#"
 #include "downbeat.hpp"
@@ -137,9 +138,8 @@ fn text(output: &Output) -> String {
 
 /// Compiles a library in a language.
 fn compiled(folder: &Path, language: &str, source: &str) -> bool {
-    let compiler = if language == "c" { "cc -std=c11" } else { "c++ -std=c++17" };
-    if Command::new(compiler.split(' ').next().unwrap()).arg("--version").output().is_err() {
-        eprintln!("skipped: this machine has no compiler");
+    let (compiler, standard) = if language == "c" { ("cc", "c11") } else { ("c++", "c++17") };
+    if !has_compilers(&[compiler]) {
         return false;
     }
     std::fs::write(folder.join(format!("unreliable.{language}")), source).unwrap();
@@ -147,7 +147,7 @@ fn compiled(folder: &Path, language: &str, source: &str) -> bool {
         shell(folder, &format!("downbeat interface generate --lang {language} {interface}"));
     }
     let flags = "-Wall -Wextra -Wpedantic -Werror -O1 -shared -fPIC -Iinclude";
-    shell(folder, &format!("{compiler} {flags} unreliable.{language} -o libunreliable.so"));
+    shell(folder, &format!("{compiler} -std={standard} {flags} unreliable.{language} -o libunreliable.so"));
     true
 }
 

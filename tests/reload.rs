@@ -15,6 +15,7 @@ use common::{Running, downbeat, recorded_messages, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::ModuleEvent;
+use test_machine::has_compilers;
 
 /// Publishes sums whose rounding differs between versions, and throws an exception at a given step.
 const SUMS: &str = r#"
@@ -41,14 +42,6 @@ class Sums : public downbeat::Module {
 };
 DOWNBEAT_MODULE(Sums)
 "#;
-
-fn has_compiler() -> bool {
-    let found = Command::new("c++").arg("--version").output().is_ok();
-    if !found {
-        eprintln!("skipped: this machine has no c++");
-    }
-    found
-}
 
 /// A folder with a robot file and its modules.
 struct Site {
@@ -155,7 +148,7 @@ const LIBRARY: &str =
 
 #[test]
 fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay() {
-    if !has_compiler() {
+    if !has_compilers(&["c++"]) {
         return;
     }
     for keys in ["", "isolate = true\n", "synchrony = \"detached\"\n"] {
@@ -210,7 +203,7 @@ const CHART: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:down
 
 #[test]
 fn lines_of_libraries_have_their_place_in_the_source() {
-    if !has_compiler() {
+    if !has_compilers(&["c++"]) {
         return;
     }
     let number = SUMS.lines().position(|line| line.contains("is set up")).unwrap() + 1;
@@ -276,7 +269,7 @@ DOWNBEAT_MODULE(Late)
 
 #[test]
 fn what_a_module_brings_that_joins_late_is_exposed_recorded_and_replayed() {
-    if !has_compiler() {
+    if !has_compilers(&["c++"]) {
         return;
     }
     for (keys, domain) in [("", "136"), ("synchrony = \"detached\"\n", "137")] {
@@ -409,7 +402,7 @@ impl Page {
 
 #[test]
 fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
-    if !has_compiler() {
+    if !has_compilers(&["c++"]) {
         return;
     }
     let site = Site::new(
@@ -475,7 +468,7 @@ fn rust_library() -> PathBuf {
 
 #[test]
 fn a_library_in_rust_that_panicked_starts_again_when_it_is_saved() {
-    if !has_compiler() {
+    if !has_compilers(&["c++"]) {
         return;
     }
     let site = Site::new(&format!(

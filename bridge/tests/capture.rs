@@ -28,7 +28,7 @@ fn record(file: &Path) -> Option<Child> {
     let mut command = Command::new("dumpcap");
     command.args(["-q", "-i", "lo", "-B", "64", "-f", &filter, "-w"]).arg(file).stderr(Stdio::piped());
     let Ok(mut recording) = command.spawn() else {
-        eprintln!("skipped: there is no dumpcap, Debian's package tshark has it");
+        test_machine::missing("dumpcap", "Debian: the package tshark");
         return None;
     };
     let mut line = String::new();
@@ -41,7 +41,7 @@ fn record(file: &Path) -> Option<Child> {
         }
     }
     recording.wait().unwrap();
-    eprintln!("skipped: dumpcap may not record: {line}");
+    test_machine::skipped(&format!("this user may not record with dumpcap: {line}"));
     None
 }
 

@@ -141,7 +141,7 @@ fn ddsperf(domain_id: u16, more: &[&str], topic: &str, qos: QosProfile) {
     command.args(more).args(["pub", "100Hz", "sub"]).env("CYCLONEDDS_URI", CYCLONE_ON_LOOPBACK);
     let spawned = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
     let Ok(ddsperf) = spawned else {
-        eprintln!("skipped: there is no ddsperf, Debian's package cyclonedds-tools has it");
+        test_machine::missing("ddsperf", "Debian: the package cyclonedds-tools");
         return;
     };
     let participant = RtpsParticipant::new(&on_loopback(domain_id)).unwrap();

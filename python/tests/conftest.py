@@ -49,7 +49,45 @@ def new_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fi
     return home
 
 
-def pytest_sessionfinish() -> None:
+#: Why a test is skipped although every tool is installed; such a skip does not fail a strict run.
+CANNOT_BE_HAD = "the packages of rclpy on PyPI lack this interface"
+
+#: The tests that are skipped, by reason.
+_skipped: dict[str, list[str]] = {}
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    _note_skip(report)
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    _note_skip(report)
+
+
+def _note_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+    if report.skipped and isinstance(report.longrepr, tuple):
+        reason = report.longrepr[2].removeprefix("Skipped: ")
+        _skipped.setdefault(reason, []).append(report.nodeid)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Prints each reason for skipped tests, and appends them to the list of ``cargo xtask test``."""
+    lines = []
+    for reason, tests in sorted(_skipped.items()):
+        file = tests[0].partition("::")[0]
+        which = f"{len(tests)} tests of {file}" if reason == CANNOT_BE_HAD else ", ".join(tests)
+        terminalreporter.write_line(f"skipped: {reason}: {which}")
+        lines += [f"{reason}\tpytest {test}\n" for test in ([which] if reason == CANNOT_BE_HAD else tests)]
+    if named := os.environ.get("DOWNBEAT_SKIPS"):
+        with Path(named).open("a") as file_of_skips:
+            file_of_skips.writelines(lines)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    lacking = _skipped.keys() - {CANNOT_BE_HAD}
+    if lacking and os.environ.get("DOWNBEAT_STRICT", "") not in ("", "0"):
+        print(f"\nfails because DOWNBEAT_STRICT is set: {'; '.join(sorted(lacking))}", file=sys.stderr)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
     if _steps and _STEPS.parent.exists():
         _STEPS.mkdir(exist_ok=True)
         lines = [f"{seconds:>7.1f} s  {page}: {command}\n" for seconds, page, command in _steps]

@@ -6,6 +6,7 @@ mod matrix;
 mod node;
 mod physics;
 mod python;
+mod skips;
 mod steps;
 mod test;
 mod tidy;
@@ -30,6 +31,9 @@ enum Command {
     Test,
     /// The rules of the layout: what may use what, links, the code map. Part of the test run.
     Tidy,
+    /// The tests that the latest run skipped, and what the machine lacks for them. Such a test passes, except
+    /// with DOWNBEAT_STRICT=1.
+    Skips,
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
@@ -70,10 +74,13 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Tidy => tidy::tidy(),
+        Command::Skips => skips::print_latest(),
         Command::Wire => wire::wire(),
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),
-        Command::Wheel { test: true, .. } => wheel::test(),
+        Command::Wheel { test: true, .. } => {
+            skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))
+        }
         Command::Wheel { test: false, features } => {
             wheel::build(&features).map(|path| println!("{}", path.display()))
         }

@@ -187,14 +187,15 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("fuzzing", &[]),
     ("own_device", &["downbeat", "downbeat-msgs"]),
     ("own_message", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
-    ("python-peer", &[]),
+    ("python-peer", &["test-machine"]),
     ("readme-runner", &[]),
     ("service_and_action", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
     ("shared-build", &["downbeat-msgs"]),
     ("swarm", &["downbeat"]),
+    ("test-machine", &[]),
     ("two_modules", &["downbeat"]),
     ("user-msgs", &["downbeat-msgs", "downbeat-msgs-generator"]),
-    ("xtask", &["downbeat-start"]),
+    ("xtask", &["downbeat-start", "test-machine"]),
 ];
 
 /// The folders of `executor/src` from top to bottom; each uses only those below it.
