@@ -57,7 +57,7 @@ impl User {
             .replace("../my_robot", &self.path("my_robot"));
         let mut shell = Command::new("sh");
         shell.args(["-c", &typed]).current_dir(&self.folder).stdin(Stdio::null());
-        self.user.settle(&mut shell, "195");
+        self.user.settle(&mut shell);
         shell.env("CARGO_TARGET_DIR", &self.target).env("CARGO_BUILD_BUILD_DIR", &self.build);
         let [own, of_tests] = [&self.target, &self.build].map(|folder| folder.join("debug"));
         let path = format!("{}:{}:{}", own.display(), of_tests.display(), std::env::var("PATH").unwrap());

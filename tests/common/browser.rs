@@ -21,11 +21,12 @@ pub fn script(name: &str) -> Option<Command> {
     };
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bridge/view/tests/page");
     let mut command = Command::new("node");
-    let variables: [(&str, OsString); 4] = [
+    let variables: [(&str, OsString); 5] = [
         ("DOWNBEAT", env!("CARGO_BIN_EXE_downbeat").into()),
         ("DOWNBEAT_CHROMIUM", chromium.into()),
         ("DOWNBEAT_NODE_MODULES", modules),
         ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST".into()),
+        ("ROS_DOMAIN_ID", super::own_domain().to_string().into()),
     ];
     command.arg(folder.join(name)).envs(variables).stdin(Stdio::null());
     Some(command)
