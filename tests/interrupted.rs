@@ -122,6 +122,14 @@ fn written_by(process: u32) -> u64 {
     written.unwrap().parse().unwrap()
 }
 
+/// The time that a program has computed, in hundredths of a second.
+fn processor_time(program: &Program) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{}/stat", program.child.id())).unwrap();
+    // Field 14; the second one is the name, in parentheses.
+    let after_name = status.rsplit(')').next().unwrap();
+    after_name.split_whitespace().nth(11).unwrap().parse().unwrap()
+}
+
 fn assert_all_are_there_or_counted(output: &str, context: &str) {
     let (mut next, mut is_gap, mut gaps) = (1, false, 0);
     for line in output.lines() {
@@ -252,7 +260,8 @@ fn a_chart_that_computes_for_long_is_interrupted_by_a_stop() {
     let mut program = Program::start(command(&["run", &file], free_domain(), folder.path()));
     // The chart computes nearly all the time: each event takes up to its time limit.
     program.wait_for_output("takes longer than 500ms");
-    std::thread::sleep(Duration::from_millis(100));
+    let before = processor_time(&program);
+    wait_until("the chart computes the next event", || processor_time(&program) > before + 5);
     program.signal(Signal::INT);
     assert_eq!(program.wait().code(), Some(0), "{}", program.output());
     assert!(program.output().contains("interrupted, since the robot stops"), "{}", program.output());

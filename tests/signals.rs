@@ -562,8 +562,8 @@ fn small_terminals_are_drawn_on_and_restored() {
             is_there
         });
         let mut top = top.unwrap();
-        // Wait for several redraws.
-        std::thread::sleep(Duration::from_millis(700));
+        // The cursor is hidden after each drawing.
+        wait_until("top has drawn several times", || top.output().matches("\u{1b}[?25l").count() > 3);
         top.signal(signal);
         assert_eq!(top.wait().code(), Some(0), "{size:?}: {}", top.output());
         assert!(top.output().contains("\u{1b}[?1049l"), "{size:?}: {:?}", top.output());
