@@ -20,6 +20,7 @@ use downbeat::msgs::rosbag2_interfaces::srv::{
 };
 use downbeat::msgs::{Message, Service, cdr, std_msgs};
 use serde_json::json;
+use test_machine::free_domain;
 
 const START: i64 = 1_700_000_000;
 
@@ -77,18 +78,27 @@ fn call<S: Service>(node: &Node, name: &str, request: &S::Request) -> S::Respons
 
 #[test]
 fn services_pause_step_seek_and_stop_a_player() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 10);
-    let Some(mut peer) = Peer::start(205, "LOCALHOST") else { return };
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let qos = json!({"depth": 100});
     peer.ask(json!({"do": "subscribe", "topic": "/renamed", "type": "std_msgs/msg/String", "qos": qos}));
     let clock = json!({"depth": 1, "reliability": "best_effort"});
     peer.ask(json!({"do": "subscribe", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "qos": clock}));
-    let arguments =
-        ["--remap", "/chatter:=/renamed", "--clock", "100", "--exclude-topics", "/map", "--domain", "205"];
+    let arguments = [
+        "--remap",
+        "/chatter:=/renamed",
+        "--clock",
+        "100",
+        "--exclude-topics",
+        "/map",
+        "--domain",
+        &domain.to_string(),
+    ];
     let mut player =
         Running::start(&[&["bag", "play", text(&bag), "--start-paused"], &arguments[..]].concat());
-    let node = node(205);
+    let node = node(domain);
     assert!(call::<IsPaused>(&node, "is_paused", &IsPausedRequest::default()).paused);
     assert!(call::<PlayNext>(&node, "play_next", &PlayNextRequest::default()).success);
     assert_eq!(texts(&peer.take("/renamed", 1)), numbers(0..1));
@@ -112,19 +122,30 @@ fn services_pause_step_seek_and_stop_a_player() {
 
 #[test]
 fn a_player_prints_what_it_waits_for() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 1);
-    let printed = text_of(&["bag", "play", text(&bag), "--domain", "229"]);
+    let printed = text_of(&["bag", "play", text(&bag), "--domain", &domain.to_string()]);
     assert!(printed.contains("waiting up to 3 s for subscribers of /map, /chatter"), "{printed}");
 }
 
 #[test]
 fn topics_are_played_by_type_and_expression_with_other_qos_and_a_clock() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 3);
     let overrides = folder.path().join("qos.yaml");
     std::fs::write(&overrides, "/chatter: {reliability: best_effort, depth: 10}\n").unwrap();
-    let play = ["bag", "play", text(&bag), "-r", "100", "--domain", "63", "--disable-keyboard-controls"];
+    let play = [
+        "bag",
+        "play",
+        text(&bag),
+        "-r",
+        "100",
+        "--domain",
+        &domain.to_string(),
+        "--disable-keyboard-controls",
+    ];
     let by_type = [
         "--topic-types",
         "std_msgs/msg/String",
@@ -144,6 +165,7 @@ fn topics_are_played_by_type_and_expression_with_other_qos_and_a_clock() {
 
 #[test]
 fn a_bag_with_too_many_topics_for_a_process_is_refused_immediately() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("wide");
     let mut writer = WriterOptions::new().create(&bag).unwrap();
@@ -151,20 +173,21 @@ fn a_bag_with_too_many_topics_for_a_process_is_refused_immediately() {
         writer.add_topic(info(&format!("/topic_{number}"), QosProfile::DEFAULT)).unwrap();
     }
     writer.finish().unwrap();
-    let output = output_of(&["bag", "play", text(&bag), "--domain", "229"]);
+    let output = output_of(&["bag", "play", text(&bag), "--domain", &domain]);
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(!output.status.success() && error.contains("the bag has 5000 topics"), "{error}");
-    let some = text_of(&["bag", "play", text(&bag), "--domain", "229", "--topics", "/topic_1"]);
+    let some = text_of(&["bag", "play", text(&bag), "--domain", &domain, "--topics", "/topic_1"]);
     assert!(some.contains("played 0 messages"), "{some}");
 }
 
 #[test]
 fn a_service_plays_a_part_of_a_bag() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 10);
-    let options = ["--start-paused", "-r", "100", "--no-latched", "--domain", "209"];
+    let options = ["--start-paused", "-r", "100", "--no-latched", "--domain", &domain.to_string()];
     let mut player = Running::start(&[&["bag", "play", text(&bag)], &options[..]].concat());
-    let node = node(209);
+    let node = node(domain);
     let seconds = |seconds: i64| Time::from_nanos(seconds * 1_000_000_000);
     let part = PlayRequest {
         start_offset: seconds(2),
@@ -178,10 +201,12 @@ fn a_service_plays_a_part_of_a_bag() {
 
 #[test]
 fn a_player_that_repeats_is_stopped_by_a_service() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 3);
-    let mut player = Running::start(&["bag", "play", text(&bag), "--loop", "-r", "100", "--domain", "206"]);
-    let node = node(206);
+    let mut player =
+        Running::start(&["bag", "play", text(&bag), "--loop", "-r", "100", "--domain", &domain.to_string()]);
+    let node = node(domain);
     call::<Pause>(&node, "pause", &PauseRequest::default());
     assert!(call::<IsPaused>(&node, "is_paused", &IsPausedRequest::default()).paused);
     let playing = |part: PlayRequest| call::<Play>(&node, "play", &part).success;
@@ -194,20 +219,22 @@ fn a_player_that_repeats_is_stopped_by_a_service() {
 
 #[test]
 fn recorded_requests_are_sent_to_a_server_again() {
-    let Some(mut peer) = Peer::start(208, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Bags", "`bag play --publish-service-requests`", With::Rclpy, Way::Out);
     let service = "/reference/set_torque";
     peer.ask(json!({"do": "serve", "service": service, "type": "std_srvs/srv/SetBool"}));
     // A bag of the real recorder, which did not store the definition of the type.
     let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/tests/data/jazzy_mcap");
     let play = ["bag", "play", bag, "--publish-service-requests", "--services", service, "-r", "10"];
-    let played = text_of(&[&play[..], &["--domain", "208"]].concat());
+    let played = text_of(&[&play[..], &["--domain", &domain.to_string()]].concat());
     assert!(played.contains("played 17 messages; 0 were refused"), "{played}");
     let sent: Vec<_> = (0..17).map(|n| json!({"data": n % 2 == 0})).collect();
     assert_eq!(peer.ask(json!({"do": "requests_to", "service": service})), json!(sent));
     // No client published events of its requests.
     let played = text_of(
-        &[&play[..], &["--service-requests-source", "client_introspection", "--domain", "208"]].concat(),
+        &[&play[..], &["--service-requests-source", "client_introspection", "--domain", &domain.to_string()]]
+            .concat(),
     );
     assert!(played.contains("played 0 messages; 0 were refused"), "{played}");
     peer.leave();
@@ -215,24 +242,28 @@ fn recorded_requests_are_sent_to_a_server_again() {
 
 #[test]
 fn messages_latched_before_the_start_are_played_and_the_end_is_respected() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = bag(folder.path(), 10);
-    let options = ["-r", "100", "--start-offset", "4", "--playback-duration", "2.5", "--domain", "207"];
+    let options =
+        ["-r", "100", "--start-offset", "4", "--playback-duration", "2.5", "--domain", &domain.to_string()];
     let played = text_of(&[&["bag", "play", text(&bag)], &options[..]].concat());
     assert!(played.contains("played 4 messages"), "the map, and 4 to 6: {played}");
     let played = text_of(&[&["bag", "play", text(&bag), "--no-latched"], &options[..]].concat());
     assert!(played.contains("played 3 messages"), "{played}");
-    let until = ["-r", "100", "--playback-until-sec", "1700000001", "-e", "/chat.*", "--domain", "207"];
+    let until =
+        ["-r", "100", "--playback-until-sec", "1700000001", "-e", "/chat.*", "--domain", &domain.to_string()];
     let played = text_of(&[&["bag", "play", text(&bag)], &until[..]].concat());
     assert!(played.contains("played 2 messages"), "{played}");
 }
 
 #[test]
 fn messages_of_types_in_idl_are_played_and_topics_that_cannot_be_are_an_error() {
+    let domain = free_domain().to_string();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/bags");
     let played = |bag: &str, arguments: &[&str]| {
         let bag = folder.join(bag);
-        let always = ["bag", "play", text(&bag), "--domain", "213", "--disable-keyboard-controls"];
+        let always = ["bag", "play", text(&bag), "--domain", &domain, "--disable-keyboard-controls"];
         let output = output_of(&[&always, arguments].concat());
         let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
         (output.status.success(), said)

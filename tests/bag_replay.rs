@@ -19,6 +19,7 @@ use downbeat::msgs::rcl_interfaces::msg::Parameter;
 use downbeat::msgs::rcl_interfaces::srv::{SetParameters, SetParametersRequest};
 use downbeat::msgs::sensor_msgs::msg::Imu;
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -203,11 +204,13 @@ fn a_killed_recording_replays_up_to_its_end() {
 
 #[test]
 fn settings_changed_while_the_robot_ran_change_again() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (robot_file(folder.path(), |text| text), folder.path().join("bag"));
-    let mut running = Running::start(&["run", text(&robot), "--domain", "214", "--record", text(&bag)]);
+    let mut running =
+        Running::start(&["run", text(&robot), "--domain", &domain.to_string(), "--record", text(&bag)]);
     let options =
-        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(214) };
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain) };
     let node =
         Participant::join(&options).unwrap().create_node(NodeName::new("/", "tuner").unwrap()).unwrap();
     let set = node.client::<SetParameters>("/darwin_op/set_parameters", QosProfile::SERVICES).unwrap();

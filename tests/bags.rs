@@ -11,6 +11,7 @@ use common::rclpy::Peer;
 use common::{QUIET_ROBOT, Running, python, record_until, robot_file, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use serde_json::json;
+use test_machine::free_domain;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -89,11 +90,12 @@ fn a_bag_played_into_a_robot_gives_the_same_result_each_time() {
 
 #[test]
 fn a_robot_recorded_from_the_network_has_the_bytes_that_it_recorded_itself() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let (robot, own) = (robot_file(folder.path(), |text| text), folder.path().join("own"));
     let heard = folder.path().join("heard");
-    let mut running = Running::start(&["run", text(&robot), "--domain", "72", "--record", text(&own)]);
-    let record = ["bag", "record", "/joint_states", "--output", text(&heard), "--domain", "72"];
+    let mut running = Running::start(&["run", text(&robot), "--domain", &domain, "--record", text(&own)]);
+    let record = ["bag", "record", "/joint_states", "--output", text(&heard), "--domain", &domain];
     let mut recorder = Running::start(&record);
     wait_until("joint states are in the file", || {
         heard.join("heard_0.mcap").exists()
@@ -139,13 +141,22 @@ fn a_bag_is_not_played_over_what_the_robot_publishes_or_into_a_device() {
 
 #[test]
 fn messages_of_rclpy_are_recorded_and_played_messages_reach_rclpy() {
-    let Some(mut peer) = Peer::start(70, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("chatter");
     let qos = json!({"depth": 100, "durability": "transient_local"});
     peer.ask(json!({"do": "advertise", "topic": "/chatter", "type": "std_msgs/msg/String", "qos": qos}));
-    let mut recorder =
-        Running::start(&["bag", "record", "/chatter", "/silent", "--output", text(&bag), "--domain", "70"]);
+    let mut recorder = Running::start(&[
+        "bag",
+        "record",
+        "/chatter",
+        "/silent",
+        "--output",
+        text(&bag),
+        "--domain",
+        &domain.to_string(),
+    ]);
     wait_until("the recorder is matched", || peer.ask(json!({"do": "matched", "topic": "/chatter"})) == 1);
     for number in 0..20 {
         peer.ask(
@@ -161,9 +172,10 @@ fn messages_of_rclpy_are_recorded_and_played_messages_reach_rclpy() {
     assert!(recorder.output().contains("nothing is recorded on /silent"), "{}", recorder.output());
     peer.leave();
 
-    let Some(mut listener) = Peer::start(71, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut listener) = Peer::start(domain, "LOCALHOST") else { return };
     listener.ask(json!({"do": "subscribe", "topic": "/chatter", "type": "std_msgs/msg/String", "qos": qos}));
-    text_of(&["bag", "play", text(&bag), "--domain", "71"]);
+    text_of(&["bag", "play", text(&bag), "--domain", &domain.to_string()]);
     let received = listener.take("/chatter", 20);
     let texts: Vec<_> = received.iter().map(|message| message["fields"]["data"].as_str().unwrap()).collect();
     assert_eq!(texts, (0..20).map(|number| format!("number {number}")).collect::<Vec<_>>());

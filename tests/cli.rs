@@ -9,6 +9,7 @@ use common::{Running, downbeat, output_of, python, record_until, robot_file, tex
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::BusExchange;
+use test_machine::free_domain;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -160,10 +161,11 @@ fn every_command_has_help() {
 
 #[test]
 fn a_run_with_a_duration_ends_and_an_existing_bag_is_not_changed() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let on_two_threads = |text: String| text.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
     let (robot, bag) = (robot_file(folder.path(), on_two_threads), folder.path().join("bag"));
-    let arguments = ["run", text(&robot), "--domain", "80", "--duration", "1s", "--record", text(&bag)];
+    let arguments = ["run", text(&robot), "--domain", &domain, "--duration", "1s", "--record", text(&bag)];
     let output = text_of(&arguments);
     assert!(output.contains("exposed to ROS 2: /joint_states") && output.contains("lost 0"), "{output}");
     let before = std::fs::read(bag.join("bag_0.mcap")).unwrap();
@@ -175,6 +177,7 @@ fn a_run_with_a_duration_ends_and_an_existing_bag_is_not_changed() {
 
 #[test]
 fn a_robot_runs_with_all_options_for_its_modules() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let ways = |text: String| {
         let module =
@@ -186,7 +189,7 @@ fn a_robot_runs_with_all_options_for_its_modules() {
     };
     let (robot, bag) = (robot_file(folder.path(), ways), folder.path().join("bag"));
     assert!(text_of(&["check", text(&robot)]).contains("each module on its own thread"));
-    let arguments = ["run", text(&robot), "--domain", "83", "--record", text(&bag)];
+    let arguments = ["run", text(&robot), "--domain", &domain, "--record", text(&bag)];
     let output = record_until(&arguments, &bag, "/joint_states", 100);
     assert!(output.contains("lost 0"), "{output}");
 }
@@ -252,6 +255,7 @@ fn a_real_ros_node_reads_the_parameters_that_check_writes() {
 
 #[test]
 fn a_separate_emulated_robot_is_driven_over_its_port_and_its_faults_are_reported() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let port = folder.path().join("serial");
     let faults = ["--fault", "dead-servo:5@2s..3s", "--fault", "close-port@7s..7.2s"];
@@ -264,7 +268,7 @@ fn a_separate_emulated_robot_is_driven_over_its_port_and_its_faults_are_reported
     let file = std::fs::read_to_string(serial).unwrap().replace("/dev/ttyUSB0", text(&port));
     std::fs::write(&robot, file).unwrap();
     let bag = folder.path().join("bag");
-    let mut running = Running::start(&["run", text(&robot), "--domain", "81", "--record", text(&bag)]);
+    let mut running = Running::start(&["run", text(&robot), "--domain", &domain, "--record", text(&bag)]);
     running.wait_for_output("servo 5 (r_el) does not answer");
     running.wait_for_output("servo 5 (r_el) is back");
     running.wait_for_output("lost the serial port");

@@ -19,6 +19,7 @@ use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
 use downbeat::msgs::unique_identifier_msgs::msg::UUID;
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 const ROBOT: &str = r#"
 [robot]
@@ -51,6 +52,7 @@ fn block(language: &str, text: &str) -> &'static str {
 
 #[test]
 fn controllers_are_switched_and_chained_as_the_page_says() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let hardware = "[robot]\nname = \"head\"\n[[module]]\nkind = \"darwin_op_emulator\"\n\
@@ -63,7 +65,7 @@ fn controllers_are_switched_and_chained_as_the_page_says() {
         let mut words: Vec<&str> = parts.next().unwrap().split_whitespace().collect();
         words.extend(parts.next());
         let mut command = common::downbeat(&words);
-        command.current_dir(folder).env("ROS_DOMAIN_ID", "179").env("XDG_RUNTIME_DIR", folder);
+        command.current_dir(folder).env("ROS_DOMAIN_ID", &domain).env("XDG_RUNTIME_DIR", folder);
         command
     };
     let mut robot = Running::start_by(&mut command("run robot.toml"));
@@ -100,14 +102,15 @@ fn controllers_are_switched_and_chained_as_the_page_says() {
 
 #[test]
 fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
-    let Some(mut rclpy) = Peer::start(230, "LOCALHOST") else { return };
-    let Some(mut cyclone) = Peer::cyclonedds(230) else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", "a joint trajectory for a controller of ours", With::Rclpy, Way::In);
     let _check2 = check("Topics", "the state of a joint trajectory controller", With::Cyclone, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let (robot, link) = (folder.path().join("head.toml"), folder.path().join("head"));
     std::fs::write(&robot, ROBOT.replace("LINK", link.to_str().unwrap())).unwrap();
-    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", "230"]);
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
 
     let state = "/head_controller/controller_state";
     cyclone.ask(
@@ -139,7 +142,7 @@ fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
     assert!((reference - 0.5).abs() < 0.05, "{reference}");
 
     let options =
-        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(230) };
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain) };
     let participant = Participant::join(&options).unwrap();
     let node = participant.create_node(NodeName::new("/", "client").unwrap()).unwrap();
     let part = |name: &str| format!("/head_controller/follow_joint_trajectory/_action/{name}");

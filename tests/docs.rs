@@ -334,8 +334,6 @@ struct Place {
     user: NewUser,
 }
 
-const DOMAIN: &str = "118";
-
 impl Place {
     fn new() -> Self {
         let temporary = tempfile::tempdir().unwrap();
@@ -355,7 +353,7 @@ impl Place {
 
     fn command(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
-        self.user.settle(command.current_dir(&self.folder), DOMAIN);
+        self.user.settle(command.current_dir(&self.folder));
         command
     }
 
@@ -418,7 +416,7 @@ impl Place {
             shell = Command::new("sh");
             shell.args(["-c", rewritten]);
         }
-        self.user.settle(shell.current_dir(&self.folder).stdin(Stdio::null()), DOMAIN);
+        self.user.settle(shell.current_dir(&self.folder).stdin(Stdio::null()));
         let ends = |word: &&&str| ["--duration", "--once", "-1", "--into"].contains(*word);
         let is_endless =
             ENDLESS.iter().any(|begin| words.starts_with(begin)) && words.iter().find(ends).is_none();

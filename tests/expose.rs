@@ -11,6 +11,7 @@ use common::rclpy::Peer;
 use common::{Running, downbeat, robot_file, text_of, wait_until};
 use downbeat::robot::EndpointReport;
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 /// The demo with its `[expose]` replaced.
 fn robot(folder: &Path, robot: &str, expose: &str) -> String {
@@ -42,7 +43,8 @@ fn nodes(peer: &mut Peer) -> Vec<String> {
 
 #[test]
 fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
-    let Some(mut peer) = Peer::start(190, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _robots = check("Selection", "two robots in namespaces on one domain", With::Rclpy, Way::Out);
     let _nodes = check("Selection", "several nodes of one process", With::Rclpy, Way::Out);
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
@@ -50,7 +52,7 @@ fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
                   in = [\"joint_commands\"]";
     let mut robots = ["/robot1", "/robot2"].map(|namespace| {
         let folder = &folders[usize::from(namespace == "/robot2")];
-        run(190, &robot(folder.path(), "", expose), &["--ros-args", "-r", &format!("__ns:={namespace}")])
+        run(domain, &robot(folder.path(), "", expose), &["--ros-args", "-r", &format!("__ns:={namespace}")])
     });
     for namespace in ["/robot1", "/robot2"] {
         wait_until("the robot's topics are listed with their nodes", || {
@@ -79,7 +81,8 @@ fn two_robots_in_namespaces_with_several_nodes_share_a_domain() {
 
 #[test]
 fn remapping_rules_and_limits_are_seen_by_rclpy() {
-    let Some(mut peer) = Peer::start(191, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _names = check("Selection", "--ros-args: names and log level of a robot", With::Rclpy, Way::Out);
     let _rate = check("Selection", "rate limit", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
@@ -94,7 +97,7 @@ fn remapping_rules_and_limits_are_seen_by_rclpy() {
         "--log-level",
         "warn",
     ];
-    let mut robot = run(191, &file, &rules);
+    let mut robot = run(domain, &file, &rules);
     let expected = ("/renamed".to_owned(), "RELIABLE".to_owned(), "TRANSIENT_LOCAL".to_owned());
     wait_until("the topic has its new name, node and durability", || {
         publishers(&mut peer, "/renamed/states") == [expected.clone()]
@@ -127,13 +130,16 @@ fn expose(arguments: &[&str], pid: &str, sockets: &Path) -> (bool, String) {
 
 #[test]
 fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
-    let Some(mut peer) = Peer::start(82, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check =
         check("Selection", "endpoints are added and removed while the robot runs", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let file = robot(folder.path(), "", "out = [\"joint_states\"]");
-    let mut robot =
-        Running::start_with(&["run", &file, "--domain", "82"], &[("XDG_RUNTIME_DIR", folder.path())]);
+    let mut robot = Running::start_with(
+        &["run", &file, "--domain", &domain.to_string()],
+        &[("XDG_RUNTIME_DIR", folder.path())],
+    );
     wait_until("the robot can be asked", || expose(&["list"], "darwin_op", folder.path()).0);
     wait_until("its topic is listed", || publishers(&mut peer, "/joint_states").len() == 1);
 
@@ -199,11 +205,12 @@ fn endpoints_come_and_go_in_rclpy_while_the_robot_runs() {
 
 #[test]
 fn rclpy_changes_what_is_exposed_by_a_service_of_the_node() {
-    let Some(mut peer) = Peer::start(145, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Selection", "the service `~/expose`", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let file = robot(folder.path(), "", "out = [\"joint_states\"]\nexpose_service = true");
-    let mut robot = Running::start(&["run", &file, "--domain", "145"]);
+    let mut robot = Running::start(&["run", &file, "--domain", &domain.to_string()]);
     let (service, kind) = ("/darwin_op/expose", "rcl_interfaces/srv/SetParametersAtomically");
     peer.ask(json!({"do": "client", "service": service, "type": kind}));
     assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": service})), true);

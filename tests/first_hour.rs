@@ -14,6 +14,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use common::new_user::NewUser;
+use test_machine::{has_compilers, has_program};
 
 /// The root of the repository.
 const CHECKOUT: &str = env!("CARGO_MANIFEST_DIR");
@@ -56,7 +57,7 @@ impl User {
             .replace("../my_robot", &self.path("my_robot"));
         let mut shell = Command::new("sh");
         shell.args(["-c", &typed]).current_dir(&self.folder).stdin(Stdio::null());
-        self.user.settle(&mut shell, "195");
+        self.user.settle(&mut shell);
         shell.env("CARGO_TARGET_DIR", &self.target).env("CARGO_BUILD_BUILD_DIR", &self.build);
         let [own, of_tests] = [&self.target, &self.build].map(|folder| folder.join("debug"));
         let path = format!("{}:{}:{}", own.display(), of_tests.display(), std::env::var("PATH").unwrap());
@@ -162,16 +163,15 @@ fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
 
 #[test]
 fn modules_in_cpp_are_built_run_and_replayed() {
-    let has = |program: &str| Command::new(program).arg("--version").output().is_ok();
-    if !has("c++") {
-        return eprintln!("skipped: this machine has no c++");
+    if !has_compilers(&["c++"]) {
+        return;
     }
     let mut user = User::new("cpp");
     user.begins("my_cpp", "cpp");
-    if has("cmake") {
+    if has_program("cmake") {
         user.types("cmake -B build && cmake --build build && ctest --test-dir build --output-on-failure");
     } else {
-        // The commands of the project's CMakeLists.txt.
+        test_machine::skipped("cmake is missing: the commands of CMakeLists.txt are typed instead");
         user.types("downbeat interface generate --lang cpp --out build/include sensor_msgs/msg/Imu sensor_msgs/msg/JointState");
         for module in ["level_head", "simulated_imu"] {
             let flags = "-std=c++17 -O2 -shared -fPIC -Wall -Wextra -Werror -isystem build/include";

@@ -12,15 +12,16 @@ use downbeat_football::football_interfaces::msg::TeamMessage;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::path::Path;
+use test_machine::free_domain;
 
 /// Plays a part of the match and returns its output.
 fn play(bag: &Path, more: &[&str]) -> String {
-    play_file("robots/match.toml", "3s", "219", bag, more)
+    play_file("robots/match.toml", "3s", bag, more)
 }
 
-/// As `play`, with a separate domain for each test, because tests run at the same time.
-fn play_file(file: &str, duration: &str, domain: &str, bag: &Path, more: &[&str]) -> String {
-    let line = ["match", file, "--fast", "--duration", duration, "--domain", domain, "--record"];
+/// As `play`, for another file and duration.
+fn play_file(file: &str, duration: &str, bag: &Path, more: &[&str]) -> String {
+    let line = ["match", file, "--fast", "--duration", duration, "--record"];
     let mut command = downbeat(&line);
     let output = command.arg(bag).args(more).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -78,9 +79,9 @@ fn a_match_runs_again_with_world_referee_and_camera_picture_for_picture() {
         of_launcher("pool.toml", "kind = \"pool\"\nthreads = 2\n"),
     ];
     let bags = ["linear", "pool", "other"].map(|name| folder.path().join(name));
-    play_file(&files[0], "2s", "221", &bags[0], &[]);
-    play_file(&files[1], "2s", "221", &bags[1], &[]);
-    play_file(&files[1], "2s", "221", &bags[2], &["-p", "match.seed:=2"]);
+    play_file(&files[0], "2s", &bags[0], &[]);
+    play_file(&files[1], "2s", &bags[1], &[]);
+    play_file(&files[1], "2s", &bags[2], &["-p", "match.seed:=2"]);
     let seen = bags.each_ref().map(|bag| pictures(bag));
     assert!(seen[0].len() > 15, "{seen:?}");
     assert_eq!(seen[0], seen[1]);
@@ -115,7 +116,7 @@ fn a_match_runs_again_with_world_referee_and_camera_picture_for_picture() {
 fn a_player_that_sees_is_replayed_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
-    play_file("robots/seeing_match.toml", "4s", "220", &bag, &[]);
+    play_file("robots/seeing_match.toml", "4s", &bag, &[]);
     let bag_name = bag.to_str().unwrap();
     for launcher in ["linear", "pool:2"] {
         let replay =
@@ -172,12 +173,13 @@ diagnostics = false
 
 #[test]
 fn vision_is_replayed_bit_for_bit_on_the_pictures_of_a_simulator_that_is_left_out() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
     let text = EYES.replace("ROBOTS", concat!(env!("CARGO_MANIFEST_DIR"), "/robots"));
     std::fs::write(&robot, text).unwrap();
     let (robot, bag) = (robot.to_str().unwrap(), bag.to_str().unwrap());
-    let run = ["run", robot, "--fast", "--duration", "2s", "--domain", "217", "--record", bag];
+    let run = ["run", robot, "--fast", "--duration", "2s", "--domain", &domain, "--record", bag];
     let output = downbeat(&run).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     for launcher in ["linear", "pool:2"] {
@@ -188,10 +190,11 @@ fn vision_is_replayed_bit_for_bit_on_the_pictures_of_a_simulator_that_is_left_ou
 
 #[test]
 fn teams_that_see_are_replayed_bit_for_bit() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     let line =
-        ["match", "robots/seeing_teams.toml", "--fast", "--duration", "3s", "--domain", "219", "--record"];
+        ["match", "robots/seeing_teams.toml", "--fast", "--duration", "3s", "--domain", &domain, "--record"];
     let output = downbeat(&line).arg(&bag).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let bag_name = bag.to_str().unwrap();
@@ -261,9 +264,10 @@ fn a_file_without_a_match_is_refused_with_the_remedy() {
 #[test]
 #[cfg(feature = "view")]
 fn a_match_is_seen_in_a_browser() {
+    let domain = free_domain().to_string();
     let Some(mut script) = common::browser::script("football.mjs") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let line = ["match", "robots/match.toml", "--domain", "218", "--view=0"];
+    let line = ["match", "robots/match.toml", "--domain", &domain, "--view=0"];
     let mut command = downbeat(&line);
     command.current_dir(env!("CARGO_MANIFEST_DIR")).env("XDG_RUNTIME_DIR", folder.path());
     let game = common::Running::start_by(&mut command);

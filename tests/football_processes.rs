@@ -9,6 +9,7 @@ use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
 use std::path::{Path, PathBuf};
+use test_machine::{free_domain, free_domains};
 
 /// A match of players with vision.
 fn file(folder: &Path, robots: &[&str]) -> PathBuf {
@@ -56,14 +57,17 @@ fn message_of(topic: &str, domain: &str) -> String {
 
 #[test]
 fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies_does_not_end_the_match() {
+    // The match, and behind it each robot.
+    let first_domain = free_domains(3);
+    let domain = first_domain.to_string();
     let folder = tempfile::tempdir().unwrap();
     let (file, bags) = (file(folder.path(), &["blue_1", "blue_2"]), folder.path().join("bags"));
-    let mut command = downbeat(&["match", "--processes", "--domain", "51", "--record"]);
+    let mut command = downbeat(&["match", "--processes", "--domain", &domain, "--record"]);
     command.arg(&bags).arg(&file);
     let mut game = Running::start_by(&mut command);
     let (first, first_process) = domain_and_process(&game, "blue_1");
     let (second, second_process) = domain_and_process(&game, "blue_2");
-    assert_eq!((&*first, &*second), ("52", "53"));
+    assert_eq!([&*first, &*second], [first_domain + 1, first_domain + 2].map(|domain| domain.to_string()));
 
     // Players receive the referee's datagrams and answer them.
     game.wait_for_output("blue_1 answers the referee");
@@ -87,7 +91,7 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
     game.wait_for_output("the process of blue_2 has ended: signal: 9");
     game.wait_for_output("blue_2 does not answer the referee");
     assert!(is_running(&first_process) && game.is_running(), "{}", game.output());
-    message_of("/match/state", "51");
+    message_of("/match/state", &domain);
     game.interrupt();
     assert!(!is_running(&first_process));
 
@@ -105,10 +109,11 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
 fn no_robot_is_left_when_the_match_is_killed() {
     let folder = tempfile::tempdir().unwrap();
     let file = file(folder.path(), &["red_1"]);
-    let line = ["match", "--processes", "--domain", "54", "--robot-domains", "56"];
+    let [of_match, of_robot] = [free_domain(), free_domain()].map(|domain| domain.to_string());
+    let line = ["match", "--processes", "--domain", &of_match, "--robot-domains", &of_robot];
     let mut game = Running::start_by(downbeat(&line).arg(&file));
     let (domain, process) = domain_and_process(&game, "red_1");
-    assert_eq!(domain, "56");
+    assert_eq!(domain, of_robot);
     game.wait_for_output("red_1 answers the referee");
     assert!(is_running(&process));
     game.signal("-KILL");
@@ -118,6 +123,7 @@ fn no_robot_is_left_when_the_match_is_killed() {
 
 #[test]
 fn what_cannot_be_played_in_processes_is_refused_with_the_remedy() {
+    let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let seeing = file(folder.path(), &["blue_1"]);
     let text = std::fs::read_to_string(&seeing).unwrap();
@@ -134,7 +140,7 @@ fn what_cannot_be_played_in_processes_is_refused_with_the_remedy() {
         (&[seeing, "--robot-domains", "233"], "domains end at 232"),
         (&[seeing, "--fast"], "cannot be used with"),
     ] {
-        let output = output_of(&[&["match", "--processes", "--domain", "58"], line].concat());
+        let output = output_of(&[&["match", "--processes", "--domain", &domain], line].concat());
         let error = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && error.contains(problem), "{problem}: {error}");
     }

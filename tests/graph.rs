@@ -9,15 +9,19 @@ use common::text_of;
 use downbeat::msgs::Message;
 use downbeat::msgs::rcl_interfaces::srv::GetParametersRequest;
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 #[test]
 fn the_network_is_shown_as_text_as_json_and_drawn() {
-    let Some(mut peer) = Peer::start(147, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Graph", "`downbeat graph` of the network", With::Rclpy, Way::In);
     let latched = json!({"depth": 1, "durability": "transient_local"});
     let text = "std_msgs/msg/String";
     peer.ask(json!({"do": "advertise", "topic": "/chatter", "type": text, "qos": latched}));
-    let graph = |more: &[&str]| text_of(&[&["graph", "--domain", "147", "--wait", "30s"], more].concat());
+    let graph = |more: &[&str]| {
+        text_of(&[&["graph", "--domain", &domain.to_string(), "--wait", "30s"], more].concat())
+    };
     let shown = graph(&["--json"]);
     let shown: Value = serde_json::from_str(&shown).unwrap();
     assert_eq!(shown["nodes"].as_array().unwrap().len(), 1, "{shown}");

@@ -5,6 +5,7 @@ mod common;
 
 use std::fs;
 use std::process::Stdio;
+use std::sync::LazyLock;
 
 use bytes::Bytes;
 use common::{Running, downbeat};
@@ -13,8 +14,9 @@ use downbeat::msgs::rmw_dds_common::msg::{Gid, NodeEntitiesInfo, ParticipantEnti
 use downbeat_rtps::protocol::{EndpointConfig, WriteOptions};
 use downbeat_rtps::qos::{Durability, Qos};
 use downbeat_rtps::{Options, Participant, Range};
+use test_machine::free_domain;
 
-const DOMAIN: u16 = 156;
+static DOMAIN: LazyLock<u16> = LazyLock::new(free_domain);
 const STRING: &str = "std_msgs::msg::dds_::String_";
 
 /// Clears the screen, sets colours, moves the cursor, rings the bell, reverses text, and imitates another
@@ -36,7 +38,7 @@ in = ["joint_commands"]
 
 /// A participant that announces such names wherever names are possible.
 fn hostile() -> (Participant, Vec<downbeat_rtps::Writer>) {
-    let mut options = Options::new(DOMAIN, Range::Localhost);
+    let mut options = Options::new(*DOMAIN, Range::Localhost);
     options.name = EVIL.to_owned();
     options.user_data = [format!("enclave=/{EVIL};").as_bytes(), b"\xff\xfe"].concat();
     let participant = Participant::join(&options).unwrap();

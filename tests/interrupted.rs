@@ -15,6 +15,7 @@ use common::{WATCHDOG, downbeat, recorded_messages, text_of, wait_until};
 use downbeat::bags::{Reader, TopicDescription, WriterOptions};
 use downbeat::msgs::{cdr, std_msgs};
 use rustix::process::Signal;
+use test_machine::free_domain;
 
 type Pipe = Box<dyn Read + Send>;
 
@@ -64,7 +65,7 @@ fn output_that_nobody_reads_halts_neither_a_robot_nor_its_end() {
     for (is_on_terminal, is_read_later) in [(true, true), (true, false), (false, true), (false, false)] {
         let context = format!("on a terminal {is_on_terminal}, read later {is_read_later}");
         let folder = tempfile::tempdir().unwrap();
-        let (folder, domain) = (folder.path(), 153);
+        let (folder, domain) = (folder.path(), free_domain());
         let (file, bag) = (robot_with_chart(folder, TALKATIVE), folder.join("bag"));
         let arguments = ["run", &file, "--record", bag.to_str().unwrap()];
         let (mut program, pipes) = start_unread(command(&arguments, domain, folder), is_on_terminal);
@@ -96,7 +97,7 @@ fn output_that_nobody_reads_halts_neither_a_robot_nor_its_end() {
 #[test]
 fn a_command_whose_output_is_halted_ends_at_the_first_request() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 158);
+    let (folder, domain) = (folder.path(), free_domain());
     let text = format!("{{data: {}}}", "0123456789".repeat(200));
     let talker = ["topic", "pub", "-r", "200", "/chatter", "std_msgs/msg/String", &text];
     let _talker = Program::start(command(&talker, domain, folder));
@@ -120,6 +121,14 @@ fn written_by(process: u32) -> u64 {
     let counts = fs::read_to_string(format!("/proc/{process}/task/{process}/io")).unwrap();
     let written = counts.lines().find_map(|line| line.strip_prefix("wchar: "));
     written.unwrap().parse().unwrap()
+}
+
+/// The time that a program has computed, in hundredths of a second.
+fn processor_time(program: &Program) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{}/stat", program.child.id())).unwrap();
+    // Field 14; the second one is the name, in parentheses.
+    let after_name = status.rsplit(')').next().unwrap();
+    after_name.split_whitespace().nth(11).unwrap().parse().unwrap()
 }
 
 fn assert_all_are_there_or_counted(output: &str, context: &str) {
@@ -183,7 +192,7 @@ fn an_interrupted_command_leaves_nothing_that_looks_whole() {
         &["bag", "check", bag],
     ];
     let begun = |arguments: &[&str]| {
-        let program = Program::start(command(arguments, 154, folder));
+        let program = Program::start(command(arguments, free_domain(), folder));
         let has_output = !arguments.contains(&"check");
         wait_until("it has begun", || {
             if has_output { unfinished.join("output").exists() } else { reads(program.child.id(), &input) }
@@ -250,10 +259,11 @@ fn a_chart_that_computes_for_long_is_interrupted_by_a_stop() {
 </scxml>
 "#;
     let file = robot_with_chart(folder.path(), chart);
-    let mut program = Program::start(command(&["run", &file], 155, folder.path()));
+    let mut program = Program::start(command(&["run", &file], free_domain(), folder.path()));
     // The chart computes nearly all the time: each event takes up to its time limit.
     program.wait_for_output("takes longer than 500ms");
-    std::thread::sleep(Duration::from_millis(100));
+    let before = processor_time(&program);
+    wait_until("the chart computes the next event", || processor_time(&program) > before + 5);
     program.signal(Signal::INT);
     assert_eq!(program.wait().code(), Some(0), "{}", program.output());
     assert!(program.output().contains("interrupted, since the robot stops"), "{}", program.output());

@@ -10,14 +10,7 @@ use std::time::Instant;
 
 use common::new_user::NewUser;
 use common::{Running, downbeat, text_of};
-
-fn has_compiler() -> bool {
-    let found = ["cc", "c++"].iter().all(|name| Command::new(name).arg("--version").output().is_ok());
-    if !found {
-        eprintln!("skipped: this machine has no cc and c++");
-    }
-    found
-}
+use test_machine::{free_domain, has_compilers};
 
 const PAGE: &str = include_str!("../docs/libraries.md");
 
@@ -32,7 +25,7 @@ fn block(language: &str, text: &str) -> &'static str {
 fn shell(user: &mut NewUser, folder: &Path, line: &str) {
     let began = Instant::now();
     let mut command = Command::new("sh");
-    user.settle(command.args(["-c", line]).current_dir(folder), "127");
+    user.settle(command.args(["-c", line]).current_dir(folder));
     let output = command.output().unwrap();
     assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
     user.has_done("docs/libraries.md", line.trim(), began.elapsed().as_secs_f64(), Vec::new());
@@ -40,7 +33,7 @@ fn shell(user: &mut NewUser, folder: &Path, line: &str) {
 
 #[test]
 fn the_page_leads_to_a_module_on_the_network() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -52,7 +45,7 @@ fn the_page_leads_to_a_module_on_the_network() {
     shell(&mut user, folder, block("sh", "c++"));
     let command = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
-        user.settle(command.args(arguments).current_dir(folder), "127");
+        user.settle(command.args(arguments).current_dir(folder));
         command
     };
     let mut robot = Running::start_by(&mut command(&["run", "robot.toml"]));
@@ -74,7 +67,7 @@ fn the_page_leads_to_a_module_on_the_network() {
 
 #[test]
 fn the_module_in_c_of_the_page_is_a_module() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -101,7 +94,7 @@ fn the_module_in_c_of_the_page_is_a_module() {
 
 #[test]
 fn the_action_in_c_of_the_page_is_an_action() {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -118,7 +111,7 @@ fn the_action_in_c_of_the_page_is_an_action() {
     std::fs::write(folder.join("robot.toml"), robot).unwrap();
     let command = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
-        user.settle(command.args(arguments).current_dir(folder), "177");
+        user.settle(command.args(arguments).current_dir(folder));
         command
     };
     let mut robot = Running::start_by(&mut command(&["run", "robot.toml"]));
@@ -156,7 +149,8 @@ DOWNBEAT_MODULE(Sums)
 
 #[test]
 fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
-    if !has_compiler() {
+    let domain = free_domain().to_string();
+    if !has_compilers(&["cc", "c++"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -183,7 +177,7 @@ fn a_recorded_run_replays_bit_for_bit_and_a_changed_library_is_reported() {
         );
         std::fs::write(folder.join("robot.toml"), robot).unwrap();
         let run = ["run", "robot.toml", "--duration", "1s", "--record", name];
-        let output = downbeat(&run).current_dir(folder).env("ROS_DOMAIN_ID", "128").output().unwrap();
+        let output = downbeat(&run).current_dir(folder).env("ROS_DOMAIN_ID", &domain).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         let replay = || {
             let output =

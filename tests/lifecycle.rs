@@ -7,10 +7,12 @@ use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, wait_until};
 use serde_json::json;
+use test_machine::free_domain;
 
 #[test]
 fn rclpy_deactivates_and_activates_the_motion_of_the_demo() {
-    let Some(mut peer) = Peer::start(144, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Selection", "lifecycle in the robot file", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let with = |text: String| {
@@ -18,7 +20,7 @@ fn rclpy_deactivates_and_activates_the_motion_of_the_demo() {
             .replace("\"buttons\",", "\"buttons\", \"motion/joint_commands\",")
     };
     let robot = robot_file(folder.path(), with);
-    let mut running = Running::start(&["run", robot.to_str().unwrap(), "--domain", "144"]);
+    let mut running = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
     let service = |name: &str| format!("/motion/{name}");
     for (name, kind) in [("change_state", "ChangeState"), ("get_state", "GetState")] {
         peer.ask(

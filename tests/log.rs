@@ -7,6 +7,7 @@ use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, downbeat, robot_file, wait_until};
 use serde_json::json;
+use test_machine::free_domain;
 
 /// Runs the robot briefly without DDS. Returns whether it succeeded, standard output and standard error.
 fn run_with(variables: &[(&str, &str)]) -> (bool, String, String) {
@@ -66,7 +67,8 @@ fn invalid_settings_of_the_log_are_refused_with_a_hint() {
 
 #[test]
 fn rclpy_receives_the_log_of_the_robot_unless_the_robot_file_disables_it() {
-    for (domain, is_on) in [(181, true), (182, false)] {
+    for is_on in [true, false] {
+        let domain = free_domain();
         let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
         let _check = check("Selection", "/rosout of the program, on and off", With::Rclpy, Way::Out);
         let folder = tempfile::tempdir().unwrap();
@@ -97,13 +99,14 @@ fn rclpy_receives_the_log_of_the_robot_unless_the_robot_file_disables_it() {
 
 #[test]
 fn rclpy_reads_and_sets_the_levels_of_loggers_of_a_running_robot() {
-    let Some(mut peer) = Peer::start(140, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Node services", "get_logger_levels, set_logger_levels", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let robot = robot_file(folder.path(), |text| text);
     let sockets = folder.path().join("sockets");
     std::fs::create_dir(&sockets).unwrap();
-    let run = ["run", robot.to_str().unwrap(), "--domain", "140"];
+    let run = ["run", robot.to_str().unwrap(), "--domain", &domain.to_string()];
     let mut running = Running::start_with(&run, &[("XDG_RUNTIME_DIR", &sockets)]);
     let qos = json!({"depth": 1000, "durability": "transient_local"});
     peer.ask(json!({"do": "subscribe", "topic": "/rosout", "type": "rcl_interfaces/msg/Log", "qos": qos}));

@@ -13,6 +13,7 @@ use common::matrix::{Check, Way, With, check};
 use common::rclpy::{Peer, python};
 use common::{Running, WATCHDOG, downbeat, robot_file, wait_until};
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 const STRING: &str = "std_msgs/msg/String";
 const STRING_HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
@@ -71,7 +72,7 @@ fn without_gid(text: &str) -> String {
 
 #[test]
 fn topics_nodes_and_services_of_rclpy_are_shown_as_by_ros2() {
-    let domain = Domain(90);
+    let domain = Domain(free_domain());
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`topic`, `node` and `service` list, info, type, find", Way::In);
     peer.ask(json!({"do": "advertise", "topic": "/chatter", "type": STRING, "qos": latched()}));
@@ -147,7 +148,7 @@ fn topics_nodes_and_services_of_rclpy_are_shown_as_by_ros2() {
 
 #[test]
 fn messages_of_rclpy_are_echoed_as_by_ros2_of_types_that_only_rclpy_knows_too() {
-    let domain = Domain(91);
+    let domain = Domain(free_domain());
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`topic echo`, of a type that the publisher's node describes too", Way::In);
     let joints = "sensor_msgs/msg/JointState";
@@ -211,7 +212,7 @@ fn messages_of_rclpy_are_echoed_as_by_ros2_of_types_that_only_rclpy_knows_too() 
 
 #[test]
 fn rate_bandwidth_and_delay_are_measured() {
-    let domain = Domain(92);
+    let domain = Domain(free_domain());
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`topic hz`, `bw`, `delay`", Way::In);
     let stamped = "geometry_msgs/msg/PointStamped";
@@ -253,7 +254,7 @@ fn rate_bandwidth_and_delay_are_measured() {
 
 #[test]
 fn published_messages_reach_rclpy() {
-    let domain = Domain(38);
+    let domain = Domain(free_domain());
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`topic pub`", Way::Out);
     let joints = "sensor_msgs/msg/JointState";
@@ -285,7 +286,7 @@ fn published_messages_reach_rclpy() {
 
 #[test]
 fn a_service_of_rclpy_is_called() {
-    let domain = Domain(39);
+    let domain = Domain(free_domain());
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`service call`", Way::Out);
     peer.ask(json!({"do": "serve", "service": "/set_torque", "type": "std_srvs/srv/SetBool"}));
@@ -302,7 +303,7 @@ fn a_service_of_rclpy_is_called() {
 
 #[test]
 fn parameters_of_rclpy_are_shown_and_set() {
-    let domain = Domain(95);
+    let domain = Domain(free_domain());
     let Some(peer) = domain.peer() else { return };
     let _check = noted("`param` list, get, set, describe, dump, load", Way::Both);
     let names = "  start_type_description_service\n  use_sim_time\n";
@@ -344,7 +345,7 @@ fn parameters_of_rclpy_are_shown_and_set() {
 
 #[test]
 fn a_goal_is_sent_to_an_action_of_rclpy() {
-    let domain = Domain(96);
+    let domain = Domain(free_domain());
     let Some(mut peer) = domain.peer() else { return };
     let _check = noted("`action` list, info, type, send_goal with feedback and cancel", Way::Both);
     let fibonacci = "test_msgs/action/Fibonacci";
@@ -411,11 +412,11 @@ fn a_goal_is_sent_to_an_action_of_rclpy() {
 
 #[test]
 fn a_robot_is_inspected_from_another_process() {
-    let domain = Domain(97);
+    let domain = Domain(free_domain());
     let folder = tempfile::tempdir().unwrap();
     let with = |text: String| text.replace("[expose]", "[expose]\nlifecycle = [\"motion\"]");
     let robot = robot_file(folder.path(), with);
-    let mut running = Running::start(&["run", robot.to_str().unwrap(), "--domain", "97"]);
+    let mut running = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.0.to_string()]);
 
     let listed = domain.shown(&["topic", "list", "-t"]);
     assert!(listed.contains("/joint_states [sensor_msgs/msg/JointState]\n"), "{listed}");
@@ -458,7 +459,7 @@ fn a_robot_is_inspected_from_another_process() {
 
 #[test]
 fn unknown_names_are_errors() {
-    let domain = Domain(98);
+    let domain = Domain(free_domain());
     for (line, error) in [
         (["topic", "info", "/nothing"], "downbeat: Unknown topic '/nothing'\n"),
         (["topic", "type", "/nothing"], "downbeat: Unknown topic '/nothing'\n"),

@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use common::rclpy::Peer;
-use common::{Running, output_of, python, recorded_messages, text_of, wait_until};
+use common::{Running, output_of, own_domain, python, recorded_messages, text_of, wait_until};
 use downbeat::executor::{Module, Publication, Setup, SetupError};
 use downbeat::{App, AppError};
 use serde_json::{Value, json};
+use test_machine::free_domain;
 use user_msgs::my_msgs::msg::Tilt;
 
 /// The root of the repository, which is the checkout of the new projects.
@@ -55,7 +56,7 @@ impl Project {
         command
             .args(arguments)
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            .env_remove("ROS_DOMAIN_ID")
+            .env("ROS_DOMAIN_ID", own_domain().to_string())
             .env_remove("DOWNBEAT_LOG")
             .current_dir(&self.folder)
             .stdin(Stdio::null());
@@ -149,6 +150,7 @@ fn entry<'a>(list: &'a Value, key: &str, name: &str) -> &'a Value {
 
 #[test]
 fn a_users_device_and_messages_are_exposed_recorded_decoded_and_replayed() {
+    let domain = free_domain();
     let robot = Project::new("grown_robot", &[]);
     robot.add("robot.rs", "src/main.rs");
     robot.add("sonar.rs", "src/sonar.rs");
@@ -156,13 +158,21 @@ fn a_users_device_and_messages_are_exposed_recorded_decoded_and_replayed() {
     robot.cargo(&["build"]);
 
     let bag = robot.folder.join("bag");
-    let run = ["run", "robot.toml", "--domain", "197", "--record", bag.to_str().unwrap()];
+    let run = ["run", "robot.toml", "--domain", &domain.to_string(), "--record", bag.to_str().unwrap()];
     let mut running = Running::start_by(&mut robot.program(&run));
 
-    let heard =
-        robot.text_of(&["topic", "echo", "/sonar/echo", "--once", "--domain", "197", "--timeout", "60"]);
+    let heard = robot.text_of(&[
+        "topic",
+        "echo",
+        "/sonar/echo",
+        "--once",
+        "--domain",
+        &domain.to_string(),
+        "--timeout",
+        "60",
+    ]);
     assert!(heard.contains("frame_id: sonar") && heard.contains("distance: "), "{heard}");
-    if let Some(mut peer) = Peer::start(197, "LOCALHOST") {
+    if let Some(mut peer) = Peer::start(domain, "LOCALHOST") {
         let changed = json!({"sonar.speed": 331.5, "level_head.gain": 1.5});
         let parameters = |call: &str, argument: Value| json!({"do": "parameters", "node": "/grown_robot", "call": call, "argument": argument});
         let answer = peer.ask(parameters("set_parameters", changed));

@@ -10,6 +10,7 @@ use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, wait_until};
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 const URDF: &str = "<robot name=\"stick\"><link name=\"stick\"/></robot>";
 
@@ -50,11 +51,12 @@ fn diagnostics(peer: &mut Peer, names: &[&str]) -> BTreeMap<String, (u64, String
 
 #[test]
 fn rclpy_receives_diagnostics_and_the_robot_description() {
-    let Some(mut peer) = peer(185) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = peer(domain) else { return };
     let _check = check("Node services", "/diagnostics of the process", With::Rclpy, Way::Out);
     let _check2 = check("Node services", "robot_description", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(185, folder.path(), "");
+    let mut robot = run(domain, folder.path(), "");
     let kind = "diagnostic_msgs/msg/DiagnosticArray";
     peer.ask(json!({"do": "subscribe", "topic": "/diagnostics", "type": kind}));
     let names = [
@@ -79,10 +81,11 @@ fn rclpy_receives_diagnostics_and_the_robot_description() {
 
 #[test]
 fn the_time_of_a_robot_is_published_if_its_file_requests_it() {
-    let Some(mut peer) = peer(186) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = peer(domain) else { return };
     let _check = check("Selection", r#"clock = "publish" in the robot file"#, With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(186, folder.path(), "clock = { publish_hz = 100.0 }");
+    let mut robot = run(domain, folder.path(), "clock = { publish_hz = 100.0 }");
     let qos = json!({"depth": 10, "reliability": "best_effort"});
     peer.ask(json!({"do": "subscribe", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock", "qos": qos}));
     let times = peer.take("/clock", 20);
@@ -94,10 +97,11 @@ fn the_time_of_a_robot_is_published_if_its_file_requests_it() {
 
 #[test]
 fn a_robot_that_follows_clock_stamps_its_messages_with_that_time() {
-    let Some(mut peer) = peer(187) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = peer(domain) else { return };
     let _check = check("Selection", r#"clock = "follow" in the robot file"#, With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(187, folder.path(), "clock = \"follow\"");
+    let mut robot = run(domain, folder.path(), "clock = \"follow\"");
     peer.ask(json!({"do": "advertise", "topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}));
     let kind = "sensor_msgs/msg/JointState";
     peer.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": kind}));

@@ -9,14 +9,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use common::{Running, downbeat};
-
-fn has_compiler() -> bool {
-    let found = ["cc", "c++"].iter().all(|name| Command::new(name).arg("--version").output().is_ok());
-    if !found {
-        eprintln!("skipped: this machine has no cc and c++");
-    }
-    found
-}
+use test_machine::{free_domain, has_compilers};
 
 fn shell(folder: &Path, command: &str) {
     let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
@@ -152,7 +145,7 @@ topics = "all"
 
 /// A folder with the package `lab_msgs`, and the libraries in C++ and C that use it.
 fn site() -> Option<tempfile::TempDir> {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return None;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -188,16 +181,17 @@ fn command(folder: &Path, domain: &str, arguments: &[&str]) -> Command {
 
 #[test]
 fn libraries_serve_and_call_a_service_that_only_they_know() {
+    let domain = free_domain().to_string();
     let Some(folder) = site() else { return };
     let folder = folder.path();
-    let checked = text(&command(folder, "129", &["check", "robot.toml"]).output().unwrap());
+    let checked = text(&command(folder, &domain, &["check", "robot.toml"]).output().unwrap());
     for shown in ["lab_msgs/srv/Level", "lab_msgs/msg/Tilt", "/level", "/asked"] {
         assert!(checked.contains(shown), "{shown}\n{checked}");
     }
     assert!(!checked.contains("downbeat_edge"), "{checked}");
 
     let mut robot =
-        Running::start_by(&mut command(folder, "129", &["run", "robot.toml", "--record", "morning"]));
+        Running::start_by(&mut command(folder, &domain, &["run", "robot.toml", "--record", "morning"]));
     robot.wait_for_output("exposed to ROS 2: /asked");
     // The call takes the definition from the node.
     let call = [
@@ -207,7 +201,7 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
         "lab_msgs/srv/Level",
         "{tilt: {header: {frame_id: wall}, angle: 0.75}}",
     ];
-    let called = text(&command(folder, "129", &call).output().unwrap());
+    let called = text(&command(folder, &domain, &call).output().unwrap());
     assert!(
         called.contains("is_level=False") && called.contains("it leans 0.750000"),
         "{called}\n{}",
@@ -217,19 +211,19 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
     write(folder, "older/lab_msgs/msg/Tilt.msg", TILT);
     write(folder, "older/lab_msgs/srv/Level.srv", "float64 angle\n---\nbool is_level\n");
     let of_older = [&call[..], &["--from", "older"]].concat();
-    let called = text(&command(folder, "129", &of_older).output().unwrap());
+    let called = text(&command(folder, &domain, &of_older).output().unwrap());
     assert!(called.contains("it leans 0.750000"), "{called}");
-    let listed = text(&command(folder, "129", &["service", "list", "-t"]).output().unwrap());
+    let listed = text(&command(folder, &domain, &["service", "list", "-t"]).output().unwrap());
     assert!(listed.contains("/level [lab_msgs/srv/Level]"), "{listed}");
     let echo = ["topic", "echo", "--once", "/asked"];
-    let echoed = text(&command(folder, "129", &echo).output().unwrap());
+    let echoed = text(&command(folder, &domain, &echo).output().unwrap());
     assert!(echoed.contains("frame_id") && echoed.contains("angle: "), "{echoed}");
     robot.interrupt();
 
-    let info = text(&command(folder, "129", &["bag", "info", "morning"]).output().unwrap());
+    let info = text(&command(folder, &domain, &["bag", "info", "morning"]).output().unwrap());
     assert!(info.contains("lab_msgs/msg/Tilt"), "{info}");
     let replay = || {
-        let output = command(folder, "129", &["bag", "replay", "robot.toml", "morning"]).output().unwrap();
+        let output = command(folder, &domain, &["bag", "replay", "robot.toml", "morning"]).output().unwrap();
         (output.status.success(), text(&output))
     };
     let (is_same, said) = replay();
@@ -242,15 +236,12 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
 
 #[test]
 fn foxglove_and_the_page_call_what_only_a_library_knows() {
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        return eprintln!(
-            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)"
-        );
-    };
+    let domain = free_domain().to_string();
+    let Some(modules) = test_machine::node_modules() else { return };
     let Some(folder) = site() else { return };
     let folder = folder.path();
     let mut robot =
-        Running::start_by(&mut command(folder, "178", &["run", "robot.toml", "--view=0", "--foxglove=0"]));
+        Running::start_by(&mut command(folder, &domain, &["run", "robot.toml", "--view=0", "--foxglove=0"]));
     let url = |before: &str| {
         robot.wait_for_output(before);
         let output = robot.output();
@@ -279,6 +270,7 @@ fn foxglove_and_the_page_call_what_only_a_library_knows() {
 
 #[test]
 fn another_definition_of_the_same_name_is_refused_with_both_sides() {
+    let domain = free_domain().to_string();
     let Some(folder) = site() else { return };
     let folder = folder.path();
     write(folder, "ours/lab_msgs/msg/Tilt.msg", TILT);
@@ -288,7 +280,7 @@ fn another_definition_of_the_same_name_is_refused_with_both_sides() {
         "robot.toml",
         &ROBOT.replace("name = \"site\"", "name = \"site\"\ninterfaces = [\"ours\"]"),
     );
-    let refused = command(folder, "130", &["check", "robot.toml"]).output().unwrap();
+    let refused = command(folder, &domain, &["check", "robot.toml"]).output().unwrap();
     let said = text(&refused);
     assert!(!refused.status.success(), "{said}");
     for words in ["spirit", "lab_msgs/srv/Level", "RIHS01_", "ours", "build it again"] {
@@ -310,13 +302,14 @@ fn another_definition_of_the_same_name_is_refused_with_both_sides() {
             "robot.toml",
             &ROBOT.replace("name = \"site\"", &format!("name = \"site\"\ninterfaces = {interfaces}")),
         );
-        let said = text(&command(folder, "130", &["check", "robot.toml"]).output().unwrap());
+        let said = text(&command(folder, &domain, &["check", "robot.toml"]).output().unwrap());
         assert!(said.contains("robot.toml:4: ") && said.contains(words), "{said}");
     }
 }
 
 #[test]
 fn a_call_to_ros_has_the_type_of_the_module_or_of_the_file() {
+    let domain = free_domain().to_string();
     let Some(folder) = site() else { return };
     let folder = folder.path();
     let caller = ROBOT.replace("services = [\"level\"]", "calls = [\"level\"]").replacen(
@@ -328,18 +321,18 @@ fn a_call_to_ros_has_the_type_of_the_module_or_of_the_file() {
     let caller = caller.replacen("name = \"spirit\"", "name = \"first\"\nremap = { leaning = \"other\" }", 1);
     let caller = caller.replacen("name = \"site\"", "name = \"yard\"", 1);
     write(folder, "caller.toml", &caller);
-    let mut server = Running::start_by(&mut command(folder, "131", &["run", "robot.toml"]));
+    let mut server = Running::start_by(&mut command(folder, &domain, &["run", "robot.toml"]));
     server.wait_for_output("exposed to ROS 2: /asked");
     let mut robot =
-        Running::start_by(&mut command(folder, "131", &["run", "caller.toml", "--record", "called"]));
+        Running::start_by(&mut command(folder, &domain, &["run", "caller.toml", "--record", "called"]));
     robot.wait_for_output("exposed to ROS 2: /leaning");
     let echoed = ["topic", "echo", "--once", "/leaning"];
-    let echoed = text(&command(folder, "131", &echoed).output().unwrap());
+    let echoed = text(&command(folder, &domain, &echoed).output().unwrap());
     assert!(echoed.contains("data: "), "{echoed}\n{}", robot.output());
     robot.interrupt();
     server.interrupt();
     // The bag contains the answers of the server, so it replays without it.
-    let replayed = command(folder, "131", &["bag", "replay", "caller.toml", "called"]).output().unwrap();
+    let replayed = command(folder, &domain, &["bag", "replay", "caller.toml", "called"]).output().unwrap();
     assert!(replayed.status.success(), "{}", text(&replayed));
 
     write(
@@ -348,7 +341,7 @@ fn a_call_to_ros_has_the_type_of_the_module_or_of_the_file() {
         &caller
             .replace("calls = [\"level\"]", "calls = [{ service = \"far\", type = \"lab_msgs/srv/Levl\" }]"),
     );
-    let said = text(&command(folder, "131", &["check", "caller.toml"]).output().unwrap());
+    let said = text(&command(folder, &domain, &["check", "caller.toml"]).output().unwrap());
     assert!(said.contains("unknown service type \"lab_msgs/srv/Levl\""), "{said}");
 }
 
@@ -622,7 +615,7 @@ fn serve_and_use_an_action(
     compiler: &str,
     sources: [&str; 2],
 ) -> Option<Vec<f64>> {
-    if !has_compiler() {
+    if !has_compilers(&["cc", "c++"]) {
         return None;
     }
     let folder = tempfile::tempdir().unwrap();

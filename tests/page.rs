@@ -9,6 +9,7 @@ use common::browser::script;
 use common::rclpy::Peer;
 use common::{Running, downbeat, record_until, robot_file};
 use serde_json::json;
+use test_machine::free_domain;
 
 /// The URL for browsers.
 fn page_of(program: &Running) -> String {
@@ -28,11 +29,11 @@ fn pass(script: &mut Command, shown: &Running) {
 
 #[test]
 fn each_view_shows_true_values_of_a_running_robot_and_changes_it() {
-    const DOMAIN: u16 = 213;
+    let domain_id = free_domain();
     let Some(mut script) = script("robot.mjs") else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = robot_file(folder.path(), |text| text);
-    let domain = DOMAIN.to_string();
+    let domain = domain_id.to_string();
     let line = ["run", file.to_str().unwrap(), "--domain", &domain, "--view=0"];
     // Recordings and the socket are in the folder.
     let robot =
@@ -42,7 +43,7 @@ fn each_view_shows_true_values_of_a_running_robot_and_changes_it() {
     pass(&mut script, &robot);
 
     // The parameter that was set in the page.
-    let Some(mut rclpy) = Peer::start(DOMAIN, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain_id, "LOCALHOST") else { return };
     let call = json!({"do": "parameters", "node": "/darwin_op", "call": "get_parameters", "argument": ["mux.hold_s"]});
     assert_eq!(rclpy.ask(call)["values"][0]["double_value"], 3.25);
     rclpy.leave();
@@ -50,12 +51,13 @@ fn each_view_shows_true_values_of_a_running_robot_and_changes_it() {
 
 #[test]
 fn a_bag_is_scrubbed_in_the_page() {
+    let domain = free_domain().to_string();
     let Some(mut script) = script("bag.mjs") else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = robot_file(folder.path(), |text| text);
     let bag = folder.path().join("bag");
     let paths = [&bag, &file].map(|path| path.to_str().unwrap());
-    let record = ["run", paths[1], "--domain", "215", "--record", paths[0]];
+    let record = ["run", paths[1], "--domain", &domain, "--record", paths[0]];
     record_until(&record, &bag, "/joint_states", 300);
     let shown = Running::start(&["bag", "view", paths[0], "--start-paused", "--port", "0", "--page", "0"]);
     script.env("DOWNBEAT_PAGE", page_of(&shown)).env("DOWNBEAT_BAG", &bag);

@@ -7,18 +7,20 @@ use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, text_of};
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 #[test]
 fn settings_of_a_running_robot_are_parameters_of_its_node() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let robot = robot_file(folder.path(), |text| text);
     let robot = robot.to_str().unwrap();
     let checked = text_of(&["check", robot]);
     assert!(checked.contains("parameter mux.hold_s = 2"), "{checked}");
 
-    let Some(mut rclpy) = Peer::start(188, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Parameters", "settings of the demo", With::Rclpy, Way::In);
-    let _running = Running::start(&["run", robot, "--domain", "188"]);
+    let _running = Running::start(&["run", robot, "--domain", &domain.to_string()]);
     let mut ask = |call: &str, argument: Value| {
         rclpy.ask(json!({"do": "parameters", "node": "/darwin_op", "call": call, "argument": argument}))
     };

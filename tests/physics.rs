@@ -14,6 +14,7 @@ use downbeat::running::{PreparedRobot, RecordPlan};
 use serde_json::{Value, json};
 use std::path::Path;
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 const ROBOT: &str = r#"
 [robot]
@@ -149,14 +150,15 @@ fn the_robot_file_of_the_simulated_darwin_op_is_one() {
 
 #[test]
 fn cyclone_dds_spawns_and_deletes_a_parcel() {
-    let Some(mut peer) = Peer::cyclonedds(226) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let folder = tempfile::tempdir().unwrap();
     let robot = folder.path().join("robot.toml");
     let world = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/worlds/field.toml");
     let services = "services = [\"simulator/spawn_entity\", \"simulator/delete_entity\"]\n";
     let text = ROBOT.replace("LAUNCHER", "").replace("WORLD", world) + services;
     std::fs::write(&robot, text).unwrap();
-    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", "226"]);
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
     let mut ask = |name: &str, fields: Value| {
         let service =
             format!("/simulator/{}", if name == "SpawnEntity" { "spawn_entity" } else { "delete_entity" });

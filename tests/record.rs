@@ -21,6 +21,7 @@ use downbeat::msgs::rosbag2_interfaces::msg::WriteSplitEvent;
 use downbeat::msgs::rosbag2_interfaces::srv::{IsPaused, Pause, Resume, Snapshot, SplitBagfile, Stop};
 use downbeat::msgs::{Message, Service, cdr, std_msgs};
 use serde_json::json;
+use test_machine::free_domain;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -89,6 +90,7 @@ const NO_ZSTD: &str = if cfg!(feature = "sqlite") {
 
 #[test]
 fn without_a_selection_it_prints_what_ros2_bag_record_prints() {
+    let domain = free_domain().to_string();
     for (arguments, words) in [
         (&["bag", "record"][..], "Need to specify at least one option out of --all"),
         (&["bag", "record", "/a", "--exclude-regex", "b"], "--exclude-regex argument requires either --all"),
@@ -104,7 +106,7 @@ fn without_a_selection_it_prints_what_ros2_bag_record_prints() {
         (&["bag", "record", "-a", "-s", "mcap", "--storage-preset-profile", "resilient"], "zstd_small"),
     ] {
         let folder = tempfile::tempdir().unwrap();
-        let output = downbeat(arguments).args(["--domain", "195"]).current_dir(&folder).output().unwrap();
+        let output = downbeat(arguments).args(["--domain", &domain]).current_dir(&folder).output().unwrap();
         let error = String::from_utf8(output.stderr).unwrap();
         assert!(!output.status.success() && error.contains(words), "{arguments:?}: {error}");
     }
@@ -112,7 +114,8 @@ fn without_a_selection_it_prints_what_ros2_bag_record_prints() {
 
 #[test]
 fn all_topics_of_real_nodes_are_recorded_as_the_real_recorder_notes_them() {
-    let Some(mut peer) = Peer::start(195, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let note = check("Bags", "`bag record --all --exclude-regex`, any type", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
@@ -129,7 +132,17 @@ fn all_topics_of_real_nodes_are_recorded_as_the_real_recorder_notes_them() {
         peer.ask(json!({"do": "advertise", "topic": topic, "type": kind, "qos": qos}));
     }
     peer.ask(json!({"do": "publish", "topic": "/map_name", "fields": {"data": "lawn"}}));
-    let arguments = ["bag", "record", "-a", "--exclude-regex", "noi.e", "-o", text(&bag), "--domain", "195"];
+    let arguments = [
+        "bag",
+        "record",
+        "-a",
+        "--exclude-regex",
+        "noi.e",
+        "-o",
+        text(&bag),
+        "--domain",
+        &domain.to_string(),
+    ];
     let mut recorder = Running::start(&arguments);
     for topic in ["/chatter", "/imu", "/map_name", "/joy"] {
         wait_until("the recorder is matched", || peer.ask(json!({"do": "matched", "topic": topic})) == 1);
@@ -173,9 +186,10 @@ fn all_topics_of_real_nodes_are_recorded_as_the_real_recorder_notes_them() {
 
 #[test]
 fn services_pause_resume_split_and_stop_a_recorder() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
-    let node = node("steering", 196);
+    let node = node("steering", domain);
     let events: Arc<Mutex<Vec<WriteSplitEvent>>> = Arc::default();
     let heard = Arc::clone(&events);
     let on_event =
@@ -184,8 +198,16 @@ fn services_pause_resume_split_and_stop_a_recorder() {
     let listening =
         node.subscribe("/events/write_split", &message_type, QosProfile::DEFAULT, on_event).unwrap();
     let mut talker = Talker::new(&node);
-    let mut recorder =
-        Running::start(&["bag", "record", "--topics", "/chatter", "-o", text(&bag), "--domain", "196"]);
+    let mut recorder = Running::start(&[
+        "bag",
+        "record",
+        "--topics",
+        "/chatter",
+        "-o",
+        text(&bag),
+        "--domain",
+        &domain.to_string(),
+    ]);
     talker.say(10);
     let is_paused = || call::<IsPaused>(&node, "/rosbag2_recorder/is_paused", &Default::default()).paused;
     assert!(!is_paused());
@@ -223,7 +245,8 @@ fn services_pause_resume_split_and_stop_a_recorder() {
 fn a_snapshot_is_written_when_the_service_requests_it() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
-    let node = node("snapshots", 197);
+    let domain = free_domain();
+    let node = node("snapshots", domain);
     let mut talker = Talker::new(&node);
     let mut recorder = Running::start(&[
         "bag",
@@ -237,7 +260,7 @@ fn a_snapshot_is_written_when_the_service_requests_it() {
         "-o",
         text(&bag),
         "--domain",
-        "197",
+        &domain.to_string(),
     ]);
     talker.say(500);
     let mut found = Vec::new();
@@ -255,17 +278,28 @@ fn a_snapshot_is_written_when_the_service_requests_it() {
 
 #[test]
 fn a_type_that_only_the_ament_path_knows_is_recorded_with_its_definition() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let package = folder.path().join("prefix/share/lawn_msgs/msg");
     std::fs::create_dir_all(&package).unwrap();
     let blade = "# Of grass.\nfloat32 height # m\nstd_msgs/Header header\n";
     std::fs::write(package.join("Blade.msg"), blade).unwrap();
     let bag = folder.path().join("bag");
-    let node = node("gardener", 198);
+    let node = node("gardener", domain);
     let message_type = MessageType::new("lawn_msgs/msg/Blade").unwrap();
     let publisher = node.publish("/blades", &message_type, QosProfile::DEFAULT).unwrap();
-    let mut command =
-        downbeat(&["bag", "record", "-e", "bla", "-o", text(&bag), "--domain", "198", "-f", "cdr"]);
+    let mut command = downbeat(&[
+        "bag",
+        "record",
+        "-e",
+        "bla",
+        "-o",
+        text(&bag),
+        "--domain",
+        &domain.to_string(),
+        "-f",
+        "cdr",
+    ]);
     let mut recorder = Running::start_by(command.env("AMENT_PREFIX_PATH", folder.path().join("prefix")));
     wait_until("the recorder is matched", || publisher.matched_subscriptions() > 0);
     // Little-endian CDR: height, stamp, frame_id.
@@ -288,6 +322,7 @@ fn a_type_that_only_the_ament_path_knows_is_recorded_with_its_definition() {
 
 #[test]
 fn events_of_a_service_of_a_real_node_are_recorded() {
+    let domain = free_domain().to_string();
     let Some(interpreter) = rclpy_python() else { return };
     let note =
         check("Bags", "`bag record --services`: events of service introspection", With::Rclpy, Way::In);
@@ -296,7 +331,7 @@ fn events_of_a_service_of_a_real_node_are_recorded() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/introspected_service.py");
     let mut node = Command::new(interpreter)
         .arg(script)
-        .env("ROS_DOMAIN_ID", "199")
+        .env("ROS_DOMAIN_ID", &domain)
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -304,8 +339,16 @@ fn events_of_a_service_of_a_real_node_are_recorded() {
         .unwrap();
     let mut lines = BufReader::new(node.stdout.take().unwrap()).lines();
     assert_eq!(lines.next().unwrap().unwrap(), "ready");
-    let mut recorder =
-        Running::start(&["bag", "record", "--services", "/set_torque", "-o", text(&bag), "--domain", "199"]);
+    let mut recorder = Running::start(&[
+        "bag",
+        "record",
+        "--services",
+        "/set_torque",
+        "-o",
+        text(&bag),
+        "--domain",
+        &domain,
+    ]);
     recorder.wait_for_output("Subscribed to topic '/set_torque/_service_event'");
     let events = |bag: &Path| counts(bag).get("/set_torque/_service_event").copied().unwrap_or(0);
     let mut input = node.stdin.take().unwrap();

@@ -12,6 +12,7 @@ use std::process::{Command, Output};
 use common::rclpy::Peer;
 use common::{Running, downbeat};
 use serde_json::{Value, json};
+use test_machine::{free_domain, has_compilers};
 
 const CPP: &str = r#"
 #include "downbeat.hpp"
@@ -137,9 +138,8 @@ fn text(output: &Output) -> String {
 
 /// Compiles a library in a language.
 fn compiled(folder: &Path, language: &str, source: &str) -> bool {
-    let compiler = if language == "c" { "cc -std=c11" } else { "c++ -std=c++17" };
-    if Command::new(compiler.split(' ').next().unwrap()).arg("--version").output().is_err() {
-        eprintln!("skipped: this machine has no compiler");
+    let (compiler, standard) = if language == "c" { ("cc", "c11") } else { ("c++", "c++17") };
+    if !has_compilers(&[compiler]) {
         return false;
     }
     std::fs::write(folder.join(format!("unreliable.{language}")), source).unwrap();
@@ -147,7 +147,7 @@ fn compiled(folder: &Path, language: &str, source: &str) -> bool {
         shell(folder, &format!("downbeat interface generate --lang {language} {interface}"));
     }
     let flags = "-Wall -Wextra -Wpedantic -Werror -O1 -shared -fPIC -Iinclude";
-    shell(folder, &format!("{compiler} {flags} unreliable.{language} -o libunreliable.so"));
+    shell(folder, &format!("{compiler} -std={standard} {flags} unreliable.{language} -o libunreliable.so"));
     true
 }
 
@@ -270,17 +270,17 @@ fn answered(language: &str, source: &str, domain: u16, keys: &str) {
 
 #[test]
 fn a_client_of_a_library_in_cpp_always_has_an_answer() {
-    answered("cpp", CPP, 171, "");
+    answered("cpp", CPP, free_domain(), "");
 }
 
 #[test]
 fn a_client_of_a_library_in_cpp_in_a_process_of_its_own_always_has_an_answer() {
-    answered("cpp", CPP, 172, "isolate = true");
+    answered("cpp", CPP, free_domain(), "isolate = true");
 }
 
 #[test]
 fn a_client_of_a_library_in_c_always_has_an_answer() {
-    answered("c", C, 173, "");
+    answered("c", C, free_domain(), "");
 }
 
 #[test]
@@ -289,7 +289,7 @@ fn a_client_of_a_library_in_rust_always_has_an_answer() {
     let library = std::env::current_exe().unwrap().with_file_name("libdownbeat_library_example.so");
     let folder = tempfile::tempdir().unwrap();
     let keys = format!("path = {library:?}");
-    assert_always_answered(folder.path(), &Case { domain: 174, keys, action: None });
+    assert_always_answered(folder.path(), &Case { domain: free_domain(), keys, action: None });
 }
 
 /// The goals of a library in Rust, whose action has a type of its own, and requests to cancel them: those of
@@ -299,7 +299,7 @@ fn a_goal_of_a_library_in_rust_always_ends() {
     let library = std::env::current_exe().unwrap().with_file_name("libdownbeat_library_example.so");
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let case = Case { domain: 203, keys: format!("path = {library:?}"), action: Some("lean") };
+    let case = Case { domain: free_domain(), keys: format!("path = {library:?}"), action: Some("lean") };
     let robot = robot_of(folder, &case);
     let send = |angle: f64| {
         let goal = format!("goal: {{angle: {angle:?}}}");
@@ -373,6 +373,7 @@ DOWNBEAT_MODULE(Crash)
 
 #[test]
 fn a_client_has_an_answer_from_a_process_that_crashes_or_takes_too_long() {
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     if !compiled(folder, "cpp", CRASH) {
@@ -394,12 +395,13 @@ restart = { times = 100, backoff = "10ms" }
 services = ["crash", "hang"]
 "#;
     std::fs::write(folder.join("robot.toml"), robot).unwrap();
-    let robot = Running::start_by(&mut in_domain(folder, 175, &["run", "robot.toml"]));
+    let robot = Running::start_by(&mut in_domain(folder, domain, &["run", "robot.toml"]));
     robot.wait_for_output("exposed service: /hang");
     for (service, words) in [("/crash", "signal"), ("/hang", "300ms")] {
         let before = robot.output().matches("restarted after its panic").count();
-        let call =
-            in_domain(folder, 175, &["service", "call", service, "std_srvs/srv/Trigger"]).output().unwrap();
+        let call = in_domain(folder, domain, &["service", "call", service, "std_srvs/srv/Trigger"])
+            .output()
+            .unwrap();
         let called = text(&call);
         assert!(called.contains("success=False") && called.contains(words), "{called}\n{}", robot.output());
         common::wait_until("it has started again", || {

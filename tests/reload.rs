@@ -15,6 +15,7 @@ use common::{Running, downbeat, recorded_messages, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::ModuleEvent;
+use test_machine::{free_domain, has_compilers};
 
 /// Publishes sums whose rounding differs between versions, and throws an exception at a given step.
 const SUMS: &str = r#"
@@ -41,14 +42,6 @@ class Sums : public downbeat::Module {
 };
 DOWNBEAT_MODULE(Sums)
 "#;
-
-fn has_compiler() -> bool {
-    let found = Command::new("c++").arg("--version").output().is_ok();
-    if !found {
-        eprintln!("skipped: this machine has no c++");
-    }
-    found
-}
 
 /// A folder with a robot file and its modules.
 struct Site {
@@ -155,14 +148,15 @@ const LIBRARY: &str =
 
 #[test]
 fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay() {
-    if !has_compiler() {
+    let domain = free_domain().to_string();
+    if !has_compilers(&["c++"]) {
         return;
     }
     for keys in ["", "isolate = true\n", "synchrony = \"detached\"\n"] {
         let site = Site::new(&format!("{LIBRARY}{keys}"));
         site.build("0.1", 20);
         let first = std::fs::read(site.path().join("libsums.so")).unwrap();
-        let mut robot = site.run(&["--record", "bag"], "32");
+        let mut robot = site.run(&["--record", "bag"], &domain);
         robot.wait_for_output("panicked and was stopped; the other modules continue: as this test wants it");
         site.build("0.2", -1);
         robot.wait_for_output("libsums.so was saved: it starts again with it");
@@ -210,7 +204,8 @@ const CHART: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:down
 
 #[test]
 fn lines_of_libraries_have_their_place_in_the_source() {
-    if !has_compiler() {
+    let domain = free_domain().to_string();
+    if !has_compilers(&["c++"]) {
         return;
     }
     let number = SUMS.lines().position(|line| line.contains("is set up")).unwrap() + 1;
@@ -218,7 +213,7 @@ fn lines_of_libraries_have_their_place_in_the_source() {
         let site = Site::new(&format!("{LIBRARY}{keys}"));
         site.build("0.1", -1);
         let mut command = downbeat(&["run", "robot.toml", "--duration", "1s"]);
-        command.current_dir(site.path()).env("ROS_DOMAIN_ID", "35").env("XDG_RUNTIME_DIR", site.path());
+        command.current_dir(site.path()).env("ROS_DOMAIN_ID", &domain).env("XDG_RUNTIME_DIR", site.path());
         command.env("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{file_name}:{line_number} {function_name}: {message}");
         let mut robot = Running::start_by(&mut command);
         robot.wait();
@@ -230,11 +225,12 @@ fn lines_of_libraries_have_their_place_in_the_source() {
 #[test]
 #[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_robot_starts_without_a_module_whose_file_has_an_error_until_it_is_saved() {
+    let domain = free_domain().to_string();
     let site = Site::new(
         "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\nreload = true\n",
     );
     site.write("player.scxml", "<scxml");
-    let mut robot = site.run(&["--record", "bag"], "33");
+    let mut robot = site.run(&["--record", "bag"], &domain);
     robot.wait_for_output("it starts when its file is saved");
     site.write("player.scxml", "<scxml version=");
     robot.wait_for_output("player.scxml was saved and still does not start");
@@ -277,10 +273,11 @@ DOWNBEAT_MODULE(Late)
 
 #[test]
 fn what_a_module_brings_that_joins_late_is_exposed_recorded_and_replayed() {
-    if !has_compiler() {
+    if !has_compilers(&["c++"]) {
         return;
     }
-    for (keys, domain) in [("", "136"), ("synchrony = \"detached\"\n", "137")] {
+    for keys in ["", "synchrony = \"detached\"\n"] {
+        let domain = &free_domain().to_string();
         let site = Site::new("");
         site.write(
             "robot.toml",
@@ -411,7 +408,8 @@ impl Page {
 #[test]
 #[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
-    if !has_compiler() {
+    let domain = free_domain().to_string();
+    if !has_compilers(&["c++"]) {
         return;
     }
     let site = Site::new(
@@ -425,11 +423,11 @@ fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
         site.save("scale", &library);
     };
     build("0.1");
-    let mut robot = site.run(&["--view=0"], "138");
+    let mut robot = site.run(&["--view=0"], &domain);
     let mut page = Page::of(&robot);
     build("0.2");
     robot.wait_for_output("libscale.so was saved and is reloaded");
-    let set = site.ask("138", &["param", "set", "/demo", "scale.gain", "0.3"]);
+    let set = site.ask(&domain, &["param", "set", "/demo", "scale.gain", "0.3"]);
     assert!(set.to_lowercase().contains("success"), "{set}");
     page.ask(1, "\"ask\":\"record\",\"name\":\"late\"");
     site.wait_for_more_in("late", "/scaled");
@@ -442,7 +440,7 @@ fn a_recording_that_begins_after_a_reload_and_bags_of_its_bag_replay() {
     let scale = ["--modules", "scale", "--strict"];
     let text = site.assert_replays("late", &scale);
     assert!(text.contains("libscale.so of scale was saved and taken once"), "{text}");
-    let make = |arguments: &[&str]| site.ask("138", &[&["bag"], arguments].concat());
+    let make = |arguments: &[&str]| site.ask(&domain, &[&["bag"], arguments].concat());
     make(&["convert", "late", "-o", "converted", "--compression", "zstd"]);
     make(&["repair", "late"]);
     make(&["cut", "late", "-o", "begin", "--until", "1s"]);
@@ -477,7 +475,8 @@ fn rust_library() -> PathBuf {
 
 #[test]
 fn a_library_in_rust_that_panicked_starts_again_when_it_is_saved() {
-    if !has_compiler() {
+    let domain = free_domain().to_string();
+    if !has_compilers(&["c++"]) {
         return;
     }
     let site = Site::new(&format!(
@@ -487,7 +486,7 @@ fn a_library_in_rust_that_panicked_starts_again_when_it_is_saved() {
     // Negative numbers make the amplifier panic.
     site.build("-0.1", -1);
     std::fs::copy(rust_library(), site.path().join("libamplifier.so")).unwrap();
-    let mut robot = site.run(&["--record", "bag"], "34");
+    let mut robot = site.run(&["--record", "bag"], &domain);
     robot.wait_for_output("a negative number");
     site.build("0.1", -1);
     robot.wait_for_output("libsums.so was saved and is reloaded");
@@ -520,10 +519,11 @@ const GAIN: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downb
 #[test]
 #[cfg_attr(not(feature = "state_machine"), ignore = "needs the feature state_machine")]
 fn a_replay_uses_the_recorded_settings_and_says_which_are_others_now() {
+    let domain = free_domain().to_string();
     let player = "[[module]]\nname = \"player\"\nkind = \"state_machine\"\nfile = \"player.scxml\"\n";
     let site = Site::new(&format!("{player}settings = {{ gain = 0.1 }}\n"));
     site.write("player.scxml", GAIN);
-    let mut robot = site.run(&["--record", "bag", "--duration", "2s"], "36");
+    let mut robot = site.run(&["--record", "bag", "--duration", "2s"], &domain);
     robot.wait();
     assert!(!site.assert_replays("bag", &[]).contains("player.gain"));
     let robot = std::fs::read_to_string(site.path().join("robot.toml")).unwrap();

@@ -45,6 +45,7 @@ use downbeat::replay::{ReplayOptions, ReplayReport, Strictness, replay};
 use downbeat::robot::Kind;
 use downbeat::running::{PreparedRobot, RecordPlan};
 use serde_json::json;
+use test_machine::free_domain;
 
 /// Rises on request, and requests a plan each time. Its messages depend on its ticks between requests.
 #[derive(Default)]
@@ -551,8 +552,9 @@ fn client<S: Service>(node: &Node, service: &str, qos: QosProfile) -> Client<S> 
 
 #[test]
 fn a_robot_that_is_commanded_over_dds_repeats() {
-    let recorded = recorded_in_domain(61, || {
-        let participant = Participant::join(&on_loopback(61)).unwrap();
+    let domain = free_domain();
+    let recorded = recorded_in_domain(domain, || {
+        let participant = Participant::join(&on_loopback(domain)).unwrap();
         let node = participant.create_node(NodeName::new("/", "commander").unwrap()).unwrap();
         let raise = client::<SetBool>(&node, "/raise", QosProfile::SERVICES);
         let send_goal = client::<FibonacciSendGoal>(&node, "/count/_action/send_goal", QosProfile::SERVICES);
@@ -595,7 +597,8 @@ fn a_robot_that_is_commanded_over_dds_repeats() {
 
 #[test]
 fn a_robot_that_is_commanded_by_rclpy_repeats() {
-    let Some(mut peer) = Peer::start(62, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Bags", "replay of a robot that received commands", With::Rclpy, Way::In);
     let call = |peer: &mut Peer, service: &str, requests: serde_json::Value| {
         let answers = peer.ask(json!({"do": "call", "service": service, "requests": requests}));
@@ -603,7 +606,7 @@ fn a_robot_that_is_commanded_by_rclpy_repeats() {
             assert_eq!(answer["success"], true, "{service}: {answer}");
         }
     };
-    let recorded = recorded_in_domain(62, || {
+    let recorded = recorded_in_domain(domain, || {
         let services =
             [("/raise", "std_srvs/srv/SetBool"), ("/arm/change_state", "lifecycle_msgs/srv/ChangeState")];
         for (service, type_name) in services {

@@ -13,6 +13,7 @@ use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::sensor_msgs::msg::JointState;
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
 
@@ -43,10 +44,11 @@ fn position(fields: &Value, joint: &str) -> f64 {
 
 #[test]
 fn the_node_is_listed_with_its_topics_types_and_qos() {
-    let Some(mut peer) = peer(60) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = peer(domain) else { return };
     let _check = check("Graph", "the demo robot with all its topics", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(60, folder.path(), &[]);
+    let mut robot = run(domain, folder.path(), &[]);
     wait_until("the node is listed", || has(&peer.ask(json!({"do": "nodes"})), "/darwin_op"));
     let published = [
         ("/joint_states", JOINT_STATE, "RELIABLE"),
@@ -111,7 +113,7 @@ fn record_and_receive(domain: u16) -> Option<(Vec<i64>, Vec<i64>)> {
 
 #[test]
 fn joint_states_arrive_at_125_hz_without_loss() {
-    let Some((published, received)) = record_and_receive(61) else { return };
+    let Some((published, received)) = record_and_receive(free_domain()) else { return };
     assert_eq!(received, published);
     let period = usual_period_ms(&published);
     assert!((7.2..8.8).contains(&period), "joint states come every {period} ms, not at 125 Hz");
@@ -119,10 +121,11 @@ fn joint_states_arrive_at_125_hz_without_loss() {
 
 #[test]
 fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_last_one() {
-    let Some(mut peer) = peer(64) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = peer(domain) else { return };
     let _check = check("Topics", "commands move the joints of the demo", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(64, folder.path(), &[]);
+    let mut robot = run(domain, folder.path(), &[]);
     let of_joint_states = json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE});
     peer.ask(of_joint_states);
     peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
@@ -165,10 +168,11 @@ fn commands_from_rclpy_move_the_joints_they_name_until_two_seconds_after_the_las
 /// Suspends the robot, as a debugger, a paused container or a sleeping laptop would.
 #[test]
 fn a_suspended_robot_is_available_again_with_all_endpoints() {
-    let Some(mut peer) = peer(213) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = peer(domain) else { return };
     let _check = check("Faults", "the program is suspended and resumed", With::Rclpy, Way::Both);
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = run(213, folder.path(), &[]);
+    let mut robot = run(domain, folder.path(), &[]);
     peer.ask(json!({"do": "subscribe", "topic": "/joint_states", "type": JOINT_STATE}));
     peer.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": JOINT_STATE}));
     let has_joint_states =
@@ -193,7 +197,8 @@ fn a_suspended_robot_is_available_again_with_all_endpoints() {
 
 #[test]
 fn the_node_leaves_the_graph_within_two_seconds_of_a_signal() {
-    for (domain, signal) in [(65, "-INT"), (66, "-TERM")] {
+    for signal in ["-INT", "-TERM"] {
+        let domain = free_domain();
         let Some(mut peer) = peer(domain) else { return };
         let _check = check(
             "Graph",

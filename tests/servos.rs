@@ -293,7 +293,7 @@ fn packets_are_those_of_dynamixel_sdk() {
     std::fs::write(&file, serde_json::to_string(&asked).unwrap()).unwrap();
     let Some(packets) = python("dynamixel_packets.py", &[&file]) else { return };
     let Some(packets) = packets.as_array() else {
-        eprintln!("skipped: dynamixel-sdk is not installed");
+        test_machine::missing("the Python package dynamixel-sdk", "`cargo xtask python` installs it");
         return;
     };
     assert_eq!(packets.len(), instructions.len());

@@ -22,6 +22,7 @@ use downbeat::bridge::ros::{MessageType, NodeName, Participant};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::{cdr, std_msgs};
 use rustix::process::{Pid, Signal, kill_process};
+use test_machine::{free_domain, has_compilers};
 
 const WAYS: [Way; 8] = [
     Way::Signal(Signal::INT),
@@ -163,7 +164,7 @@ fn a_robot_stops_in_order() {
     let robot = |folder: &Path| robot_file(folder, |text| text);
     for way in WAYS {
         let folder = tempfile::tempdir().unwrap();
-        let (folder, domain) = (folder.path(), 129);
+        let (folder, domain) = (folder.path(), free_domain());
         let file = robot(folder);
         let program = start(command(&["run", file.to_str().unwrap()], domain, folder), way);
         let link = Some(folder.join("port"));
@@ -179,7 +180,7 @@ fn a_robot_stops_in_order() {
 fn a_recorded_robot_closes_its_bag() {
     for way in WAYS {
         let folder = tempfile::tempdir().unwrap();
-        let (folder, domain) = (folder.path(), 130);
+        let (folder, domain) = (folder.path(), free_domain());
         let (file, bag) = (robot_file(folder, |text| text), folder.join("bag"));
         let arguments = ["run", file.to_str().unwrap(), "--record", bag.to_str().unwrap()];
         let program = start(command(&arguments, domain, folder), way);
@@ -196,7 +197,7 @@ fn a_recorded_robot_closes_its_bag() {
 fn a_recorder_closes_its_bag() {
     for way in WAYS {
         let folder = tempfile::tempdir().unwrap();
-        let (folder, domain) = (folder.path(), 131);
+        let (folder, domain) = (folder.path(), free_domain());
         let talker = Talker::start(domain);
         let bag = folder.join("bag");
         let arguments = ["bag", "record", "--topics", "/chatter", "-o", bag.to_str().unwrap()];
@@ -244,47 +245,42 @@ fn a_viewed_bag_ends() {
     for way in WAYS {
         let folder = tempfile::tempdir().unwrap();
         let arguments = ["bag", "view", bag.to_str().unwrap(), "--port", "0", "--page", "0"];
-        let program = start(command(&arguments, 132, folder.path()), way);
+        let domain = free_domain();
+        let program = start(command(&arguments, domain, folder.path()), way);
         program.wait_for_output("open in a browser");
-        check(
-            Case { program, domain: 132, node: None, bag: None, link: None, has_children: false },
-            way,
-            "view",
-        );
+        check(Case { program, domain, node: None, bag: None, link: None, has_children: false }, way, "view");
     }
 }
 
 #[test]
 fn a_command_that_looks_leaves_the_network() {
+    let domain = free_domain();
     for way in WAYS {
         let folder = tempfile::tempdir().unwrap();
-        let arguments = ["topic", "echo", "/chatter", "std_msgs/msg/String", "--domain", "133"];
-        let (program, peer) = (start(command(&arguments, 133, folder.path()), way), peer(133));
+        let arguments = ["topic", "echo", "/chatter", "std_msgs/msg/String", "--domain", &domain.to_string()];
+        let (program, peer) = (start(command(&arguments, domain, folder.path()), way), peer(domain));
         let looks = |peer: &Participant| {
             peer.remote_nodes().iter().any(|node| node.name.starts_with("/_downbeat_topic"))
         };
         wait_until("the command is seen", || looks(&peer));
-        check(
-            Case { program, domain: 133, node: None, bag: None, link: None, has_children: false },
-            way,
-            "echo",
-        );
-        assert_gone(&peer, 133, &format!("echo, {way:?}"), |peer| !looks(peer));
+        check(Case { program, domain, node: None, bag: None, link: None, has_children: false }, way, "echo");
+        assert_gone(&peer, domain, &format!("echo, {way:?}"), |peer| !looks(peer));
     }
 }
 
 #[test]
 fn a_command_whose_output_nobody_reads_leaves_the_network() {
     let folder = tempfile::tempdir().unwrap();
-    let (talker, peer) = (Talker::start(135), peer(135));
+    let domain = free_domain();
+    let (talker, peer) = (Talker::start(domain), peer(domain));
     let arguments = ["topic", "echo", "/chatter", "std_msgs/msg/String"];
-    let mut echo = command(&arguments, 135, folder.path());
+    let mut echo = command(&arguments, domain, folder.path());
     let mut child = echo.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut first = [0];
     child.stdout.take().unwrap().read_exact(&mut first).unwrap();
     let mut program = Program { child, terminal: None, output: Arc::default() };
     assert_eq!(program.wait().code(), Some(0));
-    assert_gone(&peer, 135, "unread", |peer| {
+    assert_gone(&peer, domain, "unread", |peer| {
         !peer.remote_nodes().iter().any(|node| node.name.starts_with("/_downbeat_topic"))
     });
     drop(talker);
@@ -316,7 +312,7 @@ fn compose(folder: &Path, domain: u16, way: Way) -> (Program, PathBuf) {
 fn compose_takes_its_robot_with_it() {
     for way in WAYS {
         let folder = tempfile::tempdir().unwrap();
-        let (folder, domain) = (folder.path(), 136);
+        let (folder, domain) = (folder.path(), free_domain());
         let (program, bag) = compose(folder, domain, way);
         let (bag, link) = (Some((bag, "/joint_states")), Some(folder.join("port")));
         check(
@@ -330,7 +326,7 @@ fn compose_takes_its_robot_with_it() {
 #[test]
 fn a_composed_robot_stops_in_order_when_compose_is_killed() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 137);
+    let (folder, domain) = (folder.path(), free_domain());
     let (mut program, bag) = compose(folder, domain, Way::Signal(Signal::KILL));
     let peer = peer(domain);
     wait_until("the robot is there", || {
@@ -356,7 +352,7 @@ fn a_match_closes_its_bag() {
         // Robots with child processes take long to start.
         let has_children = number % 4 == 0;
         let folder = tempfile::tempdir().unwrap();
-        let (folder, domain) = (folder.path(), 138);
+        let (folder, domain) = (folder.path(), free_domain());
         let file = folder.join("match.toml");
         let text = format!(
             "[robot]\nname = \"football\"\n[[module]]\nname = \"match\"\nkind = \"football_match\"\n\
@@ -366,8 +362,10 @@ fn a_match_closes_its_bag() {
         fs::write(&file, text).unwrap();
         let bags = folder.join("bags");
         let mut arguments = vec!["match", file.to_str().unwrap(), "--record", bags.to_str().unwrap()];
-        arguments
-            .extend(has_children.then_some(["--processes", "--robot-domains", "139"]).into_iter().flatten());
+        let of_robot = free_domain().to_string();
+        if has_children {
+            arguments.extend(["--processes", "--robot-domains", &of_robot]);
+        }
         let program = start(command(&arguments, domain, folder), way);
         let bag = if has_children { bags.join("match") } else { bags.clone() };
         let bag = Some((bag, "/match/state"));
@@ -376,7 +374,7 @@ fn a_match_closes_its_bag() {
 }
 
 /// Builds a library in C whose callbacks never return.
-fn endless_library(folder: &Path, after: Duration) -> bool {
+fn endless_library(folder: &Path, after: Duration) {
     let include = Path::new(env!("CARGO_MANIFEST_DIR")).join("modules/library/include");
     let source = r#"
         #include <stdio.h>
@@ -407,12 +405,7 @@ fn endless_library(folder: &Path, after: Duration) -> bool {
         .arg(format!("-DPERIOD_NS={}", after.as_nanos()))
         .args(["-std=c11", "-shared", "-fPIC", "endless.c", "-o", "endless.so", "-I"])
         .arg(include);
-    let Ok(status) = compiler.current_dir(folder).status() else {
-        eprintln!("skipped: this machine has no cc");
-        return false;
-    };
-    assert!(status.success());
-    true
+    assert!(compiler.current_dir(folder).status().unwrap().success());
 }
 
 fn with_endless_library(folder: &Path, keys: &str) -> PathBuf {
@@ -429,10 +422,11 @@ fn with_endless_library(folder: &Path, keys: &str) -> PathBuf {
 #[test]
 fn a_robot_that_does_not_stop_ends_at_the_second_request_with_a_whole_bag() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 141);
-    if !endless_library(folder, Duration::from_secs(5)) {
+    let (folder, domain) = (folder.path(), free_domain());
+    if !has_compilers(&["cc"]) {
         return;
     }
+    endless_library(folder, Duration::from_secs(5));
     let (file, bag) = (with_endless_library(folder, ""), folder.join("bag"));
     let arguments = ["run", file.to_str().unwrap(), "--record", bag.to_str().unwrap()];
     let (mut program, peer) = (Program::start(command(&arguments, domain, folder)), peer(domain));
@@ -470,10 +464,11 @@ fn a_robot_that_does_not_stop_ends_at_the_second_request_with_a_whole_bag() {
 #[test]
 fn a_library_that_does_not_return_stops_neither_its_robot_nor_its_end() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 142);
-    if !endless_library(folder, Duration::from_millis(300)) {
+    let (folder, domain) = (folder.path(), free_domain());
+    if !has_compilers(&["cc"]) {
         return;
     }
+    endless_library(folder, Duration::from_millis(300));
     let keys = "isolate = true\ntime_limit = \"500ms\"\nrestart = { times = 1000, backoff = \"1ms\" }\n";
     for signal in [Signal::TERM, Signal::KILL] {
         let file = with_endless_library(folder, keys);
@@ -496,7 +491,7 @@ fn a_library_that_does_not_return_stops_neither_its_robot_nor_its_end() {
 #[test]
 fn a_robot_whose_hang_ups_are_ignored_outlives_its_terminal() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 143);
+    let (folder, domain) = (folder.path(), free_domain());
     let (file, bag) = (robot_file(folder, |text| text), folder.join("bag"));
     let robot = command(&["run", file.to_str().unwrap(), "--record", bag.to_str().unwrap()], domain, folder);
     let mut nohup = Command::new("sh");
@@ -526,7 +521,7 @@ fn a_robot_whose_hang_ups_are_ignored_outlives_its_terminal() {
 #[test]
 fn a_service_manager_need_not_kill() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 146);
+    let (folder, domain) = (folder.path(), free_domain());
     let (mut program, bag) = compose(folder, domain, Way::Signal(Signal::TERM));
     wait_until("it records", || recorded_messages(&bag, "/joint_states") > 0);
     let children = descendants(program.child.id());
@@ -544,7 +539,7 @@ fn a_service_manager_need_not_kill() {
 #[test]
 fn small_terminals_are_drawn_on_and_restored() {
     let folder = tempfile::tempdir().unwrap();
-    let (folder, domain) = (folder.path(), 152);
+    let (folder, domain) = (folder.path(), free_domain());
     let file = folder.join("robot.toml");
     fs::write(&file, QUIET_ROBOT).unwrap();
     for (size, signal) in [((20, 5), Signal::TERM), ((0, 0), Signal::HUP), ((1, 1), Signal::INT)] {
@@ -567,8 +562,8 @@ fn small_terminals_are_drawn_on_and_restored() {
             is_there
         });
         let mut top = top.unwrap();
-        // Wait for several redraws.
-        std::thread::sleep(Duration::from_millis(700));
+        // The cursor is hidden after each drawing.
+        wait_until("top has drawn several times", || top.output().matches("\u{1b}[?25l").count() > 3);
         top.signal(signal);
         assert_eq!(top.wait().code(), Some(0), "{size:?}: {}", top.output());
         assert!(top.output().contains("\u{1b}[?1049l"), "{size:?}: {:?}", top.output());

@@ -27,6 +27,7 @@ use downbeat::msgs::tf2_msgs::action::{
 use downbeat::msgs::tf2_msgs::msg::TF2Error;
 use downbeat::msgs::unique_identifier_msgs::msg::UUID;
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 /// Looks up the pose of the camera in the map.
 #[derive(Default)]
@@ -103,7 +104,8 @@ fn message(parent: &str, child: &str, x: f64, seconds: i32) -> Value {
 
 #[test]
 fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive() {
-    let Some(mut peer) = Peer::cyclonedds(148) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", "/tf and /tf_static with the transform buffer", With::Cyclone, Way::In);
     let _check2 =
         check("Topics", "/tf and /tf_static of a broadcaster, for late joiners too", With::Cyclone, Way::Out);
@@ -123,7 +125,7 @@ fn transforms_of_peer_are_looked_up_by_a_module_and_those_of_the_module_arrive()
     let options = ModuleOptions { remaps: remaps.into(), ..ModuleOptions::default() };
     core.add_with("broadcaster", Broadcaster, options).unwrap();
     let options =
-        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(148) };
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain) };
     let participant = Participant::join(&options).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let _status = expose(&mut core, &node, &exposures()).unwrap();
@@ -177,13 +179,14 @@ actions = ["tf2_buffer_server"]
 
 #[test]
 fn a_robot_serves_an_action_that_looks_up_transforms() {
-    let Some(mut rclpy) = Peer::start(212, "LOCALHOST") else { return };
-    let Some(mut cyclone) = Peer::cyclonedds(212) else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let _check = check("Actions", "actions in the robot file", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let robot = folder.path().join("lookups.toml");
     std::fs::write(&robot, LOOKUPS).unwrap();
-    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", "212"]);
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
     wait_until("rclpy lists the action", || {
         rclpy.ask(json!({"do": "actions"}))["/tf2_buffer_server"] == json!([LookupTransform::TYPE_NAME])
     });
@@ -195,7 +198,7 @@ fn a_robot_serves_an_action_that_looks_up_transforms() {
 
     // The wheels of rclpy cannot send this goal.
     let options =
-        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(212) };
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain) };
     let participant = Participant::join(&options).unwrap();
     let node = participant.create_node(NodeName::new("/", "client").unwrap()).unwrap();
     let part = |name: &str| format!("/tf2_buffer_server/_action/{name}");

@@ -12,6 +12,7 @@ use downbeat::edge::Interfaces;
 use downbeat::executor::Snapshot;
 use downbeat::inspect::{Client, SocketDirectory};
 use downbeat::table::{MOST_POINTS, series};
+use test_machine::free_domain;
 
 /// A robot with servos, which moves.
 const MOVING_ROBOT: &str = r#"
@@ -116,8 +117,9 @@ fn a_robot_that_already_runs_is_not_started_again() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("quiet.toml");
     std::fs::write(&file, QUIET_ROBOT).unwrap();
+    let domain = free_domain().to_string();
     let run = |options: &[&str]| {
-        in_folder(folder.path(), &[&["run", file.to_str().unwrap(), "--domain", "228"], options].concat())
+        in_folder(folder.path(), &[&["run", file.to_str().unwrap(), "--domain", &domain], options].concat())
     };
     let mut first = Running::start_by(&mut run(&[]));
     wait_until("the robot is listed", || output(folder.path(), &["top", "--once"]).0);
@@ -125,7 +127,7 @@ fn a_robot_that_already_runs_is_not_started_again() {
     let error = String::from_utf8(second.stderr).unwrap();
     assert!(!second.status.success(), "{error}");
     assert!(
-        error.contains("quiet (process ") && error.contains("as /quiet in domain 228 already"),
+        error.contains("quiet (process ") && error.contains(&format!("as /quiet in domain {domain} already")),
         "{error}"
     );
     let elsewhere = run(&["--duration", "10ms", "--ros-args", "-r", "__ns:=/lab"]).output().unwrap();

@@ -12,6 +12,7 @@ use common::{Running, downbeat, wait_until};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Stdio};
+use test_machine::free_domain;
 
 const ROBOT: &str = "robots/darwin_op_walks.toml";
 
@@ -27,12 +28,13 @@ fn latest(rclpy: &mut Peer, topic: &str) -> Option<Value> {
 
 #[test]
 fn rclpy_steers_and_pushes_the_robot_and_the_run_replays() {
-    let Some(mut rclpy) = Peer::start(224, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", "a simulated robot is steered by cmd_vel", With::Rclpy, Way::In);
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("walk");
     let bag = bag.to_str().unwrap();
-    let mut program = Running::start(&["run", ROBOT, "--domain", "224", "--record", bag]);
+    let mut program = Running::start(&["run", ROBOT, "--domain", &domain.to_string(), "--record", bag]);
     for (topic, kind) in [("/odom", "nav_msgs/msg/Odometry"), ("/robot_state", "std_msgs/msg/String")] {
         rclpy.ask(json!({"do": "subscribe", "topic": topic, "type": kind}));
     }
@@ -84,12 +86,13 @@ impl Drop for Script {
 
 #[test]
 fn the_teleoperation_on_the_page_steers_the_robot() {
-    let (Some(python), Some(mut rclpy)) = (python(), Peer::start(227, "LOCALHOST")) else { return };
+    let domain = free_domain();
+    let (Some(python), Some(mut rclpy)) = (python(), Peer::start(domain, "LOCALHOST")) else { return };
     let (_, script) = include_str!("../docs/walking.md").split_once("```python\n").unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("teleop.py");
     std::fs::write(&path, script.split_once("```").unwrap().0).unwrap();
-    let mut program = Running::start(&["run", ROBOT, "--domain", "227"]);
+    let mut program = Running::start(&["run", ROBOT, "--domain", &domain.to_string()]);
     rclpy.ask(json!({"do": "subscribe", "topic": "/odom", "type": "nav_msgs/msg/Odometry"}));
     rclpy.ask(json!({"do": "subscribe", "topic": "/robot_state", "type": "std_msgs/msg/String"}));
     wait_until("the robot is upright", || {
@@ -98,7 +101,7 @@ fn the_teleoperation_on_the_page_steers_the_robot() {
     // The script reads keys from a terminal.
     let in_terminal = "import pty, sys; pty.spawn([sys.executable, sys.argv[1]])";
     let mut command = Command::new(python);
-    command.args(["-c", in_terminal]).arg(&path).env("ROS_DOMAIN_ID", "227");
+    command.args(["-c", in_terminal]).arg(&path).env("ROS_DOMAIN_ID", domain.to_string());
     command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut teleop = Script(command.spawn().unwrap());
     let mut keys = teleop.0.stdin.take().unwrap();

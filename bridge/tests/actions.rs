@@ -18,6 +18,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
+use test_machine::free_domain;
 
 const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 
@@ -238,7 +239,7 @@ fn rclpy_lists_the_action(rclpy: &mut Peer) {
 
 #[test]
 fn rclpy_lists_the_action_sends_a_goal_hears_of_it_and_has_its_result() {
-    let Some((running, _node, mut rclpy)) = robot_and_rclpy(131) else { return };
+    let Some((running, _node, mut rclpy)) = robot_and_rclpy(free_domain()) else { return };
     let list = check("Actions", "ros2 action list -t", With::Rclpy, Way::Out);
     let info = check("Actions", "ros2 action info: servers and clients by node", With::Rclpy, Way::Out);
     rclpy_lists_the_action(&mut rclpy);
@@ -264,7 +265,7 @@ fn rclpy_lists_the_action_sends_a_goal_hears_of_it_and_has_its_result() {
 
 #[test]
 fn rclpy_cancels_goals_unless_the_module_holds_on() {
-    let Some((running, _node, mut rclpy)) = robot_and_rclpy(132) else { return };
+    let Some((running, _node, mut rclpy)) = robot_and_rclpy(free_domain()) else { return };
     let _check =
         check("Actions", "cancel: accepted, refused, of a goal that has ended", With::Rclpy, Way::In);
     let (goal, held) = (send(&mut rclpy, 3), send(&mut rclpy, 13));
@@ -279,7 +280,7 @@ fn rclpy_cancels_goals_unless_the_module_holds_on() {
 
 #[test]
 fn results_are_there_for_those_that_ask_late_until_they_expire() {
-    let Some((running, _node, mut rclpy)) = robot_and_rclpy(133) else { return };
+    let Some((running, _node, mut rclpy)) = robot_and_rclpy(free_domain()) else { return };
     let _late = check("Actions", "result requested after the end", With::Rclpy, Way::In);
     let _expired = check("Actions", "result that has expired", With::Rclpy, Way::In);
     let _twice = check("Actions", "goal id that is already in use", With::Rclpy, Way::In);
@@ -297,10 +298,11 @@ fn results_are_there_for_those_that_ask_late_until_they_expire() {
 
 #[test]
 fn two_clients_have_goals_at_once_and_statuses_are_there_for_who_comes_late() {
-    let Some((running, _node, mut rclpy)) = robot_and_rclpy(134) else { return };
+    let domain = free_domain();
+    let Some((running, _node, mut rclpy)) = robot_and_rclpy(domain) else { return };
     let _two = check("Actions", "two clients with goals at the same time", With::Rclpy, Way::In);
     let _status = check("Actions", "status for late joiners", With::Rclpy, Way::Out);
-    let mut other = Peer::start(134, "LOCALHOST").unwrap();
+    let mut other = Peer::start(domain, "LOCALHOST").unwrap();
     other.ask(json!({"do": "action_client", "action": "/robot/count", "type": FIBONACCI}));
     assert_eq!(other.ask(json!({"do": "wait_for_action", "action": "/robot/count"})), true);
     let (goal, others) = (send(&mut rclpy, 3), send(&mut other, 4));
@@ -339,13 +341,14 @@ fn begin(running: &Running, rclpy: &mut Peer, order: i32) -> Value {
 
 #[test]
 fn a_module_uses_an_action_of_rclpy() {
-    let Some(mut rclpy) = Peer::start(135, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _goal = check("Actions", "goal with feedback and result", With::Rclpy, Way::Out);
     let _cancel =
         check("Actions", "cancel: accepted, refused, of a goal that has ended", With::Rclpy, Way::Out);
     let _reject = check("Actions", "goal that is rejected", With::Rclpy, Way::Out);
     rclpy.ask(json!({"do": "action_server", "action": "/count", "type": FIBONACCI}));
-    let running = run(&node(Participant::join(&on_loopback(135)).unwrap()));
+    let running = run(&node(Participant::join(&on_loopback(domain)).unwrap()));
     wait_until("the action is found", || running.has_found_the_action());
     running.ask.publish(Asked::Count(-1)).unwrap();
     let line = running.line();

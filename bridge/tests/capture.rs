@@ -16,19 +16,20 @@ use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use test_machine::free_domain;
 
-const DOMAIN: u16 = 108;
-
-/// Of the domain, and of nobody's.
-const MARK_PORT: u16 = 7400 + 250 * DOMAIN + 249;
+/// The last port of a domain, which no participant has.
+fn mark_port(domain: u16) -> u16 {
+    7400 + 250 * domain + 249
+}
 
 /// Records the domain on the loopback interface, or says why not and returns nothing.
-fn record(file: &Path) -> Option<Child> {
-    let filter = format!("udp portrange {}-{MARK_PORT}", 7400 + 250 * DOMAIN);
+fn record(domain: u16, file: &Path) -> Option<Child> {
+    let filter = format!("udp portrange {}-{}", 7400 + 250 * domain, mark_port(domain));
     let mut command = Command::new("dumpcap");
     command.args(["-q", "-i", "lo", "-B", "64", "-f", &filter, "-w"]).arg(file).stderr(Stdio::piped());
     let Ok(mut recording) = command.spawn() else {
-        eprintln!("skipped: there is no dumpcap, Debian's package tshark has it");
+        test_machine::missing("dumpcap", "Debian: the package tshark");
         return None;
     };
     let mut line = String::new();
@@ -41,17 +42,17 @@ fn record(file: &Path) -> Option<Child> {
         }
     }
     recording.wait().unwrap();
-    eprintln!("skipped: dumpcap may not record: {line}");
+    test_machine::skipped(&format!("this user may not record with dumpcap: {line}"));
     None
 }
 
 /// Until what was sent so far is in the file.
-fn wait_until_recorded(file: &Path) {
+fn wait_until_recorded(domain: u16, file: &Path) {
     const MARK: &[u8] = b"all that was said before is recorded";
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     wait_until("the recording is written", || {
         // Nobody listens there, so a later send may fail.
-        let _ = socket.send_to(MARK, ("127.0.0.1", MARK_PORT));
+        let _ = socket.send_to(MARK, ("127.0.0.1", mark_port(domain)));
         std::fs::read(file).unwrap().windows(MARK.len()).any(|bytes| bytes == MARK)
     });
 }
@@ -64,10 +65,10 @@ fn tshark(file: &Path, arguments: &[&str]) -> String {
 
 /// All that we say: two of us, with a service, with latched texts, with fragments, with a text that comes too
 /// late.
-fn converse() {
+fn converse(domain: u16) {
     let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT }.keep_last(2);
-    let mut peer = ours::start(DOMAIN);
-    let talker = Talker::join(&on_loopback(DOMAIN), latched);
+    let mut peer = ours::start(domain);
+    let talker = Talker::join(&on_loopback(domain), latched);
     (0..5).for_each(|number| talker.say(number, 100));
     talker.meet(&mut peer, 100);
     assert_eq!(common::texts::taken(&mut peer, "/ours", 2), [(3, 100), (4, 100)]);
@@ -78,7 +79,7 @@ fn converse() {
     let qos = qos_of(best_effort, 5);
     peer.ask(json!({"do": "subscribe_texts", "topic": "/best_effort", "qos": qos}));
 
-    let other = Participant::join(&on_loopback(DOMAIN)).unwrap();
+    let other = Participant::join(&on_loopback(domain)).unwrap();
     let other = other.create_node(NodeName::new("/", "other").unwrap()).unwrap();
     let service = talker
         .node
@@ -104,15 +105,16 @@ fn converse() {
 fn tshark_decodes_a_conversation_of_ours_without_a_malformed_packet() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("conversation.pcapng");
-    let Some(mut recording) = record(&file) else { return };
-    converse();
-    wait_until_recorded(&file);
+    let domain = free_domain();
+    let Some(mut recording) = record(domain, &file) else { return };
+    converse(domain);
+    wait_until_recorded(domain, &file);
     let status = Command::new("kill").arg("-INT").arg(recording.id().to_string()).status().unwrap();
     assert!(status.success());
     recording.wait().unwrap();
 
     let malformed = "_ws.malformed || _ws.expert.severity == \"Error\" || !rtps";
-    let malformed = format!("({malformed}) && udp.dstport != {MARK_PORT} && !icmp");
+    let malformed = format!("({malformed}) && udp.dstport != {} && !icmp", mark_port(domain));
     assert_eq!(tshark(&file, &["-Y", &malformed]), "");
     let submessages = tshark(&file, &["-T", "fields", "-e", "rtps.sm.id", "-E", "aggregator=,"]);
     let found: BTreeSet<&str> = submessages.split([',', '\n']).collect();

@@ -23,6 +23,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
+use test_machine::free_domain;
 
 const SECOND: i64 = 1_000_000_000;
 
@@ -159,9 +160,10 @@ fn the_time_of_the_core_is_published_while_somebody_hears_it() {
 
 #[test]
 fn rclpy_hears_the_time_of_the_core() {
-    let Some(mut rclpy) = Peer::start(183, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Node services", "/clock", With::Rclpy, Way::Out);
-    let participant = Participant::join(&on_loopback(183)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let mut core = Core::new();
     clock::publish(&mut core, &node, Duration::from_millis(10)).unwrap();
@@ -186,9 +188,10 @@ fn rclpy_hears_the_time_of_the_core() {
 
 #[test]
 fn the_core_follows_the_time_that_rclpy_publishes() {
-    let Some(mut rclpy) = Peer::start(184, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Node services", "/clock", With::Rclpy, Way::In);
-    let participant = Participant::join(&on_loopback(184)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let clock = FollowedClock::new();
     let (core, following) = Following::start(&clock, &node);

@@ -21,6 +21,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 /// Longer than a lease of 20 s, after which Fast DDS and we forget who is silent.
 const LONGER_THAN_A_LEASE: Duration = Duration::from_secs(25);
@@ -56,11 +57,12 @@ fn lists(peer: &mut Peer, node: &str) -> bool {
 
 #[test]
 fn what_we_remove_is_gone_from_rclpy_at_once() {
-    let Some(mut peer) = Peer::start(88, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _endpoint =
         check("Graph", "a removed endpoint disappears from `ros2 topic info`", With::Rclpy, Way::Out);
     let _node = check("Graph", "a removed node of a process that keeps running", With::Rclpy, Way::Out);
-    let (participant, node) = join(88);
+    let (participant, node) = join(domain);
     let second = participant.create_node(NodeName::new("/", "second").unwrap()).unwrap();
     let of_second = publish(&second, "/ours", QosProfile::DEFAULT);
     let ours = publish(&node, "/ours", QosProfile::DEFAULT);
@@ -89,11 +91,12 @@ fn what_we_remove_is_gone_from_rclpy_at_once() {
 
 #[test]
 fn what_rclpy_removes_is_gone_from_us_at_once() {
-    let Some(mut peer) = Peer::start(89, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _endpoint =
         check("Graph", "a removed endpoint disappears from `ros2 topic info`", With::Rclpy, Way::In);
     let _node = check("Graph", "a removed node of a process that keeps running", With::Rclpy, Way::In);
-    let (participant, node) = join(89);
+    let (participant, node) = join(domain);
     let ours = publish(&node, "/ours", QosProfile::DEFAULT);
     let (theirs, _heard) = hear(&node, "/theirs", QosProfile::DEFAULT);
     peer.ask(json!({"do": "subscribe_texts", "topic": "/ours"}));
@@ -121,10 +124,11 @@ fn user_data(peer: &mut Peer, topic: &str) -> Vec<Value> {
 
 #[test]
 fn cyclone_knows_our_type_hashes_and_what_we_remove_is_gone_at_once() {
-    let Some(mut peer) = Peer::cyclonedds(90) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _hash = check("Graph", "type hashes of downbeat's endpoints", With::Cyclone, Way::Out);
     let _gone = check("Graph", "a removed endpoint disappears from discovery", With::Cyclone, Way::Out);
-    let (participant, node) = join(90);
+    let (participant, node) = join(domain);
     let ours = publish(&node, "/ours", QosProfile::DEFAULT);
     let theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
     let expected = [Value::from(format!("typehash={};", Text::TYPE_HASH))];
@@ -143,10 +147,11 @@ fn cyclone_knows_our_type_hashes_and_what_we_remove_is_gone_at_once() {
 
 #[test]
 fn cyclone_finds_a_type_hash_at_every_endpoint_of_a_node() {
-    let Some(mut peer) = Peer::cyclonedds(86) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check =
         check("Graph", "type hashes of services, actions and the node graph", With::Cyclone, Way::Out);
-    let (_participant, node) = join(86);
+    let (_participant, node) = join(domain);
     let services = QosProfile::SERVICES;
     let kind = |name: &str| ServiceType::new(name).unwrap();
     let action = [
@@ -205,11 +210,12 @@ fn cyclone_finds_a_type_hash_at_every_endpoint_of_a_node() {
 
 #[test]
 fn our_node_comes_back_to_rclpy_after_our_lease_was_over() {
-    let Some(mut rclpy) = Peer::start(83, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let feature = "the name of a node comes back after its lease was over";
     let _check = check("Faults", feature, With::Rclpy, Way::Out);
     let mut ours = ours::start_by(|program| {
-        let mut command = ours::on_loopback(program, 83);
+        let mut command = ours::on_loopback(program, domain);
         command.env(ours::LEASE_MS, "2000").env(ours::NODE, "stopped");
         command
     });
@@ -228,9 +234,10 @@ fn our_node_comes_back_to_rclpy_after_our_lease_was_over() {
 
 #[test]
 fn rclpy_knows_the_type_hashes_of_our_endpoints_and_we_know_theirs() {
-    let Some(mut peer) = Peer::start(91, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _out = check("Graph", "type hashes of downbeat's endpoints", With::Rclpy, Way::Out);
-    let (participant, node) = join(91);
+    let (participant, node) = join(domain);
     let _ours = publish(&node, "/ours", QosProfile::DEFAULT);
     let _theirs = hear(&node, "/theirs", QosProfile::DEFAULT);
     for topic in ["/ours", "/theirs"] {
@@ -250,10 +257,11 @@ fn rclpy_knows_the_type_hashes_of_our_endpoints_and_we_know_theirs() {
 
 #[test]
 fn rclpy_forgets_us_when_our_lease_is_over_after_we_were_killed() {
-    let Some(mut rclpy) = Peer::start(92, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Faults", "a killed process disappears after its lease", With::Rclpy, Way::Out);
     let mut killed = ours::start_by(|program| {
-        let mut command = ours::on_loopback(program, 92);
+        let mut command = ours::on_loopback(program, domain);
         command.env(ours::LEASE_MS, "3000");
         command
     });
@@ -268,9 +276,10 @@ fn rclpy_forgets_us_when_our_lease_is_over_after_we_were_killed() {
 
 #[test]
 fn we_forget_rclpy_when_its_lease_is_over_after_it_was_killed() {
-    let Some(mut killed) = Peer::start(93, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut killed) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Faults", "a killed process disappears after its lease", With::Rclpy, Way::In);
-    let talker = Talker::join(&on_loopback(93), QosProfile::DEFAULT);
+    let talker = Talker::join(&on_loopback(domain), QosProfile::DEFAULT);
     talker.meet(&mut killed, 10);
     drop(killed);
     // More than any window: a reader that is dead delays nobody. On a busy machine a sample waits until those
@@ -286,12 +295,13 @@ fn we_forget_rclpy_when_its_lease_is_over_after_it_was_killed() {
 
 #[test]
 fn what_rclpy_missed_while_it_was_stopped_it_gets_when_it_goes_on() {
-    let Some(mut peer) = Peer::start(94, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Faults", "a peer that is suspended for 3 s misses nothing", With::Rclpy, Way::Both);
     let qos = QosProfile::DEFAULT.keep_last(300);
-    let talker = Talker::join(&on_loopback(94), qos);
+    let talker = Talker::join(&on_loopback(domain), qos);
     talker.meet(&mut peer, 300);
-    let mut other = ours::start(94);
+    let mut other = ours::start(domain);
     other.ask(json!({"do": "subscribe_texts", "topic": "/ours", "qos": qos_of(qos, 300)}));
     wait_until("the other is matched", || {
         talker.ours.matched_subscriptions() == 2 && is_matched(&mut other, "/ours")
@@ -331,21 +341,21 @@ fn hear_each_other(talker: &Talker, peer: &mut Peer) {
 
 #[test]
 fn who_was_stopped_for_longer_than_the_lease_is_found_again() {
-    let Some(rclpy) = Peer::start(95, "LOCALHOST") else { return };
-    let Some(cyclone) = Peer::cyclonedds(100) else { return };
-    let Some(mut watching) = Peer::start(96, "LOCALHOST") else { return };
+    let domains @ [of_rclpy, of_cyclone, of_ours] = [free_domain(), free_domain(), free_domain()];
+    let Some(rclpy) = Peer::start(of_rclpy, "LOCALHOST") else { return };
+    let Some(cyclone) = Peer::cyclonedds(of_cyclone) else { return };
+    let Some(mut watching) = Peer::start(of_ours, "LOCALHOST") else { return };
     let feature = "a peer that is suspended for longer than its lease";
     let _rclpy = check("Faults", feature, With::Rclpy, Way::Both);
     let _cyclone = check("Faults", feature, With::Cyclone, Way::Both);
     let _ours = check("Faults", "downbeat is suspended for longer than its lease", With::Rclpy, Way::Both);
-    const DOMAINS: [u16; 3] = [95, 100, 96];
     let of_us = ours::start_by(|program| {
-        let mut command = ours::on_loopback(program, 96);
+        let mut command = ours::on_loopback(program, of_ours);
         command.env(ours::NODE, "stopped");
         command
     });
     let mut stopped = [rclpy, cyclone, of_us];
-    let talkers = DOMAINS.map(|domain_id| Talker::join(&on_loopback(domain_id), QosProfile::DEFAULT));
+    let talkers = domains.map(|domain_id| Talker::join(&on_loopback(domain_id), QosProfile::DEFAULT));
     for (talker, peer) in talkers.iter().zip(&mut stopped) {
         talker.meet(peer, 10);
     }
@@ -356,7 +366,7 @@ fn who_was_stopped_for_longer_than_the_lease_is_found_again() {
 
     stopped.iter().for_each(|peer| peer.signal("-STOP"));
     std::thread::sleep(LONGER_THAN_A_LEASE);
-    for (talker, domain_id) in talkers.iter().zip(DOMAINS) {
+    for (talker, domain_id) in talkers.iter().zip(domains) {
         assert_eq!(talker.ours.matched_subscriptions(), 0, "the peer in domain {domain_id} is forgotten");
     }
     assert!(!is_matched(&mut watching, "/to_rclpy"), "the one of us is forgotten");
@@ -391,15 +401,15 @@ fn names(participant: &Participant) -> BTreeSet<String> {
 #[test]
 fn thirty_nodes_come_and_go_and_all_list_those_that_are_left() {
     const PROCESSES: usize = 15;
-    const DOMAIN: u16 = 80;
-    let Some(mut rclpy) = Peer::start(DOMAIN, "LOCALHOST") else { return };
-    let Some(mut cyclone) = Peer::cyclonedds(DOMAIN) else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let feature = "30 nodes that come and go: the others list those that are left";
     let _rclpy = check("Discovery", feature, With::Rclpy, Way::Out);
     let _cyclone = check("Discovery", feature, With::Cyclone, Way::Out);
-    let (observer, _node) = join(DOMAIN);
+    let (observer, _node) = join(domain);
     let come = |number: usize| {
-        let participant = Participant::join(&on_loopback(DOMAIN)).unwrap();
+        let participant = Participant::join(&on_loopback(domain)).unwrap();
         let nodes = ["first", "second"].map(|which| {
             participant.create_node(NodeName::new(&format!("/guest_{number}"), which).unwrap()).unwrap()
         });
@@ -439,10 +449,11 @@ fn thirty_nodes_come_and_go_and_all_list_those_that_are_left() {
 
 #[test]
 fn two_hundred_endpoints_of_ours_and_of_rclpy_are_matched() {
+    let domain = free_domain();
     const COUNT: usize = 100;
-    let Some(mut peer) = Peer::start(97, "LOCALHOST") else { return };
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Graph", "200 endpoints", With::Rclpy, Way::Both);
-    let (_participant, node) = join(97);
+    let (_participant, node) = join(domain);
     let name = |whose: &str, number: usize| format!("/{whose}_{number}");
     let ours: Vec<_> =
         (0..COUNT).map(|number| publish(&node, &name("ours", number), QosProfile::DEFAULT)).collect();
@@ -501,23 +512,26 @@ const EXACT: &str = "latched messages: exactly as many as the depth of the publi
 
 #[test]
 fn late_joiners_of_rclpy_and_ours_get_exactly_the_depth() {
-    let Some(mut peer) = Peer::start(98, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", EXACT, With::Rclpy, Way::Both);
-    latched(98, &mut peer);
+    latched(domain, &mut peer);
 }
 
 #[test]
 fn late_joiners_of_cyclone_and_ours_get_exactly_the_depth() {
-    let Some(mut peer) = Peer::cyclonedds(99) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", EXACT, With::Cyclone, Way::Both);
-    latched(99, &mut peer);
+    latched(domain, &mut peer);
 }
 
 #[test]
 fn replies_of_100_kb_pass_in_the_words_of_cyclone() {
-    let Some(mut peer) = Peer::cyclonedds(101) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Services", "requests and replies of up to 100 kB", With::Cyclone, Way::Both);
-    let (_participant, node) = join(101);
+    let (_participant, node) = join(domain);
     let long = "x".repeat(100_000);
     let message = long.clone();
     let _service = node
@@ -545,7 +559,8 @@ fn replies_of_100_kb_pass_in_the_words_of_cyclone() {
 
 #[test]
 fn a_participant_that_joins_late_has_the_latched_text_of_rclpy_at_once() {
-    let Some(mut peer) = Peer::start(102, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check =
         check("Topics", "latched messages to a process that joins late, immediately", With::Rclpy, Way::In);
     let latched = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
@@ -554,7 +569,7 @@ fn a_participant_that_joins_late_has_the_latched_text_of_rclpy_at_once() {
     peer.ask(json!({"do": "publish_texts", "topic": "/theirs", "size": 100, "count": 1}));
     // Fast DDS repeats its heartbeat after 3 s, later than this accepts.
     for _ in 0..3 {
-        let (_participant, node) = join(102);
+        let (_participant, node) = join(domain);
         let (_theirs, heard) = hear(&node, "/theirs", latched);
         at_once("the text has arrived", || heard.try_recv() == Ok(Some((0, 100))));
     }

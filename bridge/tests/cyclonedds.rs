@@ -16,6 +16,7 @@ use downbeat_msgs::qos::{History, Liveliness, QosProfile, Reliability};
 use downbeat_msgs::sensor_msgs::msg::{CompressedImage, JointState};
 use downbeat_msgs::std_msgs::msg::{Header, String as Text};
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 const TEXT: &str = "std_msgs/msg/String";
 const JOINT_STATE: &str = "sensor_msgs/msg/JointState";
@@ -70,9 +71,10 @@ fn texts(messages: &[Value]) -> Vec<&str> {
 
 #[test]
 fn what_we_publish_reaches_cyclone() {
-    let Some(mut peer) = Peer::cyclonedds(110) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", "reliable messages, byte for byte", With::Cyclone, Way::Out);
-    let (_participant, node) = downbeat(110);
+    let (_participant, node) = downbeat(domain);
     listen(&mut peer, "/joint_states", JOINT_STATE, json!({"depth": 1000}));
     let states = publish(&node, "/joint_states", JOINT_STATE, QosProfile::DEFAULT);
     wait_until("both are matched", || {
@@ -97,9 +99,10 @@ fn what_we_publish_reaches_cyclone() {
 
 #[test]
 fn what_cyclone_publishes_reaches_us() {
-    let Some(mut peer) = Peer::cyclonedds(111) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", "reliable messages, byte for byte", With::Cyclone, Way::In);
-    let (_participant, node) = downbeat(111);
+    let (_participant, node) = downbeat(domain);
     let (commands, samples) = subscribe(&node, "/joint_commands", JOINT_STATE, QosProfile::DEFAULT);
     advertise(&mut peer, "/joint_commands", JOINT_STATE, json!({"depth": 1000}));
     wait_until("both are matched", || {
@@ -120,10 +123,11 @@ fn what_cyclone_publishes_reaches_us() {
 
 #[test]
 fn best_effort_messages_pass() {
-    let Some(mut peer) = Peer::cyclonedds(112) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _out = check("Quality of service", "best effort", With::Cyclone, Way::Out);
     let _in = check("Quality of service", "best effort", With::Cyclone, Way::In);
-    let (_participant, node) = downbeat(112);
+    let (_participant, node) = downbeat(domain);
     let best_effort = json!({"reliability": "best_effort", "depth": 100});
     listen(&mut peer, "/ours", TEXT, best_effort.clone());
     advertise(&mut peer, "/theirs", TEXT, best_effort);
@@ -147,10 +151,11 @@ fn best_effort_messages_pass() {
 
 #[test]
 fn latched_messages_reach_those_that_come_late() {
-    let Some(mut peer) = Peer::cyclonedds(113) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _out = check("Topics", "latched messages to late joiners", With::Cyclone, Way::Out);
     let _in = check("Topics", "latched messages to late joiners", With::Cyclone, Way::In);
-    let (_participant, node) = downbeat(113);
+    let (_participant, node) = downbeat(domain);
     let latched = json!({"durability": "transient_local", "depth": 1});
     let ours = publish(&node, "/ours", TEXT, QosProfile::LATCHED);
     ours.publish(text("from us")).unwrap();
@@ -165,11 +170,12 @@ fn latched_messages_reach_those_that_come_late() {
 
 #[test]
 fn a_reliable_subscription_does_not_match_a_best_effort_publisher() {
-    let Some(mut peer) = Peer::cyclonedds(114) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _out =
         check("Quality of service", "incompatible reliability does not match", With::Cyclone, Way::Out);
     let _in = check("Quality of service", "incompatible reliability does not match", With::Cyclone, Way::In);
-    let (participant, node) = downbeat(114);
+    let (participant, node) = downbeat(domain);
     listen(&mut peer, "/ours", TEXT, json!({"reliability": "reliable"}));
     advertise(&mut peer, "/theirs", TEXT, json!({"reliability": "best_effort"}));
     let ours = publish(&node, "/ours", TEXT, BEST_EFFORT);
@@ -193,10 +199,11 @@ fn a_reliable_subscription_does_not_match_a_best_effort_publisher() {
 
 #[test]
 fn deadlines_and_leases_that_are_offered_satisfy_those_that_are_longer() {
-    let Some(mut peer) = Peer::cyclonedds(115) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _deadline =
         check("Quality of service", "deadline and liveliness lease match", With::Cyclone, Way::Out);
-    let (_participant, node) = downbeat(115);
+    let (_participant, node) = downbeat(domain);
     let offered = QosProfile {
         deadline: Some(Duration::from_millis(100)),
         liveliness: Liveliness::Automatic,
@@ -217,9 +224,10 @@ fn deadlines_and_leases_that_are_offered_satisfy_those_that_are_longer() {
 
 #[test]
 fn what_is_kept_whole_arrives_whole() {
-    let Some(mut peer) = Peer::cyclonedds(116) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Quality of service", "keep all", With::Cyclone, Way::In);
-    let (_participant, node) = downbeat(116);
+    let (_participant, node) = downbeat(domain);
     let keep_all = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
     let (theirs, samples) = subscribe(&node, "/theirs", TEXT, keep_all);
     advertise(&mut peer, "/theirs", TEXT, json!({"history": "keep_all"}));
@@ -234,10 +242,11 @@ fn what_is_kept_whole_arrives_whole() {
 
 #[test]
 fn compressed_images_of_100_kb_arrive_both_ways() {
-    let Some(mut peer) = Peer::cyclonedds(117) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _out = check("Topics", "30 compressed images of 100 kB in succession", With::Cyclone, Way::Out);
     let _in = check("Topics", "30 compressed images of 100 kB in succession", With::Cyclone, Way::In);
-    let (_participant, node) = downbeat(117);
+    let (_participant, node) = downbeat(domain);
     let kind = "sensor_msgs/msg/CompressedImage";
     listen(&mut peer, "/ours", kind, json!({"depth": 50}));
     advertise(&mut peer, "/theirs", kind, json!({"depth": 50}));
@@ -265,10 +274,11 @@ fn compressed_images_of_100_kb_arrive_both_ways() {
 
 #[test]
 fn an_endpoint_of_ours_that_is_removed_is_unmatched_and_one_of_cyclone_too() {
-    let Some(mut peer) = Peer::cyclonedds(118) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _out = check("Graph", "a removed endpoint is unmatched", With::Cyclone, Way::Out);
     let _in = check("Graph", "a removed endpoint is unmatched", With::Cyclone, Way::In);
-    let (_participant, node) = downbeat(118);
+    let (_participant, node) = downbeat(domain);
     listen(&mut peer, "/ours", TEXT, json!({}));
     advertise(&mut peer, "/theirs", TEXT, json!({}));
     let ours = publish(&node, "/ours", TEXT, QosProfile::DEFAULT);
@@ -287,16 +297,17 @@ fn an_endpoint_of_ours_that_is_removed_is_unmatched_and_one_of_cyclone_too() {
 
 #[test]
 fn a_peer_that_was_killed_is_forgotten_and_one_that_comes_again_is_heard() {
-    let Some(mut peer) = Peer::cyclonedds(119) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Faults", "a killed peer that starts again, five times", With::Cyclone, Way::Both);
-    let (_participant, node) = downbeat(119);
+    let (_participant, node) = downbeat(domain);
     let ours = publish(&node, "/ours", TEXT, QosProfile::DEFAULT);
     let (_theirs, samples) = subscribe(&node, "/theirs", TEXT, QosProfile::DEFAULT);
     for life in 0..5 {
         if life > 0 {
             // Killed by the drop: it takes no leave.
             drop(peer);
-            peer = Peer::cyclonedds(119).unwrap();
+            peer = Peer::cyclonedds(domain).unwrap();
         }
         listen(&mut peer, "/ours", TEXT, json!({"depth": 100}));
         advertise(&mut peer, "/theirs", TEXT, json!({}));

@@ -12,6 +12,7 @@ use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use serde_json::{Value, json};
 use std::sync::mpsc::channel;
+use test_machine::free_domain;
 
 const TYPE: &str = "std_srvs/srv/SetBool";
 
@@ -50,10 +51,11 @@ fn in_turn(count: usize) -> Value {
 
 #[test]
 fn cyclone_calls_our_service_and_each_client_has_its_own_answers() {
-    let Some(mut cyclone) = Peer::cyclonedds(136) else { return };
+    let domain = free_domain();
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let _one = check("Services", "service of a module", With::Cyclone, Way::In);
     let _many = check("Services", "many requests in flight", With::Cyclone, Way::In);
-    let node = downbeat(136);
+    let node = downbeat(domain);
     let service = serve(&node);
     let first = check("Services", "first response to a new client", With::Cyclone, Way::Out);
     for number in 0..8 {
@@ -78,11 +80,12 @@ fn cyclone_calls_our_service_and_each_client_has_its_own_answers() {
 
 #[test]
 fn one_service_answers_clients_of_both_vendors_each_in_its_way() {
-    let Some(mut cyclone) = Peer::cyclonedds(137) else { return };
-    let Some(mut rclpy) = Peer::start(137, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "clients of Fast DDS and Cyclone DDS at once", With::Cyclone, Way::In);
     let _check = check("Services", "clients of Fast DDS and Cyclone DDS at once", With::Rclpy, Way::In);
-    let node = downbeat(137);
+    let node = downbeat(domain);
     let _service = serve(&node);
     connect(&mut cyclone, "client");
     let qos = json!({"depth": 100});
@@ -102,10 +105,11 @@ fn one_service_answers_clients_of_both_vendors_each_in_its_way() {
 
 #[test]
 fn we_call_a_service_of_cyclone() {
-    let Some(mut cyclone) = Peer::cyclonedds(138) else { return };
+    let domain = free_domain();
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let _one = check("Services", "service called by a module", With::Cyclone, Way::Out);
     let _many = check("Services", "many requests in flight", With::Cyclone, Way::Out);
-    let node = downbeat(138);
+    let node = downbeat(domain);
     cyclone.ask(json!({"do": "serve", "service": "/light"}));
     let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();
     assert!(client.wait_for_service(WATCHDOG), "the service of Cyclone is found");
@@ -142,10 +146,11 @@ fn we_call_a_service_of_cyclone() {
 
 #[test]
 fn no_request_of_a_fresh_client_is_lost_at_a_server_of_cyclone() {
+    let domain = free_domain();
     const CLIENTS: usize = 30;
-    let Some(mut cyclone) = Peer::cyclonedds(210) else { return };
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let _check = check("Services", "first request of a new client", With::Cyclone, Way::Out);
-    let node = downbeat(210);
+    let node = downbeat(domain);
     cyclone.ask(json!({"do": "serve", "service": "/light"}));
     for number in 0..CLIENTS {
         let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();

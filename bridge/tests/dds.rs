@@ -7,6 +7,7 @@ use common::{Dds, Domain, cdr, next, on_loopback, subscribe, wait_until};
 use downbeat_bridge::middleware::{DiscoveryRange, Endpoint, ParticipantOptions, WriteError};
 use downbeat_msgs::qos::QosProfile;
 use rustdds::{DomainParticipantBuilder, QosPolicyBuilder, StatusEvented, TopicKind};
+use test_machine::free_domain;
 
 fn chatter(qos: QosProfile) -> Endpoint {
     Endpoint::new("rt/chatter", "std_msgs::msg::dds_::UInt32_", qos)
@@ -14,11 +15,11 @@ fn chatter(qos: QosProfile) -> Endpoint {
 
 #[test]
 fn a_big_endian_payload_keeps_its_header_and_its_bytes() {
-    let domain = Dds(21);
+    let domain = Dds(free_domain());
     let bob = domain.join();
     let (reader, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
 
-    let peer = DomainParticipantBuilder::new(21)
+    let peer = DomainParticipantBuilder::new(domain.0)
         .with_only_networks([std::net::Ipv4Addr::LOCALHOST])
         .build()
         .unwrap();
@@ -54,7 +55,7 @@ impl rustdds::no_key::SerializerAdapter<u32> for BigEndianCdr {
 
 #[test]
 fn a_volatile_reader_does_not_get_what_an_earlier_reader_of_the_topic_got() {
-    let domain = Dds(22);
+    let domain = Dds(free_domain());
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let (first, samples) = subscribe(&*bob, &chatter(QosProfile::DEFAULT));
@@ -71,7 +72,7 @@ fn a_volatile_reader_does_not_get_what_an_earlier_reader_of_the_topic_got() {
 
 #[test]
 fn a_write_to_a_reader_that_stopped_acknowledging_is_refused_and_does_not_wait() {
-    let domain = Dds(24);
+    let domain = Dds(free_domain());
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice
         .create_writer(&Endpoint { send_window: 4, ..chatter(QosProfile::DEFAULT.keep_last(1)) })
@@ -86,7 +87,7 @@ fn a_write_to_a_reader_that_stopped_acknowledging_is_refused_and_does_not_wait()
 
 #[test]
 fn a_handler_that_panics_ends_its_own_reader_only() {
-    let domain = Dds(36);
+    let domain = Dds(free_domain());
     let (alice, bob) = (domain.join(), domain.join());
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let fails = Box::new(|_| panic!("this handler fails on purpose"));
@@ -103,9 +104,10 @@ fn a_handler_that_panics_ends_its_own_reader_only() {
 
 #[test]
 fn with_discovery_off_a_participant_hears_only_itself() {
-    let off = ParticipantOptions { discovery_range: DiscoveryRange::Off, ..on_loopback(37) };
+    let domain = free_domain();
+    let off = ParticipantOptions { discovery_range: DiscoveryRange::Off, ..on_loopback(domain) };
     let [one, other] = [(); 2].map(|()| downbeat_bridge::middleware::join(&off).unwrap());
-    let on_loopback = Dds(37).join();
+    let on_loopback = Dds(domain).join();
     let writer = one.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let (own, samples) = subscribe(&*one, &chatter(QosProfile::DEFAULT));
     let (others, _) = subscribe(&*other, &chatter(QosProfile::DEFAULT));

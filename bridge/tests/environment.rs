@@ -11,6 +11,7 @@ use downbeat_bridge::ros::{NodeName, Participant};
 use serde_json::{Value, json};
 use std::process::Command;
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 /// rclpy in that environment, and what the same variables say to us.
 fn both(variables: &[(&str, &str)]) -> Option<(Peer, ParticipantOptions)> {
@@ -51,9 +52,10 @@ fn is_found(peer: &mut Peer, options: &ParticipantOptions) -> bool {
 #[test]
 fn nodes_find_each_other_in_one_domain_and_not_in_another() {
     let local = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-    let Some((mut peer, options)) = both(&[("ROS_DOMAIN_ID", "122"), local]) else { return };
+    let domain = free_domain().to_string();
+    let Some((mut peer, options)) = both(&[("ROS_DOMAIN_ID", &domain), local]) else { return };
     let _check = check("Environment", "ROS_DOMAIN_ID", With::Rclpy, Way::Both);
-    let other = ParticipantOptions { domain_id: 123, ..options.clone() };
+    let other = ParticipantOptions { domain_id: free_domain(), ..options.clone() };
     let stranger = Participant::join(&other).unwrap();
     let _node = stranger.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
     let participant = Participant::join(&options).unwrap();
@@ -67,7 +69,8 @@ fn nodes_find_each_other_in_one_domain_and_not_in_another() {
 
 #[test]
 fn localhost_is_one_machine_by_either_variable() {
-    let domain = ("ROS_DOMAIN_ID", "124");
+    let domain = free_domain().to_string();
+    let domain = ("ROS_DOMAIN_ID", &*domain);
     for variable in [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_LOCALHOST_ONLY", "1")] {
         let Some((mut peer, options)) = both(&[domain, variable]) else { return };
         let _check = check("Environment", &format!("{}={}", variable.0, variable.1), With::Rclpy, Way::Both);
@@ -78,7 +81,8 @@ fn localhost_is_one_machine_by_either_variable() {
 
 #[test]
 fn the_subnet_is_the_default_and_what_the_system_takes() {
-    let domain = ("ROS_DOMAIN_ID", "125");
+    let domain = free_domain().to_string();
+    let domain = ("ROS_DOMAIN_ID", &*domain);
     for value in ["SUBNET", "SYSTEM_DEFAULT", ""] {
         let Some((mut peer, options)) = both(&[domain, ("ROS_AUTOMATIC_DISCOVERY_RANGE", value)]) else {
             return;
@@ -94,13 +98,14 @@ fn the_subnet_is_the_default_and_what_the_system_takes() {
 #[test]
 fn off_is_found_by_nobody() {
     let local = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-    let Some((mut peer, mut options)) = both(&[("ROS_DOMAIN_ID", "126"), local]) else { return };
+    let domain = free_domain().to_string();
+    let Some((mut peer, mut options)) = both(&[("ROS_DOMAIN_ID", &domain), local]) else { return };
     let _check = check("Environment", "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF", With::Rclpy, Way::Out);
     let lookup = |name: &str| (name == "ROS_AUTOMATIC_DISCOVERY_RANGE").then(|| "OFF".to_owned());
     options.discovery_range = ParticipantOptions::from_variables(lookup).unwrap().discovery_range;
     let hidden = Participant::join(&options).unwrap();
     let _node = hidden.create_node(NodeName::new("/", "downbeat").unwrap()).unwrap();
-    let shown = Participant::join(&common::on_loopback(126)).unwrap();
+    let shown = Participant::join(&common::on_loopback(options.domain_id)).unwrap();
     let _seen = shown.create_node(NodeName::new("/", "seen").unwrap()).unwrap();
     wait_until("rclpy lists the other", || {
         peer.ask(json!({"do": "nodes"})).as_array().unwrap().contains(&Value::from("/seen"))

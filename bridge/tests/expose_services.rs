@@ -19,6 +19,7 @@ use serde_json::json;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
+use test_machine::free_domain;
 
 /// Stands up when it is asked to and refuses to lie down; asks for light on `ask`, and reports the outcome.
 struct Robot {
@@ -151,10 +152,11 @@ fn a_service_of_another_type_is_refused() {
 
 #[test]
 fn rclpy_calls_a_module_and_a_module_calls_rclpy() {
-    let Some(mut rclpy) = Peer::start(189, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "service of a module", With::Rclpy, Way::In);
     let _check2 = check("Services", "service called by a module", With::Rclpy, Way::Out);
-    let participant = Participant::join(&on_loopback(189)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let running = run(&node);
     let (name, kind) = ("/robot/stand_up", "std_srvs/srv/SetBool");

@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use std::cell::Cell;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
+use test_machine::free_domain;
 
 const TYPE: &str = "std_srvs/srv/SetBool";
 const OURS: &str = "/stand_up/_service_event";
@@ -72,12 +73,13 @@ fn call_until_heard(rclpy: &mut Peer, topic: &str, mut call: impl FnMut(&mut Pee
 
 #[test]
 fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
-    let Some(mut rclpy) = Peer::start(139, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _out = check("Services", "introspection of services: off, metadata, contents", With::Rclpy, Way::Out);
     let _calls =
         check("Services", "introspection of clients: off, metadata, contents", With::Rclpy, Way::Out);
     let _echo = check("Services", "ros2 service echo", With::Rclpy, Way::Out);
-    let participant = Participant::join(&on_loopback(139)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let mut core = Core::new();
     let (sender, answers) = channel();

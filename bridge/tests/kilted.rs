@@ -12,9 +12,9 @@ use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use serde_json::json;
+use test_machine::free_domain;
 
 const TYPE: &str = "std_srvs/srv/SetBool";
-const DOMAIN: u16 = 81;
 
 #[test]
 fn rclpy_of_kilted_and_we_know_hear_and_call_each_other() {
@@ -25,10 +25,11 @@ fn rclpy_of_kilted_and_we_know_hear_and_call_each_other() {
         both("Graph", "node names and type hashes"),
         both("Faults", "a node that leaves is gone at once"),
     ];
-    let Some(mut peer) = Peer::kilted(DOMAIN) else {
+    let domain = free_domain();
+    let Some(mut peer) = Peer::kilted(domain) else {
         return checks.into_iter().for_each(Check::skipped);
     };
-    let talker = Talker::join(&on_loopback(DOMAIN), QosProfile::DEFAULT);
+    let talker = Talker::join(&on_loopback(domain), QosProfile::DEFAULT);
     talker.meet(&mut peer, 10);
     for (size, count) in [(50, 5), (70_000, 5), (1_000_000, 2)] {
         talker.exchange(&mut peer, size, count);

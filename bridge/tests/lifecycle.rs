@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use test_machine::free_domain;
 
 /// What the module does when it is activated next.
 #[derive(Clone, Default)]
@@ -117,10 +118,11 @@ fn events_until(rclpy: &mut Peer, goal: &str) -> Vec<String> {
 
 #[test]
 fn rclpy_manages_a_module_as_ros2_lifecycle_does() {
-    let Some(mut rclpy) = Peer::start(143, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Node services", "lifecycle: nodes, list, get, set", With::Rclpy, Way::In);
     let _check2 = check("Node services", "transition_event", With::Rclpy, Way::Out);
-    let robot = robot(143);
+    let robot = robot(domain);
     let kind = "lifecycle_msgs/msg/TransitionEvent";
     rclpy.ask(json!({"do": "subscribe", "topic": name("transition_event"), "type": kind}));
     for (service, kind) in SERVICES {

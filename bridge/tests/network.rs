@@ -17,10 +17,12 @@ use downbeat_msgs::std_msgs::msg::String as Text;
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, channel};
+use test_machine::free_domain;
 
 #[test]
 fn the_nodes_topics_services_types_qos_and_hashes_of_rclpy_are_known() {
-    let Some(mut rclpy) = Peer::start(146, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check =
         check("Graph", "the network: nodes, topics, services, types, QoS, hashes", With::Rclpy, Way::In);
     let latched = json!({"depth": 1, "durability": "transient_local"});
@@ -29,7 +31,7 @@ fn the_nodes_topics_services_types_qos_and_hashes_of_rclpy_are_known() {
     rclpy.ask(json!({"do": "subscribe", "topic": "/heard", "type": Text::TYPE_NAME, "qos": best_effort}));
     rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
     rclpy.ask(json!({"do": "client", "service": "/plan", "type": "std_srvs/srv/Trigger"}));
-    let participant = Participant::join(&on_loopback(146)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let mut network = NetworkGraph::default();
     let found = |network: &NetworkGraph, kind, name: &str| {
         let is_it = |endpoint: &&NetworkEndpoint| endpoint.kind == kind && endpoint.name == name;

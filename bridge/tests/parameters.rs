@@ -16,6 +16,7 @@ use downbeat_msgs::rcl_interfaces::srv::{
     GetParameters, GetParametersRequest, SetParameters, SetParametersRequest,
 };
 use serde_json::{Value, json};
+use test_machine::free_domain;
 
 struct Arm;
 
@@ -92,9 +93,10 @@ fn ask(rclpy: &mut Peer, call: &str, argument: Value) -> Value {
 
 #[test]
 fn rclpy_lists_gets_and_describes_what_is_selected() {
-    let Some(mut rclpy) = Peer::start(192, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Parameters", "list, get, get types, describe", With::Rclpy, Way::In);
-    let _robot = robot(192);
+    let _robot = robot(domain);
     let listed = ask(&mut rclpy, "list_parameters", json!([]));
     assert_eq!(
         listed["result"],
@@ -138,10 +140,11 @@ fn rclpy_lists_gets_and_describes_what_is_selected() {
 
 #[test]
 fn rclpy_sets_values_and_is_told_why_one_is_refused() {
-    let Some(mut rclpy) = Peer::start(193, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check =
         check("Parameters", "set and set atomically, refusals with their reason", With::Rclpy, Way::In);
-    let robot = robot(193);
+    let robot = robot(domain);
     let set = |rclpy: &mut Peer, name: &str, value: Value| {
         let answer = ask(rclpy, "set_parameters", json!({name: value}));
         let result = &answer["results"][0];
@@ -201,12 +204,13 @@ fn rclpy_sets_values_and_is_told_why_one_is_refused() {
 
 #[test]
 fn changes_are_told_on_parameter_events_whoever_made_them() {
-    let Some(mut rclpy) = Peer::start(194, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Parameters", "/parameter_events", With::Rclpy, Way::Out);
     let topic = "/parameter_events";
     let (kind, qos) = ("rcl_interfaces/msg/ParameterEvent", json!({"depth": 1000}));
     rclpy.ask(json!({"do": "subscribe", "topic": topic, "type": kind, "qos": qos}));
-    let robot = robot(194);
+    let robot = robot(domain);
     wait_until("rclpy hears the robot", || {
         let publishers = rclpy.ask(json!({"do": "publishers_of", "topic": topic}));
         publishers.as_array().unwrap().iter().any(|publisher| publisher["node"] == "/robot")
@@ -231,9 +235,10 @@ fn changes_are_told_on_parameter_events_whoever_made_them() {
 
 #[test]
 fn a_node_of_one_module_has_its_settings_by_their_own_names() {
-    let Some(mut rclpy) = Peer::start(141, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Parameters", "of each node of a process", With::Rclpy, Way::In);
-    let robot = robot(141);
+    let robot = robot(domain);
     let mut ask = |call: &str, argument: Value| {
         rclpy.ask(json!({"do": "parameters", "node": "/arm", "call": call, "argument": argument}))
     };
@@ -248,9 +253,10 @@ fn a_node_of_one_module_has_its_settings_by_their_own_names() {
 
 #[test]
 fn a_node_that_is_told_to_use_sim_time_follows_the_clock_of_rclpy_until_it_is_told_not_to() {
-    let Some(mut rclpy) = Peer::start(142, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Parameters", "use_sim_time while it runs", With::Rclpy, Way::In);
-    let robot = robot(142);
+    let robot = robot(domain);
     let own = robot.handle.snapshot().wait(WATCHDOG).unwrap().time;
     let set = |rclpy: &mut Peer, is_on: bool| {
         let answer = ask(rclpy, "set_parameters", json!({"use_sim_time": is_on}));
@@ -280,8 +286,9 @@ fn a_node_that_is_told_to_use_sim_time_follows_the_clock_of_rclpy_until_it_is_to
 
 #[test]
 fn a_refusal_does_not_repeat_the_whole_request() {
-    let _robot = robot(227);
-    let participant = Participant::join(&on_loopback(227)).unwrap();
+    let domain = free_domain();
+    let _robot = robot(domain);
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/", "asking").unwrap()).unwrap();
     let client = node.client::<SetParameters>("/robot/set_parameters", QosProfile::PARAMETERS).unwrap();
     assert!(client.wait_for_service(WATCHDOG));
@@ -303,8 +310,9 @@ fn a_refusal_does_not_repeat_the_whole_request() {
 
 #[test]
 fn a_value_too_long_to_be_given_back_is_refused_and_said_to_be() {
-    let robot = robot(230);
-    let participant = Participant::join(&on_loopback(230)).unwrap();
+    let domain = free_domain();
+    let robot = robot(domain);
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/", "asking").unwrap()).unwrap();
     let set = node.client::<SetParameters>("/robot/set_parameters", QosProfile::PARAMETERS).unwrap();
     let get = node.client::<GetParameters>("/robot/get_parameters", QosProfile::PARAMETERS).unwrap();

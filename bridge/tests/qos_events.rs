@@ -23,6 +23,7 @@ use std::cell::RefCell;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
+use test_machine::free_domain;
 
 const TEXT: &str = "std_msgs/msg/String";
 
@@ -109,9 +110,10 @@ fn join(domain_id: u16) -> Participant {
 
 #[test]
 fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
-    let participant = join(72);
+    let domain = free_domain();
+    let participant = join(domain);
     let robot = Running::start(&participant, QosProfile::SENSOR_DATA);
-    let peer = join(72);
+    let peer = join(domain);
     let node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
     let text = MessageType::new(TEXT).unwrap();
     let subscription = node.subscribe("/text", &text, QosProfile::SENSOR_DATA, Box::new(|_| ())).unwrap();
@@ -164,9 +166,10 @@ fn modules_hear_who_is_matched_who_is_not_and_what_was_lost() {
 
 #[test]
 fn endpoints_with_another_type_are_counted_and_modules_receive_an_event_of_each() {
-    let participant = join(75);
+    let domain = free_domain();
+    let participant = join(domain);
     let robot = Running::start(&participant, QosProfile::DEFAULT);
-    let peer = join(75);
+    let peer = join(domain);
     let node = peer.create_node(NodeName::new("/", "peer").unwrap()).unwrap();
     let other = MessageType::new("std_msgs/msg/Int32").unwrap();
     let _subscription = node.subscribe("/text", &other, QosProfile::DEFAULT, Box::new(|_| ())).unwrap();
@@ -247,14 +250,15 @@ fn rclpy_endpoints(peer: &mut Peer, qos: &Value) {
 
 #[test]
 fn rclpy_and_modules_hear_of_matches_and_of_incompatible_endpoints() {
-    let Some(mut peer) = Peer::start(150, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _checks = [
         check("Quality of service", "event: incompatible QoS", With::Rclpy, Way::Out),
         check("Quality of service", "event: incompatible QoS", With::Rclpy, Way::In),
         check("Quality of service", "event: matched", With::Rclpy, Way::Out),
         check("Quality of service", "event: matched", With::Rclpy, Way::In),
     ];
-    let participant = Participant::join(&on_loopback(150)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let robot = Running::start(&participant, QosProfile::SENSOR_DATA);
     // What is offered does not suffice for a reliable subscription; any publisher does for ours.
     rclpy_endpoints(&mut peer, &json!({}));
@@ -277,12 +281,13 @@ fn rclpy_and_modules_hear_of_matches_and_of_incompatible_endpoints() {
 
 #[test]
 fn modules_receive_an_event_of_an_endpoint_of_rclpy_with_another_type() {
-    let Some(mut peer) = Peer::start(153, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _checks = [
         check("Quality of service", "event: another type, in downbeat", With::Rclpy, Way::Out),
         check("Quality of service", "event: another type, in downbeat", With::Rclpy, Way::In),
     ];
-    let participant = Participant::join(&on_loopback(153)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let robot = Running::start(&participant, QosProfile::DEFAULT);
     let other = "std_msgs/msg/Int32";
     peer.ask(json!({"do": "subscribe", "topic": "/text", "type": other, "events": true}));
@@ -296,12 +301,13 @@ fn modules_receive_an_event_of_an_endpoint_of_rclpy_with_another_type() {
 
 #[test]
 fn a_deadline_that_is_missed_is_told_on_both_sides() {
-    let Some(mut peer) = Peer::start(151, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _checks = [
         check("Quality of service", "event: deadline missed", With::Rclpy, Way::Out),
         check("Quality of service", "event: deadline missed", With::Rclpy, Way::In),
     ];
-    let participant = Participant::join(&on_loopback(151)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let deadline = Some(Duration::from_millis(250)); // exact on the wire
     let robot = Running::start(&participant, QosProfile { deadline, ..QosProfile::DEFAULT });
     rclpy_endpoints(&mut peer, &json!({"deadline_ms": 250}));
@@ -321,12 +327,13 @@ fn a_deadline_that_is_missed_is_told_on_both_sides() {
 
 #[test]
 fn a_publisher_that_is_silent_is_told_to_be_not_alive_on_both_sides() {
-    let Some(mut peer) = Peer::start(152, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _checks = [
         check("Quality of service", "event: liveliness, manual_by_topic", With::Rclpy, Way::Out),
         check("Quality of service", "event: liveliness, manual_by_topic", With::Rclpy, Way::In),
     ];
-    let participant = Participant::join(&on_loopback(152)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let qos = QosProfile {
         liveliness: Liveliness::ManualByTopic,
         liveliness_lease_duration: Some(Duration::from_millis(500)),
@@ -354,7 +361,7 @@ fn a_publisher_that_is_silent_is_told_to_be_not_alive_on_both_sides() {
 
 #[test]
 fn events_of_an_endpoint_that_nobody_asked_for_are_not_measured() {
-    let participant = RtpsParticipant::new(&on_loopback(74)).unwrap();
+    let participant = RtpsParticipant::new(&on_loopback(free_domain())).unwrap();
     let endpoint = downbeat_bridge::middleware::Endpoint::new("rt/t", "T", QosProfile::DEFAULT);
     let writer = participant.create_writer(&endpoint).unwrap();
     let (sender, events) = channel();

@@ -17,6 +17,7 @@ use downbeat_msgs::qos::QosProfile;
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use test_machine::free_domain;
 
 /// Passes on what it hears on `bytes`.
 struct Listener(Sender<RawMessage>);
@@ -122,12 +123,13 @@ const MULTI: &str = "std_msgs/msg/UInt8MultiArray";
 
 #[test]
 fn the_publisher_is_asked_what_its_type_looks_like() {
-    let Some(mut peer) = Peer::start(155, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _checks = [
         check("Topics", "types as bytes, described by their publisher", With::Rclpy, Way::In),
         check("Topics", "types as bytes", With::Rclpy, Way::Out),
     ];
-    let participant = Participant::join(&on_loopback(155)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     // As if it were not compiled in: there is no place to look it up.
     let multi = KnownType::raw(MULTI, &Definitions::new()).unwrap();
     assert_eq!(multi.hash(), "");
@@ -151,9 +153,10 @@ fn the_publisher_is_asked_what_its_type_looks_like() {
 
 #[test]
 fn a_type_of_a_users_own_comes_from_cyclone_and_goes_back() {
-    let Some(mut peer) = Peer::cyclonedds(156) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", "a user's own type as bytes", With::Cyclone, Way::Both);
-    let participant = Participant::join(&on_loopback(156)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let (definitions, _) = leg();
     let leg = KnownType::raw("legs/msg/Leg", &definitions).unwrap();
     let relay = Relay::start(&participant, leg);

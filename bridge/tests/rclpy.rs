@@ -18,6 +18,7 @@ use downbeat_msgs::std_msgs::msg::Header;
 use serde_json::{Value, json};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 const TRANSIENT_LOCAL: QosProfile =
     QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
@@ -67,11 +68,12 @@ fn lists(answer: &Value, entry: &str) -> bool {
 
 #[test]
 fn rclpy_lists_our_node_with_its_topics_types_and_qos() {
-    let Some(mut rclpy) = Peer::start(26, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _nodes = check("Graph", "node names", With::Rclpy, Way::Out);
     let _endpoints =
         check("Graph", "topics of a node with type, reliability, durability", With::Rclpy, Way::Out);
-    let (_participant, node) = downbeat(26);
+    let (_participant, node) = downbeat(domain);
     let _states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
     let _text = node.publish("~/text", &string(), TRANSIENT_LOCAL).unwrap();
     let _commands = subscribe(&node, "joint_commands", &joint_state(), QosProfile::SENSOR_DATA);
@@ -113,9 +115,10 @@ fn rclpy_lists_our_node_with_its_topics_types_and_qos() {
 
 #[test]
 fn what_we_publish_reaches_rclpy_unchanged() {
-    let Some(mut rclpy) = Peer::start(27, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", "reliable messages, byte for byte", With::Rclpy, Way::Out);
-    let (_participant, node) = downbeat(27);
+    let (_participant, node) = downbeat(domain);
     rclpy.ask(json!({
         "do": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/msg/JointState", "qos": {"depth": 100},
     }));
@@ -141,9 +144,10 @@ fn what_we_publish_reaches_rclpy_unchanged() {
 
 #[test]
 fn what_rclpy_publishes_reaches_us_unchanged() {
-    let Some(mut rclpy) = Peer::start(28, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", "reliable messages, byte for byte", With::Rclpy, Way::In);
-    let (_participant, node) = downbeat(28);
+    let (_participant, node) = downbeat(domain);
     let (commands, samples) = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
     rclpy.ask(json!({"do": "advertise", "topic": "/joint_commands", "type": "sensor_msgs/msg/JointState"}));
     wait_until("both are matched", || {
@@ -168,9 +172,10 @@ fn what_rclpy_publishes_reaches_us_unchanged() {
 
 #[test]
 fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
-    let Some(mut rclpy) = Peer::start(29, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Graph", "a node that leaves disappears immediately", With::Rclpy, Way::Out);
-    let (participant, node) = downbeat(29);
+    let (participant, node) = downbeat(domain);
     let states = node.publish("/joint_states", &joint_state(), QosProfile::DEFAULT).unwrap();
     let commands = subscribe(&node, "/joint_commands", &joint_state(), QosProfile::DEFAULT);
     wait_until("rclpy lists the node", || lists(&rclpy.ask(json!({"do": "nodes"})), "/robot/downbeat"));
@@ -187,10 +192,11 @@ fn our_node_is_gone_from_rclpy_within_two_seconds_of_our_leaving() {
 
 #[test]
 fn we_name_the_node_of_rclpy_and_its_topics_until_it_leaves() {
-    let Some(mut rclpy) = Peer::start(31, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _nodes = check("Graph", "node names", With::Rclpy, Way::In);
     let _gone = check("Graph", "a node that leaves disappears immediately", With::Rclpy, Way::In);
-    let (participant, node) = downbeat(31);
+    let (participant, node) = downbeat(domain);
     let (text, _samples) = subscribe(&node, "/text", &string(), QosProfile::DEFAULT);
     rclpy.ask(json!({"do": "advertise", "topic": "/text", "type": "std_msgs/msg/String"}));
     wait_until("we know the node and its topic", || {
@@ -211,10 +217,11 @@ fn we_name_the_node_of_rclpy_and_its_topics_until_it_leaves() {
 
 #[test]
 fn transient_local_messages_reach_those_that_come_late() {
-    let Some(mut rclpy) = Peer::start(32, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _out = check("Topics", "latched messages to late joiners", With::Rclpy, Way::Out);
     let _in = check("Topics", "latched messages to late joiners", With::Rclpy, Way::In);
-    let (_participant, node) = downbeat(32);
+    let (_participant, node) = downbeat(domain);
     let latched = json!({"durability": "transient_local", "depth": 1});
     let ours = node.publish("/ours", &string(), QosProfile::LATCHED).unwrap();
     let text = |data: &str| cdr::to_vec(&downbeat_msgs::std_msgs::msg::String { data: data.into() });
@@ -257,9 +264,10 @@ impl Module for Robot {
 
 #[test]
 fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
-    let Some(mut rclpy) = Peer::start(33, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", "topics of a running core at 125 Hz without loss", With::Rclpy, Way::Both);
-    let (participant, node) = downbeat(33);
+    let (participant, node) = downbeat(domain);
     let mut core = Core::new();
     let (sender, commands) = channel();
     core.add("robot", Robot { count: 0, commands: sender }).unwrap();
@@ -310,15 +318,16 @@ fn a_running_core_is_seen_and_driven_from_rclpy_and_leaves_at_once() {
 
 #[test]
 fn a_subscriber_that_was_killed_does_not_stop_the_others() {
-    let Some(mut killed) = Peer::start(34, "LOCALHOST") else { return };
-    let Some(mut rclpy) = Peer::start(34, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut killed) = Peer::start(domain, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check(
         "Faults",
         "other subscribers receive messages after a subscriber was killed",
         With::Rclpy,
         Way::Out,
     );
-    let (_participant, node) = downbeat(34);
+    let (_participant, node) = downbeat(domain);
     let text = node.publish("/text", &string(), QosProfile::DEFAULT).unwrap();
     let subscribe =
         json!({"do": "subscribe", "topic": "/text", "type": "std_msgs/msg/String", "qos": {"depth": 1000}});

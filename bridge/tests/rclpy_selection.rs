@@ -12,6 +12,7 @@ use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliabilit
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use serde_json::{Value, json};
 use std::time::Duration;
+use test_machine::free_domain;
 
 const NS: Duration = Duration::from_nanos(1);
 
@@ -30,12 +31,13 @@ fn string() -> MessageType {
 
 #[test]
 fn rclpy_sees_nodes_topics_and_services_under_their_new_names() {
-    let Some(mut rclpy) = Peer::start(120, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check =
         check("Selection", "remapping rules: node, namespace, topics, services", With::Rclpy, Way::Out);
     let rules =
         ["__ns:=/robot1", "downbeat:__node:=left", "rostopic://text:=/said", "rosservice://text:=~/say"];
-    let (_participant, node) = downbeat(120, &rules);
+    let (_participant, node) = downbeat(domain, &rules);
     let camera = node.sibling(&NodeName::new("/sensors", "camera").unwrap()).unwrap();
     let _text = node.publish("text", &string(), QosProfile::DEFAULT).unwrap();
     let _image = camera.publish("~/text", &string(), QosProfile::DEFAULT).unwrap();
@@ -73,9 +75,10 @@ fn found(participant: &Participant, topic: &str) -> RemoteEndpoint {
 
 #[test]
 fn what_is_best_available_is_decided_by_the_endpoints_of_rclpy() {
-    let Some(mut rclpy) = Peer::start(121, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Quality of service", "best_available", With::Rclpy, Way::Both);
-    let (participant, node) = downbeat(121, &[]);
+    let (participant, node) = downbeat(domain, &[]);
     let kind = "std_msgs/msg/String";
     let mut ask = |command: &str, topic: &str, qos: Value| {
         rclpy.ask(json!({"do": command, "topic": topic, "type": kind, "qos": qos}));

@@ -26,6 +26,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
+use test_machine::free_domain;
 
 const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
@@ -284,8 +285,9 @@ fn a_request_that_is_dropped_or_beyond_the_bound_is_refused() {
 
 #[test]
 fn rclpy_has_a_response_to_every_request() {
-    let Some(mut rclpy) = Peer::start(160, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(160)).unwrap();
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let robot = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let running = run(&robot);
     let services =
@@ -307,8 +309,9 @@ fn rclpy_has_a_response_to_every_request() {
 
 #[test]
 fn a_goal_of_rclpy_is_rejected_by_a_panic_and_aborted_by_a_removal() {
-    let Some(mut rclpy) = Peer::start(161, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(161)).unwrap();
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let robot = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let running = run(&robot);
     rclpy.ask(json!({"do": "action_client", "action": "/count", "type": FIBONACCI}));
@@ -329,8 +332,9 @@ fn a_goal_of_rclpy_is_rejected_by_a_panic_and_aborted_by_a_removal() {
 
 #[test]
 fn a_cancel_request_of_rclpy_is_refused_by_the_module_or_its_panic_and_the_goal_ends() {
-    let Some(mut rclpy) = Peer::start(201, "LOCALHOST") else { return };
-    let participant = Participant::join(&on_loopback(201)).unwrap();
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let robot = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let running = run(&robot);
     rclpy.ask(json!({"do": "action_client", "action": "/count", "type": FIBONACCI}));
@@ -355,8 +359,9 @@ fn a_cancel_request_of_rclpy_is_refused_by_the_module_or_its_panic_and_the_goal_
 
 #[test]
 fn cyclone_has_a_response_to_every_request() {
-    let Some(mut cyclone) = Peer::cyclonedds(162) else { return };
-    let participant = Participant::join(&on_loopback(162)).unwrap();
+    let domain = free_domain();
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let robot = participant.create_node(NodeName::new("/", "robot").unwrap()).unwrap();
     let _running = run(&robot);
     cyclone.ask(json!({"do": "client", "service": "/light", "name": "client"}));

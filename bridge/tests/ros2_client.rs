@@ -34,6 +34,7 @@ use std::net::Ipv4Addr;
 use std::sync::mpsc::{Sender, channel};
 use std::task::Poll;
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 /// A node `/peer` of ros2-client, and the thread that spins it.
 struct Peer {
@@ -101,10 +102,11 @@ fn downbeat(domain_id: u16) -> (Participant, Node) {
 
 #[test]
 fn topics_go_both_ways() {
+    let domain = free_domain();
     let _out = check("Topics", "messages", With::Ros2Client, Way::Out);
     let _in = check("Topics", "messages", With::Ros2Client, Way::In);
-    let (_participant, node) = downbeat(220);
-    let mut peer = Peer::start(220);
+    let (_participant, node) = downbeat(domain);
+    let mut peer = Peer::start(domain);
     let text = MessageType::new("std_msgs/msg/String").unwrap();
     let to_peer = node.publish("/to_peer", &text, QosProfile::DEFAULT).unwrap();
     let (sender, heard) = channel();
@@ -151,10 +153,11 @@ const LONG: usize = 20_000;
 
 #[test]
 fn services_go_both_ways_with_long_answers() {
+    let domain = free_domain();
     let _out = check("Services", "calls", With::Ros2Client, Way::Out);
     let _in = check("Services", "calls", With::Ros2Client, Way::In);
-    let (_participant, node) = downbeat(221);
-    let mut peer = Peer::start(221);
+    let (_participant, node) = downbeat(domain);
+    let mut peer = Peer::start(domain);
     let answer =
         |request: SetBoolRequest| SetBoolResponse { success: request.data, message: "x".repeat(LONG) };
     let _service = node.serve::<SetBool>("/ours", QosProfile::SERVICES, answer).unwrap();
@@ -213,10 +216,11 @@ impl Module for Arm {
 
 #[test]
 fn parameters_go_both_ways() {
+    let domain = free_domain();
     let _out = check("Parameters", "get", With::Ros2Client, Way::Out);
     let _in = check("Parameters", "get", With::Ros2Client, Way::In);
-    let (_participant, node) = downbeat(222);
-    let mut peer = Peer::start(222);
+    let (_participant, node) = downbeat(domain);
+    let mut peer = Peer::start(domain);
     let mut core = Core::new();
     core.add("arm", Arm).unwrap();
     let server = ParameterServer::new(&core, None);
@@ -301,10 +305,11 @@ fn exposure(action: &str, ros_action: &str) -> ActionExposure {
 
 #[test]
 fn actions_go_both_ways() {
+    let domain = free_domain();
     let _out = check("Actions", "goal and result", With::Ros2Client, Way::Out);
     let _in = check("Actions", "goal, feedback and result", With::Ros2Client, Way::In);
-    let (_participant, node) = downbeat(223);
-    let mut peer = Peer::start(223);
+    let (_participant, node) = downbeat(domain);
+    let mut peer = Peer::start(domain);
     let (sender, outcomes) = channel();
     let mut core = Core::new();
     let counter =

@@ -23,6 +23,7 @@ use serde_json::json;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
+use test_machine::free_domain;
 use tracing_subscriber::prelude::*;
 
 fn node(participant: Arc<dyn Middleware>) -> (Participant, Node) {
@@ -224,12 +225,13 @@ fn a_line_that_cannot_be_sent_does_not_become_another_line() {
 
 #[test]
 fn rclpy_that_comes_late_hears_the_earlier_lines_with_all_they_say() {
+    let domain = free_domain();
     let rosout = Rosout::new();
     let log = tracing_subscriber::registry().with(rosout.layer()).set_default();
-    let Some(mut rclpy) = Peer::start(180, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check =
         check("Node services", "/rosout with level, file and line, for late joiners", With::Rclpy, Way::Out);
-    let participant = Participant::join(&on_loopback(180)).unwrap();
+    let participant = Participant::join(&on_loopback(domain)).unwrap();
     let node = participant.create_node(NodeName::new("/robot", "downbeat").unwrap()).unwrap();
     let publishing = rosout.publish(&node).unwrap();
     let line = line!() + 1;

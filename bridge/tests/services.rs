@@ -15,6 +15,7 @@ use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use serde_json::{Value, json};
 use std::sync::mpsc::channel;
 use std::time::Duration;
+use test_machine::free_domain;
 
 fn downbeat(domain_id: u16) -> (Participant, Node) {
     let participant = Participant::join(&on_loopback(domain_id)).unwrap();
@@ -32,10 +33,11 @@ fn answer(data: bool) -> Value {
 
 #[test]
 fn rclpy_calls_us_with_many_requests_in_flight() {
+    let domain = free_domain();
     const COUNT: usize = 300;
-    let Some(mut rclpy) = Peer::start(52, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "many requests in flight", With::Rclpy, Way::In);
-    let (_participant, node) = downbeat(52);
+    let (_participant, node) = downbeat(domain);
     let service = node.serve::<SetBool>("light", QosProfile::SERVICES, light).unwrap();
     let name = "/robot/light";
     // With the 10 of the default rclpy drops answers that it has not read yet.
@@ -54,10 +56,11 @@ fn rclpy_calls_us_with_many_requests_in_flight() {
 
 #[test]
 fn we_call_rclpy_with_many_requests_in_flight() {
+    let domain = free_domain();
     const COUNT: i32 = 300;
-    let Some(mut rclpy) = Peer::start(53, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "many requests in flight", With::Rclpy, Way::Out);
-    let (_participant, node) = downbeat(53);
+    let (_participant, node) = downbeat(domain);
     // With the 10 of the default rclpy drops requests that it has not read yet.
     let (kind, qos) = ("sensor_msgs/srv/SetCameraInfo", json!({"depth": COUNT}));
     rclpy.ask(json!({"do": "serve", "service": "/camera", "type": kind, "qos": qos}));
@@ -78,10 +81,11 @@ fn we_call_rclpy_with_many_requests_in_flight() {
 
 #[test]
 fn no_request_of_a_fresh_client_is_lost_at_a_server_of_rclpy() {
+    let domain = free_domain();
     const CLIENTS: usize = 30;
-    let Some(mut rclpy) = Peer::start(211, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "first request of a new client", With::Rclpy, Way::Out);
-    let (_participant, node) = downbeat(211);
+    let (_participant, node) = downbeat(domain);
     rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
     for number in 0..CLIENTS {
         let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();
@@ -94,9 +98,10 @@ fn no_request_of_a_fresh_client_is_lost_at_a_server_of_rclpy() {
 
 #[test]
 fn rclpy_lists_our_services_and_clients_under_our_node() {
-    let Some(mut rclpy) = Peer::start(54, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Graph", "services and clients of a node", With::Rclpy, Way::Out);
-    let (_participant, node) = downbeat(54);
+    let (_participant, node) = downbeat(domain);
     let _service: Service = node.serve::<SetBool>("~/light", QosProfile::SERVICES, light).unwrap();
     let _client: Client<SetCameraInfo> = node.client("/camera", QosProfile::SERVICES).unwrap();
     let mut ask = |what: &str| rclpy.ask(json!({"do": what, "node": "downbeat", "namespace": "/robot"}));
@@ -114,15 +119,16 @@ fn rclpy_lists_our_services_and_clients_under_our_node() {
 
 #[test]
 fn a_client_that_was_killed_leaves_the_others_their_answers() {
-    let Some(mut killed) = Peer::start(55, "LOCALHOST") else { return };
-    let Some(mut rclpy) = Peer::start(55, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut killed) = Peer::start(domain, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check(
         "Faults",
         "other clients receive their answers after a client was killed",
         With::Rclpy,
         Way::In,
     );
-    let (_participant, node) = downbeat(55);
+    let (_participant, node) = downbeat(domain);
     let (sender, requests) = channel();
     let later = move |request, reply: Reply<SetBool>| sender.send((request, reply)).unwrap();
     let service = node.serve_later::<SetBool>("light", QosProfile::SERVICES, later).unwrap();
@@ -147,15 +153,16 @@ fn a_client_that_was_killed_leaves_the_others_their_answers() {
 
 #[test]
 fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
+    let domain = free_domain();
     let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
-    let Some(mut rclpy) = Peer::start(56, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "first response of a new server", With::Rclpy, Way::In);
     for start in 0..starts {
         // Fast DDS believes in a server that left for as long as its lease runs, so each has a name of its
         // own.
         let name = format!("/light_{start}");
         rclpy.ask(json!({"do": "client", "service": name, "type": "std_srvs/srv/SetBool"}));
-        let (_participant, node) = downbeat(56);
+        let (_participant, node) = downbeat(domain);
         let _service = node.serve::<SetBool>(&name, QosProfile::SERVICES, light).unwrap();
         assert_eq!(rclpy.ask(json!({"do": "wait_for_service", "service": name})), true);
         let answers = rclpy.ask(json!({"do": "call", "service": name, "requests": [{"data": true}]}));
@@ -165,12 +172,13 @@ fn the_first_reply_of_a_fresh_server_reaches_a_waiting_client() {
 
 #[test]
 fn the_first_answer_to_a_fresh_client_arrives() {
+    let domain = free_domain();
     let starts = std::env::var("DOWNBEAT_FRESH_STARTS").map_or(10, |count| count.parse().unwrap());
-    let Some(mut rclpy) = Peer::start(57, "LOCALHOST") else { return };
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "first response to a new client", With::Rclpy, Way::Out);
     rclpy.ask(json!({"do": "serve", "service": "/light", "type": "std_srvs/srv/SetBool"}));
     for start in 0..starts {
-        let (_participant, node) = downbeat(57);
+        let (_participant, node) = downbeat(domain);
         let client: Client<SetBool> = node.client("/light", QosProfile::SERVICES).unwrap();
         assert!(client.wait_for_service(WATCHDOG));
         let answer = client.call_and_wait(&SetBoolRequest { data: true }, Duration::from_secs(20));
@@ -180,10 +188,11 @@ fn the_first_answer_to_a_fresh_client_arrives() {
 
 #[test]
 fn large_requests_and_replies_pass_between_us_and_rclpy() {
-    let Some(mut rclpy) = Peer::start(58, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Services", "requests and replies of up to 100 kB", With::Rclpy, Way::In);
     let _check2 = check("Services", "requests and replies of up to 100 kB", With::Rclpy, Way::Out);
-    let (_participant, node) = downbeat(58);
+    let (_participant, node) = downbeat(domain);
     let echo = |request: SetCameraInfoRequest| SetCameraInfoResponse {
         success: true,
         status_message: request.camera_info.distortion_model,
@@ -211,9 +220,10 @@ fn large_requests_and_replies_pass_between_us_and_rclpy() {
 
 #[test]
 fn rclpy_learns_from_us_what_a_type_looks_like() {
-    let Some(mut rclpy) = Peer::start(59, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut rclpy) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Node services", "get_type_description, with sources", With::Rclpy, Way::In);
-    let (_participant, _node) = downbeat(59);
+    let (_participant, _node) = downbeat(domain);
     let name = "/robot/downbeat/get_type_description";
     let kind = "type_description_interfaces/srv/GetTypeDescription";
     rclpy.ask(json!({"do": "client", "service": name, "type": kind}));

@@ -20,6 +20,7 @@ use rustdds::{
 use serde_json::json;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 /// Sizes of samples, and how many of them are sent one right after another.
 const SIZES: [(usize, usize); 5] = [(10, 200), (1_400, 200), (70_000, 30), (1_000_000, 5), (8_000_000, 2)];
@@ -65,40 +66,46 @@ const SOME: &str = "10 B to 8 MB, best effort";
 
 #[test]
 fn reliable_samples_of_every_size_pass_between_us_and_rclpy() {
-    let Some(mut peer) = Peer::start(84, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", ALL, With::Rclpy, Way::Both);
-    all_arrive(84, &mut peer);
+    all_arrive(domain, &mut peer);
 }
 
 #[test]
 fn reliable_samples_of_every_size_pass_between_us_and_cyclone() {
-    let Some(mut peer) = Peer::cyclonedds(85) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", ALL, With::Cyclone, Way::Both);
-    all_arrive(85, &mut peer);
+    all_arrive(domain, &mut peer);
 }
 
 #[test]
 fn reliable_samples_of_every_size_pass_between_two_of_us() {
-    all_arrive(102, &mut ours::start(102));
+    let domain = free_domain();
+    all_arrive(domain, &mut ours::start(domain));
 }
 
 #[test]
 fn best_effort_samples_of_every_size_pass_between_us_and_rclpy() {
-    let Some(mut peer) = Peer::start(105, "LOCALHOST") else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
     let _check = check("Topics", SOME, With::Rclpy, Way::Both);
-    some_arrive(105, &mut peer);
+    some_arrive(domain, &mut peer);
 }
 
 #[test]
 fn best_effort_samples_of_every_size_pass_between_us_and_cyclone() {
-    let Some(mut peer) = Peer::cyclonedds(106) else { return };
+    let domain = free_domain();
+    let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let _check = check("Topics", SOME, With::Cyclone, Way::Both);
-    some_arrive(106, &mut peer);
+    some_arrive(domain, &mut peer);
 }
 
 #[test]
 fn best_effort_samples_of_every_size_pass_between_two_of_us() {
-    some_arrive(107, &mut ours::start(107));
+    let domain = free_domain();
+    some_arrive(domain, &mut ours::start(domain));
 }
 
 /// Publishes with a period, as a camera does, with the buffers and the queue of a stock subscription at the
@@ -119,13 +126,13 @@ fn stream(domain_id: u16, size: usize, count: usize, period: Duration) {
 #[test]
 fn images_of_640_by_480_at_30_hz_reach_rclpy_all_150() {
     let _check = check("Topics", "images of 921 600 bytes at 30 Hz, 150 of 150", With::Rclpy, Way::Out);
-    stream(103, 921_600, 150, Duration::from_secs(1) / 30);
+    stream(free_domain(), 921_600, 150, Duration::from_secs(1) / 30);
 }
 
 #[test]
 fn clouds_of_8_mb_at_2_hz_reach_rclpy_all_10() {
     let _check = check("Topics", "8 MB at 2 Hz, 10 of 10", With::Rclpy, Way::Out);
-    stream(104, 8_000_000, 10, Duration::from_millis(500));
+    stream(free_domain(), 8_000_000, 10, Duration::from_millis(500));
 }
 
 /// The configuration of the peer of Cyclone DDS: loopback without multicast.
@@ -141,7 +148,7 @@ fn ddsperf(domain_id: u16, more: &[&str], topic: &str, qos: QosProfile) {
     command.args(more).args(["pub", "100Hz", "sub"]).env("CYCLONEDDS_URI", CYCLONE_ON_LOOPBACK);
     let spawned = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
     let Ok(ddsperf) = spawned else {
-        eprintln!("skipped: there is no ddsperf, Debian's package cyclonedds-tools has it");
+        test_machine::missing("ddsperf", "Debian: the package cyclonedds-tools");
         return;
     };
     let participant = RtpsParticipant::new(&on_loopback(domain_id)).unwrap();
@@ -165,8 +172,9 @@ fn ddsperf(domain_id: u16, more: &[&str], topic: &str, qos: QosProfile) {
 
 #[test]
 fn samples_pass_between_us_and_cyclone_of_debian() {
-    ddsperf(86, &[], "DDSPerfRDataOU", RELIABLE);
-    ddsperf(86, &["-u"], "DDSPerfUDataOU", BEST_EFFORT.keep_last(DEPTH));
+    let domain = free_domain();
+    ddsperf(domain, &[], "DDSPerfRDataOU", RELIABLE);
+    ddsperf(domain, &["-u"], "DDSPerfUDataOU", BEST_EFFORT.keep_last(DEPTH));
 }
 
 /// Payloads as they are, behind the encapsulation.
@@ -215,7 +223,8 @@ impl rustdds::no_key::Decode<'_, Vec<u8>> for BodyDecoder {
 
 #[test]
 fn samples_of_every_size_pass_between_us_and_rustdds() {
-    let peer = DomainParticipantBuilder::new(87)
+    let domain = free_domain();
+    let peer = DomainParticipantBuilder::new(domain)
         .with_only_networks([std::net::Ipv4Addr::LOCALHOST])
         .build()
         .unwrap();
@@ -232,7 +241,7 @@ fn samples_of_every_size_pass_between_us_and_rustdds() {
     let subscriber = peer.create_subscriber(&qos).unwrap();
     let mut reader = subscriber.create_datareader_no_key::<Vec<u8>, Body>(&topic("rt/ours"), None).unwrap();
 
-    let talker = Talker::join(&on_loopback(87), RELIABLE);
+    let talker = Talker::join(&on_loopback(domain), RELIABLE);
     let mut is_matched = [false; 2];
     wait_until("all are matched", || {
         // An event is reported once.
@@ -262,10 +271,11 @@ fn samples_of_every_size_pass_between_us_and_rustdds() {
 
 #[test]
 fn a_stream_to_two_subscriptions_of_which_one_is_of_our_own_participant() {
-    let Some(mut peer) = Peer::start(109, "LOCALHOST") else { return };
-    let talker = Talker::join(&on_loopback(109), RELIABLE);
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
+    let talker = Talker::join(&on_loopback(domain), RELIABLE);
     let (own, heard) = hear(&talker.node, "/ours", RELIABLE);
-    let other = Participant::join(&on_loopback(109)).unwrap();
+    let other = Participant::join(&on_loopback(domain)).unwrap();
     let other = other.create_node(NodeName::new("/", "other").unwrap()).unwrap();
     let (others, heard_by_other) = hear(&other, "/ours", RELIABLE);
     peer.ask(json!({"do": "subscribe_texts", "topic": "/ours", "qos": {"depth": DEPTH}}));

@@ -7,13 +7,14 @@ mod common;
 use common::{Dds, Domain, cdr, next, subscribe, wait_until};
 use downbeat_bridge::middleware::Endpoint;
 use downbeat_msgs::qos::QosProfile;
+use test_machine::free_domain;
 
 #[test]
 fn a_participant_that_left_leaves_no_thread_and_no_open_file() {
     let count = |what: &str| std::fs::read_dir(format!("/proc/self/{what}")).unwrap().count();
     let (threads, files) = (count("task"), count("fd"));
     for _ in 0..3 {
-        let domain = Dds(25);
+        let domain = Dds(free_domain());
         let (alice, bob) = (domain.join(), domain.join());
         let endpoint = Endpoint::new("rt/chatter", "std_msgs::msg::dds_::UInt32_", QosProfile::DEFAULT);
         let writer = alice.create_writer(&endpoint).unwrap();

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
+import socket
 import subprocess
 import sys
 import textwrap
@@ -24,7 +24,53 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 #: Seconds after which a robot that should have done something has failed; generous, for machines that are busy.
 PATIENCE = 60.0
 
-_domains = itertools.count(60 + os.getpid() % 80)
+#: The ROS domains whose default ports Linux gives to nobody who asks for any port.
+_DOMAINS = [*range(1, 102), *range(215, 233)]
+
+
+class Domain:
+    """A domain that no other test of this machine uses, taken by the same TCP port as in ``tests/machine``."""
+
+    def __init__(self) -> None:
+        end = time.monotonic() + 5 * PATIENCE
+        begin = os.getpid() * 37 % len(_DOMAINS)
+        while time.monotonic() < end:
+            for number in _DOMAINS[begin:] + _DOMAINS[:begin]:
+                if self._take(number):
+                    return
+            time.sleep(0.1)
+        raise TimeoutError("no ROS domain became free")
+
+    def _take(self, number: int) -> bool:
+        self._lock, self.number = socket.socket(), number
+        port = 7400 + 250 * number
+        try:
+            self._lock.bind(("127.0.0.1", port))
+            self._lock.listen()
+            for offset in (0, 1, *range(10, 20)):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+                    participant.bind(("", port + offset))
+        except OSError:
+            self._lock.close()
+            return False
+        return True
+
+    def release(self) -> None:
+        self._lock.close()
+
+
+#: The domain of robots to which a test gives no other.
+_own_domain = Domain()
+os.environ["ROS_DOMAIN_ID"] = str(_own_domain.number)
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A free domain, also for nodes of this process."""
+    taken = Domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(taken.number))
+    yield taken.number
+    taken.release()
 
 
 #: What the pages tell a reader to type: seconds, page and command.
@@ -45,11 +91,50 @@ def new_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fi
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(home))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(_own_domain.number))
     monkeypatch.setattr(Program, "page", request.module.PAGE_NAME)
     return home
 
 
-def pytest_sessionfinish() -> None:
+#: Why a test is skipped although every tool is installed; such a skip does not fail a strict run.
+CANNOT_BE_HAD = "the packages of rclpy on PyPI lack this interface"
+
+#: The tests that are skipped, by reason.
+_skipped: dict[str, list[str]] = {}
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    _note_skip(report)
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    _note_skip(report)
+
+
+def _note_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+    if report.skipped and isinstance(report.longrepr, tuple):
+        reason = report.longrepr[2].removeprefix("Skipped: ")
+        _skipped.setdefault(reason, []).append(report.nodeid)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Prints each reason for skipped tests, and appends them to the list of ``cargo xtask test``."""
+    lines = []
+    for reason, tests in sorted(_skipped.items()):
+        file = tests[0].partition("::")[0]
+        which = f"{len(tests)} tests of {file}" if reason == CANNOT_BE_HAD else ", ".join(tests)
+        terminalreporter.write_line(f"skipped: {reason}: {which}")
+        lines += [f"{reason}\tpytest {test}\n" for test in ([which] if reason == CANNOT_BE_HAD else tests)]
+    if named := os.environ.get("DOWNBEAT_SKIPS"):
+        with Path(named).open("a") as file_of_skips:
+            file_of_skips.writelines(lines)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    lacking = _skipped.keys() - {CANNOT_BE_HAD}
+    if lacking and os.environ.get("DOWNBEAT_STRICT", "") not in ("", "0"):
+        print(f"\nfails because DOWNBEAT_STRICT is set: {'; '.join(sorted(lacking))}", file=sys.stderr)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
     if _steps and _STEPS.parent.exists():
         _STEPS.mkdir(exist_ok=True)
         lines = [f"{seconds:>7.1f} s  {page}: {command}\n" for seconds, page, command in _steps]
@@ -65,8 +150,9 @@ class Program:
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.typed, self.began = " ".join(("downbeat", *arguments)), time.monotonic()
         self.log = folder / "log.txt"
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(next(_domains) % 101), "PYTHONDONTWRITEBYTECODE": "1"}
-        self.domain = environment["ROS_DOMAIN_ID"]
+        self.taken = Domain()
+        self.domain = str(self.taken.number)
+        environment = {**os.environ, "ROS_DOMAIN_ID": self.domain, "PYTHONDONTWRITEBYTECODE": "1"}
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "downbeat", *arguments], cwd=folder, env=environment, stdout=log, stderr=log
@@ -117,6 +203,7 @@ def program(tmp_path: Path) -> Iterator[Callable[..., Program]]:
         if each.process.poll() is None:
             each.process.kill()
             each.process.wait()
+        each.taken.release()
 
 
 @pytest.fixture

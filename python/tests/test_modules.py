@@ -497,6 +497,8 @@ COUNTER = """
         def tick(self):
             self.count += 1
             self.out(data=self.count * STEP)
+            if self.count % 20 == 0:
+                self.log.info(f"{self.count} steps of STEP")
             if self.count == RAISES_AT:
                 raise ValueError("as this test wants it")
 
@@ -524,10 +526,10 @@ def test_a_module_that_raised_starts_again_when_it_is_saved_and_all_versions_rep
     run.wait_for("module.py was saved and still does not start: Traceback.*NameError")
     write("module.py", counter(0.2))
     run.wait_for("module.py was saved: it starts again with it")
-    time.sleep(0.5)
+    run.wait_for("steps of 0.2", times=3)
     write("module.py", counter(0.3))
     run.wait_for("module.py was saved and is reloaded")
-    time.sleep(0.5)
+    run.wait_for("steps of 0.3", times=3)
     assert run.stop() == 0
     report = downbeat.replay(tmp_path / "robot.toml", tmp_path / "bag")
     report.assert_same()

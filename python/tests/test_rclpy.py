@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import message_names
+from conftest import CANNOT_BE_HAD, message_names
 
 from downbeat import msgs
 
@@ -18,15 +18,12 @@ serialization = pytest.importorskip("rclpy.serialization")
 def theirs(name: str) -> type[Any]:
     """The class of rclpy, or a skipped test: its packages on PyPI do not have all interfaces."""
     package, kind, stem = name.split("/")
-    try:
-        module = importlib.import_module(f"{package}.{kind}")
-    except ModuleNotFoundError:
-        pytest.skip(f"rclpy's packages lack {package}")
     owner, _, part = stem.partition("_")
-    if not hasattr(module, owner):
-        pytest.skip(f"rclpy's packages lack {name}")
-    found: type[Any] = getattr(getattr(module, owner), part) if part else getattr(module, owner)
-    return found
+    try:
+        found: type[Any] = getattr(importlib.import_module(f"{package}.{kind}"), owner)
+    except (ModuleNotFoundError, AttributeError):
+        pytest.skip(CANNOT_BE_HAD)
+    return getattr(found, part) if part else found
 
 
 def is_same(theirs: bytes, ours: bytes) -> bool:

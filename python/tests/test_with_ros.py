@@ -1,6 +1,5 @@
 """Modules in Python as ROS 2 sees them: real rclpy hears their topics, sets their parameters and calls their services."""
 
-import os
 import threading
 import time
 
@@ -89,9 +88,7 @@ class Peer:
 
 
 @pytest.fixture
-def robot(write, monkeypatch):
-    domain = 30 + os.getpid() % 30
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+def robot(write, domain):
     write("level_head.py", LEVEL_HEAD)
     with downbeat.start(write("robot.toml", ROBOT)) as running:
         peer = Peer(domain)
@@ -133,9 +130,7 @@ def test_rclpy_hears_sets_and_calls(robot):
     assert response.success and float(response.message.removeprefix("was ")) >= 1.0
 
 
-def test_rclpys_messages_are_published_as_they_are(write, monkeypatch):
-    domain = 30 + os.getpid() % 30
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+def test_rclpys_messages_are_published_as_they_are(write, domain):
     write(
         "module.py",
         """
@@ -229,9 +224,7 @@ UNRELIABLE_ROBOT = """
 """
 
 
-def test_rclpy_has_an_answer_whatever_a_handler_does(write, monkeypatch):
-    domain = 30 + os.getpid() % 30
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+def test_rclpy_has_an_answer_whatever_a_handler_does(write, domain):
     write("unreliable.py", UNRELIABLE)
     from rclpy.action import ActionClient
     from std_srvs.srv import Trigger
@@ -333,9 +326,7 @@ OWN_ROBOT = """
 """
 
 
-def test_rclpy_calls_services_and_actions_that_the_program_knows_by_definition_only(write, monkeypatch):
-    domain = 30 + os.getpid() % 30
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+def test_rclpy_calls_services_and_actions_that_the_program_knows_by_definition_only(write, domain):
     write("counter.py", OWN)
     from rclpy.action import ActionClient
     from test_msgs.action import Fibonacci

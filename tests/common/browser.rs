@@ -1,7 +1,6 @@
 //! Opens pages of the program in a browser, driven by Node.js.
 
 use std::ffi::OsString;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -12,26 +11,22 @@ fn chromium() -> Option<PathBuf> {
     named.or_else(|| usual.iter().map(PathBuf::from).find(|path| path.exists()))
 }
 
-/// A script of `bridge/view/tests/page`, with its environment. If there is no Node.js or no browser, prints a
-/// message and returns `None`.
+/// A script of `bridge/view/tests/page`, with its environment. If there is no Node.js or no browser, reports
+/// a skipped test and returns `None`.
 pub fn script(name: &str) -> Option<Command> {
-    let skip = |reason: &str| {
-        let _ = writeln!(std::io::stderr(), "skipped: {reason}");
-        None
-    };
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        return skip("DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)");
-    };
+    let modules = test_machine::node_modules()?;
     let Some(chromium) = chromium() else {
-        return skip("there is no Chromium (Debian: the package chromium; elsewhere set DOWNBEAT_CHROMIUM)");
+        test_machine::missing("Chromium", "Debian: the package chromium; elsewhere set DOWNBEAT_CHROMIUM");
+        return None;
     };
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bridge/view/tests/page");
     let mut command = Command::new("node");
-    let variables: [(&str, OsString); 4] = [
+    let variables: [(&str, OsString); 5] = [
         ("DOWNBEAT", env!("CARGO_BIN_EXE_downbeat").into()),
         ("DOWNBEAT_CHROMIUM", chromium.into()),
         ("DOWNBEAT_NODE_MODULES", modules),
         ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST".into()),
+        ("ROS_DOMAIN_ID", super::own_domain().to_string().into()),
     ];
     command.arg(folder.join(name)).envs(variables).stdin(Stdio::null());
     Some(command)

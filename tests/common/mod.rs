@@ -14,10 +14,11 @@ pub mod rclpy;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
 use downbeat::bags::Reader;
+use test_machine::free_domain;
 
 /// A robot without a device: its behaviour depends only on its inputs and the time.
 pub const QUIET_ROBOT: &str = r#"
@@ -51,16 +52,22 @@ pub fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-/// The program with these arguments, limited to loopback.
+/// The program with these arguments, limited to loopback, in a domain of this process.
 pub fn downbeat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
     command
         .args(arguments)
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .env_remove("ROS_DOMAIN_ID")
+        .env("ROS_DOMAIN_ID", own_domain().to_string())
         .env_remove("DOWNBEAT_LOG")
         .current_dir(env!("CARGO_MANIFEST_DIR"));
     command
+}
+
+/// The domain of programs to which a test gives no other.
+pub fn own_domain() -> u16 {
+    static DOMAIN: LazyLock<u16> = LazyLock::new(free_domain);
+    *DOMAIN
 }
 
 /// Runs the program until it ends.
@@ -204,7 +211,9 @@ pub fn robot_file(folder: &Path, edit: impl Fn(String) -> String) -> PathBuf {
 pub fn python(program: &str, arguments: &[&Path]) -> Option<serde_json::Value> {
     let python = rclpy::python()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(program);
-    let output = Command::new(python).arg(script).args(arguments).output().unwrap();
+    let mut command = Command::new(python);
+    command.arg(script).args(arguments).env("ROS_DOMAIN_ID", own_domain().to_string());
+    let output = command.output().unwrap();
     assert!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).unwrap())
 }

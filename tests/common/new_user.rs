@@ -5,6 +5,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use test_machine::free_domain;
+
 /// Where the steps of all pages are collected. `cargo xtask test` prints them as one list.
 const STEPS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/target/first_hour/steps");
 
@@ -27,6 +29,7 @@ const FOREIGN: [&str; 10] = [
 pub struct NewUser {
     home: PathBuf,
     name: &'static str,
+    domain: u16,
     steps: Vec<Step>,
 }
 
@@ -47,12 +50,12 @@ impl NewUser {
             std::fs::remove_dir_all(home).unwrap();
         }
         std::fs::create_dir_all(home).unwrap();
-        Self { home: home.to_owned(), name, steps: Vec::new() }
+        Self { home: home.to_owned(), name, domain: free_domain(), steps: Vec::new() }
     }
 
-    /// Gives a command the environment of this user, on the network of this machine alone. The programs of
-    /// the tests come before others.
-    pub fn settle(&self, command: &mut Command, domain: &str) {
+    /// Gives a command the environment of this user, on the network of this machine alone and in a domain of
+    /// this user. The programs of the tests come before others.
+    pub fn settle(&self, command: &mut Command) {
         for (variable, _) in std::env::vars_os() {
             let name = variable.to_string_lossy();
             if FOREIGN.iter().any(|foreign| name.starts_with(foreign)) || name == "CARGO" {
@@ -79,7 +82,9 @@ impl NewUser {
         command.env("XDG_RUNTIME_DIR", &self.home);
         let programs = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
         command.env("PATH", format!("{}:{}", programs.display(), std::env::var("PATH").unwrap()));
-        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", domain);
+        command
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .env("ROS_DOMAIN_ID", self.domain.to_string());
     }
 
     /// Keeps a step for the list.

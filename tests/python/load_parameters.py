@@ -5,7 +5,6 @@ import os
 import sys
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_DOMAIN_ID"] = "84"
 
 import rclpy
 from rclpy.node import Node

@@ -7,6 +7,7 @@ mod matrix;
 mod node;
 mod physics;
 mod python;
+mod skips;
 mod steps;
 mod test;
 mod tidy;
@@ -38,6 +39,9 @@ enum Command {
         #[arg(long)]
         record: bool,
     },
+    /// The tests that the latest run skipped, and what the machine lacks for them. Such a test passes, except
+    /// with DOWNBEAT_STRICT=1.
+    Skips,
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
@@ -80,10 +84,13 @@ fn main() -> ExitCode {
         Command::Tidy => tidy::tidy(),
         Command::Budget { record: false } => budget::check(test::ALL),
         Command::Budget { record: true } => budget::record(test::ALL),
+        Command::Skips => skips::print_latest(),
         Command::Wire => wire::wire(),
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),
-        Command::Wheel { test: true, .. } => wheel::test(),
+        Command::Wheel { test: true, .. } => {
+            skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))
+        }
         Command::Wheel { test: false, features } => {
             wheel::build(&features).map(|path| println!("{}", path.display()))
         }

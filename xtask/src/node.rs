@@ -12,9 +12,10 @@ use crate::steps::{run, workspace};
 const MANIFESTS: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// Installs the packages if they are missing or outdated and returns their folder. If there is no Node.js,
-/// reports this and returns `None`: tests that need it are then skipped.
+/// reports this and returns `None`: tests that need it are then skipped. In a strict run, that is an error.
 pub(crate) fn modules() -> anyhow::Result<Option<PathBuf>> {
     if let Err(found) = find() {
+        anyhow::ensure!(!test_machine::is_strict(), "{found}; install Node.js and npm, which tests need");
         eprintln!(
             "xtask: {found}; the tests with @mcap/core, with @foxglove/ws-protocol and of the page are skipped"
         );

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::matrix::Notes;
 use crate::steps::{Steps, run, workspace};
-use crate::{budget, node, python, tidy, wheel};
+use crate::{budget, node, python, skips, tidy, wheel};
 
 /// The steps of new users, which the tests of pages and templates write down.
 struct FirstHour(PathBuf);
@@ -51,9 +51,15 @@ pub(crate) const ALL: &[&str] = &[
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.
     let python = python::interpreter()?;
-    let skipped = |error| eprintln!("xtask: the tests with ROS 2 Kilted are skipped: {error:#}");
-    let kilted = python::kilted_interpreter().map_err(skipped).ok();
+    let kilted = match python::kilted_interpreter() {
+        Err(error) if !test_machine::is_strict() => {
+            eprintln!("xtask: the tests with ROS 2 Kilted are skipped: {error:#}");
+            None
+        }
+        interpreter => Some(interpreter?),
+    };
     let node_modules = node::modules()?;
+    let skips = skips::Run::new()?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
         command.args(arguments);
@@ -79,7 +85,8 @@ pub(crate) fn test() -> anyhow::Result<()> {
         let package = ["--package", "downbeat-bags", "--features", "sqlite"];
         let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
         let mut command = cargo(&["test"]);
-        command.args(package).args(tests).env("DOWNBEAT_PYTHON", &python);
+        command.args(package).args(tests).env("DOWNBEAT_PYTHON", &python).envs([skips.variable()]);
+        command.envs(node_modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
         run(command.env("DOWNBEAT_MATRIX", notes.folder()))
     });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
@@ -105,13 +112,13 @@ pub(crate) fn test() -> anyhow::Result<()> {
         command.env("DOWNBEAT_PYTHON", &python);
         command.envs(kilted.map(|python| ("DOWNBEAT_KILTED_PYTHON", python)));
         command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-        command.envs(node_modules.map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
-        run(command.env("DOWNBEAT_MATRIX", notes.folder()))
+        command.envs(node_modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
+        run(command.env("DOWNBEAT_MATRIX", notes.folder()).envs([skips.variable()]))
     });
     steps.step("the size of the default build", || {
         budget::check(if has_nextest { ALL } else { &["--features", "downbeat/tables"] })
     });
-    steps.step("the Python package", wheel::test);
+    steps.step("the Python package", || wheel::test(&skips));
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));
@@ -119,5 +126,6 @@ pub(crate) fn test() -> anyhow::Result<()> {
         let arguments = ["doc", "--workspace", "--no-deps", "--quiet"];
         run(cargo(&arguments).args(ALL).env("RUSTDOCFLAGS", "--deny warnings"))
     });
+    skips.print()?;
     steps.finish()
 }

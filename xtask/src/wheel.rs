@@ -6,8 +6,8 @@ use std::process::Command;
 
 use anyhow::Context;
 
-use crate::python;
 use crate::steps::{run, run_in, workspace};
+use crate::{python, skips};
 
 /// What the tests need beside the wheel and what it depends on.
 const TOOLS: [&str; 3] = ["pytest==9.2.0", "mypy==2.4.1", "mcap-ros2-support==0.6.0"];
@@ -61,7 +61,7 @@ fn remove(folder: &Path) -> anyhow::Result<()> {
 }
 
 /// Builds the wheel, and tests it in a fresh environment.
-pub(crate) fn test() -> anyhow::Result<()> {
+pub(crate) fn test(skips: &skips::Run) -> anyhow::Result<()> {
     let peers = python::interpreter()?;
     // With what the tests of the workspace have compiled.
     let wheel = pack("dev", &["--manifest-path", "Cargo.toml", "--features", "as_tested"])?;
@@ -79,7 +79,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let tests = workspace().join("python/tests");
     let pytest = || {
         let mut pytest = Command::new(&python);
-        pytest.args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"]);
+        pytest.args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider"]).envs([skips.variable()]);
         pytest
     };
     // What readers type, where nothing of ROS is found.

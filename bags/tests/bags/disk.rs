@@ -19,7 +19,7 @@ struct SmallDisk {
 }
 
 impl SmallDisk {
-    /// Returns `None` and prints a note if mounting is not permitted.
+    /// Returns `None` and reports a skipped test if mounting is not permitted.
     fn mount(kibibytes: u32) -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("disk");
@@ -31,9 +31,7 @@ impl SmallDisk {
                 .status()
                 .is_ok_and(|status| status.success());
         if !mounted {
-            // Bypasses the capture of test output, which hides the output of passing tests.
-            let line = "skipped: only root can mount a small disk\n";
-            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+            test_machine::skipped("only root can mount a small disk");
             return None;
         }
         Some(Self { path, _folder: folder })

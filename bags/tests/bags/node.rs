@@ -16,13 +16,7 @@ use crate::support::noted;
 
 /// The output of `read_bag.mjs` for a bag file; `None` without Node.js.
 pub(crate) fn read_with_node(file: &Path) -> Option<Value> {
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        // Bypasses the capture of test output, which hides the output of passing tests.
-        let line =
-            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)\n";
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-        return None;
-    };
+    let modules = test_machine::node_modules()?;
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node/read_bag.mjs");
     let output = Command::new("node")
         .arg(script)

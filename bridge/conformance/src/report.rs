@@ -5,6 +5,7 @@ use crate::engine::{Domain, Engine, KnownFailure};
 use std::any::Any;
 use std::fmt::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use test_machine::Domains;
 
 /// The result of a case.
 #[derive(Clone, Debug)]
@@ -35,7 +36,8 @@ pub enum Outcome {
 /// Runs one case.
 #[must_use]
 pub fn run(engine: &Engine, case: &'static Case) -> CaseResult {
-    let domain = Domain { engine, domain_id: case.domain_id };
+    let domains = Domains::take(1);
+    let domain = Domain { engine, domain_id: domains.first() };
     let known = engine.known_failures.iter().find(|known| known.case == case.name).copied();
     let ran = catch_unwind(AssertUnwindSafe(|| (case.run)(&domain)));
     let found = match ran {

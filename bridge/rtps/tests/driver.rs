@@ -9,12 +9,19 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+use test_machine::free_domain;
 
 /// Generous: the machine may be busy.
 const WATCHDOG: Duration = Duration::from_secs(30);
 
 fn join(domain_id: u16) -> Participant {
     Participant::join(&Options::new(domain_id, Range::Localhost)).unwrap()
+}
+
+/// Two participants in a free domain.
+fn join_two() -> (Participant, Participant) {
+    let domain = free_domain();
+    (join(domain), join(domain))
 }
 
 fn reliable() -> Qos {
@@ -57,7 +64,7 @@ fn matched(writer: &Writer, reader: &Reader) {
 
 #[test]
 fn samples_of_all_sizes_arrive_in_order() {
-    let (alice, bob) = (join(202), join(202));
+    let (alice, bob) = join_two();
     let (reader, samples) = subscribe(&bob, "t", keep_all());
     let writer = alice.create_writer(on("t", keep_all())).unwrap();
     matched(&writer, &reader);
@@ -74,7 +81,7 @@ fn samples_of_all_sizes_arrive_in_order() {
 #[test]
 fn an_answer_from_a_handler_arrives() {
     const ROUNDS: u32 = 200;
-    let (alice, bob) = (join(203), join(203));
+    let (alice, bob) = join_two();
     let pong = bob.create_writer(on("pong", reliable())).unwrap();
     let answer = move |sample: downbeat_rtps::protocol::Sample| {
         pong.write(sample.payload, WriteOptions::default()).unwrap();
@@ -93,7 +100,7 @@ fn an_answer_from_a_handler_arrives() {
 #[test]
 fn several_threads_write_and_the_order_of_each_is_kept() {
     const COUNT: u32 = 5_000;
-    let (alice, bob) = (join(204), join(204));
+    let (alice, bob) = join_two();
     let topics = ["a", "b", "c"];
     let readers: Vec<_> = topics.iter().map(|topic| subscribe(&bob, topic, keep_all())).collect();
     let threads: Vec<_> = topics
@@ -125,22 +132,24 @@ fn several_threads_write_and_the_order_of_each_is_kept() {
 
 #[test]
 fn an_isolated_participant_receives_its_own_samples_and_binds_no_port() {
-    let alone = Participant::join(&Options::new(205, Range::Off)).unwrap();
+    let domain = free_domain();
+    let alone = Participant::join(&Options::new(domain, Range::Off)).unwrap();
     let (reader, samples) = subscribe(&alone, "t", reliable());
     let writer = alone.create_writer(on("t", reliable())).unwrap();
     matched(&writer, &reader);
     writer.write(payload(&[1]), WriteOptions::default()).unwrap();
     assert_eq!(samples.recv_timeout(WATCHDOG).unwrap(), payload(&[1]));
-    assert!(UdpSocket::bind((Ipv4Addr::LOCALHOST, 7400 + 250 * 205 + 10)).is_ok());
+    assert!(UdpSocket::bind((Ipv4Addr::LOCALHOST, 7400 + 250 * domain + 10)).is_ok());
 }
 
 #[test]
 fn ports_in_use_are_skipped() {
-    let port = 7400 + 250 * 206 + 10;
+    let domain = free_domain();
+    let port = 7400 + 250 * domain + 10;
     let _taken = UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).unwrap();
     // The port of announcements is bound by a program that does not share it.
-    let _group = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 7400 + 250 * 206)).unwrap();
-    let (alice, bob) = (join(206), join(206));
+    let _group = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 7400 + 250 * domain)).unwrap();
+    let (alice, bob) = (join(domain), join(domain));
     let (reader, samples) = subscribe(&bob, "t", reliable());
     let writer = alice.create_writer(on("t", reliable())).unwrap();
     matched(&writer, &reader);
@@ -156,7 +165,7 @@ fn a_domain_without_ports_is_refused() {
 
 #[test]
 fn a_late_handler_receives_the_current_state() {
-    let (alice, bob) = (join(207), join(207));
+    let (alice, bob) = join_two();
     let (reader, _samples) = subscribe(&bob, "t", reliable());
     let latched = Qos { durability: Durability::TransientLocal, ..reliable() };
     let (_picky, _none) = subscribe(&bob, "t", latched);
@@ -176,7 +185,7 @@ fn a_late_handler_receives_the_current_state() {
 
 #[test]
 fn handles_may_be_dropped_in_a_handler_and_after_the_participant() {
-    let (alice, bob) = (join(208), join(208));
+    let (alice, bob) = join_two();
     let alice = Arc::new(std::sync::Mutex::new(Some(alice)));
     let writer = alice.lock().unwrap().as_ref().unwrap().create_writer(on("t", reliable())).unwrap();
     let (sender, gone) = channel();

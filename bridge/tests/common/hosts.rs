@@ -41,10 +41,12 @@ impl Hosts {
         static MADE: AtomicU32 = AtomicU32::new(0);
         let number = MADE.fetch_add(1, Ordering::Relaxed);
         let mut hosts = Self::of(&format!("downbeat_{}_{number}", std::process::id()));
+        if !test_machine::has_program("ip") {
+            test_machine::missing("ip", "Debian: the package iproute2");
+            return None;
+        }
         if let Err(error) = hosts.make(line) {
-            let line = format!("skipped: hosts of their own need root and network namespaces: {error}\n");
-            // Past the capture of test output, which shows nothing of a test that passes.
-            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+            test_machine::skipped(&format!("separate hosts need root and network namespaces: {error}"));
             return None;
         }
         Some(hosts)

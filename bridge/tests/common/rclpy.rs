@@ -8,6 +8,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+use test_machine::interpreter;
 
 /// A node of rclpy, or a participant of Cyclone DDS, that obeys commands. Its process ends with the value.
 pub struct Peer {
@@ -122,19 +123,9 @@ impl Drop for Peer {
     }
 }
 
-/// The interpreter that has rclpy, or a line that says that there is none.
+/// The interpreter that has rclpy. If there is none, reports a skipped test and returns `None`.
 pub fn python() -> Option<OsString> {
     interpreter("DOWNBEAT_PYTHON")
-}
-
-fn interpreter(variable: &str) -> Option<OsString> {
-    let python = std::env::var_os(variable);
-    if python.is_none() {
-        // Past the capture of test output, which shows nothing of a test that passes.
-        let line = format!("skipped: {variable} is not set (cargo xtask test sets it)\n");
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-    }
-    python
 }
 
 fn of_domain(python: &OsStr, script: &str, domain_id: u16, discovery_range: &str) -> Command {

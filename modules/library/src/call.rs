@@ -277,11 +277,12 @@ unsafe fn store<T>(place: *mut T, value: T) {
     }
 }
 
-// SAFETY of all functions below: libraries call them as downbeat.h says: with the host of the call, with
-// texts that have a terminating zero, and with pointers that are valid during the call.
+// Libraries call the functions below as downbeat.h says: with the host of the call, with texts that have a
+// terminating zero, and with pointers that are valid during the call.
 
 unsafe extern "C" fn name(host: Host) -> *const c_char {
     let mut name = c"".as_ptr();
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call.
     unsafe {
         with(host, |call| {
             name = call.module.as_ptr();
@@ -293,6 +294,7 @@ unsafe extern "C" fn name(host: Host) -> *const c_char {
 
 unsafe extern "C" fn now(host: Host) -> i64 {
     let mut now = 0;
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call.
     unsafe {
         with(host, |call| {
             if let Phase::Run(requests) = &call.phase {
@@ -305,6 +307,7 @@ unsafe extern "C" fn now(host: Host) -> i64 {
 }
 
 unsafe extern "C" fn log(host: Host, severity: i32, text: *const c_char) {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `text` is null or a text.
     unsafe {
         with(host, |call| {
             let text = text_of(text, "the line of the log")?;
@@ -322,6 +325,8 @@ unsafe extern "C" fn log_at(
     line: u32,
     function: *const c_char,
 ) {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `text`, `file` and `function`
+    // are null or texts.
     unsafe {
         with(host, |call| {
             let text = text_of(text, "the line of the log")?;
@@ -337,10 +342,13 @@ unsafe extern "C" fn log_at(
 }
 
 unsafe extern "C" fn fail(host: Host, reason: *const c_char) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `reason` is null or a text.
     unsafe { with(host, |_| Err(text_of(reason, "the reason").unwrap_or_else(|problem| problem))) }
 }
 
 unsafe extern "C" fn define(host: Host, of: *const c_char, text: *const *const c_char) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `of` is null or a text, and `text`
+    // is null or a list of texts that ends with null.
     unsafe {
         with(host, |call| {
             let (of, mut whole) = (text_of(of, "the type")?, String::new());
@@ -367,6 +375,8 @@ unsafe extern "C" fn publisher(
     hash: *const c_char,
     number: *mut u32,
 ) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `topic`, `of` and `hash` are null
+    // or texts, and `number` is null or a place for the number.
     unsafe {
         with(host, |call| {
             let (topic, of, hash) = (text_of(topic, "the topic")?, text_of(of, "the type")?, hash_of(hash)?);
@@ -383,6 +393,8 @@ unsafe extern "C" fn subscription(
     hash: *const c_char,
     number: *mut u32,
 ) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `topic`, `of` and `hash` are null
+    // or texts, and `number` is null or a place for the number.
     unsafe {
         with(host, |call| {
             let (topic, of, hash) = (text_of(topic, "the topic")?, text_of(of, "the type")?, hash_of(hash)?);
@@ -399,6 +411,8 @@ unsafe extern "C" fn server(
     hash: *const c_char,
     number: *mut u32,
 ) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `service`, `of` and `hash` are null
+    // or texts, and `number` is null or a place for the number.
     unsafe {
         with(host, |call| {
             let (service, of, hash) =
@@ -417,6 +431,8 @@ unsafe extern "C" fn client(
     timeout_ns: i64,
     number: *mut u32,
 ) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `service`, `of` and `hash` are null
+    // or texts, and `number` is null or a place for the number.
     unsafe {
         with(host, |call| {
             let (service, of, hash) =
@@ -429,6 +445,8 @@ unsafe extern "C" fn client(
 }
 
 unsafe extern "C" fn timer(host: Host, period_ns: i64, number: *mut u32) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `number` is null or a place for
+    // the number.
     unsafe {
         with(host, |call| {
             store(number, call.declare()?.every(duration(period_ns, "the period")?));
@@ -438,6 +456,8 @@ unsafe extern "C" fn timer(host: Host, period_ns: i64, number: *mut u32) -> i32 
 }
 
 unsafe extern "C" fn task(host: Host, number: *mut u32) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `number` is null or a place for
+    // the number.
     unsafe {
         with(host, |call| {
             store(number, call.declare()?.task());
@@ -447,6 +467,8 @@ unsafe extern "C" fn task(host: Host, number: *mut u32) -> i32 {
 }
 
 unsafe extern "C" fn setting(host: Host, setting: *const SettingV1, number: *mut u32) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `setting` is null or a declaration,
+    // and `number` is null or a place for the number.
     unsafe {
         with(host, |call| {
             let given = setting.as_ref().ok_or("the setting is NULL")?;
@@ -468,6 +490,7 @@ unsafe extern "C" fn setting(host: Host, setting: *const SettingV1, number: *mut
 }
 
 unsafe extern "C" fn each_run(host: Host) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call.
     unsafe {
         with(host, |call| {
             call.declare()?.each_run();
@@ -477,6 +500,8 @@ unsafe extern "C" fn each_run(host: Host) -> i32 {
 }
 
 unsafe extern "C" fn get(host: Host, setting: u32, value: *mut ValueV1) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `value` is null or a place for a
+    // value.
     unsafe {
         with(host, |call| {
             let place = value.as_mut().ok_or("the place for the value is NULL")?;
@@ -497,10 +522,13 @@ unsafe extern "C" fn get(host: Host, setting: u32, value: *mut ValueV1) -> i32 {
 }
 
 unsafe extern "C" fn publish(host: Host, publisher: u32, cdr: *const u8, size: usize) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `cdr` points to `size` bytes.
     unsafe { with(host, |call| call.requests()?.publish(publisher, bytes_of(cdr, size)?)) }
 }
 
 unsafe extern "C" fn call(host: Host, client: u32, cdr: *const u8, size: usize, id: *mut u64) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `cdr` points to `size` bytes, and
+    // `id` is null or a place for the number of the call.
     unsafe {
         with(host, |call| {
             store(id, call.requests()?.call(client, bytes_of(cdr, size)?)?);
@@ -510,10 +538,12 @@ unsafe extern "C" fn call(host: Host, client: u32, cdr: *const u8, size: usize, 
 }
 
 unsafe extern "C" fn reply(host: Host, request: u64, cdr: *const u8, size: usize) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `cdr` points to `size` bytes.
     unsafe { with(host, |call| call.requests()?.reply(request, Ok(bytes_of(cdr, size)?))) }
 }
 
 unsafe extern "C" fn reply_error(host: Host, request: u64, reason: *const c_char) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `reason` is null or a text.
     unsafe { with(host, |call| call.requests()?.reply(request, Err(text_of(reason, "the reason")?))) }
 }
 
@@ -523,6 +553,8 @@ unsafe extern "C" fn set(
     setting: *const c_char,
     value: *const ValueV1,
 ) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `module` and `setting` are null or
+    // texts, and `value` is null or a value.
     unsafe {
         with(host, |call| {
             let (module, setting) =
@@ -534,14 +566,17 @@ unsafe extern "C" fn set(
 }
 
 unsafe extern "C" fn schedule_after(host: Host, task: u32, delay_ns: i64) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call.
     unsafe { with(host, |call| call.requests()?.schedule_after(task, duration(delay_ns, "the delay")?)) }
 }
 
 unsafe extern "C" fn cancel(host: Host, task: u32) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call.
     unsafe { with(host, |call| call.requests()?.cancel(task)) }
 }
 
 unsafe extern "C" fn transition(host: Host, module: *const c_char, transition: u32) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `module` is null or a text.
     unsafe {
         with(host, |call| {
             let module = text_of(module, "the module")?;
@@ -552,6 +587,7 @@ unsafe extern "C" fn transition(host: Host, module: *const c_char, transition: u
 }
 
 unsafe extern "C" fn remove(host: Host, module: *const c_char) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `module` is null or a text.
     unsafe {
         with(host, |call| {
             let module = text_of(module, "the module")?;
@@ -562,6 +598,7 @@ unsafe extern "C" fn remove(host: Host, module: *const c_char) -> i32 {
 }
 
 unsafe extern "C" fn saved(host: Host, state: *const u8, size: usize) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call and `state` points to `size` bytes.
     unsafe {
         with(host, |call| match &mut call.phase {
             Phase::Save(saved) => {

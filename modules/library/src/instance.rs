@@ -63,13 +63,14 @@ impl Instance {
 
     pub(crate) fn setup(&mut self, declare: &mut dyn Declare) -> Result<(), String> {
         self.enter("setup", Phase::Setup(declare), |table, module, host| {
-            // SAFETY (here and below): `create` returned the module, and the host lives during the call.
+            // SAFETY: `create` returned the module, and the host lives during the call.
             table.setup.map(|setup| unsafe { setup(module, host) })
         })
     }
 
     pub(crate) fn handle(&mut self, event: &EventV1, requests: &mut dyn Requests) -> Result<(), String> {
         self.enter("handle", Phase::Run(requests), |table, module, host| {
+            // SAFETY: `create` returned the module, and the host and the event live during the call.
             table.handle.map(|handle| unsafe { handle(module, host, event) })
         })
     }
@@ -80,6 +81,7 @@ impl Instance {
         requests: &mut dyn Requests,
     ) -> Result<(), String> {
         self.enter("transition", Phase::Run(requests), |table, module, host| {
+            // SAFETY: `create` returned the module, and the host lives during the call.
             table.transition.map(|make| unsafe { make(module, host, number_of(transition)) })
         })
     }
@@ -88,6 +90,7 @@ impl Instance {
         let lent = LentValue::new(value);
         let value = lent.in_c();
         self.enter("accept", Phase::Apart, |table, module, host| {
+            // SAFETY: `create` returned the module, and the host and the value live during the call.
             table.accept.map(|accept| unsafe { accept(module, host, setting, &raw const value) })
         })
     }
@@ -95,6 +98,7 @@ impl Instance {
     pub(crate) fn save(&mut self) -> Result<Vec<u8>, String> {
         let mut saved = Vec::new();
         self.enter("save", Phase::Save(&mut saved), |table, module, host| {
+            // SAFETY: `create` returned the module, and the host lives during the call.
             table.save.map(|save| unsafe { save(module, host) })
         })?;
         Ok(saved)
@@ -102,6 +106,7 @@ impl Instance {
 
     pub(crate) fn restore(&mut self, state: &[u8]) -> Result<(), String> {
         self.enter("restore", Phase::Apart, |table, module, host| {
+            // SAFETY: `create` returned the module, and the host and the bytes live during the call.
             table.restore.map(|restore| unsafe { restore(module, host, state.as_ptr(), state.len()) })
         })
     }

@@ -29,10 +29,10 @@ struct Mosquitto {
 }
 
 impl Mosquitto {
-    /// `None`, with a message, if it is not installed.
+    /// `None` if it is not installed, which is reported.
     fn start() -> Option<Self> {
         if !std::path::Path::new(MOSQUITTO).exists() {
-            eprintln!("skipped: {MOSQUITTO} is missing (Debian's package mosquitto)");
+            test_machine::missing(MOSQUITTO, "Debian: the package mosquitto");
             return None;
         }
         let mut broker = Self { port: free_port(), folder: tempfile::tempdir().unwrap(), process: None };

@@ -85,7 +85,10 @@ fn translated(text: &str) -> String {
 #[test]
 fn every_case_passes_or_does_not_apply_as_the_table_says() {
     let Some(folder) = package() else {
-        eprintln!("skipped: the npm package @scion-scxml/test-framework is not in target/node");
+        test_machine::missing(
+            "the npm package @scion-scxml/test-framework",
+            "`cargo xtask node` installs it",
+        );
         return;
     };
     let mut results = BTreeMap::new();

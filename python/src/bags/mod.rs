@@ -1,5 +1,6 @@
 //! Reading and writing bags.
 
+mod errors;
 mod reading;
 mod table;
 mod writing;

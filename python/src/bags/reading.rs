@@ -1,7 +1,6 @@
 //! Bags and their messages.
 
 use std::collections::VecDeque;
-use std::io::ErrorKind;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -10,11 +9,12 @@ use downbeat_bags::{BagMessage, Reader, ReaderError, RecordedTopic, Selection, T
 use downbeat_edge::Interfaces;
 use downbeat_msgs::definitions::nearest;
 use parking_lot::Mutex;
-use pyo3::exceptions::{PyFileNotFoundError, PyKeyError, PyOSError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyString, PyTuple, PyType};
 
+use super::errors::exception;
 use super::table::{self, Table};
 use crate::messages::{MessageType, class_of, described_type, from_cdr, message_type};
 
@@ -306,16 +306,4 @@ fn record<'py>(py: Python<'py>, items: Bound<'py, PyTuple>) -> PyResult<Bound<'p
         PyResult::Ok((py.get_type::<PyTuple>().getattr("__new__")?.unbind(), class.unbind()))
     })?;
     new.bind(py).call1((class, items))
-}
-
-/// The exception for an error of reading a bag.
-pub(super) fn exception(error: ReaderError) -> PyErr {
-    let text = error.to_string();
-    match error {
-        ReaderError::Read { source, .. } if source.kind() == ErrorKind::NotFound => {
-            PyFileNotFoundError::new_err(text)
-        }
-        ReaderError::Read { .. } => PyOSError::new_err(text),
-        _ => PyValueError::new_err(text),
-    }
 }

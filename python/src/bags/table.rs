@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyByteArray, PyList};
 
-use super::reading::exception;
+use super::errors::exception;
 
 /// The messages of a topic, a row each.
 pub(super) struct Table {

@@ -14,8 +14,6 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyByteArray, PyBytes};
 
-use super::types::dtype;
-
 /// The bytes of a message, read-only for Python. Views of them keep them alive.
 #[pyclass(frozen, module = "downbeat._core")]
 pub(crate) struct SharedBytes {
@@ -210,6 +208,14 @@ pub(super) fn with_values<T>(
         && usize::try_from(view.0.itemsize).is_ok_and(|size| size == primitive.size())
         && view.format().is_some_and(|format| formats(primitive).contains(&format));
     is_same.then(|| with(view.bytes()))
+}
+
+/// The name of the primitive in NumPy.
+pub(super) fn dtype(primitive: Primitive) -> &'static str {
+    match primitive {
+        Primitive::Byte | Primitive::Char => "uint8",
+        other => other.as_str(),
+    }
 }
 
 /// The characters of the module `struct` for these numbers. Their size is checked as well.

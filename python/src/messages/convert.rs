@@ -13,17 +13,17 @@
 
 use std::sync::Arc;
 
-use downbeat_msgs::definitions::{Element, Primitive, Shape};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use downbeat_msgs::definitions::{Element, Primitive, Shape, nearest};
+use pyo3::exceptions::{PyAttributeError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{
     PyBool, PyBytes, PyDict, PyFloat, PyInt, PyList, PyMapping, PySet, PyString, PyTuple, PyType,
 };
 
-use super::buffer::{NumPy, with_values};
+use super::buffer::{NumPy, dtype, with_values};
 use super::message::{self, Message};
-use super::types::{Field, MessageType, dtype};
+use super::types::{Field, MessageType};
 
 /// Why a value cannot be assigned.
 pub(super) struct Problem {
@@ -370,8 +370,33 @@ pub(super) fn to_message<'py>(
         return Err(Problem::expected(&of.name, value));
     };
     let mut filled = Message::over(Arc::clone(of), of.defaults(py)?, 0);
-    filled.set_all(py, &fields)?;
+    set_all(&mut filled, py, &fields)?;
     Ok(message::object(py, filled)?)
+}
+
+/// Sets fields of a message.
+pub(super) fn set_all(message: &mut Message, py: Python<'_>, fields: &Bound<'_, PyDict>) -> Converted<()> {
+    for (name, value) in fields {
+        let name = name.cast_into::<PyString>().map_err(PyErr::from)?;
+        let index = message.of.field(&name).ok_or_else(|| no_field(&message.of, &name))?;
+        let field = &message.of.fields[index];
+        let value = to_field(py, field, &value).map_err(|problem| problem.in_field(&field.name))?;
+        message.put(index, value);
+    }
+    Ok(())
+}
+
+/// The error for a name that is no field of a type.
+#[cold]
+pub(super) fn no_field(of: &MessageType, name: &Bound<'_, PyString>) -> PyErr {
+    let name = name.to_string_lossy();
+    let names = || of.fields.iter().map(|field| field.name.as_str());
+    let hint = match nearest(&name, names()) {
+        Some(known) => format!(", did you mean '{known}'?"),
+        None if of.fields.is_empty() => ", it has no fields at all".to_owned(),
+        None => format!(", its fields are {}", names().collect::<Vec<_>>().join(", ")),
+    };
+    PyAttributeError::new_err(format!("{} has no field '{name}'{hint}", of.name))
 }
 
 /// The name of the type of a class of rclpy: that of `std_msgs.msg._header`, `Header`.

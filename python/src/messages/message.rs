@@ -1,21 +1,18 @@
-//! The base of all message classes, and the classes themselves, which are created on first use.
+//! The base of all message classes, and the classes themselves, which are created on first use. What they can
+//! do is in `methods.rs`, how their fields are read in `fields.rs`.
 
 use std::cell::Cell;
 use std::sync::Arc;
 
-use bytes::Bytes;
-use downbeat_msgs::definitions::{Element, Shape, Value, nearest};
-use pyo3::exceptions::{PyAttributeError, PyTypeError, PyValueError};
+use downbeat_msgs::definitions::Value;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::pybacked::PyBackedBytes;
-use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple, PyType};
+use pyo3::types::{PyDict, PyList, PyTuple, PyType};
 
-use super::buffer::{NumPy, SharedBytes, with_bytes};
-use super::convert::{self, Converted};
+use super::buffer::SharedBytes;
 use super::cursor::{Cursor, Read};
-use super::types::{self, MessageType};
-use super::{decode, encode};
+use super::types::MessageType;
 
 /// The size of the header of serialised messages.
 pub(super) const HEADER: usize = 4;
@@ -25,13 +22,13 @@ pub(super) const HEADER: usize = 4;
 pub(crate) struct Message {
     pub(super) of: Arc<MessageType>,
     /// A received message, or the defaults of the type.
-    source: Py<SharedBytes>,
+    pub(super) source: Py<SharedBytes>,
     /// Where the message starts in the body of the source.
-    start: usize,
+    pub(super) start: usize,
     /// The last field whose start was needed, and where it starts.
     known: (usize, usize),
     /// The fields that were read or set; empty if none was.
-    slots: Vec<Option<Py<PyAny>>>,
+    pub(super) slots: Vec<Option<Py<PyAny>>>,
 }
 
 /// The type of a class, in its attribute `_type`.
@@ -41,136 +38,8 @@ pub(super) struct TypeHandle(pub(super) Arc<MessageType>);
 /// A field of a class, which reads it from messages.
 #[pyclass(frozen, module = "downbeat._core", name = "Field")]
 pub(super) struct FieldReader {
-    of: Arc<MessageType>,
-    index: usize,
-}
-
-#[pymethods]
-impl FieldReader {
-    fn __get__(
-        slf: &Bound<'_, Self>,
-        instance: &Bound<'_, PyAny>,
-        _owner: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Py<PyAny>> {
-        if instance.is_none() {
-            return Ok(slf.clone().into_any().unbind());
-        }
-        let Self { of, index } = slf.get();
-        let message = instance.cast::<Message>()?;
-        get_of(message, *index, Some(of))
-    }
-
-    fn __repr__(&self) -> String {
-        let field = &self.of.fields[self.index];
-        format!("<field {} {} of {}>", field.declared, field.name, self.of.name)
-    }
-}
-
-#[pymethods]
-impl Message {
-    #[new]
-    #[classmethod]
-    #[pyo3(signature = (*args, **fields))]
-    fn new(
-        class: &Bound<'_, PyType>,
-        args: &Bound<'_, PyTuple>,
-        fields: Option<&Bound<'_, PyDict>>,
-    ) -> PyResult<Self> {
-        if let Some(next) = NEXT.take() {
-            return Ok(next);
-        }
-        let py = class.py();
-        let of = type_of(class)?;
-        if !args.is_empty() {
-            return Err(PyTypeError::new_err(format!(
-                "{} takes its fields by name, as in {}({}=...)",
-                of.name,
-                of.parsed.name.name,
-                of.fields.first().map_or("field", |field| &field.name)
-            )));
-        }
-        let mut message = Self::over(Arc::clone(&of), of.defaults(py)?, 0);
-        if let Some(fields) = fields {
-            message.set_all(py, fields).map_err(|problem| problem.of(&of.name))?;
-        }
-        Ok(message)
-    }
-
-    /// Reads a message from its serialised form, CDR with its header of four bytes, without a copy if `data`
-    /// is `bytes`.
-    #[classmethod]
-    fn from_cdr(class: &Bound<'_, PyType>, data: &Bound<'_, PyAny>) -> PyResult<Py<PyAny>> {
-        let bytes = match data.extract::<PyBackedBytes>() {
-            Ok(bytes) => Bytes::from_owner(bytes),
-            Err(_) => with_bytes(data, Bytes::copy_from_slice)?,
-        };
-        super::from_cdr(class.py(), &type_of(class)?, bytes)
-    }
-
-    /// The serialised form: CDR, little-endian, with its header of four bytes.
-    fn to_cdr<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyBytes>> {
-        Ok(PyBytes::new(slf.py(), &encode::to_cdr(slf)?))
-    }
-
-    /// The names of the fields and their types in the words of rosidl, as in rclpy.
-    #[classmethod]
-    fn get_fields_and_field_types<'py>(class: &Bound<'py, PyType>) -> PyResult<Bound<'py, PyDict>> {
-        let types = PyDict::new(class.py());
-        for field in &type_of(class)?.fields {
-            types.set_item(&field.name, types::rosidl_name(field))?;
-        }
-        Ok(types)
-    }
-
-    fn __setattr__(
-        slf: &Bound<'_, Self>,
-        name: &Bound<'_, PyString>,
-        value: &Bound<'_, PyAny>,
-    ) -> PyResult<()> {
-        let of = Arc::clone(&slf.try_borrow()?.of);
-        let index = of.field(name).ok_or_else(|| no_field(&of, name))?;
-        let field = &of.fields[index];
-        let value = convert::to_field(slf.py(), field, value)
-            .map_err(|problem| problem.in_field(&field.name).of(&of.name))?;
-        slf.try_borrow_mut()?.put(index, value);
-        Ok(())
-    }
-
-    fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
-        let of = Arc::clone(&slf.try_borrow()?.of);
-        let mut fields = Vec::with_capacity(of.fields.len());
-        for (index, field) in of.fields.iter().enumerate() {
-            fields.push(format!("{}={}", field.name, get(slf, index)?.bind(slf.py()).repr()?));
-        }
-        Ok(format!("{}({})", of.name.replace('/', "."), fields.join(", ")))
-    }
-
-    /// Compares the fields; a message of rclpy counts as one of ours.
-    fn __eq__(slf: &Bound<'_, Self>, other: &Bound<'_, PyAny>) -> PyResult<bool> {
-        let py = slf.py();
-        let of = Arc::clone(&slf.try_borrow()?.of);
-        let Ok(other) = convert::to_message(py, &of, other) else { return Ok(false) };
-        let numpy = NumPy::get(py)?;
-        for (index, field) in of.fields.iter().enumerate() {
-            let (ours, theirs) = (get(slf, index)?, get(&other, index)?);
-            let is_array =
-                matches!(field.of.element, Element::Primitive(_)) && field.of.shape != Shape::Single;
-            let is_same = if is_array {
-                numpy.array_equal.bind(py).call1((ours, theirs))?.is_truthy()?
-            } else {
-                ours.bind(py).eq(theirs)?
-            };
-            if !is_same {
-                return Ok(false);
-            }
-        }
-        Ok(true)
-    }
-
-    /// For `copy` and `pickle`: a copy of all of it.
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        Ok((slf.get_type().getattr(intern!(slf.py(), "from_cdr"))?, (Self::to_cdr(slf)?,)))
-    }
+    pub(super) of: Arc<MessageType>,
+    pub(super) index: usize,
 }
 
 impl Message {
@@ -187,18 +56,6 @@ impl Message {
             known: self.known,
             slots: self.slots.iter().map(|slot| slot.as_ref().map(|value| value.clone_ref(py))).collect(),
         }
-    }
-
-    pub(super) fn set_all(&mut self, py: Python<'_>, fields: &Bound<'_, PyDict>) -> Converted<()> {
-        for (name, value) in fields {
-            let name = name.cast_into::<PyString>().map_err(PyErr::from)?;
-            let index = self.of.field(&name).ok_or_else(|| no_field(&self.of, &name))?;
-            let field = &self.of.fields[index];
-            let value =
-                convert::to_field(py, field, &value).map_err(|problem| problem.in_field(&field.name))?;
-            self.put(index, value);
-        }
-        Ok(())
     }
 
     pub(super) fn put(&mut self, index: usize, value: Py<PyAny>) {
@@ -229,7 +86,7 @@ impl Message {
     }
 
     /// Finds where a field starts.
-    fn start_of(&mut self, index: usize) -> Read<usize> {
+    pub(super) fn start_of(&mut self, index: usize) -> Read<usize> {
         let body = self.source.get().bytes.get(HEADER..).unwrap_or_default();
         // Fields are mostly read in order.
         let (mut field, at) = if index < self.known.0 { (0, self.start) } else { self.known };
@@ -240,49 +97,6 @@ impl Message {
         }
         self.known = (index, cursor.at);
         Ok(cursor.at)
-    }
-}
-
-/// The value of a field, which is decoded when it is read for the first time.
-pub(super) fn get(message: &Bound<'_, Message>, index: usize) -> PyResult<Py<PyAny>> {
-    get_of(message, index, None)
-}
-
-/// Like [`get`], if the message is of this type.
-fn get_of(
-    message: &Bound<'_, Message>,
-    index: usize,
-    expected: Option<&Arc<MessageType>>,
-) -> PyResult<Py<PyAny>> {
-    let py = message.py();
-    let (of, source, start) = {
-        let mut this = message.try_borrow_mut()?;
-        if let Some(expected) = expected.filter(|expected| !Arc::ptr_eq(expected, &this.of)) {
-            return Err(PyTypeError::new_err(format!("this field is one of {}", expected.name)));
-        }
-        if let Some(value) = this.slot(index) {
-            return Ok(value.clone_ref(py));
-        }
-        let start = if this.of.is_scalars && this.slots.is_empty() {
-            None
-        } else {
-            Some(this.start_of(index).map_err(|problem| invalid(&this.of, &problem))?)
-        };
-        (Arc::clone(&this.of), this.source.clone_ref(py), start.ok_or(this.start))
-    };
-    // Not borrowed here: creating objects may run the garbage collector, and with it any code.
-    match start {
-        Ok(start) => {
-            let value = decode::field(source.bind(py), &of, &of.fields[index], start)?;
-            message.try_borrow_mut()?.put(index, value.clone_ref(py));
-            Ok(value)
-        }
-        Err(start) => {
-            let values = decode::scalars(source.bind(py), &of, start)?;
-            let value = values[index].as_ref().map_or_else(|| py.None(), |value| value.clone_ref(py));
-            message.try_borrow_mut()?.slots = values;
-            Ok(value)
-        }
     }
 }
 
@@ -311,22 +125,15 @@ thread_local! {
     static NEXT: Cell<Option<Message>> = const { Cell::new(None) };
 }
 
+/// The contents of the object that is being created, if [`object`] creates it.
+pub(super) fn next() -> Option<Message> {
+    NEXT.take()
+}
+
 /// Bytes that are not a message of the type.
 #[cold]
 pub(super) fn invalid(of: &MessageType, problem: &str) -> PyErr {
     PyValueError::new_err(format!("the bytes are not a {}: {problem}", of.name))
-}
-
-#[cold]
-fn no_field(of: &MessageType, name: &Bound<'_, PyString>) -> PyErr {
-    let name = name.to_string_lossy();
-    let names = || of.fields.iter().map(|field| field.name.as_str());
-    let hint = match nearest(&name, names()) {
-        Some(known) => format!(", did you mean '{known}'?"),
-        None if of.fields.is_empty() => ", it has no fields at all".to_owned(),
-        None => format!(", its fields are {}", names().collect::<Vec<_>>().join(", ")),
-    };
-    PyAttributeError::new_err(format!("{} has no field '{name}'{hint}", of.name))
 }
 
 /// The type of a class of messages.

@@ -11,7 +11,9 @@ mod convert;
 mod cursor;
 mod decode;
 mod encode;
+mod fields;
 mod message;
+mod methods;
 mod types;
 
 use std::path::PathBuf;
@@ -65,7 +67,7 @@ pub(crate) fn to_cdr(
     };
     let Some(fields) = fields.filter(|fields| !fields.is_empty()) else { return encode::to_cdr(&message) };
     let mut changed = message.try_borrow()?.shallow_copy(py);
-    changed.set_all(py, fields).map_err(|problem| problem.of(&of.name))?;
+    convert::set_all(&mut changed, py, fields).map_err(|problem| problem.of(&of.name))?;
     encode::to_cdr(&message::object(py, changed)?)
 }
 

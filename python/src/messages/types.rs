@@ -319,14 +319,6 @@ pub(super) fn least_size_of_element(element: &Element<Arc<MessageType>>) -> usiz
     }
 }
 
-/// The name of the primitive in NumPy.
-pub(super) fn dtype(primitive: Primitive) -> &'static str {
-    match primitive {
-        Primitive::Byte | Primitive::Char => "uint8",
-        other => other.as_str(),
-    }
-}
-
 /// The type of a field in the words of rosidl: `sequence<double, 3>`.
 pub(super) fn rosidl_name(field: &Field) -> String {
     let element = match &field.of.element {

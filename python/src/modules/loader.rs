@@ -1,7 +1,7 @@
 //! Where modules in Python come from: a file and a class that a robot file names, or a class that a script
 //! passes.
 
-use super::python_module::{PythonModule, traceback};
+use super::python_module::{PythonModule, Successor, traceback};
 use downbeat::edge::foreign::Foreign;
 use downbeat::executor::SettingValue;
 use downbeat::robot::{Kind, ModuleSource};
@@ -12,9 +12,9 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 /// Where one module comes from.
-pub(crate) struct ModuleOrigin {
-    pub(super) source: ModuleSource,
-    pub(super) is_reloading: bool,
+struct ModuleOrigin {
+    source: ModuleSource,
+    is_reloading: bool,
     place: Place,
     /// The version of the file that was loaded last, or that was tried last.
     version: Mutex<Option<Version>>,
@@ -98,7 +98,9 @@ impl ModuleOrigin {
         }
         Python::attach(|py| {
             let class = self.place.class(py, |file| self.source.file_to_read(file));
-            let loaded = class.and_then(|class| PythonModule::new(&class, Arc::clone(&self)));
+            let origin = Arc::clone(&self);
+            let successor = self.is_reloading.then(|| Box::new(move || origin.successor()) as Successor);
+            let loaded = class.and_then(|class| PythonModule::new(&class, &self.source, successor));
             match loaded {
                 Ok(module) => Ok(Box::new(module) as Box<dyn Foreign>),
                 Err(error) => Err(self.place.explain(py, &error)),
@@ -107,7 +109,7 @@ impl ModuleOrigin {
     }
 
     /// A new version of the module, if the file has changed since it was loaded.
-    pub(super) fn successor(self: &Arc<Self>) -> Result<Option<Box<dyn Foreign>>, String> {
+    fn successor(&self) -> Result<Option<Box<dyn Foreign>>, String> {
         let version = self.place.version();
         let mut known = self.version.lock();
         // An editor may remove the file for a moment.
@@ -116,7 +118,7 @@ impl ModuleOrigin {
         }
         *known = version;
         drop(known);
-        let Self { source, is_reloading, place, .. } = &**self;
+        let Self { source, is_reloading, place, .. } = self;
         let (source, place) = (source.clone(), place.clone());
         let origin = Self { source, is_reloading: *is_reloading, place, version: Mutex::new(version) };
         Arc::new(origin).instantiate().map(Some)

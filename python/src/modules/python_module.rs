@@ -1,30 +1,38 @@
 //! An instance of a user's class as a module of a core.
 
 use super::link::{Link, Request};
-use super::loader::ModuleOrigin;
 use super::values;
 use super::watch::Watch;
 use crate::messages;
 use downbeat::edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState};
 use downbeat::executor::{Failure, SettingValue, Transition};
+use downbeat::robot::ModuleSource;
 use pyo3::prelude::*;
 use std::sync::Arc;
+
+/// Loads the next version of a module, if there is one.
+pub(super) type Successor = Box<dyn Fn() -> Result<Option<Box<dyn Foreign>>, String> + Send + Sync>;
 
 /// A module in Python.
 pub(super) struct PythonModule {
     instance: Py<PyAny>,
     link: Py<Link>,
-    origin: Arc<ModuleOrigin>,
+    /// `None` for a module that is not loaded again when its file is saved.
+    successor: Option<Successor>,
     watch: Watch,
 }
 
 impl PythonModule {
-    /// An instance of a class that the origin has loaded.
-    pub(super) fn new(class: &Bound<'_, PyAny>, origin: Arc<ModuleOrigin>) -> PyResult<Self> {
+    /// An instance of a loaded class.
+    pub(super) fn new(
+        class: &Bound<'_, PyAny>,
+        source: &ModuleSource,
+        successor: Option<Successor>,
+    ) -> PyResult<Self> {
         let instance = class.call0()?;
         let link = instance.getattr("_link")?.extract()?;
-        let watch = Watch::new(&origin.source.module, origin.source.deadline);
-        Ok(Self { instance: instance.unbind(), link, origin, watch })
+        let watch = Watch::new(&source.module, source.deadline);
+        Ok(Self { instance: instance.unbind(), link, successor, watch })
     }
 
     /// Calls Python.
@@ -135,7 +143,7 @@ fn end_forked(py: Python<'_>) -> ! {
 
 impl Foreign for PythonModule {
     fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
-        if self.origin.is_reloading {
+        if self.successor.is_some() {
             declarations.reload();
         }
         self.attached(|module, py| {
@@ -181,7 +189,7 @@ impl Foreign for PythonModule {
     }
 
     fn successor(&mut self) -> Result<Option<Box<dyn Foreign>>, String> {
-        self.origin.successor()
+        self.successor.as_ref().map_or(Ok(None), |successor| successor())
     }
 
     fn save(&mut self) -> Result<SavedState, String> {

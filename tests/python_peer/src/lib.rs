@@ -10,15 +10,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub struct Python(PathBuf);
 
 impl Python {
-    /// Returns the interpreter. If there is none, prints a message and returns `None`.
+    /// Returns the interpreter. If there is none, reports a skipped test and returns `None`.
+    #[track_caller]
     pub fn find() -> Option<Self> {
-        let python = std::env::var_os("DOWNBEAT_PYTHON");
-        if python.is_none() {
-            // Bypasses the capture of test output, which is not shown for tests that pass.
-            let line = "skipped: DOWNBEAT_PYTHON is not set (cargo xtask test sets it)\n";
-            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
-        }
-        python.map(|python| Self(python.into()))
+        test_machine::interpreter("DOWNBEAT_PYTHON").map(|python| Self(python.into()))
     }
 
     /// The prefix of the environment, which has the layout of an ament prefix.

@@ -7,6 +7,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
+use test_machine::Domains;
+
 use crate::page::{Block, Step, is_like};
 
 /// Long enough for a busy machine.
@@ -41,8 +43,8 @@ pub(crate) fn run(block: &Block, place: &str, folder: &Path, programs: &Path, pr
     let mut shell = Command::new("sh");
     shell.args(["-eu", "-c", &format!("{PRELUDE}{}", block.commands)]).current_dir(folder);
     shell.env("README_PROGRAMS", programs).env("README_PROGRAM", program);
-    // Concurrent processes have different ids. ROS 2 uses domains up to 101 by default.
-    shell.env("ROS_DOMAIN_ID", (110 + std::process::id() % 100).to_string());
+    let domains = Domains::take(1);
+    shell.env("ROS_DOMAIN_ID", domains.first().to_string());
     shell.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env_remove("DOWNBEAT_LOG");
     shell.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0);
     let child = shell.spawn().unwrap_or_else(|error| panic!("{place}: {error}"));

@@ -17,7 +17,8 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-edge", &["downbeat-executor", "downbeat-msgs"]),
     ("downbeat-bridge", &["downbeat-edge", "downbeat-executor", "downbeat-msgs", "downbeat-rtps"]),
     ("downbeat-view", &["downbeat-bags", "downbeat-edge", "downbeat-executor", "downbeat-msgs"]),
-    ("downbeat-conformance", &["downbeat-bridge", "downbeat-msgs"]),
+    ("test-machine", &[]),
+    ("downbeat-conformance", &["downbeat-bridge", "downbeat-msgs", "test-machine"]),
     ("downbeat-device", &["downbeat-executor", "downbeat-msgs"]),
     ("downbeat-imu-filter", &["downbeat-executor", "downbeat-msgs"]),
     ("downbeat-actions", &["downbeat-executor", "downbeat-msgs"]),
@@ -187,14 +188,14 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("fuzzing", &[]),
     ("own_device", &["downbeat", "downbeat-msgs"]),
     ("own_message", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
-    ("python-peer", &[]),
-    ("readme-runner", &[]),
+    ("python-peer", &["test-machine"]),
+    ("readme-runner", &["test-machine"]),
     ("service_and_action", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
     ("shared-build", &["downbeat-msgs"]),
     ("swarm", &["downbeat"]),
     ("two_modules", &["downbeat"]),
     ("user-msgs", &["downbeat-msgs", "downbeat-msgs-generator"]),
-    ("xtask", &["downbeat-start"]),
+    ("xtask", &["downbeat-start", "test-machine"]),
 ];
 
 /// The folders of `executor/src` from top to bottom; each uses only those below it.
@@ -239,15 +240,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "modules/servos/src/servo_emulator/memory.rs",
         "modules/servos/src/servo_emulator/pseudo_terminal.rs",
     ],
-    &["python/src/bags/reading.rs", "python/src/bags/table.rs"],
-    &["python/src/messages/buffer.rs", "python/src/messages/types.rs"],
-    &[
-        "python/src/messages/convert.rs",
-        "python/src/messages/decode.rs",
-        "python/src/messages/encode.rs",
-        "python/src/messages/message.rs",
-    ],
-    &["python/src/modules/loader.rs", "python/src/modules/python_module.rs"],
 ];
 
 /// The problem of a file that uses one of a higher folder, by `names`.

@@ -5,6 +5,7 @@
 mod layers;
 mod packages;
 mod pages;
+mod safety;
 mod sources;
 mod texts;
 mod tokens;
@@ -57,5 +58,8 @@ fn problems(root: &Path, workspace: &Workspace) -> anyhow::Result<Problems> {
     }
     problems.extend(layers::new_circles(&circles, &tied));
     problems.extend(pages::problems(root)?);
+    // The folders of some packages are in those of the root package.
+    problems.sort();
+    problems.dedup();
     Ok(problems)
 }

@@ -1,4 +1,4 @@
-//! Lines of source files: included files, and the width of comments.
+//! Lines of source files: included files, the width of comments, and `unsafe` without its reason.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -6,6 +6,7 @@ use anyhow::Context;
 
 use super::Problems;
 use super::packages::Package;
+use super::safety;
 
 /// The width of comments, as rustfmt has it for code.
 const WIDTH: usize = 110;
@@ -21,6 +22,10 @@ pub(super) fn problems(root: &Path, package: &Package) -> anyhow::Result<Problem
         let source =
             std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
         let name = file.strip_prefix(root).unwrap_or(&file).display().to_string();
+        let naked = safety::naked(&source).into_iter();
+        problems.extend(
+            naked.map(|line| format!("{name}:{line}: `unsafe` without a comment `// SAFETY: …` above")),
+        );
         let mut is_code = false;
         for (line, number) in source.lines().zip(1..) {
             let at = || format!("{name}:{number}");

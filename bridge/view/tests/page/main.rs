@@ -1,7 +1,6 @@
 //! What the modules of the page compute, their types, and their weight, with Node.js.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -19,12 +18,7 @@ fn tests_in(folder: &Path, found: &mut Vec<PathBuf>) {
 
 #[test]
 fn the_modules_of_the_page_pass_their_own_tests() {
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        let line =
-            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)\n";
-        let _ = std::io::stderr().write_all(line.as_bytes());
-        return;
-    };
+    let Some(modules) = test_machine::node_modules() else { return };
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut tests = Vec::new();
     for folder in ["page", "tests/page"] {

@@ -8,7 +8,6 @@ use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_view::{Access, BagPlayback, ViewOptions, ViewServer};
 use serde_json::{Value, json};
-use std::io::Write;
 use std::path::Path;
 use std::process;
 use std::time::Duration;
@@ -269,12 +268,7 @@ fn the_client_class_gets_times_and_no_frame_that_it_does_not_know() {
 
 #[test]
 fn the_client_class_reads_a_bag_that_is_played() {
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        let line =
-            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)\n";
-        let _ = std::io::stderr().write_all(line.as_bytes());
-        return;
-    };
+    let Some(modules) = test_machine::node_modules() else { return };
     let shown = show(BagPlayback { start_offset: Duration::from_millis(700), ..BagPlayback::default() });
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node/bag.mjs");
     let mut node = process::Command::new("node");

@@ -4,18 +4,13 @@
 use crate::support::{TOKEN, robot};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 #[test]
 fn the_client_class_uses_every_capability() {
-    let Some(modules) = std::env::var_os("DOWNBEAT_NODE_MODULES") else {
-        let line =
-            "skipped: DOWNBEAT_NODE_MODULES is not set (cargo xtask test sets it where there is Node.js)\n";
-        let _ = std::io::stderr().write_all(line.as_bytes());
-        return;
-    };
+    let Some(modules) = test_machine::node_modules() else { return };
     let robot = robot(|_| ());
     robot.description.publish(Text { data: "<robot/>".into() }).unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node/look.mjs");

@@ -91,19 +91,20 @@ pub unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, String> {
     if given.data.is_null() && given.count > 0 {
         return Err("the data of the value are NULL".to_owned());
     }
-    // SAFETY: by the contract of this function, `data` points to `count` elements of the type that `kind`
-    // stands for.
+    // `data` points to `count` elements of this type.
     unsafe fn all<T: Copy>(given: &ValueV1) -> Vec<T> {
         if given.count == 0 {
             return Vec::new();
         }
+        // SAFETY: by the contract of this function.
         unsafe { std::slice::from_raw_parts(given.data.cast::<T>(), given.count) }.to_vec()
     }
     let one_of = |count: usize| match count {
         1 => Ok(()),
         _ => Err(format!("a single value has count 1, not {count}")),
     };
-    // SAFETY: as for `all`.
+    // SAFETY: by the contract of `value_of`, `data` points to `count` elements of the type that `kind` stands
+    // for.
     unsafe {
         Ok(match given.kind {
             value::BOOL => {

@@ -25,14 +25,13 @@ fn check(code: i32) -> Result<(), String> {
     if code == 0 { Ok(()) } else { Err(REFUSED.to_owned()) }
 }
 
-// SAFETY of all calls of the host below: it lives during the call of the library, and the pointers during
-// each call of the host.
 impl Robot {
     pub(crate) fn new(host: Host) -> Self {
         Self { host }
     }
 
     fn functions(&self) -> &HostV1 {
+        // SAFETY: the host lives during the call of the library, as `self` does.
         unsafe { &*self.host }
     }
 
@@ -45,10 +44,12 @@ impl Robot {
     }
 
     pub(crate) fn name(&self) -> String {
+        // SAFETY: the host lives during the call of the library, and so does the text that it returns.
         unsafe { CStr::from_ptr((self.functions().name)(self.host)) }.to_string_lossy().into_owned()
     }
 
     pub(crate) fn now(&self) -> Time {
+        // SAFETY: the host lives during the call of the library.
         Time::from_nanos(unsafe { (self.functions().now)(self.host) })
     }
 
@@ -56,6 +57,7 @@ impl Robot {
     pub(crate) fn fail(&self, reason: &str) -> i32 {
         match reason {
             REFUSED => -1,
+            // SAFETY: the host lives during the call of the library, and the text during this call.
             reason => unsafe { (self.functions().fail)(self.host, c_string(reason).as_ptr()) },
         }
     }
@@ -68,24 +70,32 @@ impl Robot {
         }
         let [name, text] = [name, text].map(c_string);
         let parts = [text.as_ptr(), std::ptr::null()];
+        // SAFETY: the host lives during the call of the library; the texts live during this call, and so does
+        // their list, which ends with null.
         check(unsafe { (self.functions().define)(self.host, name.as_ptr(), parts.as_ptr()) })
     }
 
     pub(crate) fn publisher(&self, topic: &str, of: &str, hash: &str) -> Result<(), String> {
         let [topic, of, hash] = [topic, of, hash].map(c_string);
         let declare = self.functions().publisher;
+        // SAFETY: the host lives during the call of the library, the texts live during this call, and the
+        // place may be null.
         check(unsafe { declare(self.host, topic.as_ptr(), of.as_ptr(), hash.as_ptr(), std::ptr::null_mut()) })
     }
 
     pub(crate) fn subscription(&self, topic: &str, of: &str, hash: &str) -> Result<(), String> {
         let [topic, of, hash] = [topic, of, hash].map(c_string);
         let declare = self.functions().subscription;
+        // SAFETY: the host lives during the call of the library, the texts live during this call, and the
+        // place may be null.
         check(unsafe { declare(self.host, topic.as_ptr(), of.as_ptr(), hash.as_ptr(), std::ptr::null_mut()) })
     }
 
     pub(crate) fn server(&self, service: &str, of: &str, hash: &str) -> Result<(), String> {
         let [service, of, hash] = [service, of, hash].map(c_string);
         let declare = self.functions().server;
+        // SAFETY: the host lives during the call of the library, the texts live during this call, and the
+        // place may be null.
         check(unsafe {
             declare(self.host, service.as_ptr(), of.as_ptr(), hash.as_ptr(), std::ptr::null_mut())
         })
@@ -101,6 +111,8 @@ impl Robot {
         let [service, of, hash] = [service, of, hash].map(c_string);
         let timeout = i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX);
         let declare = self.functions().client;
+        // SAFETY: the host lives during the call of the library, the texts live during this call, and the
+        // place may be null.
         check(unsafe {
             declare(self.host, service.as_ptr(), of.as_ptr(), hash.as_ptr(), timeout, std::ptr::null_mut())
         })
@@ -108,11 +120,13 @@ impl Robot {
 
     pub(crate) fn task(&self) -> Result<u32, String> {
         let mut task = 0;
+        // SAFETY: the host lives during the call of the library, and the place during this call.
         check(unsafe { (self.functions().task)(self.host, &raw mut task) })?;
         Ok(task)
     }
 
     pub(crate) fn each_run(&self) -> Result<(), String> {
+        // SAFETY: the host lives during the call of the library.
         check(unsafe { (self.functions().each_run)(self.host) })
     }
 
@@ -134,6 +148,8 @@ impl Robot {
             is_read_only: setting.is_read_only.into(),
         };
         let mut number = 0;
+        // SAFETY: the host lives during the call of the library; the declaration, what it points to and the
+        // place live during this call.
         check(unsafe { (self.functions().setting)(self.host, &raw const declaration, &raw mut number) })?;
         self.get(number)
     }
@@ -147,23 +163,30 @@ impl Robot {
             data: std::ptr::null(),
             count: 0,
         };
+        // SAFETY: the host lives during the call of the library, and the place during this call.
         check(unsafe { (self.functions().get)(self.host, setting, &raw mut value) })?;
+        // SAFETY: the host has written a value, whose data live until the next call of the host.
         unsafe { value_of(&raw const value) }
     }
 
     pub(crate) fn publish(&self, publisher: u32, cdr: &[u8]) -> Result<(), String> {
+        // SAFETY: the host lives during the call of the library, and the bytes during this call.
         check(unsafe { (self.functions().publish)(self.host, publisher, cdr.as_ptr(), cdr.len()) })
     }
 
     pub(crate) fn call(&self, client: u32, cdr: &[u8]) -> Result<u64, String> {
         let mut id = 0;
+        // SAFETY: the host lives during the call of the library; the bytes and the place live during this
+        // call.
         check(unsafe { (self.functions().call)(self.host, client, cdr.as_ptr(), cdr.len(), &raw mut id) })?;
         Ok(id)
     }
 
     pub(crate) fn reply(&self, request: u64, result: &Result<Vec<u8>, String>) -> Result<(), String> {
         check(match result {
+            // SAFETY: the host lives during the call of the library, and the bytes during this call.
             Ok(cdr) => unsafe { (self.functions().reply)(self.host, request, cdr.as_ptr(), cdr.len()) },
+            // SAFETY: the host lives during the call of the library, and the text during this call.
             Err(reason) => unsafe {
                 (self.functions().reply_error)(self.host, request, c_string(reason).as_ptr())
             },
@@ -173,11 +196,14 @@ impl Robot {
     /// Schedules the task, instead of what it was scheduled for before.
     pub(crate) fn schedule_after(&self, task: u32, delay: Duration) -> Result<(), String> {
         let delay = i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX);
+        // SAFETY: the host lives during the call of the library.
         check(unsafe { (self.functions().cancel)(self.host, task) })?;
+        // SAFETY: the host lives during the call of the library.
         check(unsafe { (self.functions().schedule_after)(self.host, task, delay) })
     }
 
     pub(crate) fn remove(&self, module: &str) -> Result<(), String> {
+        // SAFETY: the host lives during the call of the library, and the text during this call.
         check(unsafe { (self.functions().remove)(self.host, c_string(module).as_ptr()) })
     }
 }

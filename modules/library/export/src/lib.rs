@@ -165,8 +165,7 @@ impl<E: Export> Functions<E> {
 
     unsafe extern "C" fn setup(module: *mut c_void, host: Host) -> i32 {
         guarded(host, |robot| {
-            // SAFETY (here and below): `create` returned this pointer, and calls of one module do not
-            // overlap.
+            // SAFETY: `create` returned this pointer, and calls of one module do not overlap.
             let place = unsafe { &mut *module.cast::<Option<Inner>>() };
             *place = Some(Inner::new(robot, || E::module(), E::interfaces()?)?);
             Ok(())
@@ -175,6 +174,7 @@ impl<E: Export> Functions<E> {
 
     unsafe extern "C" fn handle(module: *mut c_void, host: Host, event: *const EventV1) -> i32 {
         guarded(host, |robot| {
+            // SAFETY: `create` returned this pointer, and calls of one module do not overlap.
             let inner = unsafe { inner(module) }?;
             // SAFETY: an event by the contract of downbeat.h; its data are bytes during the call.
             let (event, data) = unsafe {
@@ -190,6 +190,7 @@ impl<E: Export> Functions<E> {
     }
 
     unsafe extern "C" fn transition(module: *mut c_void, host: Host, transition: u32) -> i32 {
+        // SAFETY: `create` returned this pointer, and calls of one module do not overlap.
         guarded(host, |robot| unsafe { inner(module) }?.transition(robot, transition))
     }
 
@@ -197,6 +198,7 @@ impl<E: Export> Functions<E> {
         guarded(host, |_| {
             // SAFETY: a value by the contract of downbeat.h.
             let value: SettingValue = unsafe { value_of(value) }?;
+            // SAFETY: `create` returned this pointer, and calls of one module do not overlap.
             unsafe { inner(module) }?.accept(setting, value)
         })
     }

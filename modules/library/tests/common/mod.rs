@@ -16,14 +16,7 @@ use std::time::Duration;
 pub const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/libraries");
 
 pub fn has_compiler() -> bool {
-    static FOUND: LazyLock<bool> = LazyLock::new(|| {
-        let found = ["cc", "c++"].iter().all(|name| Command::new(name).arg("--version").output().is_ok());
-        if !found {
-            eprintln!("skipped: this machine has no cc and c++");
-        }
-        found
-    });
-    *FOUND
+    test_machine::has_compilers(&["cc", "c++"])
 }
 
 /// A folder with the headers of all carried interfaces.

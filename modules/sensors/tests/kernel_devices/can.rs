@@ -210,7 +210,7 @@ fn frames_pass_through_a_virtual_interface_of_the_kernel() {
         run.is_ok_and(|output| output.status.success())
     };
     if !ip(&["link", "add", "dev", &name, "type", "vcan"]) {
-        eprintln!("skipped: this kernel has no driver vcan, or the user may not use it");
+        test_machine::skipped("this kernel has no driver vcan, or the user may not use it");
         return;
     }
     let is_up = ip(&["link", "set", &name, "up"]);

@@ -1,0 +1,11 @@
+//! What tests take from the machine they run on: tools that may be missing, and ROS domains that no other
+//! test uses.
+#![allow(clippy::missing_panics_doc)]
+
+mod domains;
+mod skips;
+mod tools;
+
+pub use domains::{Domains, free_domain, free_domains};
+pub use skips::{LIST, Skips, is_strict, list_file, missing, skipped};
+pub use tools::{has_compilers, has_program, interpreter, node_modules};
