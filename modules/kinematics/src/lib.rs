@@ -20,12 +20,13 @@ mod pose;
 mod robot_description;
 
 pub use description::{DescriptionError, Problem, Robot};
+pub use downbeat_transforms::wrapped;
 pub use inverse::{Found, InverseKinematics, Search};
 pub use look_at::{Look, LookAt};
 pub use mjcf::{Root, to_mjcf};
 pub use module::Kinematics;
 pub use nalgebra;
-pub use pose::{Masses, Pose, wrapped};
+pub use pose::{Masses, Pose};
 
 #[cfg(test)]
 #[path = "../../servos/src/testing.rs"]
