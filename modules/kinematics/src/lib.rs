@@ -10,6 +10,7 @@
 pub mod darwin_op;
 pub mod description;
 pub mod joint_state_merger;
+pub mod leg;
 pub mod module;
 pub mod robot_state_publisher;
 

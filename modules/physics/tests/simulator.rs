@@ -20,7 +20,7 @@ use downbeat_msgs::simulation_interfaces::srv::{
     SetEntityStateRequest, SetEntityStateResponse, SetSimulationStateRequest, SetSimulationStateResponse,
     SpawnEntityRequest, SpawnEntityResponse, StepSimulationRequest, StepSimulationResponse,
 };
-use downbeat_physics::simulator::DarwinOpSimulator;
+use downbeat_physics::simulator::HumanoidSimulator;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ impl Robot {
         let port = SettingValue::from("memory:robot".to_owned());
         let path = SettingValue::from(path.to_str().unwrap().to_owned());
         let all = [&[("link", port.clone()), ("world", path)], settings].concat();
-        core.add_with("simulator", DarwinOpSimulator::new(ports.clone()), options(&all)).unwrap();
+        core.add_with("simulator", HumanoidSimulator::new(ports.clone()), options(&all)).unwrap();
         core.add_with("hardware", DarwinOp::new(Box::new(ports.bus())), options(&[("port", port)])).unwrap();
         let odometry = received(&mut core, "ground_truth/odom");
         let ball = received(&mut core, "ground_truth/ball");

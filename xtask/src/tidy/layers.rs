@@ -25,7 +25,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-kinematics", &["downbeat-executor", "downbeat-msgs", "downbeat-transforms"]),
     (
         "downbeat-servos",
-        &["downbeat-actions", "downbeat-device", "downbeat-executor", "downbeat-kinematics", "downbeat-msgs"],
+        &["downbeat-actions", "downbeat-device", "downbeat-executor", "downbeat-msgs", "downbeat-transforms"],
     ),
     (
         "downbeat-darwin-op",
@@ -224,20 +224,6 @@ const KNOWN_CIRCLES: &[&[&str]] = &[
         "edge/src/foreign/versions.rs",
         "edge/src/interfaces.rs",
         "edge/src/service.rs",
-    ],
-    &["modules/darwin_op/src/motions/file.rs", "modules/darwin_op/src/motions/path.rs"],
-    &["modules/network/src/mqtt/broker.rs", "modules/network/src/mqtt/connection.rs"],
-    &[
-        "modules/physics/src/spawned.rs",
-        "modules/physics/src/world/mod.rs",
-        "modules/physics/src/world/rapier.rs",
-        "modules/physics/src/world_file.rs",
-    ],
-    &["modules/servos/src/servo_bus/diagnostics.rs", "modules/servos/src/servo_bus/module.rs"],
-    &[
-        "modules/servos/src/servo_emulator/emulator.rs",
-        "modules/servos/src/servo_emulator/memory.rs",
-        "modules/servos/src/servo_emulator/pseudo_terminal.rs",
     ],
     &["python/src/bags/reading.rs", "python/src/bags/table.rs"],
     &["python/src/messages/buffer.rs", "python/src/messages/types.rs"],
