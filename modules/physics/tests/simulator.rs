@@ -186,6 +186,27 @@ fn pictures_come_with_their_camera() {
 }
 
 #[test]
+fn a_robot_that_its_files_do_not_fit_is_refused_with_the_setting() {
+    let refused = |settings: &[(&str, SettingValue)]| {
+        let settings = settings.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        let simulator = HumanoidSimulator::new(MemoryPorts::default());
+        Core::new().add_with("simulator", simulator, options).err().unwrap().to_string()
+    };
+    let text = |text: &str| SettingValue::from(text.to_owned());
+    let servos = "name = 'arm'\n[[bus]]\nname = 'arm'\nport = 'p'\nbaud = 1_000_000\nprotocol = 'feetech_sts'\n\
+                  cycle_ms = 10\n[[joint]]\nname = 'wrist'\nid = 3\nmodel = 'STS3215'\nlimits = [-1.7, 1.7]";
+    let error = refused(&[("description", text(servos))]);
+    assert!(error.contains("the robot \"darwin_op\" has no joint \"wrist\", which a servo turns"), "{error}");
+    let error = refused(&[("description", text("/no/such.toml"))]);
+    assert!(error.contains("\"description\"") && error.contains("/no/such.toml"), "{error}");
+    let error = refused(&[("humanoid", text("/no/such.toml"))]);
+    assert!(error.contains("\"humanoid\"") && error.contains("/no/such.toml"), "{error}");
+    let picture = [("camera_hz", 5.0.into()), ("camera_size", vec![320_i64].into())];
+    assert!(refused(&picture).contains("two numbers from 1 to 4096 are needed"), "{}", refused(&picture));
+}
+
+#[test]
 fn features_are_those_that_are_offered() {
     let mut robot = Robot::new("");
     let answer: GetSimulatorFeaturesResponse =
