@@ -1,4 +1,5 @@
-//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of a robot's bus, so that the hardware module and everything above it cannot tell the simulated robot from a real one.
+//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of a robot's bus, so
+//! that the hardware module and everything above it cannot tell the simulated robot from a real one.
 //!
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
 //! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_darwin_op::emulator::Body)) in its

@@ -1,8 +1,8 @@
 //! The simulator as a module: the emulated devices of a humanoid robot whose body is in a simulated world.
 //!
 //! Without settings the robot is the Darwin OP. Another one has a file of its numbers (`humanoid`, see
-//! [`humanoid`](downbeat_darwin_op::humanoid)), whose description says how strong its servos are, and a file of
-//! its servos (`description`), behind whose bus it is.
+//! [`humanoid`](downbeat_darwin_op::humanoid)), whose description says how strong its servos are, and a file
+//! of its servos (`description`), behind whose bus it is.
 //!
 //! | name | type | |
 //! | --- | --- | --- |

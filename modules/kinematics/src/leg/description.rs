@@ -34,8 +34,8 @@ pub enum LegError {
     Offset { file: String, what: &'static str, millimetres: f64 },
 }
 
-/// How far a leg may be from one whose axes meet and that is straight at 0, in m: such an error of a sole does
-/// not matter to a robot whose gears have more play.
+/// How far a leg may be from one whose axes meet and that is straight at 0, in m: the gears of a robot have
+/// more play at its soles.
 const MOST_OFFSET: f64 = 1e-3;
 /// The cosine of the largest angle between an axis and that of the closed form.
 const PARALLEL: f64 = 0.9999;

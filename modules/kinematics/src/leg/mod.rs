@@ -13,7 +13,8 @@ use glam::{DMat3, DQuat, DVec3};
 /// ankle about y and x.
 ///
 /// The frame of the hip has the axes of the base and its origin where the three axes of the hip meet
-/// ([`Leg::base_from_hip`]); the sole is on the ground below the ankle. With all angles 0 the leg is straight.
+/// ([`Leg::base_from_hip`]); the sole is on the ground below the ankle. With all angles 0 the leg is
+/// straight.
 ///
 /// ```
 /// use downbeat_kinematics::darwin_op;
@@ -210,8 +211,9 @@ impl Leg {
         let (sin_roll, cos_roll) =
             if across > 0.0 { (sole_from_hip.y / up, sole_from_hip.z / up) } else { (0.0, 1.0) };
         let ankle_roll = sin_roll.atan2(cos_roll);
-        // (2) The law of cosines, for half the angle of the knee: with a and b the lengths of thigh and shank,
-        // and d the distance from hip to ankle, tan^2(knee / 2) = ((a + b)^2 - d^2) / (d^2 - (a - b)^2).
+        // (2) The law of cosines, for half the angle of the knee: with a and b the lengths of thigh and
+        // shank, and d the distance from hip to ankle,
+        // tan^2(knee / 2) = ((a + b)^2 - d^2) / (d^2 - (a - b)^2).
         let LegGeometry { thigh, shank, signs, limits, .. } = self.geometry;
         let (longest, shortest) = (thigh + shank, thigh - shank);
         let distance = sole_from_hip.length();
