@@ -18,6 +18,7 @@
 //! - [`kinematics`]: robot descriptions; a module that answers where links are and how joints bring them
 //!   elsewhere;
 //! - [`robot_state_publisher`]: transforms of all links;
+//! - [`humanoid`]: what gait, motions and falls have to know of a robot;
 //! - [`stand_nod_wave`]: a small motion;
 //! - [`actions`] and [`transforms`]: actions that modules serve and use; where frames are over time;
 //! - [`transform_server`]: an action that answers transform lookups.
@@ -28,7 +29,7 @@
 
 pub use downbeat_actions as actions;
 pub use downbeat_darwin_op::{
-    emulator as darwin_op_emulator, falls, gait, hardware as darwin_op, motions, stand_nod_wave,
+    emulator as darwin_op_emulator, falls, gait, hardware as darwin_op, humanoid, motions, stand_nod_wave,
 };
 pub use downbeat_device::{self as device, counted, serial_port};
 pub use downbeat_imu_filter as imu_filter;

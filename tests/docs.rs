@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use common::new_user::NewUser;
 use common::{Running, WATCHDOG, robot_file};
+use downbeat::modules::humanoid::Humanoid;
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
@@ -168,6 +169,17 @@ fn every_robot_file_on_a_page_is_read() {
             let bus = NEW_SERVO.split("[[joint]]").next().unwrap().replace("feetech_sts", "dynamixel2");
             let whole = if text.contains("[[bus]]") { text } else { bus + text.as_str() };
             Description::parse("description", &whole)
+                .map_err(|error| format!("{page}:{line}: {error}"))
+                .unwrap();
+            continue;
+        }
+        if text.contains("[stand_degrees]") {
+            let folder = tempfile::tempdir().unwrap();
+            let urdf = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/op3.urdf");
+            std::fs::copy(urdf, folder.path().join("my_humanoid.urdf")).unwrap();
+            let file = folder.path().join("my_humanoid.toml");
+            std::fs::write(&file, text).unwrap();
+            Humanoid::read(file.to_str().unwrap())
                 .map_err(|error| format!("{page}:{line}: {error}"))
                 .unwrap();
             continue;

@@ -4,7 +4,8 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use downbeat_kinematics::darwin_op::{Leg, Side};
+use downbeat_kinematics::darwin_op;
+use downbeat_kinematics::leg::Side;
 use downbeat_kinematics::nalgebra::{Matrix3xX, Matrix6xX};
 use downbeat_kinematics::{InverseKinematics, Masses, Pose, Robot, Search};
 
@@ -12,7 +13,7 @@ use downbeat_kinematics::{InverseKinematics, Masses, Pose, Robot, Search};
 const ANGLES: [f64; 6] = [0.1, 0.05, -0.6, 0.9, 0.5, 0.02];
 
 fn leg(criterion: &mut Criterion) {
-    let leg = Leg::new(Side::Right);
+    let leg = darwin_op::leg(Side::Right);
     let hip_from_sole = leg.forward(&ANGLES);
     let mut group = criterion.benchmark_group("leg");
     group.bench_function("inverse", |bencher| bencher.iter(|| leg.inverse(black_box(&hip_from_sole))));

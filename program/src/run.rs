@@ -105,7 +105,8 @@ pub(crate) fn run(
 
 /// Sets the engine of the simulated world.
 fn simulate_with(file: &mut RobotFile, physics: &str) -> anyhow::Result<()> {
-    let simulators = file.modules.iter().filter(|module| module.kind.name() == "darwin_op_simulator");
+    let simulates = |kind: &str| ["darwin_op_simulator", "humanoid_simulator"].contains(&kind);
+    let simulators = file.modules.iter().filter(|module| simulates(module.kind.name()));
     let simulators: Vec<_> = simulators.map(|module| module.name.clone()).collect();
     anyhow::ensure!(
         !simulators.is_empty(),

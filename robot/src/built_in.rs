@@ -99,10 +99,11 @@ pub(crate) fn kinds() -> Vec<Kind> {
         )
         .with_synchrony(Synchrony::WhenDue),
         Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default),
-        Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default),
+        Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default)
+            .with_files(&["humanoid"]),
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
-            .with_files(&["file"]),
-        Kind::new("falls", "detects falls, goes limp, and gets up", Falls::default),
+            .with_files(&["file", "humanoid"]),
+        Kind::new("falls", "detects falls, goes limp, and gets up", Falls::default).with_files(&["humanoid"]),
         Kind::new(
             "servo_bus",
             "the hardware of a robot of serial servos, Dynamixel or Feetech, as a file describes it",

@@ -11,7 +11,7 @@ pub(crate) fn kinds_of_features() -> Vec<String> {
 }
 
 pub(super) fn of_features(ports: &MemoryPorts) -> impl Iterator<Item = Kind> {
-    let kinds = simulator(ports.clone()).into_iter();
+    let kinds = simulators(ports).into_iter();
     #[cfg(feature = "football")]
     let kinds = kinds.chain(football(ports.clone()));
     #[cfg(feature = "leagues")]
@@ -151,20 +151,34 @@ fn network() -> [Kind; 2] {
     ]
 }
 
-/// The Darwin OP in a simulated world, if it is built in.
+/// Humanoid robots in a simulated world, if that is built in. The Darwin OP has a name of its own; what both
+/// names stand for is the same.
 #[cfg(feature = "physics")]
-fn simulator(ports: MemoryPorts) -> Option<Kind> {
-    let make = move || downbeat_physics::simulator::DarwinOpSimulator::new(ports.clone());
-    let about = "a Darwin OP in a simulated world: rigid bodies with contacts behind the bytes of its bus";
-    Some(
-        Kind::new("darwin_op_simulator", about, make)
-            .drives_device()
-            .emulated()
-            .with_files(&["urdf", "world"]),
-    )
+fn simulators(ports: &MemoryPorts) -> Vec<Kind> {
+    let kinds = [
+        (
+            "darwin_op_simulator",
+            "a Darwin OP in a simulated world: rigid bodies with contacts behind the bytes of its bus",
+        ),
+        (
+            "humanoid_simulator",
+            "a humanoid robot in a simulated world, from its URDF and the description of its servos",
+        ),
+    ];
+    let kind = |(name, about)| {
+        let ports = ports.clone();
+        let make = move || downbeat_physics::simulator::HumanoidSimulator::new(ports.clone());
+        Kind::new(name, about, make).drives_device().emulated().with_files(&[
+            "urdf",
+            "world",
+            "humanoid",
+            "description",
+        ])
+    };
+    kinds.map(kind).into()
 }
 
 #[cfg(not(feature = "physics"))]
-fn simulator(_ports: MemoryPorts) -> Option<Kind> {
-    None
+fn simulators(_ports: &MemoryPorts) -> Vec<Kind> {
+    Vec::new()
 }

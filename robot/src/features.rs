@@ -57,7 +57,7 @@ const FEATURES: [Feature; 11] = [
     Feature {
         name: "physics",
         is_built_in: cfg!(feature = "physics"),
-        kinds: &["darwin_op_simulator"],
+        kinds: &["darwin_op_simulator", "humanoid_simulator"],
         ..NOTHING
     },
     Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: SENSORS, ..NOTHING },

@@ -22,9 +22,11 @@
 //! | `still_s` | for how long it must lie still, s |
 //! | `get_up` | whether it gets up by itself |
 //! | `attempts` | how often it tries |
+//! | `humanoid` | file of the robot's numbers; empty for the Darwin OP: see [`humanoid`](crate::humanoid) |
 
 use crate::attitude::world_from_trunk;
-use crate::present_pose::{PresentPose, command, stand};
+use crate::humanoid::Humanoid;
+use crate::present_pose::{PresentPose, command};
 use downbeat_actions::{ActionClient, GoalStatus};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionGoal};
@@ -124,8 +126,9 @@ impl Falls {
     fn on_joint_states(&mut self, states: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         self.pose.take_states(&states);
         if matches!(self.state, State::Falling { .. }) {
-            let limp = self.pose.measured(&stand());
-            ctx.publish(ctx.ports.commands, command(ctx.now(), &limp, |_| true));
+            let limp = self.pose.measured_or_stand();
+            let message = command(ctx.now(), self.pose.humanoid(), &limp, |_| true);
+            ctx.publish(ctx.ports.commands, message);
         }
     }
 
@@ -205,6 +208,7 @@ impl Module for Falls {
             get_up: setup.setting("get_up", true, "whether the robot gets up by itself")?,
             attempts: setup.setting_in("attempts", 5, 1.0..=100.0, "how often it tries to get up")?,
         };
+        self.pose = PresentPose::new(Humanoid::declare(setup)?);
         setup.subscribe("imu/data", Self::on_imu)?;
         setup.subscribe("joint_states", Self::on_joint_states)?;
         ActionClient::builder(|falls: &mut Self| &mut falls.get_ups)
@@ -301,7 +305,12 @@ mod tests {
                 let orientation = Quaternion { x: q.x, y: q.y, z: q.z, w: q.w };
                 let imu = Imu { orientation, angular_velocity: w, ..Imu::default() };
                 self.probe.publish("imu/data", imu).unwrap();
-                self.probe.publish("joint_states", command(Time::ZERO, &[0.25; 20], |_| true)).unwrap();
+                self.probe
+                    .publish(
+                        "joint_states",
+                        command(Time::ZERO, &Humanoid::darwin_op(), &[0.25; 20], |_| true),
+                    )
+                    .unwrap();
             }
         }
 

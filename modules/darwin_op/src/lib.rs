@@ -1,7 +1,8 @@
-//! The humanoid Darwin OP.
+//! The humanoid Darwin OP, and the modules that make it and other humanoids move.
 //!
 //! - [`hardware`]: its bus, its board and its servos, on those of [`downbeat_servos`];
 //! - [`emulator`]: an emulated one behind a pseudo terminal, or in memory;
+//! - [`mod@humanoid`]: what distinguishes another humanoid from the Darwin OP;
 //! - [`gait`]: walks with the velocity on `cmd_vel`;
 //! - [`motions`]: plays key-frame motions;
 //! - [`falls`]: detects falls and gets up;
@@ -11,11 +12,11 @@ pub mod emulator;
 pub mod falls;
 pub mod gait;
 pub mod hardware;
+pub mod humanoid;
 pub mod motions;
 pub mod stand_nod_wave;
 
 mod attitude;
-mod leg_joints;
 mod present_pose;
 
 #[cfg(test)]

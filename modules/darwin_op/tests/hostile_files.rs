@@ -2,7 +2,8 @@
 //! memory and time.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use downbeat_darwin_op::motions::Motions;
+use downbeat_darwin_op::humanoid::Humanoid;
+use downbeat_darwin_op::motions::{MotionFileError, Motions};
 use downbeat_servos::servo_bus::Description;
 use fuzzing::{Random, assert_refused, change_lines, most_in, rounds};
 
@@ -45,17 +46,21 @@ guard = { shutdown_rest_s = 2.0 }
 command_timeout_s = 0.5
 "#;
 
+fn parse(text: &str) -> Result<Motions, MotionFileError> {
+    Motions::parse("x.toml", text, &Humanoid::darwin_op())
+}
+
 /// Degrees of a frame.
 const MORE: [&str; 1] = ["{ r_el = nan }"];
 
 #[test]
 fn random_changes_of_files_are_read_or_refused_with_a_line() {
-    Motions::parse("x.toml", MOTIONS).unwrap();
+    parse(MOTIONS).unwrap();
     Description::parse("x.toml", SERVOS).unwrap();
     for round in rounds(2_000) {
         let mut random = Random::new(round);
         let text = change_lines(MOTIONS, &MORE, &mut random);
-        let (most, result) = most_in(|| Motions::parse("x.toml", &text));
+        let (most, result) = most_in(|| parse(&text));
         assert!(most < 4 << 20, "round {round}: {most} bytes");
         match result {
             Err(error) => assert!(error.to_string().starts_with("x.toml:"), "round {round}: {error}"),
@@ -104,7 +109,7 @@ fn motions_without_end_are_refused() {
         ),
         ("[a]\nmirror_of = \"a\"\n".to_owned(), "there is no motion \"a\" with frames to mirror"),
     ] {
-        assert_refused(&text, expected, |text| Motions::parse("x.toml", text));
+        assert_refused(&text, expected, parse);
     }
 }
 
@@ -112,7 +117,7 @@ fn motions_without_end_are_refused() {
 #[test]
 fn what_is_no_regular_file_is_refused_before_it_is_opened() {
     for path in ["/dev/zero", "/"] {
-        let error = Motions::read(path).unwrap_err().to_string();
+        let error = Motions::read(path, &Humanoid::darwin_op()).unwrap_err().to_string();
         assert!(error.contains("only regular files are read"), "{error}");
         let error = Description::load(path).unwrap_err().to_string();
         assert!(error.contains("only regular files are read"), "{error}");

@@ -10,6 +10,7 @@
 pub mod darwin_op;
 pub mod description;
 pub mod joint_state_merger;
+pub mod leg;
 pub mod module;
 pub mod robot_state_publisher;
 
@@ -20,12 +21,13 @@ mod pose;
 mod robot_description;
 
 pub use description::{DescriptionError, Problem, Robot};
+pub use downbeat_transforms::wrapped;
 pub use inverse::{Found, InverseKinematics, Search};
 pub use look_at::{Look, LookAt};
 pub use mjcf::{Root, to_mjcf};
 pub use module::Kinematics;
 pub use nalgebra;
-pub use pose::{Masses, Pose, wrapped};
+pub use pose::{Masses, Pose};
 
 #[cfg(test)]
 #[path = "../../servos/src/testing.rs"]

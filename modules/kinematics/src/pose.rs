@@ -229,10 +229,3 @@ impl BodyMass {
         pose.base_from_link(self.link).transform_point(self.center_of_mass)
     }
 }
-
-/// The angle between -π and π with the same direction, rad.
-#[must_use]
-pub fn wrapped(angle: f64) -> f64 {
-    use std::f64::consts::TAU;
-    angle - (angle / TAU).round() * TAU
-}

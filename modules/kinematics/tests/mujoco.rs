@@ -1,7 +1,8 @@
 //! The description of the Darwin OP and what is computed from it, compared with MuJoCo.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use downbeat_kinematics::darwin_op::{Leg, Reach, Side};
+use downbeat_kinematics::darwin_op;
+use downbeat_kinematics::leg::{Reach, Side};
 use downbeat_kinematics::{InverseKinematics, Masses, Pose, Robot, Root, Search, to_mjcf};
 use downbeat_transforms::Isometry;
 use fuzzing::Random;
@@ -85,7 +86,7 @@ fn solutions_of_inverse_kinematics_reach_their_targets_in_mujoco() {
     let mut wanted = Vec::new();
     let mut solutions = Vec::new();
     for (name, side) in [("l_sole", Side::Left), ("r_sole", Side::Right)] {
-        let (sole, leg) = (robot.link_id(name).unwrap(), Leg::new(side));
+        let (sole, leg) = (robot.link_id(name).unwrap(), darwin_op::leg(side));
         let mut numeric = InverseKinematics::new(&robot, base, sole).unwrap();
         for _ in 0..200 {
             pose.update(&robot, &random_positions(&robot, &mut random));
@@ -94,7 +95,7 @@ fn solutions_of_inverse_kinematics_reach_their_targets_in_mujoco() {
             let solution = leg.inverse(&(leg.base_from_hip().inverse() * base_from_sole));
             assert_eq!(solution.reach, Reach::Exact);
             let mut positions = vec![0.0; 20];
-            for (joint, angle) in Leg::joint_names(side).into_iter().zip(solution.angles) {
+            for (joint, angle) in darwin_op::leg_joint_names(side).into_iter().zip(solution.angles) {
                 positions[robot.coordinate(joint).unwrap()] = angle;
             }
             solutions.push(positions);

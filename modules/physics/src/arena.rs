@@ -21,11 +21,11 @@
 
 use crate::camera::{Camera, Scene};
 use crate::error::SimulationError;
-use crate::harness::DARWIN_OP;
+use crate::harness::{DARWIN_OP, joint_names};
 use crate::machine::Machine;
 use crate::model::Model;
+use crate::scenery::WorldFile;
 use crate::world::{Motion, Posture, RapierWorld, RobotBodies, Start, Variation, World};
-use crate::world_file::WorldFile;
 use downbeat_darwin_op::emulator::{
     self, Body, Emulator, EmulatorOptions, FootForces, ImuMotion, JointMotion, ServoCommand, Timing,
 };
@@ -136,8 +136,8 @@ enum Placed {
 struct RobotState {
     machine: Machine,
     /// What the devices commanded for each coming millisecond, oldest first.
-    ahead: VecDeque<[ServoCommand; COUNT]>,
-    last: [ServoCommand; COUNT],
+    ahead: VecDeque<Vec<ServoCommand>>,
+    last: Vec<ServoCommand>,
     held: Option<Held>,
 }
 
@@ -220,12 +220,12 @@ impl Arena {
         }
         let mut machines = Vec::with_capacity(robots.len());
         for (index, robot) in robots.iter().enumerate() {
-            let mut machine = Machine::new(model, robot.variation)?;
+            let mut machine = Machine::new(model, &joint_names(), robot.variation)?;
             machine.measure_at_rest(&world.robot(index));
-            let last = [ServoCommand::OFF; COUNT];
+            let last = vec![ServoCommand::OFF; COUNT];
             machines.push(RobotState { machine, ahead: VecDeque::new(), last, held: None });
         }
-        let camera = model.frames.get("camera_optical_frame").copied();
+        let camera = model.frames.get(&model.marks.camera).copied();
         let entrants: Vec<_> = robots.iter().map(|robot| (robot.seed, robot.link.clone())).collect();
         let state = State {
             options,
@@ -375,7 +375,7 @@ impl Held {
     const ABOUT: f64 = 0.6;
 
     /// After a step more with these commands.
-    fn is_over(&mut self, step: Duration, commands: &[ServoCommand; COUNT]) -> bool {
+    fn is_over(&mut self, step: Duration, commands: &[ServoCommand]) -> bool {
         self.held_for += step;
         let is_leg = |joint: &str| ["hip", "knee", "ank"].iter().any(|part| joint.contains(part));
         let stands =
@@ -416,8 +416,10 @@ impl State {
         let is_step = self.since_step >= step;
         let mut is_held = false;
         for robot in &mut self.robots {
-            robot.last = robot.ahead.pop_front().unwrap_or(robot.last);
-            let Some(commands) = robot.machine.command(TICK, robot.last) else { continue };
+            if let Some(next) = robot.ahead.pop_front() {
+                robot.last = next;
+            }
+            let Some(commands) = robot.machine.command(TICK, &robot.last) else { continue };
             if is_step {
                 is_held |= robot.machine.is_held(step, &commands);
                 robot.machine.drive(&commands);
@@ -453,12 +455,12 @@ impl State {
 impl Body for ArenaBody {
     fn advance(&mut self, _dt: Duration, commands: &[ServoCommand]) {
         let mut state = self.shared.lock();
-        if let (Ok(commands), Some(robot)) = (commands.try_into(), state.robots.get_mut(self.robot)) {
+        if let Some(robot) = state.robots.get_mut(self.robot) {
             // Measured devices follow the clock by themselves: what they commanded before has passed.
             if self.is_measured {
                 robot.ahead.clear();
             }
-            robot.ahead.push_back(commands);
+            robot.ahead.push_back(commands.to_vec());
             if robot.ahead.len() > MOST_AHEAD {
                 robot.ahead.pop_front();
             }

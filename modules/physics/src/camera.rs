@@ -5,8 +5,8 @@
 //! on every machine.
 
 use crate::model::{Model, Shape};
+use crate::scenery::{Field, WorldFile};
 use crate::spawned::{Spawned, SpawnedShape};
-use crate::world_file::{Field, WorldFile};
 use downbeat_msgs::sensor_msgs::msg::CameraInfo;
 use downbeat_msgs::std_msgs::msg::Header;
 use downbeat_transforms::Isometry;
@@ -381,7 +381,7 @@ fn colour(of: [u8; 3]) -> Vec3 {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::world_file::{Ball, Block};
+    use crate::scenery::{Ball, Block};
     use glam::{DQuat, DVec3};
     use std::f64::consts::{FRAC_PI_2, PI};
 

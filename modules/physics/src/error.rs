@@ -9,14 +9,12 @@ use crate::world::EngineError;
 #[derive(Debug, thiserror::Error)]
 pub enum SimulationError {
     /// A servo has no joint to turn.
-    #[error("the robot \"{robot}\" has no joint \"{joint}\", which servo {servo} turns; add it to the URDF")]
+    #[error("the robot \"{robot}\" has no joint \"{joint}\", which a servo turns; add it to the URDF")]
     Joint {
         /// The name of the robot.
         robot: String,
         /// The name of the joint.
-        joint: &'static str,
-        /// The id of the servo.
-        servo: u8,
+        joint: String,
     },
     /// The step is too short or too long.
     #[error("a step of {found:?} is not possible; it has to be 1 to 10 ms, in whole milliseconds")]

@@ -3,13 +3,13 @@
 
 use crate::error::SimulationError;
 use crate::model::Model;
+use crate::scenery::WorldFile;
 use crate::simulation::{Request, Simulation, SimulationOptions, Snapshot};
 use crate::world::{Engine, Posture, Start, Variation};
-use crate::world_file::WorldFile;
 use downbeat_darwin_op::emulator::{self, Emulator, EmulatorOptions, Timing};
 use downbeat_darwin_op::hardware::DarwinOp;
 use downbeat_darwin_op::hardware::tables::joints::JOINTS;
-use downbeat_darwin_op::hardware::tables::units::radians_from_ticks;
+use downbeat_darwin_op::humanoid::Humanoid;
 use downbeat_executor::{Core, ManualClock, Module, ModuleOptions, RunError, SetupError, Time};
 use downbeat_kinematics::Robot;
 use std::time::Duration;
@@ -27,6 +27,7 @@ impl SimulationOptions {
         let robot = Robot::from_urdf(DARWIN_OP, "darwin_op.urdf").expect("a description");
         Self {
             model: Model::new(&robot).expect("a model"),
+            joints: joint_names(),
             world: WorldFile::default(),
             start: Start::walking_ready(),
             step: Duration::from_millis(4),
@@ -36,14 +37,22 @@ impl SimulationOptions {
     }
 }
 
+/// The joints of the Darwin OP, in the order of their ids.
+pub(crate) fn joint_names() -> Vec<String> {
+    JOINTS.iter().map(|joint| joint.name.to_owned()).collect()
+}
+
 impl Start {
     /// The Darwin OP's walking-ready stand, at the origin.
     #[must_use]
     pub fn walking_ready() -> Self {
-        let angle = |joint: &downbeat_darwin_op::hardware::tables::joints::Joint| {
-            (joint.name.to_owned(), radians_from_ticks(joint.walking_ready_ticks, 0))
-        };
-        let angles = JOINTS.iter().map(angle).collect();
+        Self::standing(&Humanoid::darwin_op())
+    }
+
+    /// As a robot stands, at the origin.
+    #[must_use]
+    pub fn standing(humanoid: &Humanoid) -> Self {
+        let angles = humanoid.joints().iter().map(|joint| (joint.name.clone(), joint.stand)).collect();
         Self { angles, posture: Posture::Standing, position: [0.0; 2], yaw: 0.0 }
     }
 }

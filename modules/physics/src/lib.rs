@@ -1,10 +1,10 @@
-//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of the Darwin OP's bus,
-//! so that the hardware module and everything above it cannot tell the simulated robot from a real one.
+//! Robots in a simulated world: rigid bodies with contacts (rapier) behind the bytes of a robot's bus, so
+//! that the hardware module and everything above it cannot tell the simulated robot from a real one.
 //!
 //! - [`SimulatedRobot`] is for tests: a Darwin OP in a world, the bus in memory, any modules, simulated time;
 //! - [`Simulation`] is the body of an emulated robot ([`Body`](downbeat_darwin_op::emulator::Body)) in its
 //!   world;
-//! - [`simulator::DarwinOpSimulator`] is the module for robot files: emulated devices, ground truth, camera,
+//! - [`simulator::HumanoidSimulator`] is the module for robot files: emulated devices, ground truth, camera,
 //!   services;
 //! - [`Arena`] is a world with several robots and a ball;
 //! - [`tasks`] are what a walking robot has to be able to do;
@@ -39,6 +39,7 @@ mod error;
 mod harness;
 mod machine;
 mod model;
+mod scenery;
 mod simulation;
 pub mod simulator;
 mod spawned;
@@ -49,8 +50,9 @@ mod world_file;
 pub use arena::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Picture, RobotTruth};
 pub use error::SimulationError;
 pub use harness::{DARWIN_OP, SimulatedRobot, SimulatedRunError};
-pub use model::{Body, Joint, Model, ModelError, Shape};
+pub use model::{Body, Joint, Marks, Model, ModelError, Shape};
+pub use scenery::{Ball, Block, Field, Floor, WorldFile};
 pub use simulation::{Request, RunState, Simulation, SimulationOptions, Snapshot};
 pub use spawned::{Spawned, SpawnedShape};
 pub use world::{Engine, EngineError, Motion, Posture, Start, Variation};
-pub use world_file::{Ball, Block, Field, Floor, WorldFile, WorldFileError};
+pub use world_file::WorldFileError;

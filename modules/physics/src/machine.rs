@@ -4,7 +4,7 @@ use crate::error::SimulationError;
 use crate::model::Model;
 use crate::world::{JointDrive, RobotBodies, Variation};
 use downbeat_darwin_op::emulator::{ImuMotion, JointMotion, ServoCommand};
-use downbeat_darwin_op::hardware::tables::joints::{COUNT, JOINTS};
+use downbeat_servos::servo_bus::models::STANDARD_GRAVITY;
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec3};
 use std::collections::VecDeque;
@@ -12,15 +12,15 @@ use std::time::Duration;
 
 /// Servos and sensors of a robot, between the commands of its devices and the bodies in a world.
 pub(crate) struct Machine {
-    servos: [ServoJoint; COUNT],
+    servos: Vec<ServoJoint>,
     imu_frame: (usize, Isometry),
     variation: Variation,
     drives: Vec<JointDrive>,
     /// The robot is held at its start until this time has passed; `None` before the first servo has torque.
     held_for: Option<Duration>,
     /// The last commands, oldest first: as many as fit into the latency.
-    commands: VecDeque<[ServoCommand; COUNT]>,
-    joints: [JointMotion; COUNT],
+    commands: VecDeque<Vec<ServoCommand>>,
+    joints: Vec<JointMotion>,
     imu: ImuMotion,
     velocity: DVec3,
     /// Of the IMU in the world.
@@ -28,7 +28,7 @@ pub(crate) struct Machine {
 }
 
 /// The joint that a servo turns.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct ServoJoint {
     body: usize,
     /// In N m.
@@ -43,32 +43,33 @@ const HELD: Duration = Duration::from_millis(500);
 const IMU_LAG_S: f64 = 0.005;
 /// How fast a hand turns a robot that it puts down, in rad/s.
 const IN_HAND: f64 = 6.0;
-const GRAVITY: f64 = 9.806_65;
 
 impl Machine {
+    /// The joints are those that the servos turn, in the order of their commands.
+    ///
     /// # Errors
     /// If the robot lacks the joint of a servo.
-    pub(crate) fn new(model: &Model, variation: Variation) -> Result<Self, SimulationError> {
-        let mut servos = [ServoJoint::default(); COUNT];
-        for (servo, joint) in servos.iter_mut().zip(&JOINTS) {
-            let missing = || SimulationError::Joint {
-                robot: model.name.clone(),
-                joint: joint.name,
-                servo: joint.id.raw(),
-            };
-            let body = model.body_of_joint(joint.name).ok_or_else(missing)?;
+    pub(crate) fn new(
+        model: &Model,
+        joints: &[String],
+        variation: Variation,
+    ) -> Result<Self, SimulationError> {
+        let mut servos = Vec::with_capacity(joints.len());
+        for joint in joints {
+            let missing = || SimulationError::Joint { robot: model.name.clone(), joint: joint.clone() };
+            let body = model.body_of_joint(joint).ok_or_else(missing)?;
             let described = model.bodies[body].joint.as_ref().ok_or_else(missing)?;
             let stall = described.effort * variation.strength;
-            *servo = ServoJoint { body, stall, damping: stall / described.velocity };
+            servos.push(ServoJoint { body, stall, damping: stall / described.velocity });
         }
         Ok(Self {
-            servos,
-            imu_frame: model.frames.get("imu_link").copied().unwrap_or_default(),
+            imu_frame: model.frames.get(&model.marks.imu).copied().unwrap_or_default(),
             variation,
             drives: vec![JointDrive::default(); model.bodies.len()],
             held_for: None,
             commands: VecDeque::new(),
-            joints: [JointMotion::default(); COUNT],
+            servos,
+            joints: vec![JointMotion::default(); joints.len()],
             imu: ImuMotion::default(),
             velocity: DVec3::ZERO,
             attitude: DQuat::IDENTITY,
@@ -76,21 +77,17 @@ impl Machine {
     }
 
     /// Takes the commands of the devices for the next `dt` and returns those that have reached the motors.
-    pub(crate) fn command(
-        &mut self,
-        dt: Duration,
-        commands: [ServoCommand; COUNT],
-    ) -> Option<[ServoCommand; COUNT]> {
-        self.commands.push_back(commands);
+    pub(crate) fn command(&mut self, dt: Duration, commands: &[ServoCommand]) -> Option<Vec<ServoCommand>> {
+        self.commands.push_back(commands.to_vec());
         let delayed = self.variation.latency.as_nanos() / dt.as_nanos().max(1);
         while self.commands.len() as u128 > delayed + 1 {
             self.commands.pop_front();
         }
-        self.commands.front().copied()
+        self.commands.front().cloned()
     }
 
     /// Sets what the motors do in the next step.
-    pub(crate) fn drive(&mut self, commands: &[ServoCommand; COUNT]) {
+    pub(crate) fn drive(&mut self, commands: &[ServoCommand]) {
         let half_play = self.variation.backlash / 2.0;
         for ((servo, command), joint) in self.servos.iter().zip(commands).zip(&mut self.joints) {
             let (drive, motor) = drive(servo, command, joint.position, half_play);
@@ -114,7 +111,7 @@ impl Machine {
 
     /// Returns whether the robot is held during this step, as by somebody who puts it down once the servos
     /// have torque.
-    pub(crate) fn is_held(&mut self, step: Duration, commands: &[ServoCommand; COUNT]) -> bool {
+    pub(crate) fn is_held(&mut self, step: Duration, commands: &[ServoCommand]) -> bool {
         match &mut self.held_for {
             None => {
                 if commands.iter().any(|command| command.max_drive > 0.0) {
@@ -144,7 +141,7 @@ impl Machine {
         let Some(motion) = bodies.motion_of(self.imu_frame.0, &self.imu_frame.1) else { return };
         self.attitude = motion.world_from_body.rotation;
         let imu_from_world = self.attitude.conjugate();
-        let acceleration = (motion.linear - self.velocity) / dt + DVec3::Z * GRAVITY;
+        let acceleration = (motion.linear - self.velocity) / dt + DVec3::Z * STANDARD_GRAVITY;
         self.velocity = motion.linear;
         let force = imu_from_world * acceleration;
         let share = dt / (dt + IMU_LAG_S);
@@ -173,7 +170,7 @@ impl Machine {
             let shortest = if turn.w < 0.0 { -turn } else { turn }.to_scaled_axis();
             let turned = shortest.clamp_length_max(IN_HAND * step.as_secs_f64());
             self.attitude = (self.attitude * DQuat::from_scaled_axis(turned)).normalize();
-            let force = self.attitude.conjugate() * (DVec3::Z * GRAVITY);
+            let force = self.attitude.conjugate() * (DVec3::Z * STANDARD_GRAVITY);
             self.imu = ImuMotion {
                 angular_velocity: (turned / step.as_secs_f64()).to_array(),
                 specific_force: force.to_array(),

@@ -15,9 +15,32 @@ pub struct Model {
     pub bodies: Vec<Body>,
     /// All links of the description: the body each belongs to, and its pose in that body.
     pub frames: BTreeMap<String, (usize, Isometry)>,
+    /// Which of them are sensors and soles.
+    pub marks: Marks,
     /// The description as MJCF.
     #[cfg(feature = "mujoco")]
     pub(crate) mjcf: String,
+}
+
+/// The links of a robot that the simulation has to know. A robot may lack any of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Marks {
+    /// The soles, right and left: on the ground, x forward.
+    pub soles: [String; 2],
+    /// The IMU, as its data is oriented. A robot without this link has it in its first link.
+    pub imu: String,
+    /// The camera, with z ahead and y down.
+    pub camera: String,
+}
+
+impl Default for Marks {
+    fn default() -> Self {
+        Self {
+            soles: ["r_sole", "l_sole"].map(str::to_owned),
+            imu: "imu_link".to_owned(),
+            camera: "camera_optical_frame".to_owned(),
+        }
+    }
 }
 
 /// A rigid body.
@@ -125,6 +148,7 @@ impl Model {
             name: robot.name().to_owned(),
             bodies: Vec::new(),
             frames: BTreeMap::new(),
+            marks: Marks::default(),
             #[cfg(feature = "mujoco")]
             mjcf: downbeat_kinematics::to_mjcf(robot, downbeat_kinematics::Root::Free)?,
         };

@@ -12,11 +12,10 @@
 use crate::error::SimulationError;
 use crate::machine::Machine;
 use crate::model::Model;
+use crate::scenery::WorldFile;
 use crate::spawned::Spawned;
 use crate::world::{Engine, EngineError, Motion, Plan, Start, Variation, World};
-use crate::world_file::WorldFile;
 use downbeat_darwin_op::emulator::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
-use downbeat_darwin_op::hardware::tables::joints::COUNT;
 use downbeat_transforms::Isometry;
 use glam::DVec3;
 use parking_lot::Mutex;
@@ -28,6 +27,8 @@ use std::time::Duration;
 pub struct SimulationOptions {
     /// The robot.
     pub model: Model,
+    /// The joints that its servos turn, in the order of their commands.
+    pub joints: Vec<String>,
     /// What is around it.
     pub world: WorldFile,
     /// How it starts.
@@ -70,7 +71,7 @@ pub struct Snapshot {
     pub steps_left: u64,
     /// The root link of the robot.
     pub robot: Motion,
-    /// The link `camera_optical_frame`, if the robot has one.
+    /// The link of the camera, if the robot has one.
     pub camera: Option<Isometry>,
     /// Everything that is not of the robot, except the floor: name, whether it can move, motion.
     pub things: Vec<(String, bool, Motion)>,
@@ -142,12 +143,12 @@ impl Simulation {
     /// If the robot lacks the joint of a servo or the mass of a link, starts inside something, or step or
     /// engine is not possible.
     pub fn new(options: SimulationOptions) -> Result<Self, SimulationError> {
-        let SimulationOptions { model, step, variation, .. } = &options;
+        let SimulationOptions { model, joints, step, variation, .. } = &options;
         if !(1..=10).contains(&step.as_millis()) || step.subsec_nanos() % 1_000_000 != 0 {
             return Err(SimulationError::Step { found: *step });
         }
-        let machine = Machine::new(model, *variation)?;
-        let camera = model.frames.get("camera_optical_frame").copied();
+        let machine = Machine::new(model, joints, *variation)?;
+        let camera = model.frames.get(&model.marks.camera).copied();
         let world = options.new_world()?;
         if let Some((other, depth)) = world.overlap_of_robot() {
             let (world, other) = (options.world.name.clone(), other.to_owned());
@@ -181,7 +182,7 @@ impl Simulation {
         Ok(Self { state: Arc::new(Mutex::new(state)) })
     }
 
-    /// The body for an emulated Darwin OP.
+    /// The body for the emulated devices of the robot.
     #[must_use]
     pub fn body(&self) -> Box<dyn Body> {
         Box::new(self.clone())
@@ -227,16 +228,14 @@ impl Simulation {
 
 impl SimulationOptions {
     fn new_world(&self) -> Result<Box<dyn World>, EngineError> {
-        let Self { model, world: file, start, step, variation, engine } = self;
+        let Self { model, world: file, start, step, variation, engine, .. } = self;
         crate::world::build(*engine, Plan { file, model, start, step: *step, variation })
     }
 }
 
 impl Body for Simulation {
     fn advance(&mut self, dt: Duration, commands: &[ServoCommand]) {
-        if let Ok(commands) = commands.try_into() {
-            self.state.lock().advance(dt, commands);
-        }
+        self.state.lock().advance(dt, commands);
     }
 
     fn joint(&self, index: usize) -> JointMotion {
@@ -261,7 +260,7 @@ impl Body for Simulation {
 }
 
 impl State {
-    fn advance(&mut self, dt: Duration, commands: [ServoCommand; COUNT]) {
+    fn advance(&mut self, dt: Duration, commands: &[ServoCommand]) {
         let Some(commands) = self.machine.command(dt, commands) else { return };
         match self.run {
             RunState::Playing => {
@@ -279,7 +278,7 @@ impl State {
         }
     }
 
-    fn step(&mut self, commands: &[ServoCommand; COUNT]) {
+    fn step(&mut self, commands: &[ServoCommand]) {
         let step = self.options.step;
         self.elapsed += step;
         if self.machine.is_held(step, commands) {

@@ -1,6 +1,6 @@
 //! What can be put into a world while it is simulated: balls, boxes and posts.
 
-use crate::world_file::{Ball, Floor, MOST_BOXES, NOT_NEGATIVE, POSITIVE, SHARE, is_allowed};
+use crate::scenery::{Ball, Floor, MOST_BOXES, NOT_NEGATIVE, POSITIVE, SHARE, is_allowed};
 use downbeat_transforms::Isometry;
 use serde::Deserialize;
 

@@ -180,5 +180,5 @@ fn a_robot_without_a_servos_joint_is_refused() {
     let model = Model::new(&Robot::from_urdf(&urdf, "darwin_op.urdf").unwrap()).unwrap();
     let options = SimulationOptions { model, ..SimulationOptions::darwin_op() };
     let Err(error) = SimulatedRobot::new(options, 1) else { panic!("it was accepted") };
-    assert!(matches!(error, SimulationError::Joint { joint: "head_tilt", servo: 20, .. }), "{error}");
+    assert!(matches!(&error, SimulationError::Joint { joint, .. } if joint == "head_tilt"), "{error}");
 }

@@ -20,7 +20,7 @@ use downbeat_msgs::simulation_interfaces::srv::{
     SetEntityStateRequest, SetEntityStateResponse, SetSimulationStateRequest, SetSimulationStateResponse,
     SpawnEntityRequest, SpawnEntityResponse, StepSimulationRequest, StepSimulationResponse,
 };
-use downbeat_physics::simulator::DarwinOpSimulator;
+use downbeat_physics::simulator::HumanoidSimulator;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ impl Robot {
         let port = SettingValue::from("memory:robot".to_owned());
         let path = SettingValue::from(path.to_str().unwrap().to_owned());
         let all = [&[("link", port.clone()), ("world", path)], settings].concat();
-        core.add_with("simulator", DarwinOpSimulator::new(ports.clone()), options(&all)).unwrap();
+        core.add_with("simulator", HumanoidSimulator::new(ports.clone()), options(&all)).unwrap();
         core.add_with("hardware", DarwinOp::new(Box::new(ports.bus())), options(&[("port", port)])).unwrap();
         let odometry = received(&mut core, "ground_truth/odom");
         let ball = received(&mut core, "ground_truth/ball");
@@ -183,6 +183,27 @@ fn pictures_come_with_their_camera() {
     assert_eq!(image.header.frame_id, "camera_optical_frame");
     let orange = image.data.chunks(3).filter(|pixel| pixel[0] > 140 && pixel[1] < 110 && pixel[2] < 60);
     assert!(orange.count() > 200, "the ball is in front of the robot");
+}
+
+#[test]
+fn a_robot_that_its_files_do_not_fit_is_refused_with_the_setting() {
+    let refused = |settings: &[(&str, SettingValue)]| {
+        let settings = settings.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect();
+        let options = ModuleOptions { settings, ..ModuleOptions::default() };
+        let simulator = HumanoidSimulator::new(MemoryPorts::default());
+        Core::new().add_with("simulator", simulator, options).err().unwrap().to_string()
+    };
+    let text = |text: &str| SettingValue::from(text.to_owned());
+    let servos = "name = 'arm'\n[[bus]]\nname = 'arm'\nport = 'p'\nbaud = 1_000_000\nprotocol = 'feetech_sts'\n\
+                  cycle_ms = 10\n[[joint]]\nname = 'wrist'\nid = 3\nmodel = 'STS3215'\nlimits = [-1.7, 1.7]";
+    let error = refused(&[("description", text(servos))]);
+    assert!(error.contains("the robot \"darwin_op\" has no joint \"wrist\", which a servo turns"), "{error}");
+    let error = refused(&[("description", text("/no/such.toml"))]);
+    assert!(error.contains("\"description\"") && error.contains("/no/such.toml"), "{error}");
+    let error = refused(&[("humanoid", text("/no/such.toml"))]);
+    assert!(error.contains("\"humanoid\"") && error.contains("/no/such.toml"), "{error}");
+    let picture = [("camera_hz", 5.0.into()), ("camera_size", vec![320_i64].into())];
+    assert!(refused(&picture).contains("two numbers from 1 to 4096 are needed"), "{}", refused(&picture));
 }
 
 #[test]

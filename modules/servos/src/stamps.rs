@@ -1,4 +1,4 @@
-//! Whether commands with stamps are current.
+//! Stamps of messages, and whether commands with stamps are current.
 //!
 //! A command says when it was given. One that was on its way for longer than it is valid, from a slow network
 //! or a bag, is no command for now; one far in the future comes from a machine with another clock. A stamp of
@@ -7,6 +7,7 @@
 
 use downbeat_executor::Time;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
+use downbeat_msgs::std_msgs::msg::Header;
 use std::time::Duration;
 
 /// When a command with this stamp was given: now if that is 0, and never later than now.
@@ -35,6 +36,13 @@ pub fn given_at(stamp: &Stamp, now: Time, timeout: Duration) -> Result<Time, Str
         ));
     }
     Ok(given.min(now))
+}
+
+/// A header with that stamp.
+#[must_use]
+pub fn header(stamp: Time, frame_id: &str) -> Header {
+    let stamp = Stamp::from_nanos(stamp.as_nanos());
+    Header { stamp, frame_id: frame_id.to_owned() }
 }
 
 /// Counts the commands that are dropped for their stamps, and reports the first one.

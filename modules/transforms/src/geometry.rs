@@ -302,6 +302,13 @@ impl Blocks {
     }
 }
 
+/// The angle between -π and π with the same direction, rad.
+#[must_use]
+pub fn wrapped(angle: f64) -> f64 {
+    use std::f64::consts::TAU;
+    angle - (angle / TAU).round() * TAU
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]

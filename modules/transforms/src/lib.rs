@@ -54,7 +54,7 @@ pub mod transform_server;
 
 pub use buffer::{FrameInfo, Taken, TransformBuffer};
 pub use error::{LookupError, TimeDirection, TransformRefused};
-pub use geometry::{Isometry, Stamped, Transformable, isometry, transform_message};
+pub use geometry::{Isometry, Stamped, Transformable, isometry, transform_message, wrapped};
 pub use lookup::{At, FoundTransform};
 pub use modules::{TF, TF_STATIC, TransformBroadcaster, listen};
 

@@ -26,7 +26,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-kinematics", &["downbeat-executor", "downbeat-msgs", "downbeat-transforms"]),
     (
         "downbeat-servos",
-        &["downbeat-actions", "downbeat-device", "downbeat-executor", "downbeat-kinematics", "downbeat-msgs"],
+        &["downbeat-actions", "downbeat-device", "downbeat-executor", "downbeat-msgs", "downbeat-transforms"],
     ),
     (
         "downbeat-darwin-op",
@@ -217,30 +217,14 @@ const EXECUTOR: &[&str] = &[
 ];
 
 /// Circles of files that exist, with their files in order. They may only shrink.
-const KNOWN_CIRCLES: &[&[&str]] = &[
-    &[
-        "edge/src/action.rs",
-        "edge/src/foreign/declarations.rs",
-        "edge/src/foreign/module.rs",
-        "edge/src/foreign/versions.rs",
-        "edge/src/interfaces.rs",
-        "edge/src/service.rs",
-    ],
-    &["modules/darwin_op/src/motions/file.rs", "modules/darwin_op/src/motions/path.rs"],
-    &["modules/network/src/mqtt/broker.rs", "modules/network/src/mqtt/connection.rs"],
-    &[
-        "modules/physics/src/spawned.rs",
-        "modules/physics/src/world/mod.rs",
-        "modules/physics/src/world/rapier.rs",
-        "modules/physics/src/world_file.rs",
-    ],
-    &["modules/servos/src/servo_bus/diagnostics.rs", "modules/servos/src/servo_bus/module.rs"],
-    &[
-        "modules/servos/src/servo_emulator/emulator.rs",
-        "modules/servos/src/servo_emulator/memory.rs",
-        "modules/servos/src/servo_emulator/pseudo_terminal.rs",
-    ],
-];
+const KNOWN_CIRCLES: &[&[&str]] = &[&[
+    "edge/src/action.rs",
+    "edge/src/foreign/declarations.rs",
+    "edge/src/foreign/module.rs",
+    "edge/src/foreign/versions.rs",
+    "edge/src/interfaces.rs",
+    "edge/src/service.rs",
+]];
 
 /// The problem of a file that uses one of a higher folder, by `names`.
 pub(super) fn upward(from: &str, to: &str, names: &BTreeSet<String>) -> Option<String> {

@@ -17,7 +17,8 @@
 //! gyroscope acts on knees, ankles and hips against tipping over. A robot that fell continues its walk when
 //! it is upright again.
 //!
-//! The settings are those of the [engine], with the names and defaults in `downbeat check --kinds`.
+//! The setting `humanoid` names the file of the robot's numbers: see [`humanoid`](crate::humanoid). The
+//! others are those of the [engine], with the names and defaults in `downbeat check --kinds`.
 //!
 //! # References
 //! DARwIn-OP framework 1.6, module `Walking`, for the balance; see [`engine`] for the trajectories.
@@ -29,8 +30,8 @@ mod settings;
 
 use crate::attitude::world_from_trunk;
 use crate::hardware::CYCLE;
-use crate::hardware::tables::joints::COUNT;
-use crate::present_pose::{PresentPose, command, stand};
+use crate::humanoid::Humanoid;
+use crate::present_pose::{PresentPose, command};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::builtin_interfaces;
@@ -44,6 +45,7 @@ use engine::{Engine, Parameters, Targets, Velocity};
 use glam::{DQuat, DVec2, DVec3};
 use odometry::{Odometry, pitch_of, yaw_of};
 use settings::{SettingKeys, Settings};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Walks; see the [module page](self).
@@ -65,7 +67,7 @@ pub struct Gait {
     /// The smoothed pitch of the trunk, in rad.
     pitch: Option<f64>,
     /// The last angles without lead and balance.
-    trajectory: Option<[f64; COUNT]>,
+    trajectory: Option<Vec<f64>>,
     last_tick: Option<Time>,
     odometry: Odometry,
     odometry_at: Option<Time>,
@@ -87,7 +89,7 @@ enum Stage {
     #[default]
     Off,
     /// On the way to the stand.
-    GettingReady { start: [f64; COUNT], begun: Time, duration: f64 },
+    GettingReady { start: Vec<f64>, begun: Time, duration: f64 },
     /// Stands or walks.
     On,
 }
@@ -144,12 +146,13 @@ impl Gait {
         else {
             return;
         };
-        let soles = legs::soles(&self.pose.measured(&stand()));
+        let soles = legs::soles(self.pose.humanoid(), &self.pose.measured_or_stand());
         let now = ctx.now();
         let dt = self.odometry_at.replace(now).map_or(0.0, |last| now.saturating_since(last).as_secs_f64());
         self.odometry.update(soles, world_from_trunk, dt);
         let stamp = states.header.stamp;
-        publish_odometry(&self.odometry, world_from_trunk, attitude, stamp, ctx);
+        let base = self.pose.humanoid().base();
+        publish_odometry(&self.odometry, base, world_from_trunk, attitude, stamp, ctx);
     }
 
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -157,7 +160,8 @@ impl Gait {
         let dt = self.last_tick.replace(now).map_or(CYCLE, |last| now.saturating_since(last).min(CYCLE * 4));
         let settings = ctx.ports.settings.values(ctx);
         let may_move = !self.is_down && !self.is_motion_playing;
-        match self.stage {
+        let humanoid = Arc::clone(self.pose.humanoid());
+        match &self.stage {
             Stage::Off => {
                 if self.is_started && may_move && self.pose.is_known() {
                     self.get_ready(now, &settings);
@@ -165,11 +169,12 @@ impl Gait {
             }
             Stage::GettingReady { .. } if !may_move => self.stage = Stage::Off,
             Stage::GettingReady { start, begun, duration } => {
-                let goal = legs::pose(&standing(&settings), &settings);
-                let s = (now.saturating_since(begun).as_secs_f64() / duration).min(1.0);
+                let goal = legs::pose(&humanoid, &standing(&settings), &settings);
+                let s = (now.saturating_since(*begun).as_secs_f64() / duration).min(1.0);
                 let share = s * s * s * (10.0 + s * (-15.0 + s * 6.0));
-                let pose = std::array::from_fn(|joint| start[joint] + (goal[joint] - start[joint]) * share);
-                publish_command(&pose, ctx);
+                let way = start.iter().zip(&goal);
+                let pose: Vec<f64> = way.map(|(start, goal)| start + (goal - start) * share).collect();
+                publish_command(&humanoid, &pose, ctx);
                 if s >= 1.0 {
                     self.stage = Stage::On;
                 }
@@ -183,14 +188,15 @@ impl Gait {
                 let wanted = self.corrected(wanted, dt.as_secs_f64(), &settings);
                 let parameters = self.leaning(settings.parameters(), dt.as_secs_f64(), &settings);
                 let targets = self.engine.step(dt.as_secs_f64(), wanted, &parameters);
-                let trajectory = legs::pose(&targets, &settings);
-                let last = self.trajectory.replace(trajectory).unwrap_or(trajectory);
+                let trajectory = legs::pose(&humanoid, &targets, &settings);
+                let last = self.trajectory.replace(trajectory.clone());
+                let last = last.as_deref().unwrap_or(&trajectory);
                 let lead = if dt.is_zero() { 0.0 } else { settings.servo_lead / dt.as_secs_f64() };
-                let mut pose: [f64; COUNT] =
-                    std::array::from_fn(|joint| trajectory[joint] + (trajectory[joint] - last[joint]) * lead);
+                let way = trajectory.iter().zip(last);
+                let mut pose: Vec<f64> = way.map(|(now, last)| now + (now - last) * lead).collect();
                 let rate = self.attitude.map_or(DVec3::ZERO, |attitude| attitude.rate);
-                legs::balance(&mut pose, rate, &settings);
-                publish_command(&pose, ctx);
+                legs::balance(&humanoid, &mut pose, rate, &settings);
+                publish_command(&humanoid, &pose, ctx);
                 if !may_move && !self.engine.is_walking() {
                     self.switch_off();
                 }
@@ -200,11 +206,13 @@ impl Gait {
     }
 
     fn get_ready(&mut self, now: Time, settings: &Settings) {
-        let start = self.pose.start(now, &stand());
-        let goal = legs::pose(&standing(settings), settings);
-        let way = (0..COUNT)
-            .filter(|joint| legs::is_moved(*joint))
-            .map(|joint| (goal[joint] - start[joint]).abs())
+        let start = self.pose.start(now);
+        let humanoid = self.pose.humanoid();
+        let goal = legs::pose(humanoid, &standing(settings), settings);
+        let joints = humanoid.joints().iter().zip(start.iter().zip(&goal));
+        let way = joints
+            .filter(|(joint, _)| joint.is_of_gait)
+            .map(|(_, (start, goal))| (goal - start).abs())
             .fold(0.0, f64::max);
         // The peak of the speed of a movement with minimum jerk.
         let duration = (1.875 * way / settings.ready_speed).max(0.1);
@@ -271,6 +279,7 @@ impl Module for Gait {
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         let settings = SettingKeys::declare(setup)?;
+        self.pose = PresentPose::new(Humanoid::declare(setup)?);
         let starts = setup.value(settings.start).copied().unwrap_or_default();
         (self.is_started, self.follows) = (starts, starts);
         let ports = Ports {
@@ -310,8 +319,10 @@ fn standing(settings: &Settings) -> Targets {
     Engine::default().step(0.0, Velocity::default(), &settings.parameters())
 }
 
-fn publish_command(pose: &[f64; COUNT], ctx: &mut Context<'_, Ports>) {
-    ctx.publish(ctx.ports.commands, command(ctx.now(), pose, legs::is_moved));
+fn publish_command(humanoid: &Humanoid, pose: &[f64], ctx: &mut Context<'_, Ports>) {
+    let joints = humanoid.joints();
+    let message = command(ctx.now(), humanoid, pose, |index| joints[index].is_of_gait);
+    ctx.publish(ctx.ports.commands, message);
 }
 
 /// The standard deviation of the position, as a fraction of the way.
@@ -319,6 +330,7 @@ const SLIP: f64 = 0.1;
 
 fn publish_odometry(
     odometry: &Odometry,
+    base: &str,
     world_from_trunk: DQuat,
     attitude: Attitude,
     stamp: builtin_interfaces::msg::Time,
@@ -328,7 +340,7 @@ fn publish_odometry(
     let rotation = Quaternion { x, y, z, w };
     let DVec3 { x, y, z } = odometry.position;
     let header = Header { stamp, frame_id: "odom".to_owned() };
-    let base_link = "base_link".to_owned();
+    let base_link = base.to_owned();
     let velocity = world_from_trunk.conjugate() * odometry.velocity;
     let mut message =
         OdometryMessage { header: header.clone(), child_frame_id: base_link.clone(), ..Default::default() };
@@ -371,8 +383,9 @@ mod tests {
         fn new() -> Self {
             let (mut core, clock) = core_at_zero();
             core.add("gait", Gait::default()).unwrap();
+            let humanoid = Humanoid::darwin_op();
             let states = core.inlet("joint_states").unwrap();
-            states.publish(command(Time::ZERO, &stand(), |_| true)).unwrap();
+            states.publish(command(Time::ZERO, &humanoid, &humanoid.stand(), |_| true)).unwrap();
             let (cmd_vel, robot_state) = (core.inlet("cmd_vel").unwrap(), core.inlet("robot_state").unwrap());
             let commands = Collector::add(&mut core, "gait/joint_commands");
             let walking = Collector::add(&mut core, "walking");

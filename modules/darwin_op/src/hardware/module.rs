@@ -10,7 +10,8 @@ use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupErro
 use downbeat_msgs::sensor_msgs::msg::{BatteryState, Imu, JointState, Joy};
 use downbeat_msgs::std_msgs::msg::{ColorRGBA, Float64MultiArray};
 use downbeat_msgs::std_srvs::srv::SetBoolRequest;
-use downbeat_servos::servo_bus::{DevicePlan, Hardware, ImuReading, SLOW, Topics, header};
+use downbeat_servos::servo_bus::{DevicePlan, Hardware, ImuReading, SLOW, Topics};
+use downbeat_servos::stamps::header;
 
 /// LED colour.
 const GREEN: u16 = 0x1F << 5;

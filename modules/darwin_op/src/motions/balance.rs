@@ -6,11 +6,10 @@
 //! Without (2) an ankle is a spring: it holds a robot that stands on one leg only if its weight is exactly
 //! above the sole.
 
-use super::file::Balance;
+use super::motion::Balance;
 use crate::attitude::world_from_trunk;
-use crate::hardware::tables::joints::COUNT;
-use crate::leg_joints::{ANKLE_PITCH, ANKLE_ROLL, place};
-use downbeat_kinematics::darwin_op::{Leg, Side};
+use crate::humanoid::{ANKLE_PITCH, ANKLE_ROLL, Humanoid};
+use downbeat_kinematics::leg::Side;
 use downbeat_msgs::sensor_msgs::msg::Imu;
 use glam::DVec3;
 
@@ -36,21 +35,28 @@ impl Attitude {
 }
 
 /// Turns the ankles of `goals` against a trunk that tilts other than it would with a flat sole in this pose.
-pub(super) fn balance(goals: &mut [f64; COUNT], pose: &[f64; COUNT], attitude: Attitude, gains: Balance) {
-    let tilt = attitude.up.cross(wanted_up(pose));
+pub(super) fn balance(
+    humanoid: &Humanoid,
+    goals: &mut [f64],
+    pose: &[f64],
+    attitude: Attitude,
+    gains: Balance,
+) {
+    let tilt = attitude.up.cross(wanted_up(humanoid, pose));
     let [roll, pitch] = [(tilt.x, attitude.rate.x), (tilt.y, attitude.rate.y)]
         .map(|(tilt, rate)| (gains.tilt * tilt + gains.rate * rate).clamp(-MOST, MOST));
-    for (side, sign) in [(Side::Right, 1.0), (Side::Left, -1.0)] {
-        goals[place(side, ANKLE_ROLL)] += roll;
-        goals[place(side, ANKLE_PITCH)] -= sign * pitch;
+    for side in [Side::Right, Side::Left] {
+        let leg = humanoid.leg(side);
+        leg.turn(goals, ANKLE_ROLL, roll);
+        leg.turn(goals, ANKLE_PITCH, pitch);
     }
 }
 
 /// The direction in the trunk that points up if the lower sole is flat on the floor.
-fn wanted_up(pose: &[f64; COUNT]) -> DVec3 {
+fn wanted_up(humanoid: &Humanoid, pose: &[f64]) -> DVec3 {
     let [right, left] = [Side::Right, Side::Left].map(|side| {
-        let leg = Leg::new(side);
-        leg.base_from_hip() * leg.forward(&std::array::from_fn(|joint| pose[place(side, joint)]))
+        let leg = humanoid.leg(side);
+        leg.leg.base_from_hip() * leg.leg.forward(&leg.angles(pose))
     });
     let lower = if right.translation.z <= left.translation.z { right } else { left };
     lower.rotation * DVec3::Z
@@ -59,32 +65,35 @@ fn wanted_up(pose: &[f64; COUNT]) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::leg_joints::HIP_ROLL;
-    use crate::present_pose::stand;
+    use crate::humanoid::HIP_ROLL;
     use glam::DQuat;
 
     const GAINS: Balance = Balance { tilt: 0.5, rate: 0.1 };
 
-    fn sole_up(pose: &[f64; COUNT]) -> DVec3 {
-        let angles = std::array::from_fn(|joint| pose[place(Side::Right, joint)]);
-        Leg::new(Side::Right).forward(&angles).rotation * DVec3::Z
+    fn sole_up(pose: &[f64]) -> DVec3 {
+        let humanoid = Humanoid::darwin_op();
+        let leg = humanoid.leg(Side::Right);
+        leg.leg.forward(&leg.angles(pose)).rotation * DVec3::Z
     }
 
     #[test]
     fn a_robot_that_stands_as_wanted_is_left_alone() {
-        let pose = stand();
-        let mut goals = pose;
-        balance(&mut goals, &pose, Attitude { up: wanted_up(&pose), rate: DVec3::ZERO }, GAINS);
+        let humanoid = Humanoid::darwin_op();
+        let pose = humanoid.stand();
+        let mut goals = pose.clone();
+        let attitude = Attitude { up: wanted_up(&humanoid, &pose), rate: DVec3::ZERO };
+        balance(&humanoid, &mut goals, &pose, attitude, GAINS);
         assert!(goals.iter().zip(&pose).all(|(goal, angle)| (goal - angle).abs() < 1e-9));
     }
 
     #[test]
     fn soles_press_against_a_tilt_and_against_a_fall() {
-        let pose = stand();
+        let humanoid = Humanoid::darwin_op();
+        let pose = humanoid.stand();
         let pressed = |tilted: DQuat, rate: DVec3| {
-            let mut goals = pose;
-            let up = tilted.conjugate() * wanted_up(&pose);
-            balance(&mut goals, &pose, Attitude { up, rate }, GAINS);
+            let mut goals = pose.clone();
+            let up = tilted.conjugate() * wanted_up(&humanoid, &pose);
+            balance(&humanoid, &mut goals, &pose, Attitude { up, rate }, GAINS);
             sole_up(&goals) - sole_up(&pose)
         };
         assert!(pressed(DQuat::from_rotation_y(0.1), DVec3::ZERO).x > 0.01, "the toes press down");
@@ -95,12 +104,13 @@ mod tests {
 
     #[test]
     fn the_lower_foot_tells_how_the_trunk_should_be() {
-        let mut pose = stand();
-        let level = wanted_up(&pose);
+        let humanoid = Humanoid::darwin_op();
+        let mut pose = humanoid.stand();
+        let level = wanted_up(&humanoid, &pose);
         // The right foot is lifted by the hip.
-        pose[place(Side::Right, HIP_ROLL)] -= 0.5;
-        assert!((wanted_up(&pose) - level).length() < 0.02);
-        pose[place(Side::Left, ANKLE_ROLL)] += 0.2;
-        assert!((wanted_up(&pose) - level).length() > 0.15);
+        pose[humanoid.leg(Side::Right).joints[HIP_ROLL]] -= 0.5;
+        assert!((wanted_up(&humanoid, &pose) - level).length() < 0.02);
+        pose[humanoid.leg(Side::Left).joints[ANKLE_ROLL]] += 0.2;
+        assert!((wanted_up(&humanoid, &pose) - level).length() > 0.15);
     }
 }

@@ -27,15 +27,13 @@
 //! With `balance` the ankles turn against a trunk that tilts other than it would with a flat sole: by `tilt`
 //! rad for each rad that it is off, and by `rate` rad for each rad/s.
 
-use crate::hardware::tables::joints::{COUNT, JOINTS, index_of};
-use downbeat_msgs::definitions::suggestion;
+use super::motion::{Balance, Frame, Interpolation, Motion};
+use super::path::Path;
+use crate::humanoid::Humanoid;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use toml::Spanned;
-
-/// The largest speed of a joint in a motion, in rad/s: that of an MX-28 without load at 12 V.
-pub const MAX_SPEED: f64 = 5.76;
 
 /// The largest stiffness: beyond it, joints oscillate.
 pub const MAX_STIFFNESS: f64 = 4.0;
@@ -53,56 +51,6 @@ pub const MAX_FRAMES: usize = 50_000;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Motions {
     motions: BTreeMap<String, Arc<Motion>>,
-}
-
-/// A motion: frames to go through.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Motion {
-    /// What it does, for people.
-    pub about: String,
-    /// How joints move from one frame to the next.
-    pub interpolation: Interpolation,
-    /// How stiff the joints are, in terms of the P gain of their servos: 1 to 4.
-    pub stiffness: f64,
-    /// How the ankles keep the robot on its feet; `None` if they do not, as for a motion of a robot that
-    /// lies.
-    pub balance: Option<Balance>,
-    /// At least one.
-    pub frames: Vec<Frame>,
-}
-
-/// By how much the ankles turn against a fall.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Balance {
-    /// By how much the trunk is off, in rad/rad, from 0 to 2.
-    pub tilt: f64,
-    /// By how fast it turns, in s, from 0 to 0.5.
-    pub rate: f64,
-}
-
-/// A pose and how long the way to it takes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
-    /// From the frame before, in s.
-    pub duration: f64,
-    /// How long the robot stays, in s.
-    pub pause: f64,
-    /// Angles in rad, in the order of the ids; `None` for joints that the motion does not move.
-    pub positions: [Option<f64>; COUNT],
-}
-
-/// How joints move from one frame to the next.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Interpolation {
-    /// With minimum jerk; at rest in each frame.
-    #[default]
-    Smooth,
-    /// With continuous speed; at rest only where a joint turns back or the frame has a pause.
-    Through,
-    /// With constant speed between two frames.
-    Linear,
 }
 
 /// What is wrong with a file of motions.
@@ -129,27 +77,27 @@ pub enum MotionFileError {
 }
 
 impl Motions {
-    /// Reads a file.
+    /// Reads a file of motions of this robot.
     ///
     /// # Errors
     /// Returns an error with file and line if it cannot be read, or contains something invalid: an unknown
     /// joint, an angle beyond the limits of a joint, a speed beyond that of its servo.
-    pub fn read(file: &str) -> Result<Self, MotionFileError> {
+    pub fn read(file: &str, humanoid: &Humanoid) -> Result<Self, MotionFileError> {
         let refuse = |reason: String| MotionFileError::Read { file: file.to_owned(), reason };
         let bytes = std::fs::metadata(file).map_err(|error| refuse(error.to_string()))?.len();
         if bytes > MAX_BYTES {
             return Err(refuse(format!("it has {bytes} bytes, at most {MAX_BYTES} are allowed")));
         }
         let text = downbeat_msgs::user_file::read_text(file).map_err(|error| refuse(error.to_string()))?;
-        Self::parse(file, &text)
+        Self::parse(file, &text, humanoid)
     }
 
     /// Parses the text of a file, which is named in errors.
     ///
     /// # Errors
     /// As [`Motions::read`].
-    pub fn parse(file: &str, text: &str) -> Result<Self, MotionFileError> {
-        let source = Source { file, text };
+    pub fn parse(file: &str, text: &str, humanoid: &Humanoid) -> Result<Self, MotionFileError> {
+        let source = Source { file, text, humanoid };
         let entries: BTreeMap<Spanned<String>, MotionEntry> = toml::from_str(text).map_err(|error| {
             source.error(error.span().map_or(0, |span| span.start), error.message().trim().to_owned())
         })?;
@@ -176,7 +124,7 @@ impl Motions {
             }
             let mirrored = Motion {
                 about: entry.about.clone().unwrap_or_else(|| format!("{}, mirrored", motion.about)),
-                ..motion.mirrored()
+                ..motion.mirrored(humanoid)
             };
             motions.insert(name.get_ref().clone(), Arc::new(mirrored));
         }
@@ -192,36 +140,6 @@ impl Motions {
     /// The names of all motions, sorted.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.motions.keys().map(String::as_str)
-    }
-}
-
-impl Motion {
-    /// The duration of the motion with its pauses, in s.
-    #[must_use]
-    pub fn duration(&self) -> f64 {
-        self.frames.iter().map(|frame| frame.duration + frame.pause).sum()
-    }
-
-    fn mirrored(&self) -> Self {
-        let frames = self.frames.iter().map(|frame| {
-            let positions = std::array::from_fn(|index| {
-                let (other, sign) = mirror(index);
-                frame.positions[other].map(|position| position * sign)
-            });
-            Frame { positions, ..*frame }
-        });
-        Self { frames: frames.collect(), ..self.clone() }
-    }
-}
-
-/// The joint on the other side, and the sign of its angle: all pairs turn in opposite directions, and so does
-/// the head's pan.
-fn mirror(index: usize) -> (usize, f64) {
-    match JOINTS[index].name {
-        "head_pan" => (index, -1.0),
-        "head_tilt" => (index, 1.0),
-        // Joints of the right and the left side alternate.
-        _ => (index ^ 1, -1.0),
     }
 }
 
@@ -308,17 +226,18 @@ impl MotionEntry {
     }
 
     fn check_speeds(&self, motion: &Motion, source: &Source<'_>) -> Result<(), MotionFileError> {
-        let start = motion.frames[0].positions.map(|position| position.unwrap_or(0.0));
-        let path = super::path::Path::new(motion, &start, 0.0);
+        let first = motion.frames[0].positions.iter();
+        let start: Vec<f64> = first.map(|position| position.unwrap_or(0.0)).collect();
+        let path = Path::new(motion, &start, 0.0);
         for (number, entry) in self.frame.iter().enumerate().skip(1) {
-            for (index, joint) in JOINTS.iter().enumerate() {
-                let speed = path.peak_speed(number, index);
-                if speed > MAX_SPEED {
-                    let (name, duration) = (joint.name, motion.frames[number].duration);
+            for (index, joint) in source.humanoid.joints().iter().enumerate() {
+                let (speed, max_speed) = (path.peak_speed(number, index), joint.max_speed);
+                if speed > max_speed {
+                    let (name, duration) = (&joint.name, motion.frames[number].duration);
                     let problem = format!(
-                        "{name} would turn at {speed:.1} rad/s, its servo at most at {MAX_SPEED}; a duration_s of \
+                        "{name} would turn at {speed:.1} rad/s, its servo at most at {max_speed}; a duration_s of \
                          {:.2} suffices",
-                        duration * speed / MAX_SPEED + 0.005
+                        duration * speed / max_speed + 0.005
                     );
                     return Err(source.error(entry.get_ref().duration_s.span().start, problem));
                 }
@@ -338,17 +257,19 @@ impl FrameEntry {
             let problem = format!("{name} = {seconds} is out of range, {least} to {LONGEST} is allowed");
             Err(source.error(value.span().start, problem))
         };
-        let mut positions = [None; COUNT];
+        let joints = source.humanoid.joints();
+        let mut positions = vec![None; joints.len()];
         let named = [(&self.degrees, std::f64::consts::PI / 180.0), (&self.radians, 1.0)];
         for (angles, scale) in named {
             for (name, angle) in angles {
                 for (index, sign) in joints_named(name, source)? {
-                    let joint = &JOINTS[index];
+                    let joint = &joints[index];
+                    let [min, max] = joint.limits;
                     let position = angle.get_ref() * scale * sign;
                     // A limit as written in degrees is inside.
                     let slack = 1e-9;
-                    if !(joint.min_rad() - slack..=joint.max_rad() + slack).contains(&position) {
-                        let (min, max) = (joint.min_rad() / scale, joint.max_rad() / scale);
+                    if !(min - slack..=max + slack).contains(&position) {
+                        let (min, max) = (min / scale, max / scale);
                         let problem = format!(
                             "{} = {} is beyond the limits of the joint, {min:.4} to {max:.4}",
                             joint.name,
@@ -374,11 +295,11 @@ impl FrameEntry {
 impl Frame {
     /// This frame with the angles that it takes over from the frame before.
     fn after(self, before: &Self, at: usize, source: &Source<'_>) -> Result<Self, MotionFileError> {
-        let mut positions = before.positions;
+        let mut positions = before.positions.clone();
         for (index, position) in self.positions.iter().enumerate() {
             let Some(position) = position else { continue };
             if positions[index].replace(*position).is_none() {
-                let name = JOINTS[index].name;
+                let name = &source.humanoid.joints()[index].name;
                 let problem = format!("the first frame of the motion must name {name}, as this one does");
                 return Err(source.error(at, problem));
             }
@@ -389,21 +310,16 @@ impl Frame {
 
 /// The joints that a name stands for, with the sign of their angle: one, or one of each side.
 fn joints_named(name: &Spanned<String>, source: &Source<'_>) -> Result<Vec<(usize, f64)>, MotionFileError> {
-    if let Some(index) = index_of(name.get_ref()) {
-        return Ok(vec![(index, 1.0)]);
-    }
-    let side = |side: &str| index_of(&format!("{side}_{}", name.get_ref()));
-    if let (Some(right), Some(left)) = (side("r"), side("l")) {
-        return Ok(vec![(right, 1.0), (left, -1.0)]);
-    }
-    let hint = suggestion(name.get_ref(), JOINTS.iter().map(|joint| joint.name));
-    Err(source.error(name.span().start, format!("there is no joint \"{}\"{hint}", name.get_ref())))
+    let humanoid = source.humanoid;
+    let named = humanoid.joints_named(name.get_ref());
+    named.ok_or_else(|| source.error(name.span().start, humanoid.no_joint(name.get_ref())))
 }
 
-/// The text of a file, for errors.
+/// The text of a file, for errors, and the robot whose motions it has.
 struct Source<'a> {
     file: &'a str,
     text: &'a str,
+    humanoid: &'a Humanoid,
 }
 
 impl Source<'_> {
@@ -437,23 +353,29 @@ radians = { r_sho_pitch = 1.0 }
 mirror_of = \"wave\"
 ";
 
-    fn positions(motion: &Motion, frame: usize) -> Vec<(&'static str, f64)> {
-        let positions = motion.frames[frame].positions.iter().zip(&JOINTS);
-        positions.filter_map(|(position, joint)| Some((joint.name, (*position)?))).collect()
+    fn parse(text: &str) -> Result<Motions, MotionFileError> {
+        Motions::parse("a.toml", text, &Humanoid::darwin_op())
+    }
+
+    fn positions(motion: &Motion, frame: usize) -> Vec<(String, f64)> {
+        let humanoid = Humanoid::darwin_op();
+        let positions = motion.frames[frame].positions.iter().zip(humanoid.joints());
+        positions.filter_map(|(position, joint)| Some((joint.name.clone(), (*position)?))).collect()
     }
 
     /// The error for a file that differs from a good one.
     fn refused(text: &str, instead: &str) -> String {
         assert!(WAVE.contains(text));
-        Motions::parse("a.toml", &WAVE.replacen(text, instead, 1)).unwrap_err().to_string()
+        parse(&WAVE.replacen(text, instead, 1)).unwrap_err().to_string()
     }
 
     #[test]
     fn a_name_without_a_side_is_both_joints_and_frames_take_over_what_they_do_not_name() {
-        let motions = Motions::parse("a.toml", WAVE).unwrap();
+        let motions = parse(WAVE).unwrap();
         let wave = motions.get("wave").unwrap();
         let lean = 30.0_f64.to_radians();
-        assert_eq!(positions(wave, 1), [("r_sho_pitch", 1.0), ("r_hip_pitch", -lean), ("l_hip_pitch", lean)]);
+        let expected = [("r_sho_pitch", 1.0), ("r_hip_pitch", -lean), ("l_hip_pitch", lean)];
+        assert_eq!(positions(wave, 1), expected.map(|(name, angle)| (name.to_owned(), angle)));
         assert_eq!((wave.duration(), wave.interpolation), (1.6, Interpolation::Linear));
     }
 
@@ -462,10 +384,10 @@ mirror_of = \"wave\"
         let with = |balance: &str| {
             WAVE.replacen("[[wave.frame]]", &format!("balance = {balance}\n\n[[wave.frame]]"), 1)
         };
-        let motions = Motions::parse("a.toml", &with("{ tilt = 0.5, rate = 0.1 }")).unwrap();
+        let motions = parse(&with("{ tilt = 0.5, rate = 0.1 }")).unwrap();
         let gains = Some(Balance { tilt: 0.5, rate: 0.1 });
         assert_eq!(["wave", "wave_left"].map(|name| motions.get(name).unwrap().balance), [gains; 2]);
-        let refused = Motions::parse("a.toml", &with("{ tilt = 5.0, rate = 0.1 }")).unwrap_err().to_string();
+        let refused = parse(&with("{ tilt = 5.0, rate = 0.1 }")).unwrap_err().to_string();
         assert_eq!(
             refused,
             "a.toml:4: balance is out of range, tilt from 0 to 2 and rate from 0 to 0.5 are allowed"
@@ -474,9 +396,10 @@ mirror_of = \"wave\"
 
     #[test]
     fn a_mirror_image_moves_the_other_side() {
-        let motions = Motions::parse("a.toml", WAVE).unwrap();
+        let motions = parse(WAVE).unwrap();
         let lean = 30.0_f64.to_radians();
         let mirrored = [("l_sho_pitch", -1.0), ("r_hip_pitch", -lean), ("l_hip_pitch", lean)];
+        let mirrored = mirrored.map(|(name, angle)| (name.to_owned(), angle));
         assert_eq!(positions(motions.get("wave_left").unwrap(), 1), mirrored);
         assert_eq!(motions.names().collect::<Vec<_>>(), ["wave", "wave_left"]);
     }
@@ -525,7 +448,7 @@ mirror_of = \"wave\"
 
     #[test]
     fn a_missing_file_is_named() {
-        let error = Motions::read("/no/such/file.toml").unwrap_err().to_string();
+        let error = Motions::read("/no/such/file.toml", &Humanoid::darwin_op()).unwrap_err().to_string();
         assert!(error.starts_with("cannot read motions from /no/such/file.toml: "), "{error}");
     }
 }

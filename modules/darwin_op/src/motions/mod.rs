@@ -13,8 +13,9 @@
 //!
 //! | setting | |
 //! | --- | --- |
-//! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in |
+//! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in, and for no motions of another robot |
 //! | `speed` | the speed of all motions, as a fraction of what the file says |
+//! | `humanoid` | file of the robot's numbers; empty for the Darwin OP: see [`humanoid`](crate::humanoid) |
 //!
 //! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind
 //! or give way: they act as with s times the P gain.
@@ -26,14 +27,16 @@
 
 mod balance;
 pub mod file;
+mod motion;
 mod path;
 
-pub use file::{Motion, MotionFileError, Motions};
-pub use path::{FIRST_SPEED, Path};
+pub use file::{MotionFileError, Motions};
+pub use motion::{Balance, Frame, Interpolation, Motion};
+pub use path::Path;
 
 use crate::hardware::CYCLE;
-use crate::hardware::tables::joints::JOINTS;
-use crate::present_pose::{PresentPose, command, stand};
+use crate::humanoid::Humanoid;
+use crate::present_pose::{PresentPose, command};
 use balance::Attitude;
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
@@ -161,8 +164,10 @@ impl MotionPlayer {
             if self.is_walking && now.saturating_since(playing.asked) > PATIENCE {
                 self.end("the robot did not stop walking", ctx);
             } else if !self.is_walking && self.pose.is_known() {
-                let start = self.pose.start(now, &stand());
-                playing.path = Some(Path::new(&playing.motion, &start, FIRST_SPEED));
+                let start = self.pose.start(now);
+                // A start from far away is not urgent.
+                let first_speed = self.pose.humanoid().max_speed() / 2.0;
+                playing.path = Some(Path::new(&playing.motion, &start, first_speed));
                 playing.last = now;
             }
             return;
@@ -176,15 +181,18 @@ impl MotionPlayer {
         let ramp = (playing.time.min(path.duration() - playing.time) / RAMP_S).clamp(0.0, 1.0);
         let excess = (playing.motion.stiffness - 1.0) * ramp;
         let measured = self.pose.measured(&pose);
-        let mut goals = std::array::from_fn(|index| {
-            let joint = &JOINTS[index];
-            let goal = pose[index] + (pose[index] - measured[index]) * excess;
-            if excess > 0.0 { goal.clamp(joint.min_rad(), joint.max_rad()) } else { goal }
+        let humanoid = self.pose.humanoid();
+        let joints = humanoid.joints().iter().zip(pose.iter().zip(&measured));
+        let goals = joints.map(|(joint, (position, measured))| {
+            let goal = position + (position - measured) * excess;
+            let [min, max] = joint.limits;
+            if excess > 0.0 { goal.clamp(min, max) } else { goal }
         });
+        let mut goals: Vec<f64> = goals.collect();
         if let (Some(gains), Some(attitude)) = (playing.motion.balance, self.attitude) {
-            balance::balance(&mut goals, &pose, attitude, gains);
+            balance::balance(humanoid, &mut goals, &pose, attitude, gains);
         }
-        ctx.publish(ctx.ports.commands, command(now, &goals, |index| path.moves()[index]));
+        ctx.publish(ctx.ports.commands, command(now, humanoid, &goals, |index| path.moves()[index]));
         let is_over = playing.time >= path.duration();
         if let Some(id) = playing.goal.filter(|_| is_over || playing.time >= playing.feedback_at) {
             playing.feedback_at = playing.time + FEEDBACK_S;
@@ -214,15 +222,20 @@ impl Module for MotionPlayer {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        let humanoid = Humanoid::declare(setup)?;
         let file = setup.read_only_setting(
             "file",
             String::new(),
-            "file of motions, relative to the robot file; empty for the built-in motions of the Darwin OP",
+            "file of motions, relative to the robot file; empty: those of the Darwin OP, none of another robot",
         )?;
         let motions = match setup.value(file).map(String::as_str).unwrap_or_default() {
-            "" => Motions::parse("darwin_op_motions.toml", DARWIN_OP),
-            path => Motions::read(path),
+            "" if Arc::ptr_eq(&humanoid, &Humanoid::darwin_op()) => {
+                Motions::parse("darwin_op_motions.toml", DARWIN_OP, &humanoid)
+            }
+            "" => Ok(Motions::default()),
+            path => Motions::read(path, &humanoid),
         };
+        self.pose = PresentPose::new(humanoid);
         self.motions = motions.map_err(|error| setup.refuse_value(file, error.to_string()))?;
         let ports = Ports {
             commands: setup.publish("motions/joint_commands")?,
@@ -289,8 +302,9 @@ mod tests {
             let settings = [("file".to_owned(), path.to_owned().into())].into();
             let options = ModuleOptions { settings, ..ModuleOptions::default() };
             core.add_with("motions", MotionPlayer::default(), options).unwrap();
+            let humanoid = Humanoid::darwin_op();
             let states = core.inlet("joint_states").unwrap();
-            states.publish(command(Time::ZERO, &stand(), |_| true)).unwrap();
+            states.publish(command(Time::ZERO, &humanoid, &humanoid.stand(), |_| true)).unwrap();
             let (play, walking) = (core.inlet("motions/play").unwrap(), core.inlet("walking").unwrap());
             let commands = Collector::add(&mut core, "motions/joint_commands");
             let playing = Collector::add(&mut core, "motions/playing");
@@ -320,7 +334,7 @@ mod tests {
 
     #[test]
     fn the_built_in_motions_are_valid() {
-        let motions = Motions::parse("darwin_op_motions.toml", DARWIN_OP).unwrap();
+        let motions = Motions::parse("darwin_op_motions.toml", DARWIN_OP, &Humanoid::darwin_op()).unwrap();
         for name in
             ["stand", "sit", "wave", "get_up_front", "get_up_back", "get_up_left", "kick_left", "kick_right"]
         {
@@ -337,7 +351,10 @@ mod tests {
         let knee = |command: &JointState| {
             command.position[command.name.iter().position(|name| name == "r_knee").unwrap()]
         };
-        assert!((knee(&commands[0]) - stand()[12]).abs() < 0.01, "it starts at the stand");
+        assert!(
+            (knee(&commands[0]) - Humanoid::darwin_op().joints()[12].stand).abs() < 0.01,
+            "it starts at the stand"
+        );
         robot.run(30.0);
         assert!(knee(robot.commands.take().last().unwrap()) > 1.5, "it sits");
         assert_eq!(robot.names_played(), ["sit", ""]);
@@ -384,7 +401,7 @@ mod tests {
         let mut robot = Robot::with_file(&path);
         robot.play("nod");
         robot.run(1.5);
-        let given_way = stand()[19];
+        let given_way = Humanoid::darwin_op().joints()[19].stand;
         let goal = robot.commands.take().last().unwrap().position[0];
         assert!((goal - (0.2 + 2.0 * (0.2 - given_way))).abs() < 1e-9, "{goal}");
         robot.run(2.0);

@@ -11,8 +11,7 @@
 //! F. N. Fritsch, J. Butland, "A Method for Constructing Local Monotone Piecewise Cubic Interpolants", SIAM
 //! Journal on Scientific and Statistical Computing 5 (1984), for (2).
 
-use super::file::{Interpolation, MAX_SPEED, Motion};
-use crate::hardware::tables::joints::COUNT;
+use super::motion::{Interpolation, Motion};
 
 /// A motion from a start pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +19,7 @@ pub struct Path {
     interpolation: Interpolation,
     /// The start and the frames.
     knots: Vec<Knot>,
-    moves: [bool; COUNT],
+    moves: Vec<bool>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -28,9 +27,9 @@ struct Knot {
     /// When the frame is reached and when it is left, in s from the start.
     reached: f64,
     left: f64,
-    positions: [f64; COUNT],
+    positions: Vec<f64>,
     /// Speeds at the frame, in rad/s, for (2).
-    speeds: [f64; COUNT],
+    speeds: Vec<f64>,
 }
 
 /// The number of points at which a speed is measured.
@@ -40,13 +39,20 @@ impl Path {
     /// Lays out a motion from a start pose. The way to the first frame takes longer than written if a joint
     /// would otherwise turn faster than `max_speed` in rad/s; 0 means no limit.
     #[must_use]
-    pub fn new(motion: &Motion, start: &[f64; COUNT], max_speed: f64) -> Self {
+    pub fn new(motion: &Motion, start: &[f64], max_speed: f64) -> Self {
         let first = &motion.frames[0];
-        let moves = first.positions.map(|position| position.is_some());
-        let mut knots = vec![Knot { reached: 0.0, left: 0.0, positions: *start, speeds: [0.0; COUNT] }];
+        let moves = first.positions.iter().map(Option::is_some).collect();
+        let at_rest = vec![0.0; start.len()];
+        let start_knot = Knot { reached: 0.0, left: 0.0, positions: start.into(), speeds: at_rest.clone() };
+        let mut knots = vec![start_knot];
         let mut time = 0.0;
         for (number, frame) in motion.frames.iter().enumerate() {
-            let positions = std::array::from_fn(|index| frame.positions[index].unwrap_or(start[index]));
+            let positions: Vec<f64> = frame
+                .positions
+                .iter()
+                .zip(start)
+                .map(|(position, start)| position.unwrap_or(*start))
+                .collect();
             let mut duration = frame.duration;
             if number == 0 && max_speed > 0.0 {
                 let way =
@@ -55,7 +61,7 @@ impl Path {
                 duration = duration.max(1.875 * way / max_speed);
             }
             time += duration;
-            knots.push(Knot { reached: time, left: time + frame.pause, positions, speeds: [0.0; COUNT] });
+            knots.push(Knot { reached: time, left: time + frame.pause, positions, speeds: at_rest.clone() });
             time += frame.pause;
         }
         for number in 1..knots.len() - 1 {
@@ -64,7 +70,7 @@ impl Path {
                 continue;
             }
             let (h0, h1) = (here.reached - before.left, after.reached - here.left);
-            let speeds = std::array::from_fn(|joint| {
+            let speed = |joint: usize| {
                 let d0 = (here.positions[joint] - before.positions[joint]) / h0;
                 let d1 = (after.positions[joint] - here.positions[joint]) / h1;
                 if d0 * d1 <= 0.0 {
@@ -72,8 +78,8 @@ impl Path {
                 }
                 let weight = (h0 + 2.0 * h1) / (3.0 * (h0 + h1));
                 d0 * d1 / (weight * d1 + (1.0 - weight) * d0)
-            });
-            knots[number].speeds = speeds;
+            };
+            knots[number].speeds = (0..start.len()).map(speed).collect();
         }
         Self { interpolation: motion.interpolation, knots, moves }
     }
@@ -86,15 +92,15 @@ impl Path {
 
     /// Which joints the motion commands.
     #[must_use]
-    pub fn moves(&self) -> &[bool; COUNT] {
+    pub fn moves(&self) -> &[bool] {
         &self.moves
     }
 
     /// The pose at a time in s from the start.
     #[must_use]
-    pub fn pose(&self, time: f64) -> [f64; COUNT] {
+    pub fn pose(&self, time: f64) -> Vec<f64> {
         let next = self.knots.partition_point(|knot| knot.left <= time).clamp(1, self.knots.len() - 1);
-        std::array::from_fn(|joint| self.position(next, joint, time))
+        (0..self.moves.len()).map(|joint| self.position(next, joint, time)).collect()
     }
 
     fn position(&self, next: usize, joint: usize, time: f64) -> f64 {
@@ -123,15 +129,14 @@ impl Path {
     }
 }
 
-/// The largest speed on the way to the first frame, in rad/s: a start from far away is not urgent.
-pub const FIRST_SPEED: f64 = MAX_SPEED / 2.0;
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::super::file::Motions;
     use super::*;
+    use crate::hardware::tables::joints::COUNT;
+    use crate::humanoid::Humanoid;
     use proptest::prelude::*;
 
     fn motion(interpolation: &str) -> std::sync::Arc<Motion> {
@@ -141,7 +146,7 @@ mod tests {
              [[m.frame]]\nduration_s = 0.5\nradians = {{ head_pan = 0.6, r_el = -0.5 }}\n\
              [[m.frame]]\nduration_s = 1\npause_s = 0.5\nradians = {{ head_pan = 1.0, r_el = 0.5 }}\n"
         );
-        Motions::parse("m.toml", &text).unwrap().get("m").unwrap().clone()
+        Motions::parse("m.toml", &text, &Humanoid::darwin_op()).unwrap().get("m").unwrap().clone()
     }
 
     const PAN: usize = 18;

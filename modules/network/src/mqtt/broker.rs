@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use downbeat_device::Device;
 use downbeat_executor::Time;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
@@ -15,6 +14,8 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use parking_lot::Mutex;
 
 use super::connection::{self, Connection, Happening, Publisher};
+use super::options::{Options, Version};
+use super::packet::Packet;
 
 /// How many messages wait on each way; older ones are dropped.
 pub const MOST_WAITING: usize = 256;
@@ -26,89 +27,6 @@ const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1
 const LASTING: Duration = Duration::from_secs(5);
 /// How long the end of the robot waits for the broker to take what is left.
 const FAREWELL: Duration = Duration::from_millis(500);
-
-/// A message on its way from or to the broker.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Packet {
-    /// The topic on the broker.
-    pub topic: String,
-    /// The content.
-    pub payload: Bytes,
-    /// 0 (at most once), 1 (at least once) or 2 (exactly once).
-    pub qos: u8,
-    /// When sending: the broker keeps it for those who come later. When received: it was kept.
-    pub is_retained: bool,
-}
-
-impl Packet {
-    /// As in recordings: a byte with the quality of service in bits 1 and 2 and retention in bit 0, the
-    /// length of the topic (two bytes, big endian), the topic, the payload.
-    #[must_use]
-    pub fn to_bytes(&self) -> Vec<u8> {
-        let length = u16::try_from(self.topic.len()).unwrap_or(u16::MAX);
-        let topic = self.topic.as_bytes().get(..usize::from(length)).unwrap_or_default();
-        let head = [self.qos << 1 | u8::from(self.is_retained)];
-        [&head[..], &length.to_be_bytes(), topic, &self.payload].concat()
-    }
-
-    /// Reads [`to_bytes`](Self::to_bytes); `None` if these bytes are no packet.
-    #[must_use]
-    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
-        let ([head], rest) = bytes.split_first_chunk()?;
-        let (length, rest) = rest.split_first_chunk()?;
-        let (topic, payload) = rest.split_at_checked(usize::from(u16::from_be_bytes(*length)))?;
-        Some(Self {
-            topic: std::str::from_utf8(topic).ok()?.to_owned(),
-            payload: Bytes::copy_from_slice(payload),
-            qos: Some(head >> 1).filter(|qos| *qos <= 2)?,
-            is_retained: head & 1 == 1,
-        })
-    }
-}
-
-/// The version of the protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Version {
-    /// MQTT 3.1.1.
-    V3,
-    /// MQTT 5.
-    V5,
-}
-
-/// What a connection needs to know.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Options {
-    /// The version of the protocol.
-    pub version: Version,
-    /// The name or address of the broker.
-    pub host: String,
-    /// Its port.
-    pub port: u16,
-    /// The name of the client; if it is empty, the broker chooses one.
-    pub client_id: String,
-    /// User and password.
-    pub login: Option<(String, String)>,
-    /// After so long without a packet both sides ask whether the other is there; at least 5 s.
-    pub keep_alive: Duration,
-    /// The longest payload in bytes, of both ways.
-    pub max_bytes: usize,
-    /// What is received, with its quality of service.
-    pub filters: Vec<(String, u8)>,
-    /// The topic that says whether the robot is there, retained; empty for none.
-    pub status_topic: String,
-    /// What it says while the robot is there.
-    pub online: String,
-    /// What it says when the robot has left, or is lost (the last will).
-    pub offline: String,
-}
-
-impl Options {
-    pub(super) fn status(&self, payload: &str) -> Option<Packet> {
-        let payload = Bytes::copy_from_slice(payload.as_bytes());
-        let topic = self.status_topic.clone();
-        (!topic.is_empty()).then_some(Packet { topic, payload, qos: 1, is_retained: true })
-    }
-}
 
 /// What the module wants of the broker.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -420,16 +338,6 @@ mod tests {
 
     fn packet(length: usize) -> Packet {
         Packet { topic: "é/b".to_owned(), payload: vec![7; length].into(), qos: 2, is_retained: true }
-    }
-
-    #[test]
-    fn packets_in_recordings_are_read_back_and_others_refused() {
-        let bytes = packet(3).to_bytes();
-        assert_eq!(Packet::from_bytes(&bytes), Some(packet(3)));
-        for end in 0..bytes.len() - 3 {
-            assert_eq!(Packet::from_bytes(&bytes[..end]), None, "{end}");
-        }
-        assert_eq!(Packet::from_bytes(&[7, 0, 0]), None, "there is no quality of service 3");
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use rumqttc::v5::mqttbytes::v5 as packets5;
 use rumqttc::{self as v3, v5};
 
-use super::broker::{Options, Packet};
+use super::options::Options;
+use super::packet::Packet;
 
 /// How many packets wait between the module and the connection.
 const CAPACITY: usize = 10;

@@ -30,7 +30,12 @@
 
 pub mod broker;
 mod connection;
+mod options;
+mod packet;
 mod route;
+
+pub use options::{Options, Version};
+pub use packet::Packet;
 
 use std::time::Duration;
 
@@ -41,7 +46,7 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::encoding::Codec;
 use downbeat_msgs::std_msgs::msg::Bool;
 
-use broker::{Broker, Options, Packet, Request, Version};
+use broker::{Broker, Request};
 use route::{Route, Way, selects};
 
 /// How often the queues are looked at.

@@ -7,7 +7,7 @@
 //! # References
 //! `ros-simulation/simulation_interfaces` 2.1.0.
 
-use super::{DarwinOpSimulator, Ports, WORLD, header, isometry, pose_message, twist_message};
+use super::{HumanoidSimulator, Ports, WORLD, header, isometry, pose_message, twist_message};
 use crate::simulation::{Request, RunState, Snapshot};
 use crate::spawned::{MOST_SPAWNED, SPAWNABLES, Spawned};
 use crate::world::{Engine, Motion};
@@ -52,39 +52,39 @@ const LONGEST_FILTER: usize = 1000;
 const CHECK: Duration = Duration::from_millis(20);
 
 pub(super) fn declare(
-    setup: &mut Setup<'_, DarwinOpSimulator>,
+    setup: &mut Setup<'_, HumanoidSimulator>,
     services: &mut Services,
 ) -> Result<(), SetupError> {
     setup.serve(
         "simulator/get_simulator_features",
-        |module: &mut DarwinOpSimulator, _: &GetSimulatorFeaturesRequest, _| {
+        |module: &mut HumanoidSimulator, _: &GetSimulatorFeaturesRequest, _| {
             let engine = module.parts.as_ref().map(|parts| parts.simulation.options().engine);
             Ok(features(engine.unwrap_or_default()))
         },
     )?;
-    setup.serve("simulator/get_simulation_state", DarwinOpSimulator::get_state)?;
-    setup.serve("simulator/set_simulation_state", DarwinOpSimulator::set_state)?;
-    setup.serve("simulator/reset_simulation", DarwinOpSimulator::reset)?;
-    setup.serve_later("simulator/step_simulation", DarwinOpSimulator::step)?;
-    setup.serve("simulator/get_entities", DarwinOpSimulator::get_entities)?;
-    setup.serve("simulator/get_entities_states", DarwinOpSimulator::get_entities_states)?;
-    setup.serve("simulator/get_entity_info", DarwinOpSimulator::get_entity_info)?;
-    setup.serve("simulator/get_entity_state", DarwinOpSimulator::get_entity_state)?;
-    setup.serve("simulator/set_entity_state", DarwinOpSimulator::set_entity_state)?;
+    setup.serve("simulator/get_simulation_state", HumanoidSimulator::get_state)?;
+    setup.serve("simulator/set_simulation_state", HumanoidSimulator::set_state)?;
+    setup.serve("simulator/reset_simulation", HumanoidSimulator::reset)?;
+    setup.serve_later("simulator/step_simulation", HumanoidSimulator::step)?;
+    setup.serve("simulator/get_entities", HumanoidSimulator::get_entities)?;
+    setup.serve("simulator/get_entities_states", HumanoidSimulator::get_entities_states)?;
+    setup.serve("simulator/get_entity_info", HumanoidSimulator::get_entity_info)?;
+    setup.serve("simulator/get_entity_state", HumanoidSimulator::get_entity_state)?;
+    setup.serve("simulator/set_entity_state", HumanoidSimulator::set_entity_state)?;
     setup.serve("simulator/get_spawnables", |_, _: &GetSpawnablesRequest, _| Ok(spawnables()))?;
-    setup.serve("simulator/spawn_entity", DarwinOpSimulator::spawn_entity)?;
-    setup.serve("simulator/delete_entity", DarwinOpSimulator::delete_entity)?;
-    ActionServer::builder(|module: &mut DarwinOpSimulator| &mut module.services.action)
+    setup.serve("simulator/spawn_entity", HumanoidSimulator::spawn_entity)?;
+    setup.serve("simulator/delete_entity", HumanoidSimulator::delete_entity)?;
+    ActionServer::builder(|module: &mut HumanoidSimulator| &mut module.services.action)
         .on_goal(|module, _, goal, _| match module.run_state() {
             RunState::Paused if goal.steps <= MOST_STEPS && module.services.goal.is_none() => {
                 GoalResponse::AcceptAndExecute
             }
             _ => GoalResponse::Reject,
         })
-        .on_accepted(DarwinOpSimulator::begin_goal)
+        .on_accepted(HumanoidSimulator::begin_goal)
         .on_cancel(|_, _, _| CancelResponse::Reject)
         .declare(setup, "simulator/simulate_steps", &mut services.action)?;
-    setup.every(CHECK, DarwinOpSimulator::finish_steps)
+    setup.every(CHECK, HumanoidSimulator::finish_steps)
 }
 
 fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
@@ -138,7 +138,7 @@ fn failed(result: u8, error_message: impl Into<String>) -> Outcome {
     Outcome { result, error_message: error_message.into() }
 }
 
-impl DarwinOpSimulator {
+impl HumanoidSimulator {
     /// What time does after all that was asked for.
     fn run_state(&self) -> RunState {
         self.services.run.unwrap_or(RunState::Playing)
@@ -439,7 +439,7 @@ impl DarwinOpSimulator {
     }
 }
 
-impl DarwinOpSimulator {
+impl HumanoidSimulator {
     fn spawn_entity(
         &mut self,
         request: &SpawnEntityRequest,

@@ -18,9 +18,9 @@ pub use robot::{Place, WalkingRobot};
 
 use crate::error::SimulationError;
 use crate::harness::SimulatedRunError;
+use crate::scenery::Ball;
 use crate::simulation::SimulationOptions;
 use crate::world::{Posture, Variation};
-use crate::world_file::Ball;
 use downbeat_executor::{InletError, SetupError};
 use downbeat_servos::servo_emulator::Random;
 use std::f64::consts::PI;

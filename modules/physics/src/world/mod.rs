@@ -7,8 +7,8 @@ mod rapier;
 pub(crate) use rapier::{RapierWorld, overlap};
 
 use crate::model::Model;
+use crate::scenery::WorldFile;
 use crate::spawned::Spawned;
-use crate::world_file::WorldFile;
 use downbeat_darwin_op::emulator::FootForces;
 use downbeat_transforms::Isometry;
 use glam::DVec3;
@@ -131,7 +131,7 @@ pub struct Start {
 /// On what a robot stands or lies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Posture {
-    /// On its soles: the links `l_sole` and `r_sole` are level; upright if it has none.
+    /// On its soles, which are level; upright if it has none.
     #[default]
     Standing,
     /// On its front.
@@ -278,7 +278,6 @@ pub(crate) fn build(engine: Engine, plan: Plan<'_>) -> Result<Box<dyn World>, En
 const ARMATURE: f64 = 0.005;
 /// The distance of the lowest point from the floor at the start, in m.
 const START_HEIGHT: f64 = 0.001;
-const GRAVITY: f64 = 9.806_65;
 
 /// A hash of numbers, bit for bit (FNV-1a).
 fn hash(bytes: impl Iterator<Item = u8>) -> u64 {

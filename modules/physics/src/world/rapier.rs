@@ -8,12 +8,13 @@
 //! rapier3d 0.36.1: `Multibody` (reduced coordinates, armature and dry friction per degree of freedom).
 
 use super::{
-    ARMATURE, GRAVITY, JointDrive, Motion, Plan, Posture, RobotBodies, START_HEIGHT, Start, Variation, World,
+    ARMATURE, JointDrive, Motion, Plan, Posture, RobotBodies, START_HEIGHT, Start, Variation, World,
 };
 use crate::model::{Model, Shape};
+use crate::scenery::WorldFile;
 use crate::spawned::{Spawned, SpawnedShape};
-use crate::world_file::WorldFile;
 use downbeat_darwin_op::emulator::FootForces;
+use downbeat_servos::servo_bus::models::STANDARD_GRAVITY;
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d::parry::query;
@@ -81,7 +82,7 @@ impl RapierWorld {
         robots: &[(&Start, &Variation)],
     ) -> Self {
         let mut physics = PhysicsWorld::new();
-        physics.gravity = Vector::new(0.0, 0.0, -GRAVITY as f32);
+        physics.gravity = Vector::new(0.0, 0.0, -STANDARD_GRAVITY as f32);
         physics.integration_parameters.dt = step.as_secs_f32();
         physics.integration_parameters.num_solver_iterations = 1;
         let friction_of = |variation: &Variation| (file.floor.friction * variation.friction) as f32;
@@ -117,9 +118,11 @@ impl RapierWorld {
             .map(|body| body.joint.as_ref().map_or(0.0, |joint| angle(&joint.name)))
             .collect();
         let poses = model.poses(&angles);
-        let sole =
-            |name: &str| model.frames.get(name).map(|&(body, body_from_sole)| poses[body] * body_from_sole);
-        let upright = match (start.posture, sole("l_sole"), sole("r_sole")) {
+        let sole = |name: &String| {
+            model.frames.get(name).map(|&(body, body_from_sole)| poses[body] * body_from_sole)
+        };
+        let [right, left] = &model.marks.soles;
+        let upright = match (start.posture, sole(left), sole(right)) {
             (Posture::Standing, Some(left), Some(right)) => {
                 // Level soles, below the midpoint of which is the origin.
                 let rotation = left.rotation.conjugate();
@@ -187,7 +190,7 @@ impl RapierWorld {
                 continue;
             }
             // The torque slows down the mass (r^2) and the rotation (0.4 r^2) of a solid ball.
-            let lost = rolling_friction * GRAVITY as f32 * dt / (1.4 * radius);
+            let lost = rolling_friction * STANDARD_GRAVITY as f32 * dt / (1.4 * radius);
             let kept = (1.0 - lost / speed).max(0.0);
             let (linear, angular) = (body.linvel(), body.angvel());
             body.set_linvel(Vector::new(linear.x * kept, linear.y * kept, linear.z), false);
@@ -476,7 +479,7 @@ fn insert_robot(physics: &mut PhysicsWorld, model: &Model, variation: &Variation
             multibody.frictions_mut()[index] = friction;
         }
     }
-    let feet = ["r_sole", "l_sole"].map(|name| {
+    let feet = model.marks.soles.each_ref().map(|name| {
         let &(body, body_from_sole) = model.frames.get(name)?;
         let handle = links.get(body)?.handle;
         let collider = *physics.bodies.get(handle)?.colliders().first()?;

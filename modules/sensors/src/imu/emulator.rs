@@ -11,11 +11,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_executor::{Module, Setup, SetupError};
+use downbeat_servos::servo_bus::models::STANDARD_GRAVITY;
 use downbeat_servos::servo_emulator::{Fault, Random};
 use parking_lot::Mutex;
 
 use super::bus::{Emulated, EmulatedBuses, EmulatedChip};
-use super::{GRAVITY, bno055, mpu};
+use super::{bno055, mpu};
 use crate::memory::is_memory;
 
 /// How fast the chip turns, in rad/s.
@@ -83,7 +84,7 @@ impl Motion {
     }
 
     fn acceleration(&mut self) -> [f64; 3] {
-        [0.0, 0.0, GRAVITY].map(|acceleration| acceleration + self.random.normal(NOISE[1]))
+        [0.0, 0.0, STANDARD_GRAVITY].map(|acceleration| acceleration + self.random.normal(NOISE[1]))
     }
 
     fn field(now: Duration) -> [f64; 3] {
@@ -119,7 +120,7 @@ impl EmulatedMpu {
         let range = |register: u8| usize::from(self.registers[usize::from(register)] >> 3 & 0b11);
         let per_g = mpu::ACCELERATION_RANGES[range(0x1C)].1;
         let per_degree = mpu::GYRO_RANGES[range(0x1B)].1;
-        let acceleration = self.motion.acceleration().map(|value| steps(value / GRAVITY * per_g));
+        let acceleration = self.motion.acceleration().map(|value| steps(value / STANDARD_GRAVITY * per_g));
         let rate = self.motion.angular_velocity().map(|value| steps(value.to_degrees() * per_degree));
         // 25 °C of the MPU-6050.
         let all = [&acceleration[..], &[steps((25.0 - 36.53) * 340.0)], &rate].concat();

@@ -96,6 +96,3 @@ pub(crate) trait Chip: Send {
 fn write(address: u8, register: u8, value: u8) -> Step {
     Step::Write { address, register, values: vec![value] }
 }
-
-/// The standard gravity, in m/s².
-const GRAVITY: f64 = 9.80665;

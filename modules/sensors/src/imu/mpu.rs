@@ -11,7 +11,8 @@
 
 use std::time::Duration;
 
-use super::{Chip, GRAVITY, Reading, Registers, Step, write};
+use super::{Chip, Reading, Registers, Step, write};
+use downbeat_servos::servo_bus::models::STANDARD_GRAVITY;
 
 /// The address with AD0 low; with AD0 high it is 0x69.
 pub const ADDRESS: u8 = 0x68;
@@ -241,7 +242,7 @@ impl Chip for Mpu {
             |ranges: &[(i64, f64); 4], range: usize| ranges.get(range).map_or(f64::NAN, |(_, steps)| *steps);
         let per_g = steps(&ACCELERATION_RANGES, self.settings.acceleration_range);
         let per_degree = steps(&GYRO_RANGES, self.settings.gyro_range);
-        reading.acceleration = vector(0, GRAVITY / per_g);
+        reading.acceleration = vector(0, STANDARD_GRAVITY / per_g);
         reading.angular_velocity = vector(4, 1.0_f64.to_radians() / per_degree);
         reading.temperature = self.found.zip(number(3)).map(|(variant, steps)| variant.temperature(steps));
         Ok(())

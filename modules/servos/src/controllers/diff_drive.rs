@@ -46,16 +46,16 @@
 use std::time::Duration;
 
 use super::claims::OwnClaims;
-use super::{header, joint_names};
-use crate::stamps::{Stale, given_at};
+use super::joint_names;
+use crate::stamps::{Stale, given_at, header};
 use downbeat_executor::{
     Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
 };
-use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, TransformStamped, Twist, TwistStamped};
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::tf2_msgs::msg::TFMessage;
+use downbeat_transforms::wrapped;
 
 /// Drives a base with wheels on two sides; see the [module page](self).
 #[derive(Default)]

@@ -22,7 +22,8 @@
 //! `forward_command_controller` of `ros-controls/ros2_controllers`, branch jazzy: `doc/userdoc.rst`.
 
 use super::claims::OwnClaims;
-use super::{header, joint_names, own};
+use super::{joint_names, own};
+use crate::stamps::header;
 use downbeat_executor::{
     Context, Module, Publication, Received, Setting, Setup, SetupError, TransitionError,
 };

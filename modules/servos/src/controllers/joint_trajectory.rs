@@ -41,8 +41,8 @@ use std::time::Duration;
 
 use super::claims::OwnClaims;
 use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
-use super::{header, joint_names, own};
-use crate::stamps::Stale;
+use super::{joint_names, own};
+use crate::stamps::{Stale, header};
 use crate::step::standstill;
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use downbeat_executor::{

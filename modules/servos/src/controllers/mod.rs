@@ -21,9 +21,7 @@ pub mod forward_command;
 pub mod joint_trajectory;
 pub mod spline;
 
-use downbeat_executor::{Module, Setting, Setup, SetupError, Time};
-use downbeat_msgs::builtin_interfaces;
-use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_executor::{Module, Setting, Setup, SetupError};
 
 /// A name of the module's own, as ros2_control forms it.
 fn own<M: Module>(setup: &Setup<'_, M>, name: &str) -> String {
@@ -45,9 +43,4 @@ fn joint_names<M: Module>(
         return Err(setup.refuse_value(key, format!("it names the joint \"{twice}\" twice")));
     }
     Ok(names)
-}
-
-fn header(now: Time, frame_id: &str) -> Header {
-    let stamp = builtin_interfaces::msg::Time::from_nanos(now.as_nanos());
-    Header { stamp, frame_id: frame_id.to_owned() }
 }

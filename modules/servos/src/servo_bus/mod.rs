@@ -27,7 +27,7 @@ mod tool;
 
 pub use description::{BusPlan, Description, DescriptionError, DevicePlan, ImuPlan, PowerSwitch};
 pub use joint::{Drive, Guard, Joint, Measurement, Protection, Quantity, Registers, Thresholds};
-pub use module::{Hardware, ImuReading, SLOW, ServoBus, Topics, battery_state, header};
+pub use module::{Hardware, ImuReading, SLOW, ServoBus, Topics, battery_state};
 pub use reading::Reading;
 pub use tool::{Caution, Found, ServoError, ServoPort};
 

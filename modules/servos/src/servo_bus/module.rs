@@ -8,10 +8,9 @@ use super::joint::Quantity;
 use super::models::Register;
 use super::protocol::{Id, Protocol, WriteEntry};
 use super::reading::Reading;
-use crate::stamps::{Stale, given_at};
+use crate::stamps::{Stale, given_at, header};
 use downbeat_device::counted::Counted;
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time, TransitionError};
-use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::geometry_msgs::msg::Vector3;
@@ -305,13 +304,6 @@ impl Hardware {
 fn driver_of(plan: &BusPlan, reports_cycles: bool) -> Driver {
     let driver = Driver::new(plan.joints.len(), plan.devices.len());
     if reports_cycles { driver } else { driver.with_recorded_freshness() }
-}
-
-/// A header with that stamp.
-#[must_use]
-pub fn header(stamp: Time, frame_id: &str) -> Header {
-    let stamp = builtin_interfaces::msg::Time::from_nanos(stamp.as_nanos());
-    Header { stamp, frame_id: frame_id.to_owned() }
 }
 
 /// What an IMU measured, forward, left and up, with the steps of its numbers, in rad/s and m/s^2.

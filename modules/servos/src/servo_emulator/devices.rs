@@ -1,9 +1,47 @@
-//! How devices on a bus obey instructions and answer, in all protocols.
+//! The devices behind a port: how they obey instructions and answer, in all protocols.
 
 use super::wire::Answer;
 use crate::servo_bus::protocol::emit_joined;
 use crate::servo_bus::protocol::{Id, Instruction, Packet, Protocol, ReadEntry, Status, StatusError};
 use std::time::Duration;
+
+/// The devices behind the port of an emulator.
+///
+/// What they answer depends only on the calls, so that the same instructions at the same times get the same
+/// answers.
+pub trait Devices: Send {
+    /// The protocol that they speak.
+    fn protocol(&self) -> Protocol;
+
+    /// The speed of their bus, in bit/s.
+    fn baud(&self) -> u32;
+
+    /// Sets the speed at which the computer sends, in bit/s.
+    fn set_line_speed(&mut self, baud: u32) {
+        let _ = baud;
+    }
+
+    /// Advances to this time since the start.
+    fn advance_to(&mut self, now: Duration);
+
+    /// A step of the owner of the bus begins: see [`MemoryBus`](super::MemoryBus).
+    fn begin_step(&mut self);
+
+    /// Sets which devices are dead: without power, as if disconnected.
+    fn set_dead(&mut self, is_dead: &dyn Fn(Id) -> bool);
+
+    /// Executes an instruction.
+    ///
+    /// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for
+    /// the devices after it.
+    fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer>;
+
+    /// Holds a button down for a while; `number` is its position on the robot. Devices without buttons ignore
+    /// it.
+    fn press(&mut self, number: usize, held: Duration) {
+        let _ = (number, held);
+    }
+}
 
 /// A device with a control table.
 pub trait Device {

@@ -51,20 +51,27 @@
 mod body;
 mod devices;
 mod emulator;
+mod error;
 mod fault;
 mod memory;
 mod module;
+mod options;
+mod ports;
 mod pseudo_terminal;
 mod random;
 mod servos;
+mod shared;
 mod wire;
 
 pub use body::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
-pub use devices::{Device, answer};
-pub use emulator::{Devices, Emulator, EmulatorError, EmulatorOptions};
+pub use devices::{Device, Devices, answer};
+pub use emulator::Emulator;
+pub use error::EmulatorError;
 pub use fault::{Fault, FaultKind, FaultParseError, FaultSchedule, Rate};
-pub use memory::{MemoryBus, MemoryPorts, NameInUse, PortBus};
+pub use memory::MemoryBus;
 pub use module::{Served, ServoEmulator};
+pub use options::EmulatorOptions;
+pub use ports::{MemoryPorts, NameInUse, PortBus};
 pub use pseudo_terminal::{PseudoTerminal, remove_links};
 pub use random::Random;
 pub use servos::Unit;
@@ -80,6 +87,18 @@ impl Emulator {
     /// Returns an error if there is no pseudo terminal, or the link cannot be created.
     pub fn start_servos(plan: &BusPlan, options: EmulatorOptions) -> Result<Self, EmulatorError> {
         Self::serve(Box::new(Servos::new(plan, options.seed, None)), options)
+    }
+
+    /// As [`Emulator::start_servos`], with a body as of [`Emulator::servos_with`].
+    ///
+    /// # Errors
+    /// As [`Emulator::start_servos`].
+    pub fn start_servos_with(
+        plan: &BusPlan,
+        options: EmulatorOptions,
+        body: Box<dyn Body>,
+    ) -> Result<Self, EmulatorError> {
+        Self::serve(Box::new(Servos::new(plan, options.seed, Some(body))), options)
     }
 
     /// The devices of a bus without a port, for its [`MemoryBus`]. The link is ignored.

@@ -1,6 +1,6 @@
 //! The port of the emulator.
 
-use super::EmulatorError;
+use super::error::EmulatorError;
 use parking_lot::Mutex;
 use serialport::{SerialPort, TTYPort};
 use std::collections::BTreeMap;

@@ -1,12 +1,11 @@
 //! The emulated devices of a described bus.
 
 use super::body::{Body, ImuMotion, JointMotion, ServoCommand};
-use super::devices::{Device, answer};
-use super::emulator::Devices;
+use super::devices::{Device, Devices, answer};
 use super::random::Random;
 use super::wire::Answer;
 use crate::servo_bus::bus::LineSettings;
-use crate::servo_bus::models::{Access, Model, Register};
+use crate::servo_bus::models::{Access, Model, Register, STANDARD_GRAVITY};
 use crate::servo_bus::protocol::{Id, Packet, Protocol, StatusError};
 use crate::servo_bus::{BusPlan, Joint};
 use std::sync::Arc;
@@ -470,6 +469,6 @@ impl Body for Joints {
     }
 
     fn imu(&self) -> ImuMotion {
-        ImuMotion { specific_force: [0.0, 0.0, 9.806_65], ..ImuMotion::default() }
+        ImuMotion { specific_force: [0.0, 0.0, STANDARD_GRAVITY], ..ImuMotion::default() }
     }
 }

@@ -4,10 +4,10 @@
 //! forward.
 //!
 //! # References
-//! Ids and names: DARwIn-OP framework (the names are those of ROBOTIS for the OP2 and OP3 in ROS). Limits and
-//! axes: drewnoakes/bold-humanoid, `configuration-team.json` and `DarwinBodyModel`, turned to REP-103.
-//! Walking-ready pose: page 9 of the factory's motion file. The OP3 turns hip pitch, knee and ankle pitch the
-//! other way round.
+//! Ids and names: DARwIn-OP framework (the names are those of ROBOTIS for its later robots in ROS, some of
+//! whose joints turn the other way round). Limits and axes: drewnoakes/bold-humanoid,
+//! `configuration-team.json` and `DarwinBodyModel`, turned to REP-103. Walking-ready pose: page 9 of the
+//! factory's motion file.
 
 use super::super::protocol::Id;
 use super::units::ticks_from_radians;

@@ -6,10 +6,11 @@
 mod library;
 
 use super::rapier::RapierWorld;
-use super::{ARMATURE, EngineError, GRAVITY, JointDrive, Motion, Plan, RobotBodies, World};
+use super::{ARMATURE, EngineError, JointDrive, Motion, Plan, RobotBodies, World};
 use crate::model::Model;
-use crate::world_file::WorldFile;
+use crate::scenery::WorldFile;
 use downbeat_darwin_op::emulator::FootForces;
+use downbeat_servos::servo_bus::models::STANDARD_GRAVITY;
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec3};
 use library::{Object, Simulated, Vector};
@@ -313,7 +314,7 @@ fn mjcf(plan: Plan<'_>, things: &[Described]) -> String {
         );
     }
     let added = format!(
-        "<option timestep=\"0.001\" gravity=\"0 0 -{GRAVITY}\" cone=\"elliptic\" impratio=\"10\"/>\
+        "<option timestep=\"0.001\" gravity=\"0 0 -{STANDARD_GRAVITY}\" cone=\"elliptic\" impratio=\"10\"/>\
          <default><joint armature=\"{ARMATURE}\"/>\
          <geom contype=\"1\" conaffinity=\"2\" friction=\"{friction} 0.005 {rolling}\"/></default>\
          <worldbody><geom type=\"plane\" size=\"0 0 1\" contype=\"2\" conaffinity=\"3\"/>{world}</worldbody>\

@@ -10,6 +10,7 @@ use super::module::ImuReading;
 use super::protocol::Protocol;
 use super::*;
 use crate::servo_emulator::{Emulator, EmulatorOptions, Fault, FaultKind, Timing};
+use crate::stamps::header;
 use crate::testing::{Collector, core_at_zero};
 use downbeat_executor::{Clock, Core, Inlet, ManualClock, ModuleOptions, SettingValue, Time};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};

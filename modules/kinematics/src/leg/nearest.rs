@@ -1,6 +1,6 @@
 //! The pose nearest to one that a leg cannot reach.
 
-use super::leg::{Leg, Reach};
+use super::{Leg, Reach};
 use crate::inverse::{difference, weighted};
 use downbeat_transforms::Isometry;
 use nalgebra::{Matrix6, SMatrix, Vector6};
@@ -8,7 +8,7 @@ use nalgebra::{Matrix6, SMatrix, Vector6};
 /// The angles of a leg with which its sole comes nearest to a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearestLeg {
-    /// In rad, in the order of [`Leg::joint_names`], within the limits.
+    /// In rad, in the order of [`LegSolution::angles`](super::LegSolution), within the limits.
     pub angles: [f64; 6],
     /// Why the sole does not reach the pose, if it does not.
     pub reach: Reach,
@@ -29,7 +29,7 @@ impl NearestLeg {
         self.distance.powi(2) + (self.angle * Self::ANGLE_WEIGHT).powi(2)
     }
 
-    fn new(leg: &Leg, target: &Isometry, angles: [f64; 6], reach: Reach) -> Self {
+    pub(crate) fn new(leg: &Leg, target: &Isometry, angles: [f64; 6], reach: Reach) -> Self {
         let (linear, angular) = difference(target, &leg.forward(&angles));
         Self { angles, reach, distance: linear.length(), angle: angular.length() }
     }
@@ -52,11 +52,12 @@ impl Leg {
     /// pose that is not finite, all angles are NaN.
     ///
     /// ```
-    /// use downbeat_kinematics::darwin_op::{Leg, Reach, Side};
+    /// use downbeat_kinematics::darwin_op;
+    /// use downbeat_kinematics::leg::{Reach, Side};
     /// use downbeat_transforms::Isometry;
     ///
     /// // 20 mm to the side of what a straight leg reaches: the foot tilts, and the sole comes nearer.
-    /// let leg = Leg::new(Side::Right);
+    /// let leg = darwin_op::leg(Side::Right);
     /// let hip_from_sole = Isometry::from_translation(0.0, -0.1, -0.22);
     /// let nearest = leg.nearest(&hip_from_sole);
     /// let clamped = leg.forward(&leg.inverse(&hip_from_sole).angles);
@@ -129,80 +130,5 @@ impl Leg {
             };
         }
         angles
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::leg::Side;
-    use super::*;
-    use glam::{DQuat, DVec3, EulerRot};
-    use proptest::prelude::*;
-
-    fn legs() -> impl Strategy<Value = Leg> {
-        prop_oneof![Just(Leg::new(Side::Right)), Just(Leg::new(Side::Left))]
-    }
-
-    fn poses() -> impl Strategy<Value = Isometry> {
-        (-0.3..0.3, -0.3..0.3, -0.3..0.3, -4.0..4.0, -4.0..4.0, -4.0..4.0).prop_map(
-            |(x, y, z, roll, pitch, yaw)| Isometry {
-                translation: DVec3::new(x, y, z),
-                rotation: DQuat::from_euler(EulerRot::ZYX, yaw, pitch, roll),
-            },
-        )
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(100))]
-
-        #[test]
-        fn the_nearest_pose_is_never_worse_than_the_clamped_one(leg in legs(), target in poses()) {
-            let solution = leg.inverse(&target);
-            let clamped = NearestLeg::new(&leg, &target, solution.angles, solution.reach);
-            let nearest = leg.nearest(&target);
-            prop_assert!(nearest.error() <= clamped.error());
-            prop_assert_eq!(nearest.reach, solution.reach);
-            for (angle, [min, max]) in nearest.angles.into_iter().zip(leg.limits()) {
-                prop_assert!((min..=max).contains(&angle));
-            }
-        }
-
-        #[test]
-        fn a_pose_within_the_limits_has_the_exact_angles(
-            (leg, angles) in legs().prop_flat_map(|leg| (Just(leg), leg.limits().map(|[min, max]| min..=max))),
-        ) {
-            let target = leg.forward(&angles);
-            let nearest = leg.nearest(&target);
-            prop_assert_eq!(nearest.reach, Reach::Exact);
-            prop_assert_eq!(nearest.angles, leg.inverse(&target).angles);
-            prop_assert!(nearest.distance < 1e-9 && nearest.angle < 1e-7, "{:?}", nearest);
-        }
-
-        #[test]
-        fn no_small_change_within_the_limits_comes_nearer(leg in legs(), target in poses(), change in proptest::array::uniform6(-1.0..1.0_f64)) {
-            let nearest = leg.nearest(&target);
-            for scale in [1e-2, 1e-3] {
-                let limits = leg.limits();
-                let angles = std::array::from_fn(|joint| {
-                    (nearest.angles[joint] + scale * change[joint]).clamp(limits[joint][0], limits[joint][1])
-                });
-                let changed = NearestLeg::new(&leg, &target, angles, nearest.reach);
-                prop_assert!(changed.error() > nearest.error() * (1.0 - 5e-3) - 1e-12, "{:?} {:?}", nearest, changed);
-            }
-        }
-    }
-
-    #[test]
-    fn a_sole_straight_below_a_straight_leg_is_nearest_with_the_leg_straight() {
-        for side in [Side::Right, Side::Left] {
-            let nearest = Leg::new(side).nearest(&Isometry::from_translation(0.0, 0.0, -0.25));
-            assert!((nearest.distance - 0.0305).abs() < 1e-9 && nearest.angle < 1e-6, "{nearest:?}");
-        }
-    }
-
-    #[test]
-    fn a_pose_that_is_not_finite_gives_nan() {
-        let nearest = Leg::new(Side::Left).nearest(&Isometry::from_translation(f64::NAN, 0.0, -0.2));
-        assert!(nearest.angles.iter().all(|angle| angle.is_nan()), "{nearest:?}");
     }
 }
