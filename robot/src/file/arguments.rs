@@ -7,7 +7,7 @@ use crate::ros_args::{ParameterArgument, RosArgs};
 
 impl RobotFile {
     /// Applies arguments for names. Must be called before anything that depends on the name of the node.
-    pub(super) fn apply_names(&mut self, arguments: &RosArgs) {
+    pub(crate) fn apply_names(&mut self, arguments: &RosArgs) {
         if let (Some(namespace), false) = (&arguments.namespace, self.has_namespace) {
             self.namespace.clone_from(namespace);
         }
@@ -16,7 +16,7 @@ impl RobotFile {
     }
 
     /// Applies values of parameters. A value for another node changes nothing and is reported with a warning.
-    pub(super) fn apply_parameters(&mut self, arguments: &RosArgs) -> Result<(), RobotFileError> {
+    pub(crate) fn apply_parameters(&mut self, arguments: &RosArgs) -> Result<(), RobotFileError> {
         for argument in &arguments.parameters {
             match argument {
                 ParameterArgument::File(path) => self.set_from_parameter_file(path)?,
