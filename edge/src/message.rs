@@ -574,7 +574,8 @@ struct Compiled {
     encode: fn(&dyn Any) -> Option<Vec<u8>>,
 }
 
-// A core keeps messages of compiled types in the boxes that `decode` returns, unless a module uses their topic.
+// A core keeps messages of compiled types in the boxes that `decode` returns, unless a module uses their
+// topic.
 impl ErasedType for Entry {
     fn message_type(&self) -> TypeId {
         match &self.rust {

@@ -1,5 +1,5 @@
-//! Topics whose users know the message type only by its identity: the messages stay in the boxes in which they
-//! were published. The first user that knows the Rust type turns such a topic into a typed one.
+//! Topics whose users know the message type only by its identity: the messages stay in the boxes in which
+//! they were published. The first user that knows the Rust type turns such a topic into a typed one.
 
 use std::any::{Any, TypeId};
 use std::sync::Arc;
@@ -10,8 +10,8 @@ use super::topic::{AnyTopic, Carried, NewTopic, TopicCounter, Topics};
 use crate::threads::drop_guarded;
 use crate::{SetupError, Time};
 
-/// A Rust message type as [`MessageType::erased`](crate::MessageType::erased) takes it: code that moves messages
-/// of hundreds of types implements it once, over a table.
+/// A Rust message type as [`MessageType::erased`](crate::MessageType::erased) takes it: code that moves
+/// messages of hundreds of types implements it once, over a table.
 pub trait ErasedType: Sync {
     /// The identity of the Rust type.
     fn message_type(&self) -> TypeId;
@@ -62,7 +62,8 @@ impl AnyTopic for BoxedTopic {
         let counter = self.counter.clone();
         let batch =
             if is_first { self.renewed() } else { Arc::get_mut(&mut self.batch).map(|batch| &mut batch.0) };
-        // Both hold by construction: a typed outbox is opened with the type, which makes the topic a typed one.
+        // Both hold by construction: a typed outbox is opened with the type, which makes the topic a typed
+        // one.
         let (Some(messages), Some(batch)) = (outbox.boxed(), batch) else {
             debug_assert!(false, "a typed outbox reached a topic of boxes, or a batch in use");
             return 0;

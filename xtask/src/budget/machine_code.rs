@@ -1,4 +1,5 @@
-//! How much machine code a library or program is: the sizes of the sections of its object files that are code.
+//! How much machine code a library or program is: the sizes of the sections of its object files that are
+//! code.
 //!
 //! # References
 //! - The archive format of System V and GNU, `ar(5)`.

@@ -1,9 +1,10 @@
 //! What the default build may cost: `cargo xtask budget`, and a step of the test run.
 //!
-//! Seconds differ from machine to machine, and a release build takes minutes. Two numbers grow with the time that
-//! a build from nothing takes, and cost only seconds to count: how many crates it compiles, and how much machine
-//! code our own ones are. The code is that which the test run has compiled already, without optimisation and
-//! with most features; generic code that is instantiated too often shows in it as it does in a release build.
+//! Seconds differ from machine to machine, and a release build takes minutes. Two numbers grow with the time
+//! that a build from nothing takes, and cost only seconds to count: how many crates it compiles, and how much
+//! machine code our own ones are. The code is that which the test run has compiled already, without
+//! optimisation and with most features. Generic code that is instantiated too often shows in it as it does in
+//! a release build.
 
 mod machine_code;
 

@@ -310,8 +310,8 @@ impl Core {
         set_encoder(services_among(&mut self.mechanisms), ServiceType::<Q, R>::of(), service, encoder)
     }
 
-    /// As [`encode_service`](Self::encode_service), for types given as values. The functions return `None` for
-    /// values of other types.
+    /// As [`encode_service`](Self::encode_service), for types given as values. The functions return `None`
+    /// for values of other types.
     ///
     /// # Errors
     /// As for [`encode_service`](Self::encode_service).
