@@ -135,7 +135,7 @@ fn invalid_arguments_are_refused_with_a_reason() {
 fn every_command_has_help() {
     let commands: [(&[&str], &str); 12] = [
         (&["--help"], "ROS_DOMAIN_ID"),
-        (&["run", "--help"], "500ms, 10s, 5m, 1h"),
+        (&["run", "--help"], "500ms, 10s, 5min, 1h"),
         (&["check", "--help"], "without running it"),
         (&["run", "--help"], "MODULE.SETTING:=VALUE"),
         (&["bag", "--help"], "Play a bag"),

@@ -39,7 +39,6 @@ mod printable;
 #[cfg(feature = "protobuf")]
 pub mod protobuf;
 pub mod qos;
-pub mod user_file;
 pub mod yaml;
 
 mod carried;
@@ -63,6 +62,7 @@ macro_rules! include_interfaces {
 
 pub use carried::carried;
 pub use cdr::WString;
+pub use downbeat_files::user_file;
 pub use downbeat_msgs_definitions as definitions;
 pub use interface_set::{InterfaceSet, InterfaceVisitor};
 pub use message::{Action, Message, OneAction, OneMessage, OneService, Service};

@@ -402,6 +402,7 @@ impl<T: Copy> Policy<T> {
 
 /// Serialises a time with its unit, such as `100ms`, or `infinite`.
 mod time {
+    use downbeat_files::duration;
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serializer};
     use std::time::Duration;
@@ -416,18 +417,8 @@ mod time {
         if text == INFINITE {
             return Ok(None);
         }
-        let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
-        let (number, unit) = text.split_at(end);
-        let seconds = match unit {
-            "ns" => 1e-9,
-            "us" | "µs" => 1e-6,
-            "ms" => 1e-3,
-            "s" => 1.0,
-            _ => return Err(E::custom(format!("\"{text}\" is not a time, such as 100ms, or {INFINITE}"))),
-        };
-        let number: f64 = number.parse().map_err(E::custom)?;
         // `Debug` writes at most nanoseconds, so the nearest one is exact.
-        Duration::try_from_secs_f64(number * seconds).map(Some).map_err(E::custom)
+        duration::parse(text).map(Some).map_err(|problem| E::custom(format!("{problem}, or {INFINITE}")))
     }
 
     pub(super) fn serialize<S: Serializer>(

@@ -7,8 +7,8 @@ use std::time::Duration;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
+use downbeat_files::duration::parse as duration;
 use downbeat_robot::RosArgs;
-use downbeat_robot::duration::parse as duration;
 use downbeat_robot::features::built_without;
 use downbeat_robot::inspect::Request;
 

@@ -16,8 +16,8 @@ use super::stop::Stop;
 use downbeat_bags::{Recording, RecordingSummary};
 use downbeat_bridge::middleware::{Engine, MAX_DOMAIN_ID, ParticipantOptions};
 use downbeat_bridge::ros::{Node, NodeName, Participant};
+use downbeat_files::duration::parse as duration;
 use downbeat_msgs::encoding::Encoding;
-use downbeat_robot::duration::parse as duration;
 #[cfg(feature = "view")]
 use downbeat_robot::running::RunningRobot;
 use downbeat_robot::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
@@ -28,7 +28,7 @@ pub(crate) struct RunArguments {
     /// The robot file, for example robots/darwin_op.toml.
     #[arg(value_name = "ROBOT.toml")]
     pub(crate) robot: PathBuf,
-    /// Stop after this time: 500ms, 10s, 5m, 1h.
+    /// Stop after this time: 500ms, 10s, 5min, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
     /// Run in simulated time, as fast as it can be computed; --duration is in that time. For robots without

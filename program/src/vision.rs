@@ -11,6 +11,8 @@ use super::bag;
 use super::new_output::{Force, Output};
 use super::unfinished::write_file;
 use downbeat_bags::Selection;
+use downbeat_files::toml::Source;
+use downbeat_files::user_file;
 use downbeat_msgs::Message;
 use downbeat_msgs::cdr;
 use downbeat_msgs::sensor_msgs::msg::Image;
@@ -119,12 +121,7 @@ fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<()> {
 }
 
 fn read_marks(path: &Path) -> anyhow::Result<Marks> {
-    let text =
-        downbeat_msgs::user_file::read_text(path).with_context(|| format!("reading {}", path.display()))?;
-    let marks: Marks = toml::from_str(&text).map_err(|error| {
-        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
-        anyhow::anyhow!("{}:{}: {}", path.display(), before.matches('\n').count() + 1, error.message())
-    })?;
+    let marks: Marks = Source::read(path, "the marks", user_file::LARGEST)?.parse()?;
     if marks.picture.is_empty() {
         bail!("{} has no [[picture]]", path.display());
     }
@@ -173,7 +170,7 @@ impl MarkedPicture {
 }
 
 fn read_png(path: &Path) -> anyhow::Result<Pixels> {
-    let file = std::io::BufReader::new(downbeat_msgs::user_file::open(path)?);
+    let file = std::io::BufReader::new(user_file::open(path)?);
     let mut decoder = png::Decoder::new_with_limits(file, png::Limits { bytes: LARGEST });
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
     let mut reader = decoder.read_info()?;

@@ -155,7 +155,7 @@ fn library(source: &ModuleSource) -> Result<LibraryOptions, String> {
 }
 
 fn time_limit(text: &str) -> Result<Duration, String> {
-    match crate::duration::parse(text) {
+    match downbeat_files::duration::parse(text) {
         Ok(limit) if !limit.is_zero() => Ok(limit),
         Ok(_) => Err("`time_limit` has to be above 0".to_owned()),
         Err(problem) => Err(format!("`time_limit`: {problem}")),

@@ -9,7 +9,6 @@ mod build;
 mod built_in;
 mod catalog;
 mod commanders;
-pub mod duration;
 pub mod encoding;
 mod expose;
 mod failure;

@@ -26,17 +26,16 @@
 use crate::hardware::tables::joints::{COUNT, JOINTS};
 use crate::hardware::tables::units::radians_from_ticks;
 use downbeat_executor::{Module, Setup, SetupError};
+use downbeat_files::suggestion;
+use downbeat_files::toml::{self, Spanned};
 use downbeat_kinematics::description::{JointKind, LinkId};
 use downbeat_kinematics::leg::{Leg, LegError, Side};
 use downbeat_kinematics::{DescriptionError, Pose, Robot, darwin_op};
-use downbeat_msgs::definitions::suggestion;
-use downbeat_msgs::user_file;
 use glam::DVec3;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
-use toml::Spanned;
 
 /// The numbers of a humanoid robot; see the [module page](self).
 #[derive(Clone, Debug)]
@@ -90,24 +89,9 @@ pub(crate) const ANKLE_ROLL: usize = 5;
 /// What is wrong with the file of a humanoid.
 #[derive(Debug, thiserror::Error)]
 pub enum HumanoidError {
-    /// The file cannot be read.
-    #[error("cannot read the numbers of a humanoid from {file}: {reason}")]
-    Read {
-        /// The file.
-        file: String,
-        /// Why.
-        reason: String,
-    },
-    /// A line of the file is wrong.
-    #[error("{file}:{line}: {problem}")]
-    Line {
-        /// The file.
-        file: String,
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong, and what to do.
-        problem: String,
-    },
+    /// The file cannot be read or is invalid.
+    #[error(transparent)]
+    File(#[from] toml::Error),
     /// The description cannot be used.
     #[error(transparent)]
     Description(#[from] DescriptionError),
@@ -175,13 +159,9 @@ impl Humanoid {
     /// # Errors
     /// If the file or its description cannot be read, or does not describe a robot on two legs.
     pub fn read(file: &str) -> Result<Self, HumanoidError> {
-        let refuse = |reason: String| HumanoidError::Read { file: file.to_owned(), reason };
-        let bytes = user_file::read_within(file, MAX_BYTES).map_err(|error| refuse(error.to_string()))?;
-        let text = String::from_utf8(bytes).map_err(|_| refuse("it is not UTF-8 text".to_owned()))?;
-        let source = Source { file, text: &text };
-        let entries: Names = toml::from_str(&text).map_err(|error| {
-            source.error(error.span().map_or(0, |span| span.start), error.message().trim().to_owned())
-        })?;
+        let source = toml::Source::read(file, "the numbers of a humanoid from", MAX_BYTES)?;
+        let source = Source(source);
+        let entries: Names = source.0.parse()?;
         let Some(description) = &entries.robot_description else {
             let problem = "robot_description is missing: name the URDF of the robot, relative to this file";
             return Err(source.error(0, problem.to_owned()));
@@ -436,17 +416,12 @@ fn mirror_sign(axis: DVec3, other: DVec3) -> f64 {
     if DVec3::new(-axis.x, axis.y, -axis.z).dot(other) < 0.0 { -1.0 } else { 1.0 }
 }
 
-/// The text of a file, for errors.
-struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
-}
+/// The file, for errors.
+struct Source<'a>(toml::Source<'a>);
 
 impl Source<'_> {
     fn error(&self, position: usize, problem: String) -> HumanoidError {
-        let before = self.text.get(..position).unwrap_or(self.text);
-        let line = before.bytes().filter(|byte| *byte == b'\n').count() + 1;
-        HumanoidError::Line { file: self.file.to_owned(), line, problem }
+        self.0.error(position, problem).into()
     }
 }
 

@@ -109,7 +109,7 @@ impl Spawned {
         if text.len() > LONGEST {
             return Err(format!("{} bytes; a description has at most {LONGEST}", text.len()));
         }
-        let found: Description = toml::from_str(text).map_err(|error| error.message().to_owned())?;
+        let found: Description = downbeat_files::toml::parse(text).map_err(|error| error.problem)?;
         let number = |what: &str, found: f64, allowed: &'static str| {
             let problem = || format!("{what} is {found}; it has to be {allowed}");
             if is_allowed(found, allowed) { Ok(()) } else { Err(problem()) }

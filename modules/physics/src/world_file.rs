@@ -6,32 +6,17 @@
 use crate::scenery::{
     Ball, Block, FINITE, Field, Floor, MOST_BOXES, NOT_NEGATIVE, POSITIVE, SHARE, WorldFile, is_allowed,
 };
+use downbeat_files::toml::{Source, Spanned};
 use glam::DVec2;
 use serde::Deserialize;
 use std::path::Path;
-use toml::Spanned;
 
 /// Why a world file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum WorldFileError {
-    /// The file cannot be read.
-    #[error("reading the world file {file}: {source}")]
-    Unreadable {
-        /// The file.
-        file: String,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
-    /// The file is no TOML, or has unknown keys or values of another type.
-    #[error("{file}:{line}: {problem}")]
-    Syntax {
-        /// The file.
-        file: String,
-        /// The line.
-        line: usize,
-        /// What is wrong.
-        problem: String,
-    },
+    /// The file cannot be read, is no TOML, or has unknown keys or values of another type.
+    #[error(transparent)]
+    File(#[from] downbeat_files::toml::Error),
     /// A number is not possible.
     #[error("{file}:{line}: {what} is {found}; it has to be {allowed}")]
     Number {
@@ -144,14 +129,7 @@ impl WorldFile {
     /// # Errors
     /// [`WorldFileError`], with path and line.
     pub fn read(path: &Path) -> Result<Self, WorldFileError> {
-        let file = path.display().to_string();
-        let unreadable = |source| WorldFileError::Unreadable { file: file.clone(), source };
-        let length = std::fs::metadata(path).map_err(unreadable)?.len();
-        if length > LONGEST {
-            let problem = format!("{length} bytes; a world file has at most {LONGEST}");
-            return Err(WorldFileError::Syntax { file, line: 1, problem });
-        }
-        Self::parse(&downbeat_msgs::user_file::read_text(path).map_err(unreadable)?, &file)
+        Self::checked(&Source::read(path, "the world file", LONGEST)?)
     }
 
     /// Reads a world from text; `file` names it in errors.
@@ -159,17 +137,17 @@ impl WorldFile {
     /// # Errors
     /// [`WorldFileError`], with this name and the line.
     pub fn parse(text: &str, file: &str) -> Result<Self, WorldFileError> {
-        let at = |offset: usize| text.get(..offset).map_or(1, |before| before.matches('\n').count() + 1);
-        let raw: Raw = toml::from_str(text).map_err(|error| WorldFileError::Syntax {
-            file: file.to_owned(),
-            line: error.span().map_or(1, |span| at(span.start)),
-            problem: error.message().to_owned(),
-        })?;
+        Self::checked(&Source::new(file, text))
+    }
+
+    fn checked(source: &Source<'_>) -> Result<Self, WorldFileError> {
+        let file = &*source.path().display().to_string();
+        let raw: Raw = source.parse()?;
         if raw.boxes.len() + raw.walls.len() > MOST_BOXES {
             let found = raw.boxes.len() + raw.walls.len();
             return Err(WorldFileError::TooMany { file: file.to_owned(), found });
         }
-        Reader { file, at: &at, lines: Vec::new() }.world(raw)
+        Reader { file, at: &|offset| source.line_of(offset), lines: Vec::new() }.world(raw)
     }
 }
 

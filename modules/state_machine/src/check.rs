@@ -1,7 +1,8 @@
 //! What a chart names that does not exist: variables, settings, functions, and fields of messages.
 
-use crate::chart::{Action, Chart, Given, Interface, Payload, Send, hint};
+use crate::chart::{Action, Chart, Given, Interface, Payload, Send};
 use crate::expressions::{Path, Problem, Program, functions};
+use downbeat_files::suggestion;
 use downbeat_msgs::definitions::Shape;
 use downbeat_msgs::dynamic::DynamicType;
 use std::collections::{BTreeMap, BTreeSet};
@@ -100,19 +101,21 @@ fn unknown_names(chart: &Chart, types: &Types) -> Vec<Problem> {
                 continue;
             }
             let unknown = match (root.as_str(), fields.first()) {
-                ("setting", Some(name)) if !settings.contains(&name.as_str()) => {
-                    Some(format!("there is no setting \"{name}\"{}", hint(name, settings.iter().copied())))
-                }
+                ("setting", Some(name)) if !settings.contains(&name.as_str()) => Some(format!(
+                    "there is no setting \"{name}\"{}",
+                    suggestion(name, settings.iter().copied())
+                )),
                 ("_event", Some(name)) if !OF_EVENT.contains(&name.as_str()) => {
-                    Some(format!("`_event` has no \"{name}\"{}", hint(name, OF_EVENT)))
+                    Some(format!("`_event` has no \"{name}\"{}", suggestion(name, OF_EVENT)))
                 }
                 ("_event", Some(name)) if name == "data" => {
                     event.and_then(|event| unknown_field(event, &fields[1..]))
                 }
                 (root, _) if messages.contains_key(root) => unknown_field(&messages[root], fields),
-                (root, _) if are_all_known && !variables.contains(root) => {
-                    Some(format!("there is no variable \"{root}\"{}", hint(root, variables.iter().copied())))
-                }
+                (root, _) if are_all_known && !variables.contains(root) => Some(format!(
+                    "there is no variable \"{root}\"{}",
+                    suggestion(root, variables.iter().copied())
+                )),
                 _ => None,
             };
             problems.extend(
@@ -120,7 +123,7 @@ fn unknown_names(chart: &Chart, types: &Types) -> Vec<Problem> {
             );
         }
         for (line, name) in program.unknown_calls() {
-            let hint = hint(&name, functions().iter().map(String::as_str));
+            let hint = suggestion(&name, functions().iter().map(String::as_str));
             let text = format!("`{}`: there is no function \"{name}\"{hint}", shown(&program.text));
             problems.push(Problem { line, text });
         }
@@ -163,7 +166,7 @@ fn unknown_field(of: &DynamicType, names: &[String]) -> Option<String> {
     let (name, rest) = names.split_first()?;
     let Some(field) = of.fields().find(|field| field.name == name) else {
         let known: Vec<&str> = of.fields().map(|field| field.name).collect();
-        return Some(format!("{} has no field \"{name}\"{}", of.name(), hint(name, known)));
+        return Some(format!("{} has no field \"{name}\"{}", of.name(), suggestion(name, known)));
     };
     match field.message {
         // Functions of arrays are called like fields.

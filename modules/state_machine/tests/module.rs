@@ -218,6 +218,10 @@ fn what_the_robot_does_not_have_is_reported_with_file_and_line() {
         ("<state id='a'><onentry><log expr='bal + 1'/></onentry></state>", "there is no variable \"bal\""),
         ("<state id='a'><invoke/></state>", "<invoke> is not supported"),
         (
+            "<state id='a'><onentry><send event='x' delay='5m'/></onentry></state>",
+            "`delay` is a time such as \"500ms\" or \"1.5s\", not \"5m\"",
+        ),
+        (
             "<state id='a'><transition cond='distnce(a, b) > 1' target='a'/></state>",
             "there is no function \"distnce\", did you mean \"distance\"?",
         ),

@@ -31,7 +31,6 @@ mod idl;
 mod name;
 mod parse;
 pub mod python;
-mod suggestion;
 
 pub use catalog::{AmentPrefix, Catalog};
 pub use definition::{
@@ -40,8 +39,8 @@ pub use definition::{
 };
 pub use definition_text::{DefinitionEncoding, portable_definition_text};
 pub use description::{FieldTypeDescription, IndividualTypeDescription, TypeDescription};
+pub use downbeat_files::{nearest, suggestion};
 pub use error::{Error, Place};
 pub use idl::{Definition, parse_idl};
 pub use name::{Kind, TypeName};
 pub use parse::{parse_action, parse_message, parse_service};
-pub use suggestion::{nearest, suggestion};

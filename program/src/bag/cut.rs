@@ -10,13 +10,13 @@ use super::open;
 use super::output::{OutputArguments, write};
 use super::select::{TopicArguments, carried_over};
 use downbeat_bags::{Copy, Reader};
-use downbeat_robot::duration::parse as duration;
+use downbeat_files::duration::parse as duration;
 
 #[derive(Args)]
 pub(crate) struct CutArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
-    /// Start of the part: an offset into the bag (10s, 1.5m), or seconds since the epoch (1795230923.877).
+    /// Start of the part: an offset into the bag (10s, 1.5min), or seconds since the epoch (1795230923.877).
     #[arg(long, value_parser = place, value_name = "TIME")]
     pub(crate) from: Option<Place>,
     /// End of the part, in the same form as --from.
@@ -59,8 +59,9 @@ pub(crate) fn place(text: &str) -> Result<Place, String> {
     }
     let (seconds, fraction) = text.split_once('.').unwrap_or((text, "0"));
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    let wrong =
-        || format!("\"{text}\" is not a time; write 10s or 1.5m from the start, or seconds since the epoch");
+    let wrong = || {
+        format!("\"{text}\" is not a time; write 10s or 1.5min from the start, or seconds since the epoch")
+    };
     if !is_number(seconds) || !is_number(fraction) || fraction.len() > 9 {
         return Err(wrong());
     }

@@ -42,7 +42,7 @@ pub(crate) struct ViewBagArguments {
     /// Playback rate: 2 is twice as fast as recorded.
     #[arg(long, short, default_value_t = 1.0)]
     pub(crate) rate: f64,
-    /// Start this far into the bag: seconds, or with a unit 500ms, 10s, 5m.
+    /// Start this far into the bag: seconds, or with a unit 500ms, 10s, 5min.
     #[arg(long, visible_alias = "start", value_parser = seconds, value_name = "TIME")]
     pub(crate) start_offset: Option<Duration>,
     /// Start again at the end.

@@ -118,7 +118,7 @@ impl Document {
 
     /// The line of a byte, from 1.
     pub(crate) fn line_of(&self, start: usize) -> usize {
-        1 + self.text.as_bytes()[..start.min(self.text.len())].iter().filter(|&&byte| byte == b'\n').count()
+        downbeat_files::lines::line_of(&self.text, start)
     }
 
     /// The text of a line, from 1.

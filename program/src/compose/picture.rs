@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use super::document::{Document, Section, canonical, matches};
+use downbeat_files::toml::Error as FileError;
 use downbeat_robot::running::add_diagnostics;
 use downbeat_robot::{
     Catalog, KindProfile, ModuleSource, PortKind, PortProfile, PortRole, RobotFile, RobotFileError, RosArgs,
@@ -220,7 +221,9 @@ impl Drawing {
         let source = Source::new(path, format!("robot = {{ name = \"robot\" }}\n{text}"));
         let parsed = RobotFile::read_alone(source, &self.catalog).map(RobotFile::on_any_machine);
         let own_line = |error: RobotFileError| match error {
-            RobotFileError::Line { line, problem, .. } => (line.saturating_sub(1).max(1), problem),
+            RobotFileError::File(FileError::Line { line, problem, .. }) => {
+                (line.saturating_sub(1).max(1), problem)
+            }
             other => (1, other.to_string()),
         };
         let named = ModuleSource::new(section.name.clone(), "");
@@ -286,7 +289,7 @@ fn key_of(problem: &str, section: &Section, line: &str) -> Option<String> {
 /// The place of an error of the whole file.
 fn located(error: RobotFileError, path: &Path, document: &Document, sections: &[Section]) -> Problem {
     let (line, text) = match error {
-        RobotFileError::Line { path: of, line, problem } if of == path => (line, problem),
+        RobotFileError::File(FileError::Line { path: of, line, problem }) if of == path => (line, problem),
         other => return problem(0, other.to_string()),
     };
     let lines = |section: &Section| {

@@ -20,10 +20,10 @@ use crate::screen::Screen;
 use crate::stop::Stop;
 use downbeat_bridge::middleware::DiscoveryRange;
 use downbeat_executor::{Inbox, Received, SettingValue};
+use downbeat_files::duration::parse as duration;
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
 use downbeat_msgs::std_msgs::msg::String as Text;
-use downbeat_robot::duration::parse as duration;
 use downbeat_robot::running::{PreparedRobot, RecordPlan};
 use downbeat_robot::{Catalog, ModuleEntry, RobotFile, RosArgs};
 use processes::{Prepared, Processes};
@@ -48,7 +48,7 @@ pub(crate) struct MatchArguments {
     /// Play at most so many times as fast as real time.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed, conflicts_with = "fast")]
     speed: f64,
-    /// End after this simulated time: 500ms, 10s, 5m, 1h.
+    /// End after this simulated time: 500ms, 10s, 5min, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     duration: Option<Duration>,
     /// Record the topics of the file's [record] into this new rosbag2 directory.

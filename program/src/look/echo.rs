@@ -43,7 +43,7 @@ pub(crate) struct EchoArguments {
     /// Print the first message and exit.
     #[arg(long)]
     once: bool,
-    /// Exit after this time, in seconds.
+    /// Exit after this time: seconds, or with a unit.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     timeout: Option<Duration>,
     /// Print when a message was sent and received, and its number.

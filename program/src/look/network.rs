@@ -26,7 +26,7 @@ pub(crate) struct LookArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(super) domain: Option<u16>,
-    /// The maximum time to wait for discovery, in seconds.
+    /// The maximum time to wait for discovery: seconds, or with a unit.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value = "8")]
     pub(super) spin_time: Duration,
     /// Take the time from /clock.

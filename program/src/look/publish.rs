@@ -40,10 +40,10 @@ pub(crate) struct PublishArguments {
     /// Wait until this many subscriptions match; default is 1 with --once and --times, else 0.
     #[arg(short, long, value_name = "N")]
     wait_matching_subscriptions: Option<usize>,
-    /// Wait for them at most this long, in seconds.
+    /// Wait for them at most this long: seconds, or with a unit.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     max_wait_time_secs: Option<Duration>,
-    /// Keep the node this long after the last message, in seconds.
+    /// Keep the node this long after the last message: seconds, or with a unit.
     #[arg(long, value_name = "SECONDS", default_value = "0.1", value_parser = seconds)]
     keep_alive: Duration,
     /// The name of the node.

@@ -5,11 +5,14 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::Args;
+use downbeat_files::duration::parse_or_seconds;
 
-/// Parses positive seconds, optionally with a fraction.
+/// Parses a time above 0: seconds, or with a unit.
 pub(super) fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds = positive(text)?;
-    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
+    match parse_or_seconds(text)? {
+        Duration::ZERO => Err("Value must be positive".into()),
+        time => Ok(time),
+    }
 }
 
 /// A positive floating-point number.

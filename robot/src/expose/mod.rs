@@ -8,6 +8,7 @@ use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::ros::{NameError, NodeName, TopicName};
 use downbeat_edge::{Interfaces, KnownType};
 use downbeat_executor::{CoreHandle, TopicInfo};
+use downbeat_files::toml::Error as FileError;
 
 use super::catalog::unregistered;
 use super::file::{ExposeEntry, RobotFile, RobotFileError, TopicChoice, suggestion};
@@ -136,8 +137,8 @@ impl RobotFile {
         let taken: Vec<_> = status.endpoints().into_iter().map(|report| report.endpoint.topic).collect();
         // The lines are those of this text, not of the robot file.
         self.exposures_of(&entries, &topics, &taken).map_err(|error| match error {
-            RobotFileError::Line { line, problem, .. } => {
-                RobotFileError::Line { path: "expose".into(), line, problem }
+            RobotFileError::File(FileError::Line { line, problem, .. }) => {
+                FileError::Line { path: "expose".into(), line, problem }.into()
             }
             other => other,
         })

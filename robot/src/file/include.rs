@@ -23,7 +23,7 @@ pub(super) fn include(value: Value<'_>, catalog: &Catalog, inside: &[PathBuf]) -
     if inside.contains(&path) {
         return Err(file.error(format!("{} includes itself", path.display())));
     }
-    let source = Source::read(&path, "robot file").map_err(|error| file.error(error.to_string()))?;
+    let source = Source::read(&path, "the robot file").map_err(|error| file.error(error.to_string()))?;
     let (included, parameter_files) = RobotFile::parse_inside(source, catalog, inside)?;
     if let Some(parameters) = parameter_files.first() {
         let problem =

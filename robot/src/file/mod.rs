@@ -20,10 +20,10 @@ use downbeat_bags::{FieldRule, FieldRuleError};
 use downbeat_bridge::expose::TopicPattern;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_edge::Interfaces;
-use toml::de::DeTable;
+use downbeat_files::toml;
 
 use super::{Catalog, RosArgs};
-pub(crate) use downbeat_msgs::definitions::suggestion;
+pub(crate) use downbeat_files::suggestion;
 pub use expose::{ActionEntry, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice};
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
@@ -96,7 +96,7 @@ impl RobotFile {
     /// Returns an error with path and line if the file, or a parameter file, cannot be read or is invalid;
     /// also if an argument is invalid.
     pub fn read_with(path: &Path, catalog: &Catalog, arguments: &RosArgs) -> Result<Self> {
-        Self::read_from(Source::read(path, "robot file")?, catalog, arguments)
+        Self::read_from(Source::read(path, "the robot file")?, catalog, arguments)
     }
 
     /// Reads a text as the file that is, or will be, at the path of the source.
@@ -109,7 +109,9 @@ impl RobotFile {
         file.apply_names(arguments);
         for Located { line, value: name } in parameter_files {
             file.set_from_parameter_file(&folder.join(name)).map_err(|error| match error {
-                RobotFileError::Unreadable { .. } => file.source.error(line, error.to_string()),
+                RobotFileError::File(toml::Error::Unreadable { .. }) => {
+                    file.source.error(line, error.to_string())
+                }
                 other => other,
             })?;
         }
@@ -137,11 +139,8 @@ impl RobotFile {
         outside: &[PathBuf],
     ) -> Result<(Self, Vec<Located<String>>)> {
         let inside: Vec<PathBuf> = outside.iter().cloned().chain([source.path().to_owned()]).collect();
-        let text = source.text().to_owned();
-        let document = DeTable::parse(&text).map_err(|error| {
-            let line = source.line_of(&error.span().unwrap_or_default());
-            source.error(line, error.message())
-        })?;
+        let content = Source::new(source.path(), source.text().to_owned());
+        let document = content.table()?;
         let mut root = Table::new(&source, "a robot file", 1, document.get_ref());
         let mut robot = root.require("robot")?.table("[robot]")?;
         // Included files belong to the same robot.
@@ -200,10 +199,7 @@ impl RobotFile {
     /// Parses a text that contains only the keys `out` and `in` of `[expose]`.
     pub(crate) fn parse_entries(text: &str, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
         let source = Source::new(Path::new("expose"), text.to_owned());
-        let document = DeTable::parse(text).map_err(|error| {
-            let line = source.line_of(&error.span().unwrap_or_default());
-            source.error(line, error.message())
-        })?;
+        let document = source.table()?;
         expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()), interfaces)
     }
 

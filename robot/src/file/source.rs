@@ -1,36 +1,21 @@
 //! The text of a robot file, and errors that point into it.
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use downbeat_executor::SettingValue;
+use downbeat_files::toml::{self, DeTable, Spanned};
+use downbeat_files::user_file;
 
 use super::yaml_line::line_of;
 
 /// Error in a robot file or in arguments for it, with its place.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotFileError {
-    /// The file cannot be read.
-    #[error("cannot read the {what} {}: {source}", path.display())]
-    Unreadable {
-        /// "robot file" or "parameter file".
-        what: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
-    /// A line is invalid.
-    #[error("{}:{line}: {problem}", path.display())]
-    Line {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// What was found, what was expected, and the most similar valid name if there is one.
-        problem: String,
-    },
+    /// The robot file, or one that it names, cannot be read, or a line is invalid.
+    #[error(transparent)]
+    File(#[from] toml::Error),
     /// An argument of the command line is invalid.
     #[error("-p {argument}: {problem}")]
     Argument {
@@ -43,53 +28,53 @@ pub enum RobotFileError {
 
 /// The path and the text of a robot file, or of a parameter file.
 pub struct Source {
-    path: PathBuf,
-    text: String,
-    /// The offsets of the newlines.
-    newlines: Vec<usize>,
+    source: toml::Source<'static>,
 }
 
 impl Source {
-    /// Reads a file that a user wrote; `what` names it in errors.
+    /// Reads a file that a user wrote; `what` names it in errors, such as "the robot file".
     ///
     /// # Errors
     /// If it cannot be read, or is far too large for its kind.
     pub fn read(path: &Path, what: &'static str) -> Result<Self, RobotFileError> {
-        match downbeat_msgs::user_file::read_text(path) {
-            Ok(text) => Ok(Self::new(path, text)),
-            Err(source) => Err(RobotFileError::Unreadable { what, path: path.into(), source }),
-        }
+        Ok(Self { source: toml::Source::read(path, what, user_file::LARGEST)? })
     }
 
     /// A text that was read from `path`.
     #[must_use]
     pub fn new(path: &Path, text: String) -> Self {
-        let newlines =
-            text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
-        Self { path: path.into(), text, newlines }
+        Self { source: toml::Source::new(path, text) }
     }
 
     /// The path as the user wrote it.
     #[must_use]
     pub fn path(&self) -> &Path {
-        &self.path
+        self.source.path()
     }
 
     /// The whole text.
     #[must_use]
     pub fn text(&self) -> &str {
-        &self.text
+        self.source.text()
     }
 
     /// The line of the first byte of a span, from 1.
     #[must_use]
     pub fn line_of(&self, span: &Range<usize>) -> usize {
-        1 + self.newlines.partition_point(|newline| *newline < span.start)
+        self.source.line_of(span.start)
     }
 
     /// An error that names the file and the line.
     pub fn error(&self, line: usize, problem: impl Into<String>) -> RobotFileError {
-        RobotFileError::Line { path: self.path.clone(), line, problem: problem.into() }
+        self.source.error_on(line, problem).into()
+    }
+
+    /// The content as TOML.
+    ///
+    /// # Errors
+    /// If it is no TOML.
+    pub(super) fn table(&self) -> Result<Spanned<DeTable<'_>>, RobotFileError> {
+        Ok(self.source.table()?)
     }
 }
 
@@ -150,16 +135,5 @@ impl ParameterPlace {
     #[must_use]
     pub fn error(&self, problem: impl Into<String>) -> RobotFileError {
         self.source.error(line_of(self.source.text(), &self.keys), problem)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_count_from_one() {
-        let source = Source::new(Path::new("a.toml"), "a\nb\nc".into());
-        assert_eq!([0, 1, 2, 4, 99].map(|start| source.line_of(&(start..start))), [1, 1, 2, 3, 3]);
     }
 }

@@ -4,8 +4,7 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 use std::time::Duration;
 
-use toml::Spanned;
-use toml::de::{DeString, DeTable, DeValue};
+use downbeat_files::toml::{DeString, DeTable, DeValue, Spanned};
 
 use super::source::{RobotFileError, Source};
 use downbeat_executor::SettingValue;
@@ -135,7 +134,7 @@ impl<'a> Value<'a> {
     /// Reads a duration above 0.
     pub(crate) fn duration(&self) -> Result<Duration> {
         let text = self.text().map_err(|_| self.expected("a time with its unit, such as \"20ms\""))?;
-        match crate::duration::parse(text) {
+        match downbeat_files::duration::parse(text) {
             Ok(Duration::ZERO) => {
                 Err(self.error(format!("\"{text}\" is not a valid time: it must be above 0")))
             }

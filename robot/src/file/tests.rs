@@ -209,7 +209,7 @@ fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
             "restart = { times = 3, backoff = \"500ms\" }",
             Restart::Times { limit: 3, backoff: Duration::from_millis(500) },
         ),
-        ("restart = { times = \"always\", backoff = \"1m\" }", Restart::Always { backoff: 60 * second }),
+        ("restart = { times = \"always\", backoff = \"1min\" }", Restart::Always { backoff: 60 * second }),
     ] {
         assert_eq!(options(text).restart, restart, "{text}");
     }
@@ -246,6 +246,7 @@ fn errors_in_a_module_contain_the_line() {
         ),
         ("deadline = 20", ":5: expected a time with its unit, such as \"20ms\", found 20"),
         ("deadline = \"20\"", ":5: \"20\" is not a time; write 500ms"),
+        ("deadline = \"5m\"", ":5: \"5m\" is not a time; write 5min for minutes, 5ms for milliseconds"),
         ("deadline = \"0ms\"", ":5: \"0ms\" is not a valid time: it must be above 0"),
         ("name = \"recorder\"", ":5: \"recorder\" is the name of a module that the program adds"),
         ("name = \"bridge\"", ":5: \"bridge\" is the name of a module that the program adds"),

@@ -34,7 +34,7 @@ impl RobotFile {
     /// Returns an error with path and line if the file cannot be read or is not a parameter file, or names a
     /// module that the robot does not have. Settings and their types are checked by [`RobotFile::build`].
     pub fn set_from_parameter_file(&mut self, path: &Path) -> Result<()> {
-        let source = Arc::new(Source::read(path, "parameter file")?);
+        let source = Arc::new(Source::read(path, "the parameter file")?);
         self.set_from_parameters(&source)
     }
 

@@ -8,10 +8,14 @@ use super::Problems;
 /// bottom to top.
 pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-executor", &[]),
-    ("downbeat-msgs-definitions", &[]),
+    ("downbeat-files", &[]),
+    ("downbeat-msgs-definitions", &["downbeat-files"]),
     ("downbeat-msgs-generator", &["downbeat-msgs-definitions"]),
     ("downbeat-msgs-derive", &["downbeat-msgs-definitions", "downbeat-msgs-generator"]),
-    ("downbeat-msgs", &["downbeat-msgs-definitions", "downbeat-msgs-derive", "downbeat-msgs-generator"]),
+    (
+        "downbeat-msgs",
+        &["downbeat-files", "downbeat-msgs-definitions", "downbeat-msgs-derive", "downbeat-msgs-generator"],
+    ),
     ("downbeat-bags", &["downbeat-msgs"]),
     ("downbeat-rtps", &[]),
     ("downbeat-edge", &["downbeat-executor", "downbeat-msgs"]),
@@ -23,16 +27,24 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-imu-filter", &["downbeat-executor", "downbeat-msgs"]),
     ("downbeat-actions", &["downbeat-executor", "downbeat-msgs"]),
     ("downbeat-transforms", &["downbeat-actions", "downbeat-executor", "downbeat-msgs"]),
-    ("downbeat-kinematics", &["downbeat-executor", "downbeat-msgs", "downbeat-transforms"]),
+    ("downbeat-kinematics", &["downbeat-executor", "downbeat-files", "downbeat-msgs", "downbeat-transforms"]),
     (
         "downbeat-servos",
-        &["downbeat-actions", "downbeat-device", "downbeat-executor", "downbeat-msgs", "downbeat-transforms"],
+        &[
+            "downbeat-actions",
+            "downbeat-device",
+            "downbeat-executor",
+            "downbeat-files",
+            "downbeat-msgs",
+            "downbeat-transforms",
+        ],
     ),
     (
         "downbeat-darwin-op",
         &[
             "downbeat-actions",
             "downbeat-executor",
+            "downbeat-files",
             "downbeat-kinematics",
             "downbeat-msgs",
             "downbeat-servos",
@@ -47,6 +59,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-actions",
             "downbeat-darwin-op",
             "downbeat-executor",
+            "downbeat-files",
             "downbeat-imu-filter",
             "downbeat-kinematics",
             "downbeat-msgs",
@@ -54,12 +67,15 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-transforms",
         ],
     ),
-    ("downbeat-football", &["downbeat-msgs", "downbeat-msgs-generator"]),
+    ("downbeat-football", &["downbeat-files", "downbeat-msgs", "downbeat-msgs-generator"]),
     (
         "downbeat-leagues",
         &["downbeat-device", "downbeat-executor", "downbeat-football", "downbeat-msgs", "downbeat-network"],
     ),
-    ("downbeat-vision", &["downbeat-executor", "downbeat-football", "downbeat-msgs", "downbeat-transforms"]),
+    (
+        "downbeat-vision",
+        &["downbeat-executor", "downbeat-files", "downbeat-football", "downbeat-msgs", "downbeat-transforms"],
+    ),
     (
         "downbeat-localisation",
         &["downbeat-executor", "downbeat-football", "downbeat-msgs", "downbeat-transforms"],
@@ -90,7 +106,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ),
     (
         "downbeat-state-machine",
-        &["downbeat-edge", "downbeat-executor", "downbeat-msgs", "downbeat-msgs-generator"],
+        &["downbeat-edge", "downbeat-executor", "downbeat-files", "downbeat-msgs", "downbeat-msgs-generator"],
     ),
     ("downbeat-library-abi", &["downbeat-executor"]),
     (
@@ -111,6 +127,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-device",
             "downbeat-edge",
             "downbeat-executor",
+            "downbeat-files",
             "downbeat-football",
             "downbeat-imu-filter",
             "downbeat-kinematics",
@@ -138,6 +155,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-darwin-op",
             "downbeat-edge",
             "downbeat-executor",
+            "downbeat-files",
             "downbeat-football",
             "downbeat-kinematics",
             "downbeat-library-host",

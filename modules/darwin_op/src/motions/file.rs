@@ -30,10 +30,10 @@
 use super::motion::{Balance, Frame, Interpolation, Motion};
 use super::path::Path;
 use crate::humanoid::Humanoid;
+use downbeat_files::toml::{self, Spanned};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use toml::Spanned;
 
 /// The largest stiffness: beyond it, joints oscillate.
 pub const MAX_STIFFNESS: f64 = 4.0;
@@ -54,27 +54,7 @@ pub struct Motions {
 }
 
 /// What is wrong with a file of motions.
-#[derive(Debug, thiserror::Error)]
-pub enum MotionFileError {
-    /// The file cannot be read.
-    #[error("cannot read motions from {file}: {reason}")]
-    Read {
-        /// The file.
-        file: String,
-        /// Why.
-        reason: String,
-    },
-    /// A line of the file is wrong.
-    #[error("{file}:{line}: {problem}")]
-    Line {
-        /// The file.
-        file: String,
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong, and what to do.
-        problem: String,
-    },
-}
+pub use downbeat_files::toml::Error as MotionFileError;
 
 impl Motions {
     /// Reads a file of motions of this robot.
@@ -83,13 +63,8 @@ impl Motions {
     /// Returns an error with file and line if it cannot be read, or contains something invalid: an unknown
     /// joint, an angle beyond the limits of a joint, a speed beyond that of its servo.
     pub fn read(file: &str, humanoid: &Humanoid) -> Result<Self, MotionFileError> {
-        let refuse = |reason: String| MotionFileError::Read { file: file.to_owned(), reason };
-        let bytes = std::fs::metadata(file).map_err(|error| refuse(error.to_string()))?.len();
-        if bytes > MAX_BYTES {
-            return Err(refuse(format!("it has {bytes} bytes, at most {MAX_BYTES} are allowed")));
-        }
-        let text = downbeat_msgs::user_file::read_text(file).map_err(|error| refuse(error.to_string()))?;
-        Self::parse(file, &text, humanoid)
+        let source = toml::Source::read(file, "motions from", MAX_BYTES)?;
+        Self::checked(&Source { source, humanoid })
     }
 
     /// Parses the text of a file, which is named in errors.
@@ -97,13 +72,14 @@ impl Motions {
     /// # Errors
     /// As [`Motions::read`].
     pub fn parse(file: &str, text: &str, humanoid: &Humanoid) -> Result<Self, MotionFileError> {
-        let source = Source { file, text, humanoid };
-        let entries: BTreeMap<Spanned<String>, MotionEntry> = toml::from_str(text).map_err(|error| {
-            source.error(error.span().map_or(0, |span| span.start), error.message().trim().to_owned())
-        })?;
+        Self::checked(&Source { source: toml::Source::new(file, text), humanoid })
+    }
+
+    fn checked(source: &Source<'_>) -> Result<Self, MotionFileError> {
+        let entries: BTreeMap<Spanned<String>, MotionEntry> = source.source.parse()?;
         let mut motions = BTreeMap::new();
         for (name, entry) in entries.iter().filter(|(_, entry)| entry.mirror_of.is_none()) {
-            motions.insert(name.get_ref().clone(), Arc::new(entry.motion(name, &source)?));
+            motions.insert(name.get_ref().clone(), Arc::new(entry.motion(name, source)?));
         }
         let mut count: usize = motions.values().map(|motion: &Arc<Motion>| motion.frames.len()).sum();
         for (name, entry) in &entries {
@@ -124,7 +100,7 @@ impl Motions {
             }
             let mirrored = Motion {
                 about: entry.about.clone().unwrap_or_else(|| format!("{}, mirrored", motion.about)),
-                ..motion.mirrored(humanoid)
+                ..motion.mirrored(source.humanoid)
             };
             motions.insert(name.get_ref().clone(), Arc::new(mirrored));
         }
@@ -222,7 +198,7 @@ impl MotionEntry {
     }
 
     fn frame_error_at(&self, name: &str, source: &Source<'_>) -> usize {
-        source.text.find(&format!("[{name}]")).unwrap_or(0)
+        source.source.text().find(&format!("[{name}]")).unwrap_or(0)
     }
 
     fn check_speeds(&self, motion: &Motion, source: &Source<'_>) -> Result<(), MotionFileError> {
@@ -315,18 +291,15 @@ fn joints_named(name: &Spanned<String>, source: &Source<'_>) -> Result<Vec<(usiz
     named.ok_or_else(|| source.error(name.span().start, humanoid.no_joint(name.get_ref())))
 }
 
-/// The text of a file, for errors, and the robot whose motions it has.
+/// A file, and the robot whose motions it has.
 struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
+    source: toml::Source<'a>,
     humanoid: &'a Humanoid,
 }
 
 impl Source<'_> {
     fn error(&self, position: usize, problem: String) -> MotionFileError {
-        let before = self.text.get(..position).unwrap_or(self.text);
-        let line = before.bytes().filter(|byte| *byte == b'\n').count() + 1;
-        MotionFileError::Line { file: self.file.to_owned(), line, problem }
+        self.source.error(position, problem)
     }
 }
 

@@ -4,11 +4,11 @@
 //! z up: the frame `map`. All lengths are in m. Distances between lines are between their outer edges, as the
 //! humanoid league measures; the lines that [`Field::lines`] returns are their middles.
 
+use downbeat_files::toml::{Source, Spanned};
 use glam::DVec2;
 use serde::Deserialize;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::Path;
-use toml::Spanned;
 
 /// A football field, symmetric about its centre.
 #[derive(Clone, Debug, PartialEq)]
@@ -136,24 +136,9 @@ pub struct Intersection {
 /// Why the file of a field is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum FieldError {
-    /// The file cannot be read.
-    #[error("reading the field file {file}: {source}")]
-    Unreadable {
-        /// The file.
-        file: String,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
-    /// The file is no TOML, lacks a key, or has unknown keys or values of another type.
-    #[error("{file}:{line}: {problem}")]
-    Syntax {
-        /// The file.
-        file: String,
-        /// The line.
-        line: usize,
-        /// What is wrong.
-        problem: String,
-    },
+    /// The file cannot be read, is no TOML, lacks a key, or has unknown keys or values of another type.
+    #[error(transparent)]
+    File(#[from] downbeat_files::toml::Error),
     /// A length is not possible.
     #[error("{file}:{line}: {key} is {found} m; it has to be {allowed}")]
     Length {
@@ -207,14 +192,7 @@ impl Field {
     /// # Errors
     /// [`FieldError`], with path and line.
     pub fn read(path: &Path) -> Result<Self, FieldError> {
-        let file = path.display().to_string();
-        let unreadable = |source| FieldError::Unreadable { file: file.clone(), source };
-        let length = std::fs::metadata(path).map_err(unreadable)?.len();
-        if length > LONGEST {
-            let problem = format!("{length} bytes; the file of a field has at most {LONGEST}");
-            return Err(FieldError::Syntax { file, line: 1, problem });
-        }
-        Self::parse(&downbeat_msgs::user_file::read_text(path).map_err(unreadable)?, &file)
+        Self::checked(&Source::read(path, "the field file", LONGEST)?)
     }
 
     /// Reads a field from text; `file` names it in errors.
@@ -222,13 +200,11 @@ impl Field {
     /// # Errors
     /// [`FieldError`], with this name and the line.
     pub fn parse(text: &str, file: &str) -> Result<Self, FieldError> {
-        let checks = Checks { text, file };
-        let raw: Raw = toml::from_str(text).map_err(|error| FieldError::Syntax {
-            file: file.to_owned(),
-            line: error.span().map_or(1, |span| checks.line_of(span.start)),
-            problem: error.message().to_owned(),
-        })?;
-        checks.field(raw)
+        Self::checked(&Source::new(file, text))
+    }
+
+    fn checked(source: &Source<'_>) -> Result<Self, FieldError> {
+        Checks { source }.field(source.parse()?)
     }
 
     /// The middles of all straight lines: first the border, then the halfway line, then the areas.
@@ -408,15 +384,10 @@ struct RawRobot {
 
 /// Checks what a file says.
 struct Checks<'a> {
-    text: &'a str,
-    file: &'a str,
+    source: &'a Source<'a>,
 }
 
 impl Checks<'_> {
-    fn line_of(&self, offset: usize) -> usize {
-        self.text.get(..offset).map_or(1, |before| before.matches('\n').count() + 1)
-    }
-
     fn field(&self, raw: Raw) -> Result<Field, FieldError> {
         let length = self.up_to("length", &raw.length, LARGEST, "120 m")?;
         let width = self.up_to("width", &raw.width, length, "length")?;
@@ -514,7 +485,8 @@ impl Checks<'_> {
         if is_possible {
             return Ok(found);
         }
-        let (file, line) = (self.file.to_owned(), self.line_of(number.span().start));
+        let file = self.source.path().display().to_string();
+        let line = self.source.line_of(number.span().start);
         Err(FieldError::Length { file, line, key, found, allowed: allowed() })
     }
 }
@@ -541,7 +513,7 @@ mod tests {
         assert_eq!(Field::named("darwin_op_2014").unwrap(), Field::default());
         assert_eq!(Field::named("").unwrap(), Field::default());
         let missing = Field::named("no_such_field.toml").unwrap_err().to_string();
-        assert!(missing.starts_with("reading the field file no_such_field.toml: "), "{missing}");
+        assert!(missing.starts_with("cannot read the field file no_such_field.toml: "), "{missing}");
     }
 
     #[test]

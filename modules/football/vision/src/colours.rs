@@ -1,5 +1,6 @@
 //! Classes of colours, in a file that people can read, and as a table.
 
+use downbeat_files::toml::Source;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -58,24 +59,9 @@ pub struct Colours {
 /// Why a file of colours is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ColoursError {
-    /// The file cannot be read.
-    #[error("reading the colour file {file}: {source}")]
-    Unreadable {
-        /// The file.
-        file: String,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
-    /// The file is no TOML, or has unknown keys or values of another type.
-    #[error("{file}:{line}: {problem}")]
-    Syntax {
-        /// The file.
-        file: String,
-        /// The line.
-        line: usize,
-        /// What is wrong.
-        problem: String,
-    },
+    /// The file cannot be read, is no TOML, or has unknown keys or values of another type.
+    #[error(transparent)]
+    File(#[from] downbeat_files::toml::Error),
     /// A range is not possible.
     #[error("{file}: {key} of {class} is {found:?}; it has to be {allowed}")]
     Range {
@@ -116,14 +102,7 @@ impl Colours {
     /// # Errors
     /// [`ColoursError`].
     pub fn read(path: &Path) -> Result<Self, ColoursError> {
-        let file = path.display().to_string();
-        let unreadable = |source| ColoursError::Unreadable { file: file.clone(), source };
-        let length = std::fs::metadata(path).map_err(unreadable)?.len();
-        if length > LONGEST {
-            let problem = format!("{length} bytes; a colour file has at most {LONGEST}");
-            return Err(ColoursError::Syntax { file, line: 1, problem });
-        }
-        Self::parse(&downbeat_msgs::user_file::read_text(path).map_err(unreadable)?, &file)
+        Self::checked(&Source::read(path, "the colour file", LONGEST)?)
     }
 
     /// Reads colours from text; `file` names it in errors.
@@ -131,15 +110,20 @@ impl Colours {
     /// # Errors
     /// [`ColoursError`].
     pub fn parse(text: &str, file: &str) -> Result<Self, ColoursError> {
-        let at = |offset: usize| text.get(..offset).map_or(1, |before| before.matches('\n').count() + 1);
-        let colours: Self = toml::from_str(text).map_err(|error| ColoursError::Syntax {
-            file: file.to_owned(),
-            line: error.span().map_or(1, |span| at(span.start)),
-            problem: error.message().to_owned(),
-        })?;
+        Self::checked(&Source::new(file, text))
+    }
+
+    fn checked(source: &Source<'_>) -> Result<Self, ColoursError> {
+        let colours: Self = source.parse()?;
         for (class, range) in colours.classes() {
             let refuse = |key, found, allowed| {
-                Err(ColoursError::Range { file: file.to_owned(), class, key, found, allowed })
+                Err(ColoursError::Range {
+                    file: source.path().display().to_string(),
+                    class,
+                    key,
+                    found,
+                    allowed,
+                })
             };
             if !range.hue.iter().all(|hue| (0.0..=360.0).contains(hue)) {
                 return refuse("hue", range.hue, "two numbers from 0 to 360");

@@ -5,7 +5,8 @@ mod error;
 mod urdf;
 mod warning;
 
-use downbeat_msgs::definitions::suggestion;
+use downbeat_files::lines::line_of;
+use downbeat_files::suggestion;
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DVec3};
 use std::ops::RangeInclusive;
@@ -456,8 +457,7 @@ fn read_urdf(path: &Path) -> Result<(Robot, String), DescriptionError> {
     let (text, line) = match String::from_utf8(bytes) {
         Ok(text) => (text, None),
         Err(error) => {
-            let (before, _) = error.as_bytes().split_at(error.utf8_error().valid_up_to());
-            let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+            let line = line_of(error.as_bytes(), error.utf8_error().valid_up_to());
             (String::from_utf8_lossy(error.as_bytes()).into_owned(), Some(line))
         }
     };

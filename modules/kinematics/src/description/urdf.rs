@@ -7,7 +7,8 @@ use super::{
     DescriptionError, DescriptionWarning, Drive, Dynamics, Geometry, Inertial, Joint, JointId, JointKind,
     Limits, Link, LinkId, Material, Mesh, Mimic, Oddity, Problem, Robot, Shape,
 };
-use downbeat_msgs::definitions::suggestion;
+use downbeat_files::lines::{Lines, line_of};
+use downbeat_files::suggestion;
 use downbeat_transforms::Isometry;
 use glam::{DMat3, DQuat, DVec3};
 use roxmltree::{Document, Node};
@@ -38,8 +39,8 @@ pub(super) fn read(text: &str, file: String) -> Result<Robot, DescriptionError> 
         line: Some(error.pos().row),
         problem: Problem::NotXml(error.to_string()).into(),
     })?;
-    let line_starts = text.match_indices('\n').map(|(position, _)| position + 1).collect();
-    let reader = Reader { line_starts, document: PhantomData, file: &file, warnings: RefCell::default() };
+    let reader =
+        Reader { lines: Lines::new(&text), document: PhantomData, file: &file, warnings: RefCell::default() };
     oddities.into_iter().for_each(|(line, oddity)| reader.warn_in(line, oddity));
     let root = document.root_element();
     let is_macro =
@@ -118,7 +119,7 @@ fn without_surroundings(text: &str) -> (Cow<'_, str>, Vec<(u32, Oddity)>) {
     let mut oddities = Vec::new();
     let trimmed = text.trim_end_matches(|last: char| last == '\0' || last.is_whitespace());
     let text = if text[trimmed.len()..].contains('\0') {
-        let line = 1 + trimmed.bytes().filter(|byte| *byte == b'\n').count();
+        let line = line_of(text, trimmed.len());
         oddities.push((u32::try_from(line).unwrap_or(u32::MAX), Oddity::ZerosBehindEnd));
         trimmed
     } else {
@@ -137,8 +138,7 @@ fn without_surroundings(text: &str) -> (Cow<'_, str>, Vec<(u32, Oddity)>) {
 
 /// Attributes and elements of a document, with errors and warnings that name their line.
 struct Reader<'r, 'i> {
-    /// Where each line but the first one starts.
-    line_starts: Vec<usize>,
+    lines: Lines,
     document: PhantomData<&'i ()>,
     file: &'r str,
     warnings: RefCell<Vec<DescriptionWarning>>,
@@ -146,8 +146,7 @@ struct Reader<'r, 'i> {
 
 impl<'i> Reader<'_, 'i> {
     fn line(&self, node: Node<'_, 'i>) -> u32 {
-        let before = self.line_starts.partition_point(|start| *start <= node.range().start);
-        u32::try_from(before + 1).unwrap_or(u32::MAX)
+        u32::try_from(self.lines.line_of(node.range().start)).unwrap_or(u32::MAX)
     }
 
     fn error(&self, node: Node<'_, 'i>, problem: Problem) -> DescriptionError {

@@ -21,15 +21,15 @@
 
 use super::bus::LineSettings;
 use super::joint::{Drive, Guard, Joint, Quantity, Registers};
-use super::models::{self, Model, Register, line_of};
+use super::models::{self, Model, Register};
 use super::protocol::{Id, Protocol};
-use downbeat_msgs::definitions::suggestion;
+use downbeat_files::toml::{self, Spanned};
+use downbeat_files::{suggestion, user_file};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
-use toml::Spanned;
 
 /// How fast a joint approaches its first command by default, in rad/s.
 const APPROACH_RAD_S: f64 = 1.0;
@@ -115,24 +115,9 @@ pub struct PowerSwitch {
 /// What is wrong with a description.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DescriptionError {
-    /// The file cannot be read.
-    #[error("cannot read the description of the servos {path}: {reason}")]
-    Unreadable {
-        /// The file.
-        path: String,
-        /// The error of the operating system.
-        reason: String,
-    },
-    /// A line is invalid.
-    #[error("{path}:{line}: {problem}")]
-    Line {
-        /// The file.
-        path: String,
-        /// The line, from 1.
-        line: usize,
-        /// What was found, and what to do.
-        problem: String,
-    },
+    /// The file, or that of a model, cannot be read or is invalid.
+    #[error(transparent)]
+    File(#[from] toml::Error),
     /// The description has no such bus.
     #[error("{problem}")]
     Bus {
@@ -150,8 +135,7 @@ impl Description {
         if path_or_text.contains('\n') {
             return Self::parse("description", path_or_text);
         }
-        let text = read(Path::new(path_or_text))?;
-        Self::parse(path_or_text, &text)
+        Self::checked(Source(read(Path::new(path_or_text))?))
     }
 
     /// Parses a text. Model files that it names are relative to the folder of `path`, which also appears in
@@ -160,10 +144,11 @@ impl Description {
     /// # Errors
     /// See [`load`](Self::load).
     pub fn parse(path: &str, text: &str) -> Result<Self, DescriptionError> {
-        let source = Source { path, text };
-        let file: File = toml::from_str(text).map_err(|error| {
-            source.error(error.span().map_or(0, |span| span.start), error.message().to_owned())
-        })?;
+        Self::checked(Source(toml::Source::new(path, text)))
+    }
+
+    fn checked(source: Source<'_>) -> Result<Self, DescriptionError> {
+        let file: File = source.0.parse()?;
         let own_models = own_models(&source, &file.models)?;
         let mut buses = Vec::new();
         for entry in &file.bus {
@@ -224,22 +209,15 @@ impl Description {
     }
 }
 
-fn read(path: &Path) -> Result<String, DescriptionError> {
-    downbeat_msgs::user_file::read_text(path).map_err(|error| DescriptionError::Unreadable {
-        path: path.display().to_string(),
-        reason: error.to_string(),
-    })
+fn read(path: &Path) -> Result<toml::Source<'static>, toml::Error> {
+    toml::Source::read(path, "the description of the servos", user_file::LARGEST)
 }
 
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    path: &'a str,
-    text: &'a str,
-}
+struct Source<'a>(toml::Source<'a>);
 
 impl Source<'_> {
     fn error(&self, position: usize, problem: String) -> DescriptionError {
-        DescriptionError::Line { path: self.path.to_owned(), line: line_of(self.text, position), problem }
+        self.0.error(position, problem).into()
     }
 }
 
@@ -373,7 +351,7 @@ impl Parser<'_> {
         let cycle = buses[bus].cycle;
         let joint = Joint {
             name: name.clone(),
-            declared_at: Some(format!("{}:{}", self.source.path, line_of(self.source.text, at))),
+            declared_at: Some(format!("{}:{}", self.source.0.path().display(), self.source.0.line_of(at))),
             id: self.id(at, entry.id)?,
             zero: entry.zero.unwrap_or(centre) + entry.offset.unwrap_or(0),
             sign,
@@ -646,7 +624,7 @@ impl Parser<'_> {
         name: &str,
         id: Id,
     ) -> Result<(), DescriptionError> {
-        let line = line_of(self.source.text, at);
+        let line = self.source.0.line_of(at);
         if name.is_empty() {
             return Err(self.source.error(at, format!("a {what} needs a name")));
         }
@@ -668,15 +646,13 @@ impl Parser<'_> {
 }
 
 fn own_models(source: &Source<'_>, files: &[Spanned<String>]) -> Result<Vec<Arc<Model>>, DescriptionError> {
-    let folder = Path::new(source.path).parent().map(PathBuf::from).unwrap_or_default();
+    let folder = source.0.path().parent().map(PathBuf::from).unwrap_or_default();
     let model = |name: &Spanned<String>| {
         let path = folder.join(name.get_ref());
-        let text = read(&path).map_err(|error| source.error(name.span().start, error.to_string()))?;
-        Model::parse(&text).map(Arc::new).map_err(|error| DescriptionError::Line {
-            path: path.display().to_string(),
-            line: error.line,
-            problem: error.problem,
-        })
+        let model = read(&path).map_err(|error| source.error(name.span().start, error.to_string()))?;
+        let refuse =
+            |error: models::ModelError| DescriptionError::File(model.error_on(error.line, error.problem));
+        Model::parse(model.text()).map(Arc::new).map_err(refuse)
     };
     files.iter().map(model).collect()
 }

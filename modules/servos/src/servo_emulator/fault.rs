@@ -184,16 +184,7 @@ fn parse_rate(text: &str) -> Result<Rate, FaultParseError> {
 }
 
 fn parse_time(text: &str) -> Result<Duration, FaultParseError> {
-    let text = text.trim();
-    let (number, unit_s) = match (text.strip_suffix("ms"), text.strip_suffix('s')) {
-        (Some(number), _) => (number, 0.001),
-        (None, Some(number)) => (number, 1.0),
-        (None, None) => (text, f64::NAN),
-    };
-    let seconds = number.parse::<f64>().ok().map(|number| number * unit_s);
-    seconds
-        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
-        .ok_or_else(|| FaultParseError::Time { found: text.to_owned() })
+    downbeat_files::duration::parse(text).map_err(|_| FaultParseError::Time { found: text.trim().to_owned() })
 }
 
 /// The faults of a run. Times are those of the emulator.

@@ -7,7 +7,7 @@ mod parse;
 mod validate;
 
 use crate::expressions::{Problem, Program};
-pub(crate) use parse::{ASSIGNED, duration, hint};
+pub(crate) use parse::{ASSIGNED, duration};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::expressions::Syntax;
+use downbeat_files::suggestion;
 use roxmltree::{Document, Node, ParsingOptions};
 
 /// Bytes of a file, elements in it, and how deep they may be nested.
@@ -147,7 +148,9 @@ impl Reader {
                     format!("<{name}> is not supported; another chart is another module")
                 }
                 (_, true) => format!("<{name}> cannot stand here; here may be: {}", allowed.join(", ")),
-                (_, false) => format!("there is no element <{name}>{}", hint(name, allowed.iter().copied())),
+                (_, false) => {
+                    format!("there is no element <{name}>{}", suggestion(name, allowed.iter().copied()))
+                }
             };
             self.fail(node, text);
             return false;
@@ -155,7 +158,7 @@ impl Reader {
         let known = ATTRIBUTES.iter().find(|(known, _)| *known == name).map_or(&[][..], |(_, known)| *known);
         for attribute in node.attributes().filter(|attribute| attribute.namespace().is_none()) {
             if !known.contains(&attribute.name()) {
-                let hint = hint(attribute.name(), known.iter().copied());
+                let hint = suggestion(attribute.name(), known.iter().copied());
                 self.fail(node, format!("<{name}> has no attribute `{}`{hint}", attribute.name()));
             }
         }
@@ -592,7 +595,8 @@ impl Reader {
             "every" => &["period", "event"],
             "setting" => return self.fail(node, "<setting> stands in <datamodel>"),
             other => {
-                let hint = hint(other, ["subscribe", "publish", "service", "action", "every", "setting"]);
+                let hint =
+                    suggestion(other, ["subscribe", "publish", "service", "action", "every", "setting"]);
                 return self.fail(node, format!("there is no element <{other}> in {DOWNBEAT}{hint}"));
             }
         };
@@ -694,7 +698,7 @@ impl Reader {
     fn check_attributes(&mut self, node: Node<'_, '_>, known: &[&str]) {
         for attribute in node.attributes().filter(|attribute| attribute.namespace().is_none()) {
             if !known.contains(&attribute.name()) {
-                let hint = hint(attribute.name(), known.iter().copied());
+                let hint = suggestion(attribute.name(), known.iter().copied());
                 let element = node.tag_name().name();
                 self.fail(node, format!("<{element}> has no attribute `{}`{hint}", attribute.name()));
             }
@@ -708,7 +712,8 @@ impl Reader {
                     Some(state) => self.chart.transitions[number].targets.push(state),
                     None => {
                         let line = self.chart.transitions[number].line;
-                        let hint = hint(&target, self.chart.states.iter().map(|state| state.id.as_str()));
+                        let names = self.chart.states.iter().map(|state| state.id.as_str());
+                        let hint = suggestion(&target, names.filter(|name| !name.is_empty()));
                         self.problems
                             .push(Problem { line, text: format!("there is no state \"{target}\"{hint}") });
                     }
@@ -744,26 +749,7 @@ fn is_variable(name: &str) -> bool {
         && characters.all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// Reads a time as in CSS: `500ms`, `1.5s`.
+/// Reads a time, as in CSS `500ms`, `1.5s`, or with another unit.
 pub(crate) fn duration(text: &str) -> Option<Duration> {
-    let text = text.trim();
-    let (number, unit) = match text.strip_suffix("ms") {
-        Some(number) => (number, 1e-3),
-        None => (text.strip_suffix('s')?, 1.0),
-    };
-    let number: f64 = number.trim().parse().ok()?;
-    Duration::try_from_secs_f64(number * unit).ok().filter(|time| time.as_secs() < 1 << 32)
-}
-
-/// The most similar name, as the end of a sentence.
-pub(crate) fn hint<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
-    const SIMILAR: f64 = 0.7;
-    let rated = known
-        .into_iter()
-        .filter(|known| !known.is_empty())
-        .map(|known| (strsim::jaro_winkler(name, known), known));
-    match rated.max_by(|a, b| a.0.total_cmp(&b.0)) {
-        Some((similarity, known)) if similarity >= SIMILAR => format!(", did you mean \"{known}\"?"),
-        _ => String::new(),
-    }
+    downbeat_files::duration::parse(text).ok().filter(|time| time.as_secs() < 1 << 32)
 }

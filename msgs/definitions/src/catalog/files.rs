@@ -1,9 +1,10 @@
 //! Definitions from folders.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::Read;
+use std::fs;
 use std::path::{Path, PathBuf};
+
+use downbeat_files::{lines, user_file};
 
 use super::Catalog;
 use crate::{Error, Kind, Place, TypeName};
@@ -141,17 +142,13 @@ impl Catalog {
 
 fn read(file: &Path) -> Result<String, Error> {
     let failed = |source| Error::Read { path: file.into(), source };
-    let mut bytes = Vec::new();
-    File::open(file).and_then(|open| open.take(LARGEST_FILE + 1).read_to_end(&mut bytes)).map_err(failed)?;
-    if bytes.len() as u64 > LARGEST_FILE {
-        return Err(failed(std::io::Error::other(format!("it has more than {LARGEST_FILE} bytes"))));
-    }
+    let bytes = user_file::read_within(file, LARGEST_FILE).map_err(failed)?;
     String::from_utf8(bytes).map_err(|error| {
         let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
         let line = valid.rsplit('\n').next().unwrap_or_default();
         let place = Place {
             origin: file.display().to_string(),
-            line: valid.matches('\n').count() + 1,
+            line: lines::line_of(&*valid, valid.len()),
             column: line.chars().count() + 1,
         };
         Error::Syntax { place, message: "invalid UTF-8 from here on: save the file as UTF-8".into() }

@@ -18,6 +18,7 @@ use crate::new_output::Force;
 use crate::screen::Screen;
 use downbeat_bags::{PlayerOptions, Reader};
 use downbeat_bridge::ros::RemapRule;
+use downbeat_files::duration::parse_or_seconds;
 use downbeat_msgs::encoding::Encoding;
 use downbeat_robot::{Catalog, RosArgs};
 use target::RequestsSource;
@@ -32,7 +33,7 @@ pub(crate) struct PlayArguments {
     /// Playback rate: 2 is twice as fast as recorded.
     #[arg(long, short, default_value_t = 1.0)]
     pub(crate) rate: f64,
-    /// Start this far into the bag: seconds, or with a unit 500ms, 10s, 5m.
+    /// Start this far into the bag: seconds, or with a unit 500ms, 10s, 5min.
     #[arg(long, value_parser = seconds, value_name = "TIME")]
     pub(crate) start_offset: Option<Duration>,
     /// Play this much of the bag: seconds, or with a unit.
@@ -158,9 +159,6 @@ fn seconds_or_endless(text: &str) -> Result<Limit, String> {
 /// In seconds as in `ros2 bag play`, or with a unit.
 pub(super) fn seconds(text: &str) -> Result<Duration, String> {
     const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
-    let duration = match text.parse::<f64>() {
-        Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string()),
-        Err(_) => downbeat_robot::duration::parse(text),
-    };
-    duration.and_then(|time| if time <= LONGEST { Ok(time) } else { Err("more than a century".to_owned()) })
+    parse_or_seconds(text)
+        .and_then(|time| if time <= LONGEST { Ok(time) } else { Err("more than a century".to_owned()) })
 }

@@ -8,9 +8,9 @@ use std::time::Duration;
 use crate::new_output::Force;
 use clap::{Args, ValueEnum};
 use downbeat_bags::Storage;
+use downbeat_files::duration::parse as duration;
 use downbeat_msgs::encoding::Encoding;
 use downbeat_robot::LogLevel;
-use downbeat_robot::duration::parse as duration;
 use regex_lite::Regex;
 
 /// The help of each option follows that of `ros2bag/verb/record.py`.
@@ -48,7 +48,7 @@ pub(crate) struct RecordArguments {
     /// Run this robot without a bridge and record its topics from the very first message.
     #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["domain", "use_sim_time", "no_discovery", "qos_profile_overrides_path"])]
     pub(crate) robot: Option<PathBuf>,
-    /// Stop after this time: 500ms, 10s, 5m, 1h.
+    /// Stop after this time: 500ms, 10s, 5min, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
     /// The ROS domain, instead of ROS_DOMAIN_ID.

@@ -395,7 +395,7 @@ fn dump(arguments: &DumpArguments, environment: &Environment<'_>) -> anyhow::Res
 }
 
 fn load(arguments: &LoadArguments, environment: &Environment<'_>) -> anyhow::Result<()> {
-    let source = Arc::new(Source::read(&arguments.file, "parameter file")?);
+    let source = Arc::new(Source::read(&arguments.file, "the parameter file")?);
     let node = absolute(&arguments.node.node);
     let loaded = values_in(&source, &node, !arguments.no_use_wildcard)?;
     let parameters = Parameters::of(&arguments.node, environment)?;

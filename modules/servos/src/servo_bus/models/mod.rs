@@ -30,6 +30,10 @@
 //! `present_temperature`, `lock`.
 
 use super::protocol::Protocol;
+use downbeat_files::lines::line_of;
+/// Why a text is not a model.
+pub use downbeat_files::toml::Problem as ModelError;
+use downbeat_files::toml::{self, Spanned};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -140,16 +144,6 @@ pub struct Register {
     per: f64,
 }
 
-/// Why a text is not a model.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}: {problem}")]
-pub struct ModelError {
-    /// The line, from 1.
-    pub line: usize,
-    /// What was found, what was expected.
-    pub problem: String,
-}
-
 /// The built-in models.
 pub fn built_in() -> &'static [Arc<Model>] {
     &BUILT_IN
@@ -183,10 +177,7 @@ impl Model {
     /// Returns an error with the line if the text is not TOML of the form in [the module](self), or registers
     /// overlap.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
-        let file: ModelFile = toml::from_str(text).map_err(|error| ModelError {
-            line: line_of(text, error.span().map_or(0, |span| span.start)),
-            problem: error.message().to_owned(),
-        })?;
+        let file: ModelFile = toml::parse(text)?;
         let mut registers = Vec::new();
         for (name, entry) in file.registers {
             let line = line_of(text, entry.span().start);
@@ -315,11 +306,6 @@ impl Register {
     }
 }
 
-/// The line of a position in a text, from 1.
-pub(super) fn line_of(text: &str, position: usize) -> usize {
-    1 + text.as_bytes()[..position.min(text.len())].iter().filter(|&&byte| byte == b'\n').count()
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ModelFile {
@@ -332,12 +318,12 @@ struct ModelFile {
     #[serde(default)]
     eeprom_needs_torque_off: bool,
     #[serde(default)]
-    at_start: BTreeMap<String, toml::Spanned<i64>>,
+    at_start: BTreeMap<String, Spanned<i64>>,
     #[serde(default)]
     modes: Modes,
     #[serde(default)]
     baud_rates: Vec<(i64, u32)>,
-    registers: BTreeMap<String, toml::Spanned<RegisterEntry>>,
+    registers: BTreeMap<String, Spanned<RegisterEntry>>,
 }
 
 /// A protocol by its key.

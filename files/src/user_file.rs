@@ -7,6 +7,8 @@ use std::fs::{File, Metadata};
 use std::io::{self, Read};
 use std::path::Path;
 
+use crate::lines::line_of;
+
 /// The largest file that is read as a whole, in bytes.
 pub const LARGEST: u64 = 64 * 1024 * 1024;
 
@@ -59,9 +61,16 @@ pub fn read_within(path: impl AsRef<Path>, most: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// Returns an error if it is not a regular file, is larger, is not UTF-8, or cannot be read.
 pub fn read_text(path: impl AsRef<Path>) -> io::Result<String> {
-    String::from_utf8(read(path)?).map_err(|error| {
-        let at = error.utf8_error().valid_up_to();
-        let line = error.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
+    read_text_within(path, LARGEST)
+}
+
+/// Reads a regular file of at most `most` bytes as UTF-8.
+///
+/// # Errors
+/// Returns an error if it is not a regular file, is larger, is not UTF-8, or cannot be read.
+pub fn read_text_within(path: impl AsRef<Path>, most: u64) -> io::Result<String> {
+    String::from_utf8(read_within(path, most)?).map_err(|error| {
+        let line = line_of(error.as_bytes(), error.utf8_error().valid_up_to());
         io::Error::new(io::ErrorKind::InvalidData, format!("it is not UTF-8 text, from line {line} on"))
     })
 }
