@@ -1,8 +1,8 @@
 //! What all readers of files that users write share, at the bottom of all packages.
 //!
-//! [`user_file`] reads a regular file up to a size, [`lines`] says on which line a byte stands, [`toml`] reads
-//! TOML with errors that name file and line, [`duration`] reads times with units, and [`suggestion`] finds the
-//! name that was meant.
+//! [`user_file`] reads a regular file up to a size, [`lines`] says on which line a byte stands, [`toml`]
+//! reads TOML with errors that name file and line, [`duration`] reads times with units, and [`suggestion`]
+//! finds the name that was meant.
 
 pub mod duration;
 pub mod lines;

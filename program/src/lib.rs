@@ -173,7 +173,7 @@ fn ends_when_done(command: &Command) -> bool {
 
 /// The error of a command that needs a feature of the package.
 #[cfg_attr(
-    all(feature = "football", feature = "plots", feature = "tables", feature = "top", feature = "view")
+    all(feature = "football", feature = "plots", feature = "tables", feature = "top", feature = "view"),
     allow(dead_code)
 )]
 fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {

@@ -42,6 +42,7 @@ pub(crate) use catalog::unregistered;
 pub use catalog::{Catalog, CatalogError};
 pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoint};
 pub use downbeat_bridge::middleware::Direction;
+pub use downbeat_files::duration;
 pub use failure::{Failure, TestResult, in_one_line};
 #[cfg(test)]
 pub(crate) use feature_kinds::kinds_of_features;

@@ -131,8 +131,8 @@ fn choice(
     threads: Option<Value<'_>>,
     catalog: &Catalog,
 ) -> Result<LauncherChoice> {
-    let threads = threads.map(|value| Ok((value, value.count()?))).transpose()?;
-    let kind = launcher.map(|value| Ok((value, value.text()?))).transpose()?;
+    let threads = threads.map(|value| value.count().map(|count| (value, count))).transpose()?;
+    let kind = launcher.map(|value| value.text().map(|text| (value, text))).transpose()?;
     match (kind, threads) {
         (None | Some((_, "linear")), None) => Ok(LauncherChoice::Linear),
         (Some((_, "threads")), None) => Ok(LauncherChoice::Threads),

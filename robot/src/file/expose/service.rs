@@ -64,7 +64,7 @@ pub(super) fn actions(
 /// Reads what services and calls publish about their calls.
 pub(super) fn introspection(table: &mut Table<'_>) -> Result<ServiceIntrospection> {
     let mut chosen = |key| {
-        let word = |value: Value<'_>| {
+        let word = |value: Value<'_>| -> Result<Introspection> {
             let word: Introspection = value
                 .text()?
                 .parse()
