@@ -125,6 +125,11 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
     );
 
     set(ServiceIntrospection::OF_SERVICES, "contents").unwrap();
+    // The setting takes effect in a cycle after that which accepts it.
+    wait_until("contents are published", || {
+        call(&mut rclpy);
+        events_of(&mut rclpy, OURS, calls.get())[0].1 != none
+    });
     call(&mut rclpy);
     let (request, response) = (json!([{"data": true}]), json!([{"success": true, "message": "standing"}]));
     assert_eq!(

@@ -12,9 +12,10 @@ use test_machine::free_domain;
 #[test]
 fn a_participant_that_left_leaves_no_thread_and_no_open_file() {
     let count = |what: &str| std::fs::read_dir(format!("/proc/self/{what}")).unwrap().count();
+    // Each holds a socket until the end of the process.
+    let domains: [Dds; 3] = std::array::from_fn(|_| Dds(free_domain()));
     let (threads, files) = (count("task"), count("fd"));
-    for _ in 0..3 {
-        let domain = Dds(free_domain());
+    for domain in domains {
         let (alice, bob) = (domain.join(), domain.join());
         let endpoint = Endpoint::new("rt/chatter", "std_msgs::msg::dds_::UInt32_", QosProfile::DEFAULT);
         let writer = alice.create_writer(&endpoint).unwrap();

@@ -18,7 +18,7 @@ use downbeat_msgs::yaml;
 pub(super) const NULL_WORD: &str = "!null";
 
 /// Parses YAML as rcl does. Scalars without a value stay `Null`; words such as `null` have the tag
-/// [`NULL_WORD`].
+/// `!null`.
 ///
 /// # Errors
 /// If the text is not YAML.

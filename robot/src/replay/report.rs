@@ -144,7 +144,7 @@ pub enum NotComparedReason {
         /// The modules that publish it.
         modules: Vec<String>,
     },
-    /// Excluded by [`ReplayOptions::except`].
+    /// Excluded by [`ReplayOptions::except`](super::ReplayOptions::except).
     Excluded,
     /// The messages have a plain Rust type, which cannot be recorded.
     PlainType {
@@ -200,7 +200,7 @@ impl ReplayReport {
     }
 
     /// For tests: fails unless the replay equals the bag on every topic of the chosen modules, except for
-    /// topics excluded by [`ReplayOptions::except`](super::ReplayOptions::except) and topics of plain Rust
+    /// topics excluded by [`ReplayOptions::except`](super::ReplayOptions::except)(super::ReplayOptions::except) and topics of plain Rust
     /// types.
     ///
     /// # Errors
