@@ -363,5 +363,6 @@ def test_rclpy_calls_services_and_actions_that_the_program_knows_by_definition_o
         assert sent.result().accepted
         result = sent.result().get_result_async()
         peer.wait(result.done, "the result")
+        peer.wait(lambda: heard, "feedback")
         assert list(result.result().result.sequence) == [0, 1, 2, 3] and list(heard[0].feedback.sequence) == [1, 1]
         peer.stop()

@@ -200,7 +200,7 @@ impl ReplayReport {
     }
 
     /// For tests: fails unless the replay equals the bag on every topic of the chosen modules, except for
-    /// topics excluded by [`ReplayOptions::except`](super::ReplayOptions::except)(super::ReplayOptions::except) and topics of plain Rust
+    /// topics excluded by [`ReplayOptions::except`](super::ReplayOptions::except) and topics of plain Rust
     /// types.
     ///
     /// # Errors
