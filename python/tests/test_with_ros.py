@@ -358,11 +358,16 @@ def test_rclpy_calls_services_and_actions_that_the_program_knows_by_definition_o
         action = ActionClient(peer.node, Fibonacci, "count")
         assert action.wait_for_server(60.0)
         heard = []
-        sent = action.send_goal_async(Fibonacci.Goal(order=4), feedback_callback=heard.append)
-        peer.wait(sent.done, "the goal")
-        assert sent.result().accepted
-        result = sent.result().get_result_async()
-        peer.wait(result.done, "the result")
-        peer.wait(lambda: heard, "feedback")
-        assert list(result.result().result.sequence) == [0, 1, 2, 3] and list(heard[0].feedback.sequence) == [1, 1]
+
+        def goals_until_heard() -> bool:
+            sent = action.send_goal_async(Fibonacci.Goal(order=4), feedback_callback=heard.append)
+            peer.wait(sent.done, "the goal")
+            assert sent.result().accepted
+            result = sent.result().get_result_async()
+            peer.wait(result.done, "the result")
+            assert list(result.result().result.sequence) == [0, 1, 2, 3]
+            return bool(heard)
+
+        peer.wait(goals_until_heard, "feedback")
+        assert list(heard[0].feedback.sequence) == [1, 1]
         peer.stop()
