@@ -182,6 +182,9 @@ impl Drop for Running {
         // Fails only if the process has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
+        if std::thread::panicking() {
+            eprintln!("the program printed:\n{}", self.output());
+        }
     }
 }
 

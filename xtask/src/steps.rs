@@ -1,7 +1,9 @@
 //! Runs commands one after another and reports their results.
 
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -27,6 +29,33 @@ pub(crate) fn run_in(folder: &Path, command: &mut Command) -> anyhow::Result<()>
     Ok(())
 }
 
+/// Runs a command in the workspace. What it prints on standard error from the line with `mark` on is repeated
+/// in the error if it fails.
+pub(crate) fn run_and_repeat(mark: &str, command: &mut Command) -> anyhow::Result<()> {
+    const MOST_LINES: usize = 400;
+    let name = format!("{command:?}");
+    let command = command.current_dir(workspace()).stderr(Stdio::piped());
+    let mut child = command.spawn().with_context(|| format!("cannot run {name}"))?;
+    let mut repeated = VecDeque::new();
+    let mut is_marked = false;
+    for line in child.stderr.take().into_iter().flat_map(|stderr| BufReader::new(stderr).split(b'\n')) {
+        let line = String::from_utf8_lossy(&line?).into_owned();
+        eprintln!("{line}");
+        is_marked |= line.contains(mark);
+        if is_marked {
+            repeated.push_back(line);
+        }
+        if repeated.len() > MOST_LINES {
+            repeated.pop_front();
+        }
+    }
+    let status = child.wait()?;
+    if !status.success() {
+        bail!("{name} failed: {status}\n{}", Vec::from(repeated).join("\n"));
+    }
+    Ok(())
+}
+
 /// Steps that all run, even if others fail.
 #[derive(Default)]
 pub(crate) struct Steps {
@@ -38,17 +67,22 @@ impl Steps {
         eprintln!("\n== {name}");
         let started = Instant::now();
         let result = run();
-        if let Err(error) = &result {
-            eprintln!("== {name}: {error:#}");
+        if result.is_err() {
+            eprintln!("== {name}: FAILED");
         }
         self.done.push((name.to_owned(), result, started.elapsed()));
     }
 
-    /// Prints the result of each step.
+    /// Prints the errors, and the result of each step.
     ///
     /// # Errors
     /// Returns an error if a step failed.
     pub(crate) fn finish(self) -> anyhow::Result<()> {
+        for (name, result, _) in &self.done {
+            if let Err(error) = result {
+                println!("\n== {name}: {error:#}");
+            }
+        }
         println!("\nsummary");
         for (name, result, time) in &self.done {
             let verdict = if result.is_ok() { "passed" } else { "FAILED" };

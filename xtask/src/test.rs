@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use crate::matrix::Notes;
-use crate::steps::{Steps, run, workspace};
+use crate::steps::{Steps, run, run_and_repeat, workspace};
 use crate::{budget, node, python, skips, tidy, wheel};
 
 /// The steps of new users, which the tests of pages and templates write down.
@@ -113,7 +113,8 @@ pub(crate) fn test() -> anyhow::Result<()> {
         command.envs(kilted.map(|python| ("DOWNBEAT_KILTED_PYTHON", python)));
         command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         command.envs(node_modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
-        run(command.env("DOWNBEAT_MATRIX", notes.folder()).envs([skips.variable()]))
+        // nextest says at its end how each failed test failed.
+        run_and_repeat("Summary [", command.env("DOWNBEAT_MATRIX", notes.folder()).envs([skips.variable()]))
     });
     steps.step("the size of the default build", || {
         budget::check(if has_nextest { ALL } else { &["--features", "downbeat/tables"] })

@@ -5,8 +5,8 @@ use std::ops::RangeInclusive;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-/// The domains whose ports Linux gives to nobody who asks for any port, which are those that ROS 2
-/// recommends. The default, 0, is for robots outside of tests.
+/// The domains that ROS 2 recommends for Linux: when a program lets the system choose a port, it never
+/// chooses one of theirs. The default, 0, is for robots outside of tests.
 const RANGES: [RangeInclusive<u16>; 2] = [1..=101, 215..=232];
 
 /// Long enough for other tests to end.
@@ -22,6 +22,7 @@ pub fn free_domains(count: u16) -> u16 {
     static HELD: Mutex<Vec<Domains>> = Mutex::new(Vec::new());
     let domains = Domains::take(count);
     let first = domains.first;
+    println!("this test has the ROS domains from {first} on: {count}");
     HELD.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(domains);
     first
 }

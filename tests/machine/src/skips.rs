@@ -155,8 +155,8 @@ fn this_run() -> Option<String> {
         return Some(format!("nextest {run}"));
     }
     let cargo = std::os::unix::process::parent_id();
-    // Numbers of processes are used again; the number after the name is unique together with its start time,
-    // field 22, where Linux tells it.
+    // Linux gives the number of an ended process to a new one, so the start time belongs to the name: field
+    // 22 of this file.
     let status = std::fs::read_to_string(format!("/proc/{cargo}/stat")).unwrap_or_default();
     let after_name = status.rsplit(')').next().unwrap_or_default();
     Some(format!("cargo {cargo} {}", after_name.split_whitespace().nth(19).unwrap_or_default()))
