@@ -8,7 +8,7 @@ use common::rclpy::Peer;
 use common::{on_loopback, wait_until};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::{
-    Endpoint, EventHandler, Gid, MatchedCounter, Middleware, MiddlewareError, Reader, RemoteEndpoint, Sample,
+    Endpoint, EventHandler, Gid, Middleware, MiddlewareError, Reader, ReaderCounter, RemoteEndpoint, Sample,
     SampleHandler, WriteError, WriteOptions, Writer,
 };
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant};
@@ -177,8 +177,8 @@ impl Writer for BrokenWriter {
         self.0.matched()
     }
 
-    fn matched_counter(&self) -> MatchedCounter {
-        self.0.matched_counter()
+    fn reader_counter(&self) -> ReaderCounter {
+        self.0.reader_counter()
     }
 
     fn matched_readers(&self) -> Vec<Gid> {

@@ -254,19 +254,21 @@ fn a_panic_stops_one_module_and_the_others_go_on() {
 }
 
 #[test]
-fn parts_stop_in_reverse_order_and_observers_last() {
+fn timekeepers_stop_first_parts_in_reverse_order_and_observers_last() {
     let (mut core, _clock) = manual_core();
     let log = Arc::default();
     let observer = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
     core.add_with("recorder", Lifecycle("recorder", Arc::clone(&log)), observer).unwrap();
     core.add("first", Lifecycle("first", Arc::clone(&log))).unwrap();
+    let timekeeper = ModuleOptions { role: Role::Timekeeper, ..ModuleOptions::default() };
+    core.add_with("clock", Lifecycle("clock", Arc::clone(&log)), timekeeper).unwrap();
     core.add("second", Lifecycle("second", Arc::clone(&log))).unwrap();
     core.cycle().unwrap();
     core.stop();
     core.stop();
-    let expected =
-        ["start recorder", "start first", "start second", "stop second", "stop first", "stop recorder"];
-    assert_eq!(*log.lock().unwrap(), expected);
+    let started = ["start recorder", "start first", "start clock", "start second"];
+    let stopped = ["stop clock", "stop second", "stop first", "stop recorder"];
+    assert_eq!(*log.lock().unwrap(), [started, stopped].concat());
 }
 
 #[test]

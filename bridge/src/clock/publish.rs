@@ -61,7 +61,7 @@ impl ClockPublisher {
     fn publish_time(&mut self, ctx: &mut Context<'_>) {
         let Some(publisher) = &self.publisher else { return };
         // Best effort: an old time is of no use to anyone.
-        if publisher.matched_subscriptions() == 0 {
+        if !publisher.is_subscribed() {
             return;
         }
         let clock = Clock { clock: Time::from_nanos(ctx.now().as_nanos()) };

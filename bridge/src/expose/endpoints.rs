@@ -219,9 +219,9 @@ impl Sink for ToRos {
             return None;
         }
         // Not the publisher: dropping the last handle of it leaves DDS, which must not happen on that thread.
-        let (matched, traffic) = (self.publisher.matched_counter(), Arc::clone(&self.traffic));
+        let (readers, traffic) = (self.publisher.reader_counter(), Arc::clone(&self.traffic));
         Some(OutletGate::new(move |messages| {
-            let is_wanted = matched() > 0;
+            let is_wanted = readers() > 0;
             if !is_wanted {
                 traffic.skipped.fetch_add(messages.into(), Ordering::Relaxed);
             }
@@ -239,7 +239,7 @@ impl Sink for ToRos {
             return false;
         }
         // The last subscription may have left since the gate was asked.
-        let is_wanted = self.is_latched() || self.publisher.matched_subscriptions() > 0;
+        let is_wanted = self.is_latched() || self.publisher.is_subscribed();
         if !is_wanted {
             self.traffic.skipped.fetch_add(1, Ordering::Relaxed);
         }

@@ -33,8 +33,8 @@ use std::time::Duration;
 /// that all readers of the participant share, so it must pass the sample on and return.
 pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 
-/// Counts the matched readers of a writer; 0 or the last count once the writer is dropped.
-pub type MatchedCounter = Box<dyn Fn() -> usize + Send + Sync>;
+/// Counts the readers of a writer; 0 or the last count once the writer is dropped.
+pub type ReaderCounter = Box<dyn Fn() -> usize + Send + Sync>;
 
 /// Handles changes of the matched endpoints. It runs on a thread of the middleware, so it must not block.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
@@ -87,9 +87,15 @@ pub trait Writer: Send + Sync {
     /// receives what is written now.
     fn matched(&self) -> usize;
 
-    /// Returns a function that counts the matched readers as [`matched`](Self::matched) does, from any
-    /// thread, without keeping the endpoint.
-    fn matched_counter(&self) -> MatchedCounter;
+    /// The number of readers of what is written now: matched ones, and those for which an engine keeps
+    /// samples until they have answered.
+    fn readers(&self) -> usize {
+        self.matched()
+    }
+
+    /// Returns a function that counts the readers as [`readers`](Self::readers) does, from any thread,
+    /// without keeping the endpoint.
+    fn reader_counter(&self) -> ReaderCounter;
 
     /// The matched readers.
     fn matched_readers(&self) -> Vec<Gid>;

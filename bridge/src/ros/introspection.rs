@@ -150,10 +150,10 @@ pub(super) struct Publishing<'a> {
 }
 
 impl Publishing<'_> {
-    /// Publishes an event if a subscription is matched; `cdr` is the request or the response.
+    /// Publishes an event if a subscription receives it; `cdr` is the request or the response.
     pub(super) fn publish_event(&self, event: Event, client: Gid, number: i64, cdr: &[u8]) {
         let Some(active) = &*self.active else { return };
-        if active.publisher.matched_subscriptions() == 0 {
+        if !active.publisher.is_subscribed() {
             return;
         }
         let info = ServiceEventInfo {

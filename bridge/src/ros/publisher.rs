@@ -6,7 +6,7 @@ use super::membership::Shared;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
 use crate::edge::Interfaces;
-use crate::middleware::{Direction, Endpoint, EventHandler, Gid, MatchedCounter, WriteError, Writer};
+use crate::middleware::{Direction, Endpoint, EventHandler, Gid, ReaderCounter, WriteError, Writer};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 use std::time::Duration;
@@ -49,9 +49,17 @@ impl Publisher {
         self.writer.matched()
     }
 
-    /// Returns a function that counts the matched subscriptions without keeping the publisher.
-    pub(crate) fn matched_counter(&self) -> MatchedCounter {
-        self.writer.matched_counter()
+    /// Whether a subscription receives what is published now: one that is matched, or one that was discovered
+    /// and will be.
+    #[must_use]
+    pub fn is_subscribed(&self) -> bool {
+        self.writer.readers() > 0
+    }
+
+    /// Returns a function that counts the subscriptions that receive what is published now, without keeping
+    /// the publisher.
+    pub(crate) fn reader_counter(&self) -> ReaderCounter {
+        self.writer.reader_counter()
     }
 
     /// Registers a handler for events of the quality of service of this publisher: first the present state,

@@ -488,9 +488,9 @@ impl Core {
         self.mechanisms.earliest_due().min(self.state.agenda.earliest_due())
     }
 
-    /// Runs the `shutdown` of all modules: parts in the reverse order of registration, then observers in the
-    /// order of registration. Messages sent before the stop are delivered before the first module stops; the
-    /// last messages of each module are delivered before the next one stops.
+    /// Runs the `shutdown` of all modules: timekeepers, then parts in the reverse order of registration, then
+    /// observers in the order of registration. Messages sent before the stop are delivered before the first
+    /// module stops; the last messages of each module are delivered before the next one stops.
     ///
     /// Outlets end after all modules: their sinks receive the waiting messages, and are dropped.
     ///
@@ -506,9 +506,10 @@ impl Core {
         self.state.link.request_stop();
         self.settle();
         let members = &self.state.members;
+        let timekeepers = members.iter().filter(|member| member.role() == Role::Timekeeper);
         let parts = members.iter().rev().filter(|member| member.role() == Role::Part);
         let observers = members.iter().filter(|member| member.role() == Role::Observer);
-        let order: Vec<_> = parts.chain(observers).map(|member| member.id).collect();
+        let order: Vec<_> = timekeepers.chain(parts).chain(observers).map(|member| member.id).collect();
         for id in order {
             match id.place {
                 Place::Attached(slot) => self.shut_down(id.order, slot),

@@ -59,12 +59,15 @@ pub enum Inbox {
     KeepLast(NonZeroUsize),
 }
 
-/// Whether a module is a part of the robot or an observer; decides the order of stopping.
+/// Whether a module is a part of the robot or looks at its parts; decides the order of stopping.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Role {
     /// A part of the robot. Parts stop in the reverse order of registration.
     #[default]
     Part,
+    /// Keeps an account of the cycles in which all parts run. Timekeepers stop before all parts, also before
+    /// those that were added later.
+    Timekeeper,
     /// Watches the parts and publishes or serves its observations, such as a journal. Code that only receives
     /// messages uses an [outlet](crate::Core::outlet) instead. Observers stop after all parts, in the order
     /// of registration, so that they receive the parts' last messages.

@@ -118,8 +118,8 @@ fn settings_message(change: &SettingsChange) -> ModuleSettings {
 /// Publishes the times of all cycles on [`CYCLES`], many at once, and on [`MESSAGES`] which messages joined
 /// in cycles that are not the first at their time.
 ///
-/// It must be the last module that joins a core: then it is the first to stop, and its last message contains
-/// the cycles before the end began.
+/// It is the first module to stop, so that its last message ends with the last cycle in which all modules
+/// ran: in a replay they run in all of its cycles.
 #[derive(Default)]
 pub struct CycleJournal {
     first: u64,
@@ -157,7 +157,11 @@ impl CycleJournal {
     /// # Errors
     /// If another module has the name or the topic.
     pub fn add(core: &mut Core) -> Result<(), SetupError> {
-        let options = ModuleOptions { synchrony: Synchrony::EveryCycle, ..ModuleOptions::default() };
+        let options = ModuleOptions {
+            synchrony: Synchrony::EveryCycle,
+            role: Role::Timekeeper,
+            ..ModuleOptions::default()
+        };
         core.add_with(CYCLE_JOURNAL, Self::default(), options)
     }
 
@@ -229,5 +233,47 @@ impl Module for CycleJournal {
     fn shutdown(&mut self, ctx: &mut Context<'_, CyclePorts>) {
         self.note_messages(ctx);
         self.publish(true, ctx);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use downbeat_executor::{ManualClock, OutletInbox};
+    use parking_lot::Mutex;
+
+    use super::*;
+
+    /// A module that takes its time to stop.
+    struct Slow(ManualClock);
+
+    impl Module for Slow {
+        type Ports = ();
+
+        fn setup(&mut self, _: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+            Ok(())
+        }
+
+        fn shutdown(&mut self, _: &mut Context<'_, ()>) {
+            self.0.set(Time::from_nanos(500));
+        }
+    }
+
+    #[test]
+    fn the_account_of_cycles_ends_before_the_first_module_stops_even_if_that_joined_later() {
+        let clock = ManualClock::new(Time::from_nanos(100));
+        let mut core = Core::new().with_clock(clock.clone());
+        CycleJournal::add(&mut core).unwrap();
+        core.add("slow", Slow(clock)).unwrap();
+        let times = Arc::new(Mutex::new(Vec::new()));
+        let heard = Arc::clone(&times);
+        let note =
+            move |message: Received<'_, CycleTimes>| heard.lock().extend(message.times.iter().copied());
+        core.outlet(CYCLES, &OutletInbox::new("test", downbeat_executor::Inbox::KeepAll), note)
+            .unwrap()
+            .keep();
+        core.cycle().unwrap();
+        core.stop();
+        assert_eq!(*times.lock(), [100; 4]);
     }
 }

@@ -50,6 +50,8 @@ pub(super) struct EndpointState {
     /// `None` for writers and after the reader was dropped.
     on_sample: Mutex<Option<SampleHandler>>,
     matched: AtomicUsize,
+    /// Known reliable readers of a writer that have yet to answer it.
+    awaited: AtomicUsize,
     listeners: Mutex<Listeners>,
     /// Locked while event handlers run, so that they run in the order of the events.
     delivery: Mutex<()>,
@@ -74,6 +76,7 @@ impl EndpointState {
             guid,
             on_sample: Mutex::new(on_sample),
             matched: AtomicUsize::new(0),
+            awaited: AtomicUsize::new(0),
             listeners: Mutex::default(),
             delivery: Mutex::default(),
         }
@@ -81,6 +84,16 @@ impl EndpointState {
 
     pub(super) fn matched(&self) -> usize {
         self.matched.load(Ordering::Acquire)
+    }
+
+    /// The endpoints that are matched, and those that will be when they have answered.
+    pub(super) fn known(&self) -> usize {
+        // In this order, a reader that answers meanwhile counts twice rather than not at all.
+        self.awaited.load(Ordering::Acquire) + self.matched()
+    }
+
+    pub(super) fn await_readers(&self, count: usize) {
+        self.awaited.store(count, Ordering::Release);
     }
 
     pub(super) fn peers(&self) -> Vec<Guid> {

@@ -324,6 +324,11 @@ impl Engine {
                 }
             }
             Event::Matched { local, remote } => deliver(local, EndpointEvent::Matched { peer: remote }),
+            Event::Awaiting { writer, count } => {
+                if let Some(endpoint) = self.endpoint(writer) {
+                    endpoint.await_readers(count);
+                }
+            }
             Event::Unmatched { local, remote } => deliver(local, EndpointEvent::Unmatched { peer: remote }),
             Event::Incompatible { local, remote, policy } => {
                 deliver(local, EndpointEvent::Incompatible { peer: remote, policy });

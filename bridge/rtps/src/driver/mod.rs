@@ -208,10 +208,18 @@ impl Writer {
         self.state.matched()
     }
 
-    /// Returns a function that counts the matched readers, without keeping the writer.
-    pub fn matched_counter(&self) -> impl Fn() -> usize + Send + Sync + use<> {
+    /// The number of readers of what is written now: matched ones, and known reliable ones that have yet to
+    /// answer this writer, for which samples are kept.
+    #[must_use]
+    pub fn readers(&self) -> usize {
+        self.state.known()
+    }
+
+    /// Returns a function that counts the readers as [`readers`](Self::readers) does, without keeping the
+    /// writer.
+    pub fn reader_counter(&self) -> impl Fn() -> usize + Send + Sync + use<> {
         let state = Arc::clone(&self.state);
-        move || state.matched()
+        move || state.known()
     }
 
     /// The matched readers.

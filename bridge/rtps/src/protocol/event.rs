@@ -26,6 +26,11 @@ pub enum Event {
         local: EntityId,
         remote: Guid,
     },
+    /// This many known reliable readers have yet to answer a writer. Samples are kept for them.
+    Awaiting {
+        writer: EntityId,
+        count: usize,
+    },
     /// A matched endpoint was removed, or its participant left.
     Unmatched {
         local: EntityId,

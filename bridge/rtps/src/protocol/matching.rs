@@ -148,7 +148,11 @@ impl Participant {
                 known.matched.push(local);
             }
             match self.locals.writers.get_mut(&local).filter(|_| is_reliable) {
-                Some(writer) => _ = writer.unanswered.insert(remote),
+                Some(writer) => {
+                    writer.unanswered.insert(remote);
+                    let count = writer.unanswered.len();
+                    self.events.push_back(Event::Awaiting { writer: local, count });
+                }
                 // Before the consequences of the match, such as a waiting sample or a change of liveliness.
                 None => self.events.push_back(Event::Matched { local, remote }),
             }
@@ -164,10 +168,16 @@ impl Participant {
     /// Handles the first acknowledgement of a reader: it knows the writer, so samples written from now on
     /// reach it.
     pub(super) fn note_acquaintance(&mut self, local: EntityId, remote: Guid) {
-        let writer = self.locals.writers.get_mut(&local).filter(|writer| !writer.unanswered.is_empty());
-        if writer.is_some_and(|writer| writer.unanswered.remove(&remote)) {
+        if let Some(count) = self.no_longer_await(local, remote) {
             self.events.push_back(Event::Matched { local, remote });
+            self.events.push_back(Event::Awaiting { writer: local, count });
         }
+    }
+
+    /// Returns how many readers are still awaited if this one was.
+    fn no_longer_await(&mut self, writer: EntityId, reader: Guid) -> Option<usize> {
+        let unanswered = &mut self.locals.writers.get_mut(&writer)?.unanswered;
+        (!unanswered.is_empty() && unanswered.remove(&reader)).then_some(unanswered.len())
     }
 
     /// Unmatches a local endpoint from another. The caller updates the matches of the other endpoint.
@@ -177,7 +187,8 @@ impl Participant {
         }
         if local.is_writer() {
             self.with_writer(now, local, |writer, links| writer.unmatch_reader(now, remote, links));
-            if self.locals.writers.get_mut(&local).is_some_and(|writer| writer.unanswered.remove(&remote)) {
+            if let Some(count) = self.no_longer_await(local, remote) {
+                self.events.push_back(Event::Awaiting { writer: local, count });
                 return;
             }
         } else {

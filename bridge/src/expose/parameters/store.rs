@@ -109,7 +109,7 @@ impl Parameters {
 
     /// Publishes what others have changed, if there are subscriptions.
     pub(super) async fn look_for_listeners(&mut self) {
-        if self.node.upgrade().is_some_and(|node| node.events.matched_subscriptions() > 0) {
+        if self.node.upgrade().is_some_and(|node| node.events.is_subscribed()) {
             self.refresh().await;
         }
     }

@@ -7,8 +7,8 @@ mod state;
 
 use super::rtps::is_cdr;
 use super::{
-    Direction, Endpoint, EventHandler, Gid, MatchHandler, MatchedCounter, Middleware, MiddlewareError,
-    Reader, RemoteEndpoint, SampleHandler, WriteError, WriteOptions, Writer,
+    Direction, Endpoint, EventHandler, Gid, MatchHandler, Middleware, MiddlewareError, Reader, ReaderCounter,
+    RemoteEndpoint, SampleHandler, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::Durability;
@@ -144,7 +144,7 @@ impl Writer for InProcessWriter {
         self.matched_readers().len()
     }
 
-    fn matched_counter(&self) -> MatchedCounter {
+    fn reader_counter(&self) -> ReaderCounter {
         let (hub, endpoint) = (self.hub.clone(), self.endpoint.clone());
         Box::new(move || hub.state.lock().readers_of(&endpoint).count())
     }

@@ -5,7 +5,7 @@ mod qos;
 
 use super::{
     Aliveness, Direction, DiscoveryRange, Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler,
-    MatchedCounter, Middleware, MiddlewareError, ParticipantOptions, QosPolicyKind, Reader, RemoteEndpoint,
+    Middleware, MiddlewareError, ParticipantOptions, QosPolicyKind, Reader, ReaderCounter, RemoteEndpoint,
     Sample, SampleHandler, SampleIdentity, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
@@ -101,8 +101,12 @@ impl Writer for RtpsWriter {
         self.0.matched()
     }
 
-    fn matched_counter(&self) -> MatchedCounter {
-        Box::new(self.0.matched_counter())
+    fn readers(&self) -> usize {
+        self.0.readers()
+    }
+
+    fn reader_counter(&self) -> ReaderCounter {
+        Box::new(self.0.reader_counter())
     }
 
     fn matched_readers(&self) -> Vec<Gid> {

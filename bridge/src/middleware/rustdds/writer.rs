@@ -5,7 +5,7 @@ use super::payload::{OutgoingBody, SendLittleEndian};
 use super::reader_thread::Link;
 use super::{RustddsParticipant, SharedMatches};
 use crate::middleware::{
-    Direction, Endpoint, EventHandler, Gid, MatchHandler, MatchedCounter, WriteError, WriteOptions, Writer,
+    Direction, Endpoint, EventHandler, Gid, MatchHandler, ReaderCounter, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use rustdds::dds::WriteError as DdsWriteError;
@@ -51,7 +51,7 @@ impl Writer for DdsWriter {
         self.matched.load(Ordering::Acquire)
     }
 
-    fn matched_counter(&self) -> MatchedCounter {
+    fn reader_counter(&self) -> ReaderCounter {
         let matched = Arc::clone(&self.matched);
         Box::new(move || matched.load(Ordering::Acquire))
     }
