@@ -58,7 +58,7 @@ fn wait_until_recorded(domain: u16, file: &Path) {
 }
 
 fn tshark(file: &Path, arguments: &[&str]) -> String {
-    // By the content first: some domains have ports that are known for other protocols, such as those of games.
+    // By the content first: some domains have ports that other protocols are known for, such as games.
     let by_content = ["-o", "udp.try_heuristic_first:TRUE"];
     let output =
         Command::new("tshark").arg("-r").arg(file).args(by_content).args(arguments).output().unwrap();
