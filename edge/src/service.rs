@@ -1,11 +1,10 @@
 //! Types of services, and how requests and responses enter a core as bytes and leave it as bytes.
 
-use crate::foreign::{CallEncodedIn, ForeignError, ForeignModule, ReplyEncoded};
 use crate::{CoreAccess, KnownType, RawTypeError, Waiting};
 use bytes::Bytes;
 use downbeat_executor::{
-    AnyValue, CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Reply, Responder, Role,
-    ServiceType, Setup, SetupError, StandIn,
+    AnyValue, CallError, Context, Core, Inlet, Module, ModuleOptions, Received, Responder, Role, ServiceType,
+    Setup, SetupError, StandIn,
 };
 use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, FieldError, InterfaceDefinition, TypeLookupError};
 use downbeat_msgs::service_msgs::msg::ServiceEventInfo;
@@ -336,63 +335,6 @@ impl KnownService {
         Ok(EncodedStandIn { service: self, stand_in })
     }
 
-    /// Declares that a module in another language serves the service.
-    pub(crate) fn serve_foreign(
-        self,
-        setup: &mut Setup<'_, ForeignModule>,
-        service: &str,
-        server: u32,
-    ) -> Result<(), SetupError> {
-        let name: Arc<str> = service.into();
-        setup.serve_later_of(
-            self.in_core(),
-            service,
-            move |module: &mut ForeignModule, request, responder: Responder<_, AnyValue>, ctx| {
-                let name = Arc::clone(&name);
-                let reply: ReplyEncoded = Box::new(move |ctx, result| {
-                    let (answer, outcome) = match result.map(|cdr| self.read_response(cdr)) {
-                        Ok(Ok(response)) => (Ok(response), Ok(())),
-                        Ok(Err(error)) => {
-                            let type_name = format!("response of {self}");
-                            let error = ForeignError::Decode { name: name.to_string(), type_name, error };
-                            (Err(error.to_string()), Err(error))
-                        }
-                        Err(reason) => (Err(reason), Ok(())),
-                    };
-                    ctx.reply(responder, answer);
-                    outcome
-                });
-                module.take_request(server, self.write_request(&*request.0).into(), reply, ctx);
-            },
-        )
-    }
-
-    /// Declares that a module in another language calls the service.
-    pub(crate) fn foreign_client(
-        self,
-        setup: &mut Setup<'_, ForeignModule>,
-        service: &str,
-        timeout: Duration,
-        client: u32,
-    ) -> Result<CallEncodedIn, SetupError> {
-        let on_reply = move |module: &mut ForeignModule,
-                             reply: Reply<AnyValue>,
-                             ctx: &mut Context<'_, <ForeignModule as Module>::Ports>| {
-            let result = reply.result.map(|response| self.write_response(&*response.0).into());
-            let result = result.map_err(|error| error.to_string());
-            module.take_reply(client, reply.call.number(), result, ctx);
-        };
-        let key = setup.client_of(self.in_core(), service, timeout, on_reply)?;
-        let name = service.to_owned();
-        Ok(Box::new(move |ctx, cdr| {
-            let request = self.read_request(cdr).map_err(|error| {
-                let type_name = format!("request of {self}");
-                ForeignError::Decode { name: name.clone(), type_name, error }
-            })?;
-            Ok(ctx.call(key, request).number())
-        }))
-    }
-
     /// The names of the types of request and response in a core.
     pub(crate) fn types_in_core(self) -> (&'static str, &'static str) {
         (self.entry.request.in_core_as().1, self.entry.response.in_core_as().1)
@@ -400,27 +342,27 @@ impl KnownService {
 
     /// The types as the executor knows them. In a core, requests and responses are in boxes here, and values
     /// of their Rust types where modules use them.
-    fn in_core(self) -> ServiceType<AnyValue, AnyValue> {
+    pub(crate) fn in_core(self) -> ServiceType<AnyValue, AnyValue> {
         ServiceType::erased(self.entry.request.in_core_as(), self.entry.response.in_core_as())
     }
 
     /// Reads a request of either byte order.
-    fn read_request(self, cdr: &[u8]) -> cdr::Result<AnyValue> {
+    pub(crate) fn read_request(self, cdr: &[u8]) -> cdr::Result<AnyValue> {
         self.entry.request.decode_checked(cdr).map(|request| AnyValue(request))
     }
 
     /// Reads a response of either byte order.
-    fn read_response(self, cdr: &[u8]) -> cdr::Result<AnyValue> {
+    pub(crate) fn read_response(self, cdr: &[u8]) -> cdr::Result<AnyValue> {
         self.entry.response.decode_checked(cdr).map(|response| AnyValue(response))
     }
 
     /// Writes a request, little-endian.
-    fn write_request(self, request: &dyn Any) -> Vec<u8> {
+    pub(crate) fn write_request(self, request: &dyn Any) -> Vec<u8> {
         written(self.entry.request, request)
     }
 
     /// Writes a response, little-endian.
-    fn write_response(self, response: &dyn Any) -> Vec<u8> {
+    pub(crate) fn write_response(self, response: &dyn Any) -> Vec<u8> {
         written(self.entry.response, response)
     }
 }

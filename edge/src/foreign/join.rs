@@ -1,7 +1,8 @@
 //! How a module in another language joins a core: its declarations become ports.
 
+use super::contract::{Event, Publisher};
 use super::declarations::{Declaration, Declarations, Named};
-use super::module::{Event, ForeignModule, Publisher};
+use super::module::ForeignModule;
 use super::versions::{Life, Made, prepare};
 use crate::{KnownService, KnownType};
 use downbeat_executor::{Context, Module, Setup, SetupError, Transition, TransitionError};

@@ -7,12 +7,14 @@
 //! Services are those of [`Interfaces`](crate::Interfaces); a topic may carry any message whose definition is
 //! known.
 
+mod contract;
 mod declarations;
 mod join;
 mod module;
+mod services;
 mod versions;
 
+pub use contract::{Event, Foreign, ForeignContext, ForeignError, MakeForeign, SavedState};
 pub use declarations::{Declarations, SettingDeclaration};
-pub(crate) use module::{CallEncoded as CallEncodedIn, ReplyEncoded};
-pub use module::{Event, Foreign, ForeignContext, ForeignError, ForeignModule, MakeForeign, SavedState};
+pub use module::ForeignModule;
 pub use versions::{Life, Made, Prepared, Versions, prepare};

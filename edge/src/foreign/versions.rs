@@ -1,7 +1,8 @@
 //! The versions of a module in another language: what it is made from, when it is made, and whether it has
 //! stopped.
 
-use super::{Declarations, Foreign, MakeForeign};
+use super::contract::{Foreign, MakeForeign};
+use super::declarations::Declarations;
 use downbeat_executor::{SettingValue, Time};
 use std::collections::BTreeMap;
 use std::sync::Arc;

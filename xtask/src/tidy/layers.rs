@@ -234,16 +234,6 @@ const EXECUTOR: &[&str] = &[
     "error",
 ];
 
-/// Circles of files that exist, with their files in order. They may only shrink.
-const KNOWN_CIRCLES: &[&[&str]] = &[&[
-    "edge/src/action.rs",
-    "edge/src/foreign/declarations.rs",
-    "edge/src/foreign/module.rs",
-    "edge/src/foreign/versions.rs",
-    "edge/src/interfaces.rs",
-    "edge/src/service.rs",
-]];
-
 /// The problem of a file that uses one of a higher folder, by `names`.
 pub(super) fn upward(from: &str, to: &str, names: &BTreeSet<String>) -> Option<String> {
     let (above, below) = (rank(to)?, rank(from)?);
@@ -261,14 +251,8 @@ fn rank(file: &str) -> Option<usize> {
 /// For which names a file uses another.
 pub(super) type Tied = BTreeMap<(String, String), BTreeSet<String>>;
 
-/// Circles that are not known, with the names that tie them, and known ones that are gone.
-pub(super) fn new_circles(found: &BTreeSet<Vec<String>>, tied: &Tied) -> Problems {
-    compare(found, KNOWN_CIRCLES, tied)
-}
-
-fn compare(found: &BTreeSet<Vec<String>>, known: &[&[&str]], tied: &Tied) -> Problems {
-    let new = found.iter().filter(|circle| !known.iter().any(|known| circle.iter().eq(*known)));
-    let gone = known.iter().filter(|known| !found.iter().any(|circle| circle.iter().eq(**known)));
+/// Each circle of files, with the names that tie it.
+pub(super) fn circles(found: &BTreeSet<Vec<String>>, tied: &Tied) -> Problems {
     let ties = |circle: &[String]| {
         let ties = tied.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
         let line = |((from, to), names): (&(String, String), &BTreeSet<String>)| {
@@ -277,15 +261,10 @@ fn compare(found: &BTreeSet<Vec<String>>, known: &[&[&str]], tied: &Tied) -> Pro
         };
         ties.map(line).collect::<String>()
     };
-    let new = new
-        .map(|circle| format!("{}: files that use each other in a circle{}", circle.join(" "), ties(circle)));
-    new.chain(gone.map(|known| {
-        format!(
-            "{}: no longer this circle; strike it, or what has left it, from xtask/src/tidy/layers.rs",
-            known.join(" ")
-        )
-    }))
-    .collect()
+    let problem = |circle: &Vec<String>| {
+        format!("{}: files that use each other in a circle{}", circle.join(" "), ties(circle))
+    };
+    found.iter().map(problem).collect()
 }
 
 #[cfg(test)]
@@ -312,14 +291,13 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_that_grows_or_shrinks_is_a_problem_until_the_list_says_so() {
-        let circle = |files: &[&str]| BTreeSet::from([files.iter().map(|file| (*file).to_owned()).collect()]);
-        let known: &[&[&str]] = &[&["a.rs", "b.rs", "c.rs"]];
+    fn a_circle_is_a_problem_with_the_names_that_tie_it() {
+        let circle = BTreeSet::from([vec!["a.rs".to_owned(), "d.rs".to_owned()]]);
         let tie = ("d.rs".to_owned(), "a.rs".to_owned());
         let tied = Tied::from([(tie, BTreeSet::from(["Thing".to_owned()]))]);
-        assert_eq!(compare(&circle(&["a.rs", "b.rs", "c.rs"]), known, &tied), Problems::new());
-        let grown = compare(&circle(&["a.rs", "b.rs", "d.rs"]), known, &tied);
-        assert!(grown.len() == 2 && grown[0].ends_with("\n    d.rs uses Thing of a.rs"), "{grown:?}");
-        assert_eq!(compare(&BTreeSet::new(), known, &tied).len(), 1);
+        assert_eq!(circles(&BTreeSet::new(), &tied), Problems::new());
+        let problems = circles(&circle, &tied);
+        let expected = "a.rs d.rs: files that use each other in a circle\n    d.rs uses Thing of a.rs";
+        assert!(problems.iter().eq([expected]), "{problems:?}");
     }
 }

@@ -56,7 +56,7 @@ fn problems(root: &Path, workspace: &Workspace) -> anyhow::Result<Problems> {
         }
         problems.extend(texts::problems(root, package)?);
     }
-    problems.extend(layers::new_circles(&circles, &tied));
+    problems.extend(layers::circles(&circles, &tied));
     problems.extend(pages::problems(root)?);
     // The folders of some packages are in those of the root package.
     problems.sort();
