@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use downbeat_edge::{InterfaceConflict, Interfaces};
 use downbeat_executor::{Core, Launcher, Mechanism, ThreadOptions};
+use downbeat_kind::Kind;
 use downbeat_msgs::InterfaceSet;
-
-use super::kind::Kind;
 
 /// The registry of an app: kinds of modules and launchers, which robot files name; types of messages,
 /// services and actions; and mechanisms, which are added to every core.

@@ -12,12 +12,10 @@ mod commanders;
 pub mod encoding;
 mod expose;
 mod failure;
-mod feature_kinds;
 pub mod features;
 mod file;
 pub mod inspect;
 pub mod journal;
-mod kind;
 mod lifecycle;
 pub mod parameters;
 pub mod playback;
@@ -29,8 +27,6 @@ pub mod replay;
 mod ros_args;
 pub mod ros_recorder;
 pub mod running;
-#[cfg(feature = "sensors")]
-mod sensors;
 mod services;
 mod survey;
 pub mod table;
@@ -38,14 +34,15 @@ mod versions;
 
 pub use actions::Exposures;
 pub use build::Robot;
+#[cfg(test)]
+pub(crate) use built_in::kinds_of_features;
 pub(crate) use catalog::unregistered;
 pub use catalog::{Catalog, CatalogError};
 pub use downbeat_bridge::expose::{EndpointReport, EndpointTraffic, ExposedEndpoint};
 pub use downbeat_bridge::middleware::Direction;
 pub use downbeat_files::duration;
+pub use downbeat_kind::{Kind, ModuleSource};
 pub use failure::{Failure, TestResult, in_one_line};
-#[cfg(test)]
-pub(crate) use feature_kinds::kinds_of_features;
 #[cfg(feature = "view")]
 pub use file::FOXGLOVE_PORT;
 #[cfg(feature = "football")]
@@ -57,7 +54,6 @@ pub use file::{
     ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
     TopicChoice, ViewAccess, ViewEntry,
 };
-pub use kind::Kind;
 pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
     SettingProfile,
@@ -67,7 +63,7 @@ pub(crate) use recorded_settings::{RecordedSettings, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
 pub(crate) use survey::Survey;
 pub use versions::FOLDER as SOURCES_FOLDER;
-pub use versions::{LastVersion, ModuleSource};
+pub use versions::LastVersion;
 pub(crate) use versions::{
     Live, ReplayedTime, SourcedModules, Sources, VersionLog, VersionsInBag, reloads_of,
 };

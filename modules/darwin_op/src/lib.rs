@@ -17,7 +17,10 @@ pub mod motions;
 pub mod stand_nod_wave;
 
 mod attitude;
+mod kinds;
 mod present_pose;
+
+pub use kinds::kinds;
 
 #[cfg(test)]
 #[path = "../../servos/src/testing.rs"]

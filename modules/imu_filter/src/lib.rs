@@ -28,9 +28,16 @@
 //! reference.
 
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
+use downbeat_kind::Kind;
 use downbeat_msgs::geometry_msgs::msg::{Quaternion, Vector3};
 use downbeat_msgs::sensor_msgs::msg::Imu;
 use glam::{DMat3, DQuat, DVec3};
+
+/// The kinds of modules that this package offers to robot files.
+#[must_use]
+pub fn kinds() -> Vec<Kind> {
+    vec![Kind::new("imu_filter", "orientation from gyroscope and accelerometer", ImuFilter::default)]
+}
 
 /// Adds the orientation to IMU data; see the [module page](self).
 #[derive(Default)]

@@ -15,6 +15,7 @@ pub mod module;
 pub mod robot_state_publisher;
 
 mod inverse;
+mod kinds;
 mod look_at;
 mod mjcf;
 mod pose;
@@ -23,6 +24,7 @@ mod robot_description;
 pub use description::{DescriptionError, Problem, Robot};
 pub use downbeat_transforms::wrapped;
 pub use inverse::{Found, InverseKinematics, Search};
+pub use kinds::kinds;
 pub use look_at::{Look, LookAt};
 pub use mjcf::{Root, to_mjcf};
 pub use module::Kinematics;

@@ -12,6 +12,7 @@
 mod call;
 mod instance;
 mod isolated;
+mod kinds;
 mod library;
 pub mod messages;
 mod module;
@@ -19,6 +20,7 @@ pub mod parent;
 mod watch;
 
 pub use isolated::{child, set_child_command};
+pub use kinds::kinds;
 pub use library::LibraryError;
 
 use downbeat_edge::foreign::Foreign;

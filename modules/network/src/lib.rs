@@ -9,6 +9,7 @@
 //!
 //! The modules run detached. They never wait for the network: sockets are polled.
 
+mod kinds;
 pub mod mailbox;
 #[cfg(feature = "mqtt")]
 pub mod mqtt;
@@ -16,3 +17,5 @@ pub mod tcp;
 pub mod tcp_lines;
 pub mod udp;
 pub mod udp_lines;
+
+pub use kinds::kinds;

@@ -25,9 +25,12 @@ pub mod gps;
 pub mod imu;
 pub mod joystick;
 mod kernel;
+mod kinds;
 pub mod lidar;
 mod memory;
 pub mod serial;
+
+pub use kinds::kinds;
 
 downbeat_msgs::interfaces! {
     /// The messages of this package, and those that it shares with nodes of ROS 2.

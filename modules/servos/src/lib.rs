@@ -9,10 +9,13 @@
 
 pub mod controllers;
 pub mod joint_command_mux;
+mod kinds;
 pub mod servo_bus;
 pub mod servo_emulator;
 pub mod stamps;
 pub mod step;
+
+pub use kinds::kinds;
 
 #[cfg(test)]
 mod testing;

@@ -31,6 +31,7 @@ mod draw;
 mod expressions;
 mod functions;
 mod interpreter;
+mod kinds;
 mod module;
 mod values;
 mod world;
@@ -40,6 +41,7 @@ downbeat_msgs::include_interfaces!();
 pub use chart::{Chart, ChartError, ChartSetting, DOWNBEAT, Interface, Port, SettingDefault, Timer};
 pub use expressions::Problem;
 pub use interpreter::{Effect, Event, Interpreter, Memory};
+pub use kinds::kinds;
 pub use module::{StateMachineOptions, load};
 pub use rhai::{Dynamic, Map};
 

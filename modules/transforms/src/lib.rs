@@ -48,6 +48,7 @@
 mod buffer;
 mod error;
 mod geometry;
+mod kinds;
 mod lookup;
 mod modules;
 pub mod transform_server;
@@ -55,6 +56,7 @@ pub mod transform_server;
 pub use buffer::{FrameInfo, Taken, TransformBuffer};
 pub use error::{LookupError, TimeDirection, TransformRefused};
 pub use geometry::{Isometry, Stamped, Transformable, isometry, transform_message, wrapped};
+pub use kinds::kinds;
 pub use lookup::{At, FoundTransform};
 pub use modules::{TF, TF_STATIC, TransformBroadcaster, listen};
 

@@ -61,10 +61,8 @@ impl RobotFile {
         }
         for module in &self.modules {
             self.check_thread(module)?;
-            let added = instead(module, &mut core).unwrap_or_else(|| {
-                let (options, interfaces) = (module.options(), &self.catalog.interfaces);
-                module.kind.add_to(&mut core, &module.name, options, &module.source, interfaces)
-            });
+            let added = instead(module, &mut core)
+                .unwrap_or_else(|| module.add_to(&mut core, &self.catalog.interfaces));
             added.map_err(|error| self.located(module, &error))?;
         }
         Ok(core)

@@ -6,19 +6,18 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use downbeat_darwin_op::emulator::MemoryPorts;
 use downbeat_executor::{
     Inbox, LifecycleState, ModuleOptions, Restart, SettingValue, Synchrony, ThreadOptions,
 };
-
-use downbeat_darwin_op::emulator::MemoryPorts;
+use downbeat_kind::{Kind, ModuleSource};
 
 use super::table::{Table, Value};
 use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, launcher, suggestion};
 use crate::Catalog;
 use crate::features::missing_kind;
 use crate::journal;
-use crate::kind::{INBOX, Kind};
-use crate::versions::ModuleSource;
+use crate::versions::VersionsOfModule;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
 
@@ -36,6 +35,7 @@ pub struct ModuleEntry {
     pub(crate) remaps: BTreeMap<String, Located<String>>,
     /// Of a module in another language: which module it is.
     pub source: ModuleSource,
+    pub(crate) versions: VersionsOfModule,
     /// The line in the file with the CPUs or the priority of its thread.
     pub(crate) thread_line: usize,
     /// The options of the module, without settings and remapping rules.
@@ -68,6 +68,7 @@ impl ModuleEntry {
             line: 1,
             included: None,
             source: ModuleSource { module: name.clone(), ..ModuleSource::default() },
+            versions: VersionsOfModule::default(),
             name,
             running: ModuleOptions { namespace: namespace.to_owned(), ..kind.options() },
             kind,
@@ -160,7 +161,19 @@ pub(super) fn module(value: Value<'_>, catalog: &Catalog) -> Result<ModuleEntry>
         deadline: running.deadline,
         ..ModuleSource::default()
     };
-    Ok(ModuleEntry { line, included: None, name, kind, settings, remaps, source, thread_line, running })
+    let versions = VersionsOfModule::default();
+    Ok(ModuleEntry {
+        line,
+        included: None,
+        name,
+        kind,
+        settings,
+        remaps,
+        source,
+        versions,
+        thread_line,
+        running,
+    })
 }
 
 /// Says where the kinds of a project come from, if a robot file is that of a cargo project and this is not
@@ -270,7 +283,7 @@ fn synchrony(table: &mut Table<'_>, kind: &Kind) -> Result<Synchrony> {
                 (0, _) => Synchrony::WhenDue,
                 (1, _) => Synchrony::EveryCycle,
                 (_, detached @ Synchrony::Detached(_)) => detached,
-                _ => Synchrony::Detached(INBOX),
+                _ => Synchrony::Detached(Kind::INBOX),
             }
         }
     };

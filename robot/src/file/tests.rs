@@ -214,7 +214,7 @@ fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
         assert_eq!(options(text).restart, restart, "{text}");
     }
     for (text, synchrony) in [
-        ("", Synchrony::Detached(crate::kind::INBOX)),
+        ("", Synchrony::Detached(crate::Kind::INBOX)),
         ("inbox = 3", Synchrony::Detached(Inbox::KeepLast(3.try_into().unwrap()))),
         ("synchrony = \"detached\"\ninbox = \"all\"", Synchrony::Detached(Inbox::KeepAll)),
         ("synchrony = \"when_due\"", Synchrony::WhenDue),
@@ -224,7 +224,7 @@ fn a_module_says_when_it_runs_and_what_happens_after_a_panic() {
     }
     let motion = format!("{ROBOT}[[module]]\nkind = \"stand_nod_wave\"\nsynchrony = \"detached\"");
     let motion = parse(&motion).unwrap().modules[1].options();
-    assert_eq!(motion.synchrony, Synchrony::Detached(crate::kind::INBOX));
+    assert_eq!(motion.synchrony, Synchrony::Detached(crate::Kind::INBOX));
 }
 
 #[test]

@@ -269,7 +269,7 @@ mod tests {
         let heard = Arc::clone(&times);
         let note =
             move |message: Received<'_, CycleTimes>| heard.lock().extend(message.times.iter().copied());
-        core.outlet(CYCLES, &OutletInbox::new("test", downbeat_executor::Inbox::KeepAll), note)
+        core.outlet(CYCLES, OutletInbox::new("test", downbeat_executor::Inbox::KeepAll), note)
             .unwrap()
             .keep();
         core.cycle().unwrap();

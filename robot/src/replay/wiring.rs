@@ -33,9 +33,7 @@ impl Wiring {
     pub(super) fn of(file: &RobotFile, reached: &ReplayedTime) -> Result<Self, ReplayError> {
         reached.reset();
         let mut wiring = Self::in_force(file)?;
-        let has_several = |module: &ModuleEntry| {
-            module.source.recorded.as_ref().is_some_and(|versions| versions.are_several())
-        };
+        let has_several = |module: &ModuleEntry| module.versions.are_several();
         if file.modules.iter().any(has_several) {
             reached.finish();
             wiring.extend(Self::in_force(file)?);

@@ -191,7 +191,7 @@ impl PreparedRobot {
             );
         }
         let diagnostics = add_diagnostics(&mut core, &file)?;
-        file.modules.iter_mut().for_each(|module| module.source.may_be_late = true);
+        file.modules.iter_mut().for_each(|module| module.versions.may_be_late = true);
         let robot = file.build(core)?;
         Ok(Self {
             robot,

@@ -58,7 +58,7 @@ impl Revival {
         let reloaded = file.modules.iter().filter(|module| module.reloads());
         let watched = reloaded.filter_map(|module| {
             let (name, options) = (module.name.clone(), module.options());
-            Some(Watched { name, live: module.kind.live(&module.source)?, options })
+            Some(Watched { name, live: module.live()?, options })
         });
         let modules: Vec<Watched> = watched.collect();
         if modules.is_empty() {

@@ -120,7 +120,7 @@ impl VersionsInBag {
             }
             let versions =
                 Versions { versions: joined, reached: in_bag.reached.clone(), current: AtomicUsize::new(0) };
-            module.source.recorded = Some(Arc::new(versions));
+            module.versions.recorded = Some(Arc::new(versions));
         }
         in_bag
     }

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use downbeat_edge::foreign::{Foreign, Life, Made, Prepared, Versions};
 use downbeat_executor::Time;
+use downbeat_kind::{LoadForeign, ModuleSource};
 
-use super::source::{LoadForeign, ModuleSource};
-use super::state::stamps;
+use super::state::{LiveState, stamps};
 use super::version::{Source, Version, names_of};
 
 /// A module whose files are on disk.
@@ -15,18 +15,24 @@ pub(crate) struct Live {
     load: Arc<LoadForeign>,
     source: ModuleSource,
     files: Vec<PathBuf>,
+    state: Arc<LiveState>,
 }
 
 impl Live {
-    pub(crate) fn new(load: Arc<LoadForeign>, source: &ModuleSource, files: Vec<PathBuf>) -> Self {
-        Self { load, source: source.clone(), files }
+    pub(super) fn new(
+        load: Arc<LoadForeign>,
+        source: &ModuleSource,
+        files: Vec<PathBuf>,
+        state: Arc<LiveState>,
+    ) -> Self {
+        Self { load, source: source.clone(), files, state }
     }
 
     /// True once the module has stopped and its files were saved since they were tried last, and have been at
     /// rest since the last call.
     pub(crate) fn was_saved_after_the_end(&self) -> bool {
         let now = stamps(&self.files);
-        let mut known = self.source.live.0.lock();
+        let mut known = self.state.0.lock();
         let is_at_rest = now == known.last;
         known.last.clone_from(&now);
         known.has_stopped && is_at_rest && now != known.tried && now.iter().all(Option::is_some)
@@ -34,33 +40,33 @@ impl Live {
 
     /// Gives the next life this version.
     pub(crate) fn set_prepared(&self, prepared: Prepared) {
-        self.source.live.0.lock().prepared = Some(prepared);
+        self.state.0.lock().prepared = Some(prepared);
     }
 }
 
 impl Versions for Live {
     fn load(&self) -> Result<Box<dyn Foreign>, String> {
         // Before loading, so that a later change is noticed.
-        self.source.live.0.lock().tried = stamps(&self.files);
+        self.state.0.lock().tried = stamps(&self.files);
         (self.load)(&self.source)
     }
 
     fn take_prepared(&self) -> Option<Prepared> {
-        self.source.live.0.lock().prepared.take()
+        self.state.0.lock().prepared.take()
     }
 
     fn successor(&self, running: &mut dyn Foreign, _: Time) -> Result<Option<Box<dyn Foreign>>, String> {
         let before = stamps(&self.files);
         let successor = running.successor();
         if !matches!(successor, Ok(None)) {
-            self.source.live.0.lock().tried = before;
+            self.state.0.lock().tried = before;
         }
         successor
     }
 
     fn describe(&self, made: Made<'_>) -> Option<Vec<u8>> {
         let source = Source::read(&self.files);
-        let mut known = self.source.live.0.lock();
+        let mut known = self.state.0.lock();
         let had_failed = known.failure.is_some();
         let (failure, reloaded_at) = match made {
             Made::Anew(failure) => (failure.map(str::to_owned), None),
@@ -81,7 +87,7 @@ impl Versions for Live {
     }
 
     fn note(&self, life: Life) {
-        self.source.live.0.lock().has_stopped = life == Life::Stopped;
+        self.state.0.lock().has_stopped = life == Life::Stopped;
     }
 
     fn source(&self) -> String {

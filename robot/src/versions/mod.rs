@@ -8,10 +8,11 @@
 
 mod in_bag;
 mod joined;
+mod joining;
 mod live;
 mod log;
+mod of_module;
 mod recorded;
-mod source;
 mod sources;
 mod state;
 mod version;
@@ -21,8 +22,6 @@ pub(crate) use in_bag::{VersionsInBag, reloads_of};
 pub(crate) use joined::ReplayedTime;
 pub(crate) use live::Live;
 pub(crate) use log::VersionLog;
-pub(crate) use recorded::Recorded;
-pub(crate) use source::LoadForeign;
-pub use source::ModuleSource;
+pub(crate) use of_module::VersionsOfModule;
 pub(crate) use sources::{SourcedModules, Sources};
 pub use version::FOLDER;

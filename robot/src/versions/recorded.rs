@@ -6,9 +6,9 @@ use std::sync::atomic::Ordering;
 
 use downbeat_edge::foreign::{self, Foreign};
 use downbeat_executor::Time;
+use downbeat_kind::{LoadForeign, ModuleSource};
 
 use super::joined::{Joined, Versions};
-use super::source::{LoadForeign, ModuleSource};
 use super::version::names_of;
 
 /// A module with recorded versions.

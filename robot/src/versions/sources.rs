@@ -38,7 +38,7 @@ impl SourcedModules {
         let modules = file.modules.iter().map(|module| SourcedModule {
             name: module.name.clone(),
             files: module.kind.source_files(&module.source),
-            live: Arc::clone(&module.source.live),
+            live: Arc::clone(&module.versions.live),
             keeping: if module.reloads() { Keeping::Copies } else { Keeping::Hashes },
         });
         Self(modules.filter(|module| !module.files.is_empty()).collect())

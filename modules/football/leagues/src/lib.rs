@@ -10,5 +10,8 @@
 
 pub mod game_controller;
 pub mod game_controller_sender;
+mod kinds;
 pub mod packets;
 pub mod team;
+
+pub use kinds::kinds;

@@ -7,9 +7,11 @@
 mod ball;
 mod filter;
 mod hypotheses;
+mod kinds;
 mod module;
 mod robots;
 mod track;
 
 pub use filter::{Believed, Filter, Landmarks, Pose};
+pub use kinds::kinds;
 pub use module::Localisation;

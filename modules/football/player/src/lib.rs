@@ -16,7 +16,10 @@
 mod beliefs;
 mod fusion;
 pub mod head;
+mod kinds;
 mod mates;
 pub mod team;
 pub mod truth;
 pub mod walk_to;
+
+pub use kinds::kinds;

@@ -21,6 +21,7 @@ mod balls;
 mod colours;
 mod detector;
 mod drawing;
+mod kinds;
 mod labels;
 mod learn;
 mod markings;
@@ -32,6 +33,7 @@ mod view;
 
 pub use colours::{Class, ClassRange, Colours, ColoursError, Table};
 pub use detector::Detector;
+pub use kinds::kinds;
 pub use learn::{LearnError, Samples};
 pub use module::Vision;
 pub use picture::{Encoding, Picture, PictureError};

@@ -2,6 +2,7 @@
 
 use super::{Bus, Exchange, ExchangeKind, ExpectedStatus, LineSettings, Outcome};
 use downbeat_executor::Time;
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use parking_lot::Mutex;
 use std::sync::Arc;
 
@@ -44,6 +45,16 @@ impl RecordedBus {
         let report = Arc::default();
         let recording = Box::new(recording.into_iter());
         (Self { recording, now: Time::ZERO, report: Arc::clone(&report) }, report)
+    }
+
+    /// Creates a bus that plays back these messages of a bag.
+    ///
+    /// # Errors
+    /// If a message is no exchange.
+    pub fn of_messages(messages: Vec<BusExchange>) -> Result<Self, String> {
+        let exchange = |message: BusExchange| Exchange::try_from(message).map_err(|error| error.to_string());
+        let exchanges = messages.into_iter().map(exchange).collect::<Result<Vec<_>, String>>()?;
+        Ok(Self::new(exchanges).0)
     }
 
     fn replay(&mut self, kind: ExchangeKind, instruction: &[u8]) -> Exchange {

@@ -2,14 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_edge::foreign::Foreign;
 use downbeat_executor::SettingValue;
-
-use super::joined::Versions;
-use super::state::LiveState;
 
 /// What a robot file says about a module in another language.
 #[derive(Clone, Debug, Default)]
@@ -24,14 +20,8 @@ pub struct ModuleSource {
     pub deadline: Option<Duration>,
     /// The folders of interfaces that the robot file names.
     pub interfaces: Vec<PathBuf>,
-    /// What is known of the files while the robot runs.
-    pub(crate) live: Arc<LiveState>,
-    /// In a replay, the versions that were recorded.
-    pub(crate) recorded: Option<Arc<Versions>>,
     /// Of an earlier version in a replay: the file that holds what a file held.
-    pub(crate) replaced: BTreeMap<PathBuf, PathBuf>,
-    /// Whether the robot starts without the module if it cannot be made and is reloaded.
-    pub(crate) may_be_late: bool,
+    pub replaced: BTreeMap<PathBuf, PathBuf>,
 }
 
 impl ModuleSource {
@@ -49,7 +39,10 @@ impl ModuleSource {
     }
 
     /// The value of a key that is true or false.
-    pub(crate) fn is_set(&self, key: &str, default: bool) -> Result<bool, String> {
+    ///
+    /// # Errors
+    /// If the value is neither.
+    pub fn is_set(&self, key: &str, default: bool) -> Result<bool, String> {
         match self.keys.get(key) {
             None => Ok(default),
             Some(SettingValue::Bool(value)) => Ok(*value),
@@ -58,10 +51,11 @@ impl ModuleSource {
     }
 
     /// True if the robot file says that the module is reloaded.
-    pub(crate) fn is_reloaded(&self) -> bool {
+    #[must_use]
+    pub fn is_reloaded(&self) -> bool {
         self.keys.get("reload") == Some(&SettingValue::Bool(true))
     }
 }
 
 /// Loads the module that a robot file names.
-pub(crate) type LoadForeign = dyn Fn(&ModuleSource) -> Result<Box<dyn Foreign>, String> + Send + Sync;
+pub type LoadForeign = dyn Fn(&ModuleSource) -> Result<Box<dyn Foreign>, String> + Send + Sync;

@@ -1,16 +1,18 @@
-//! The kinds of the package `downbeat-sensors`.
+//! The kinds of modules that this package offers to robot files.
 
 use downbeat_executor::{Module, Synchrony};
-use downbeat_sensors::gps::{Gps, GpsEmulator};
-use downbeat_sensors::imu::bus::{EmulatedBuses, I2cDevice};
-use downbeat_sensors::imu::{Imu, ImuEmulator};
-use downbeat_sensors::lidar::{Lidar, LidarEmulator};
-use downbeat_sensors::serial::{EmulatedPorts, SerialDevice};
+use downbeat_kind::Kind;
 
-use super::Kind;
+use crate::gps::{Gps, GpsEmulator};
+use crate::imu::bus::{EmulatedBuses, I2cDevice};
+use crate::imu::{Imu, ImuEmulator};
+use crate::lidar::{Lidar, LidarEmulator};
+use crate::serial::{EmulatedPorts, SerialDevice};
 
-pub(super) fn kinds() -> impl Iterator<Item = Kind> {
-    of_protocols().into_iter().chain(of_the_kernel())
+/// The kinds.
+#[must_use]
+pub fn kinds() -> Vec<Kind> {
+    [of_protocols(), of_the_kernel()].concat()
 }
 
 /// Sensors whose protocols are spoken here, on a serial port or a bus.
@@ -59,11 +61,11 @@ fn emulator<M: Module>(name: &str, about: &str, make: impl Fn() -> M + Send + Sy
 
 /// Sensors and buses that Linux serves as devices of a class, and driving with one of them.
 fn of_the_kernel() -> Vec<Kind> {
-    use downbeat_sensors::camera::{Camera, Pictures, V4l2, VideoDevice};
-    use downbeat_sensors::can::{CanBus, CanDevice, CandumpLog, SocketCan};
-    use downbeat_sensors::gpio::{Chip, Gpio, GpioDevice, Pins};
-    use downbeat_sensors::joystick::teleop::JoyTeleop;
-    use downbeat_sensors::joystick::{Evdev, InputDevice, Joystick, RecordedEvents};
+    use crate::camera::{Camera, Pictures, V4l2, VideoDevice};
+    use crate::can::{CanBus, CanDevice, CandumpLog, SocketCan};
+    use crate::gpio::{Chip, Gpio, GpioDevice, Pins};
+    use crate::joystick::teleop::JoyTeleop;
+    use crate::joystick::{Evdev, InputDevice, Joystick, RecordedEvents};
     vec![
         Kind::device(
             "camera",

@@ -8,18 +8,18 @@ use std::sync::Arc;
 use bytes::Bytes;
 use downbeat_device::{Device, DeviceLink};
 use downbeat_edge::Interfaces;
-use downbeat_edge::foreign::{self, Foreign, ForeignModule};
+use downbeat_edge::foreign::{Foreign, ForeignModule};
 use downbeat_executor::{Core, Inbox, Module, ModuleOptions, SettingValue, SetupError, Synchrony};
 use downbeat_msgs::{Message, cdr};
 
-use super::versions::{Live, LoadForeign, ModuleSource, Recorded};
+use super::source::{LoadForeign, ModuleSource};
 
 /// A kind of module that robot files can name: how its modules are created, how they run by default, and
 /// whether they drive a device.
 ///
 /// ```
 /// use downbeat_executor::{Module, Setup, SetupError};
-/// use downbeat_robot::Kind;
+/// use downbeat_kind::Kind;
 ///
 /// #[derive(Default)]
 /// struct Detector;
@@ -48,18 +48,19 @@ pub struct Kind {
     /// Whether modules in other languages are reloaded unless the robot file says otherwise.
     reloads_by_default: bool,
     replayed: Option<ReplayedDevice>,
-    panel: Option<KindPanel>,
+    panel: Option<Panel>,
     add: Arc<Add>,
 }
 
 /// The panel that modules of a kind bring to the page.
 #[derive(Clone)]
-pub(crate) struct KindPanel {
-    pub(crate) title: &'static str,
-    #[cfg_attr(not(feature = "view"), allow(dead_code))]
-    pub(crate) script: &'static str,
-    /// Before remapping.
-    pub(crate) topics: &'static [&'static str],
+pub struct Panel {
+    /// Its heading.
+    pub title: &'static str,
+    /// The JavaScript module.
+    pub script: &'static str,
+    /// The topics that it shows, before remapping.
+    pub topics: &'static [&'static str],
 }
 
 /// How a kind of modules in other languages reads a robot file.
@@ -75,7 +76,7 @@ type SourceFiles = dyn Fn(&ModuleSource) -> Vec<PathBuf> + Send + Sync;
 
 /// How a module that drives a device runs without it.
 #[derive(Clone)]
-pub(crate) struct ReplayedDevice {
+pub struct ReplayedDevice {
     /// The topic on which the module publishes the answers of the device, before remapping.
     topic: Arc<str>,
     add: Arc<AddReplayed>,
@@ -89,10 +90,10 @@ type AddReplayed = dyn Fn(&mut Core, &str, ModuleOptions, &[Bytes], &Interfaces)
     + Send
     + Sync;
 
-/// The default number of batches that wait for a detached module: two seconds of commands at 125 Hz.
-pub(super) const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
-
 impl Kind {
+    /// The default number of batches that wait for a detached module: two seconds of commands at 125 Hz.
+    pub const INBOX: Inbox = Inbox::KeepLast(NonZeroUsize::new(250).expect("not zero"));
+
     /// Creates a kind whose modules `make` creates: at the start, and again if the restart policy restarts
     /// them after a panic.
     ///
@@ -135,8 +136,8 @@ impl Kind {
     }
 
     /// Declares that modules of the kind are reloaded unless the robot file says otherwise.
-    #[cfg_attr(not(feature = "state_machine"), allow(dead_code))]
-    pub(crate) fn reloaded(self) -> Self {
+    #[must_use]
+    pub fn reloaded(self) -> Self {
         Self { reloads_by_default: true, ..self }
     }
 
@@ -179,7 +180,7 @@ impl Kind {
     /// may.
     #[must_use]
     pub fn detached(self) -> Self {
-        self.with_synchrony(Synchrony::Detached(INBOX))
+        self.with_synchrony(Synchrony::Detached(Self::INBOX))
     }
 
     /// Sets how the modules run by default.
@@ -203,11 +204,13 @@ impl Kind {
 
     /// Marks the modules as controllers, each of which has its joints for itself while it is active.
     #[must_use]
-    pub(crate) fn claiming_joints(self) -> Self {
+    pub fn claiming_joints(self) -> Self {
         Self { claims_joints: true, ..self }
     }
 
-    pub(crate) fn claims_joints(&self) -> bool {
+    /// Returns true if each of its modules has its joints for itself while it is active.
+    #[must_use]
+    pub fn claims_joints(&self) -> bool {
         self.claims_joints
     }
 
@@ -277,7 +280,7 @@ impl Kind {
         script: &'static str,
         topics: &'static [&'static str],
     ) -> Self {
-        Self { panel: Some(KindPanel { title, script, topics }), ..self }
+        Self { panel: Some(Panel { title, script, topics }), ..self }
     }
 
     /// The name in robot files.
@@ -317,7 +320,7 @@ impl Kind {
     }
 
     /// Adds a module of this kind to a core. The module can be restarted after a panic. `source` is used by
-    /// kinds of modules in other languages.
+    /// kinds of modules in other languages, of which it loads what the files hold.
     ///
     /// # Errors
     /// See [`Core::add_restartable`].
@@ -332,7 +335,9 @@ impl Kind {
         (self.add)(core, name, options, source, interfaces)
     }
 
-    pub(crate) fn panel(&self) -> Option<&KindPanel> {
+    /// The panel that its modules bring to the page.
+    #[must_use]
+    pub fn panel(&self) -> Option<&Panel> {
         self.panel.as_ref()
     }
 
@@ -344,17 +349,20 @@ impl Kind {
     }
 
     /// The files that the behaviour of a module depends on.
-    pub(crate) fn source_files(&self, source: &ModuleSource) -> Vec<PathBuf> {
+    #[must_use]
+    pub fn source_files(&self, source: &ModuleSource) -> Vec<PathBuf> {
         self.source.as_ref().map_or_else(Vec::new, |kind| (kind.files)(source))
     }
 
-    /// The files of a module of a running robot, and what is known of them; `None` for a module in Rust.
-    pub(crate) fn live(&self, source: &ModuleSource) -> Option<Live> {
-        self.source.as_ref().map(|kind| kind.live(source))
+    /// Loads a module in another language; `None` for a kind in Rust.
+    #[must_use]
+    pub fn loader(&self) -> Option<Arc<LoadForeign>> {
+        self.source.as_ref().map(|kind| Arc::clone(&kind.load))
     }
 
     /// True for a module that is loaded again when its files change.
-    pub(crate) fn reloads(&self, source: &ModuleSource) -> bool {
+    #[must_use]
+    pub fn reloads(&self, source: &ModuleSource) -> bool {
         let [_, optional] = self.keys();
         optional.contains(&"reload")
             && source
@@ -364,25 +372,25 @@ impl Kind {
     }
 
     /// True for modules in another language.
-    pub(crate) fn is_foreign(&self) -> bool {
+    #[must_use]
+    pub fn is_foreign(&self) -> bool {
         self.source.is_some()
     }
 
     /// The settings that name files.
-    pub(crate) fn files(&self) -> &[String] {
+    #[must_use]
+    pub fn files(&self) -> &[String] {
         &self.files
     }
 
-    pub(crate) fn replayed(&self) -> Option<&ReplayedDevice> {
+    /// How a module runs without its device; `None` if its device cannot be replayed.
+    #[must_use]
+    pub fn replayed(&self) -> Option<&ReplayedDevice> {
         self.replayed.as_ref()
     }
 }
 
 impl ForeignKind {
-    fn live(&self, source: &ModuleSource) -> Live {
-        Live::new(Arc::clone(&self.load), source, (self.files)(source))
-    }
-
     fn add_to(
         &self,
         core: &mut Core,
@@ -391,30 +399,11 @@ impl ForeignKind {
         source: &ModuleSource,
         interfaces: &Interfaces,
     ) -> Result<(), SetupError> {
-        let (versions, recorded_failure): (Arc<dyn foreign::Versions>, _) = match &source.recorded {
-            Some(versions) => {
-                let (load, files) = (Arc::clone(&self.load), (self.files)(source));
-                let recorded = Recorded::new(load, source, files, Arc::clone(versions));
-                let failure = recorded.failure().map(str::to_owned);
-                (Arc::new(recorded), failure)
-            }
-            None => (Arc::new(self.live(source)), None),
-        };
+        let (load, source) = (Arc::clone(&self.load), source.clone());
+        let make = Arc::new(move || load(&source));
         let (interfaces, of_module) = (interfaces.clone(), options.clone());
-        let make =
-            move || ForeignModule::of_versions(Arc::clone(&versions), interfaces.clone(), of_module.clone());
-        if let Some(failure) = recorded_failure {
-            return core.add_stopped(name, make, options, &failure);
-        }
-        let added = core.add_restartable(name, make.clone(), options.clone());
-        let failure = source.live.failure().filter(|_| source.may_be_late && source.is_reloaded());
-        match (added, failure) {
-            (Err(error), Some(failure)) => {
-                tracing::error!("{error}; it starts when its file is saved");
-                core.add_stopped(name, make, options, &failure)
-            }
-            (added, _) => added,
-        }
+        let module = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
+        core.add_restartable(name, module, options)
     }
 }
 
@@ -426,13 +415,16 @@ impl fmt::Debug for Kind {
 
 impl ReplayedDevice {
     /// The name of the topic in a bag.
-    pub(crate) fn topic_of(&self, options: &ModuleOptions) -> String {
+    #[must_use]
+    pub fn topic_of(&self, options: &ModuleOptions) -> String {
         format!("/{}", options.resolved(&self.topic).trim_start_matches('/'))
     }
 
-    /// Adds the module with these answers, the messages of the topic in CDR. The outer error reports invalid
-    /// answers.
-    pub(crate) fn add_to(
+    /// Adds the module with these answers, the messages of the topic in CDR.
+    ///
+    /// # Errors
+    /// The outer error reports invalid answers; the inner one is that of [`Core::add_with`].
+    pub fn add_to(
         &self,
         core: &mut Core,
         name: &str,
