@@ -49,8 +49,8 @@ impl Publisher {
         self.writer.matched()
     }
 
-    /// Whether a subscription receives what is published now: one that is matched, or one that was discovered
-    /// and will be.
+    /// Returns true if a subscription receives what is published now. It may be discovered only, and count as
+    /// matched a moment later.
     #[must_use]
     pub fn is_subscribed(&self) -> bool {
         self.writer.readers() > 0

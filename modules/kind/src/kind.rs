@@ -126,13 +126,19 @@ impl Kind {
         files: impl Fn(&ModuleSource) -> Vec<PathBuf> + Send + Sync + 'static,
     ) -> Self {
         let load: Arc<LoadForeign> = Arc::new(load);
-        let kind = ForeignKind { keys, files: Arc::new(files), load };
-        let of_kind = kind.clone();
-        let add: Arc<Add> = Arc::new(move |core, name, options, source, interfaces| {
-            of_kind.add_to(core, name, options, source, interfaces)
-        });
-        let source = Some(kind);
-        Self { source, ..Self::with_add(name, about, add) }.detached()
+        let source = Some(ForeignKind { keys, files: Arc::new(files), load: Arc::clone(&load) });
+        let add = move |core: &mut Core,
+                        name: &str,
+                        options: ModuleOptions,
+                        source: &ModuleSource,
+                        interfaces: &Interfaces| {
+            let (load, source) = (Arc::clone(&load), source.clone());
+            let make = Arc::new(move || load(&source));
+            let (interfaces, of_module) = (interfaces.clone(), options.clone());
+            let module = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
+            core.add_restartable(name, module, options)
+        };
+        Self { source, ..Self::with_add(name, about, Arc::new(add)) }.detached()
     }
 
     /// Declares that modules of the kind are reloaded unless the robot file says otherwise.
@@ -387,23 +393,6 @@ impl Kind {
     #[must_use]
     pub fn replayed(&self) -> Option<&ReplayedDevice> {
         self.replayed.as_ref()
-    }
-}
-
-impl ForeignKind {
-    fn add_to(
-        &self,
-        core: &mut Core,
-        name: &str,
-        options: ModuleOptions,
-        source: &ModuleSource,
-        interfaces: &Interfaces,
-    ) -> Result<(), SetupError> {
-        let (load, source) = (Arc::clone(&self.load), source.clone());
-        let make = Arc::new(move || load(&source));
-        let (interfaces, of_module) = (interfaces.clone(), options.clone());
-        let module = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
-        core.add_restartable(name, module, options)
     }
 }
 
