@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | `imu/data` (in) | `sensor_msgs/Imu` | with orientation, as from `downbeat-imu-filter` |
 //! | `joint_states` (in) | `sensor_msgs/JointState` | the pose that a limp robot keeps |
-//! | `robot_state` | `std_msgs/String` | `upright`, `falling`, `fallen`, `getting_up`, `helpless`; when it changes and once a second |
+//! | `robot_state` | `std_msgs/String` | a constant of [`RobotState`]; when it changes and once a second |
 //! | `falls/joint_commands` | `sensor_msgs/JointState` | commands for all joints while the robot falls |
 //! | `motions/stop` | `std_msgs/Empty` | when the robot falls |
 //! | `play_motion` | action `downbeat_interfaces/PlayMotion`, used | `get_up_front`, `get_up_back` also from the right side, `get_up_left` |
@@ -30,6 +30,7 @@ use crate::present_pose::{PresentPose, command};
 use downbeat_actions::{ActionClient, GoalStatus};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionGoal};
+use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Empty, String as Text};
 use glam::DVec3;
@@ -256,11 +257,11 @@ impl fmt::Display for Side {
 impl fmt::Display for State {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Upright => "upright",
-            Self::Falling { .. } => "falling",
-            Self::Fallen => "fallen",
-            Self::GettingUp => "getting_up",
-            Self::Helpless => "helpless",
+            Self::Upright => RobotState::UPRIGHT,
+            Self::Falling { .. } => RobotState::FALLING,
+            Self::Fallen => RobotState::FALLEN,
+            Self::GettingUp => RobotState::GETTING_UP,
+            Self::Helpless => RobotState::HELPLESS,
         })
     }
 }

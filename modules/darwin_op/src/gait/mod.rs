@@ -35,6 +35,7 @@ use crate::present_pose::{PresentPose, command};
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::builtin_interfaces;
+use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::{Point, Quaternion, Transform, TransformStamped, Twist, Vector3};
 use downbeat_msgs::nav_msgs::msg::Odometry as OdometryMessage;
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
@@ -296,7 +297,7 @@ impl Module for Gait {
             gait.pose.take_goals(&goals, ctx.now());
         })?;
         setup.subscribe("robot_state", |gait: &mut Self, state: Received<'_, Text>, _| {
-            gait.is_down = state.data != "upright";
+            gait.is_down = state.data != RobotState::UPRIGHT;
         })?;
         setup.subscribe("motions/playing", |gait: &mut Self, name: Received<'_, Text>, _| {
             gait.is_motion_playing = !name.data.is_empty();

@@ -23,9 +23,8 @@ const HEIGHT: f64 = 0.29;
 /// How long a servo that has switched itself off rests, in s: the setting of `hardware` in the robot files.
 const SHUTDOWN_REST_S: f64 = 2.0;
 
-/// The positions of the goal posts of the field `kid_size_2013`, in m: the setting of `walk_to` in the robot
-/// files.
-const POSTS: [f64; 8] = [3.0, 0.8, 3.0, -0.8, -3.0, 0.8, -3.0, -0.8];
+/// The field of the matches: the setting of `walk_to` in the robot files.
+const FIELD: &str = "kid_size_2013";
 
 /// Adds the modules of a player with all skills, without the decision-making, as in
 /// `robots/football/player.toml`: in the namespace of its name, at the port `memory:NAME`. The seed is that
@@ -63,7 +62,7 @@ pub fn add_body(
     let head = player.options([("height", head_height.into())]);
     player.add_with("head", Head::default(), ModuleOptions { remaps: [joint("ball")].into(), ..head })?;
     let remaps = [joint("ball"), joint("robots")].into();
-    let walk_to = ModuleOptions { remaps, ..player.options([("posts", POSTS.to_vec().into())]) };
+    let walk_to = ModuleOptions { remaps, ..player.options([("field", FIELD.to_owned().into())]) };
     player.add_with("walk_to", WalkTo::default(), walk_to)?;
     let sources = SOURCES.map(str::to_owned).to_vec();
     player.add("mux", JointCommandMux::default(), [("sources", sources.into())])

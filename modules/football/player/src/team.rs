@@ -37,6 +37,7 @@ use downbeat_football::soccer_model_msgs::msg::{Ball, Robot, RobotArray};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::builtin_interfaces::msg::Time as Stamp;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
+use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::{Point, PoseWithCovariance, PoseWithCovarianceStamped, Vector3};
 use downbeat_msgs::std_msgs::msg::{Header, String as Text, UInt8};
 use glam::DVec2;
@@ -316,7 +317,7 @@ impl Module for Team {
         setup.subscribe("ball", Self::on_ball)?;
         setup.subscribe("robots", Self::on_robots)?;
         setup.subscribe("robot_state", |team: &mut Self, state: Received<'_, Text>, _| {
-            team.is_down = state.data != "upright";
+            team.is_down = state.data != RobotState::UPRIGHT;
         })?;
         setup.subscribe("team/role", |team: &mut Self, role: Received<'_, UInt8>, _| {
             team.role = role.data;

@@ -11,11 +11,9 @@
 //! | `robots` (in) | `soccer_model_msgs/RobotArray` | the other robots in `map`, as obstacles for the robot and for a pushed ball |
 //! | `walking` (in) | `std_msgs/Bool` | from the gait |
 //! | `cmd_vel` | `geometry_msgs/Twist` | every 40 ms while there is a goal |
-//! | `walk_to/state` | `std_msgs/String` | see below; when it changes and once a second |
+//! | `walk_to/state` | `std_msgs/String` | a constant of [`WalkState`]; when it changes and once a second |
 //!
-//! A command holds until the next one. The states are `idle`; `walking`; `there`; `blind`, in which the robot
-//! stands because its pose or the ball has not been seen for a second; and `kick_left` or `kick_right`, the
-//! motion with which the robot, standing behind the ball, can kick now.
+//! A command holds until the next one.
 //!
 //! Far from its goal, the robot turns to the goal and walks forward; near the goal, it steps in all
 //! directions. It approaches the ball from behind, walking around it if necessary.
@@ -26,10 +24,12 @@
 //! | `kick_ahead`, `kick_aside` | position of the ball for a kick: ahead of `base_link`, and to the side of the foot, m |
 //! | `kick_reach`, `kick_width`, `kick_angle` | tolerances of the kick, m and rad |
 //! | `there_distance`, `there_angle` | tolerances of a place, m and rad |
-//! | `posts` | goal posts in `map`, as obstacles: x and y in turn, m |
+//! | `field` | name of a built-in field, or path of a file, whose goal posts are obstacles; empty: none are |
 
 use crate::beliefs::{Beliefs, Other, Place, heading_of};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat_football::Field;
+use downbeat_football::football_interfaces::msg::WalkState;
 use downbeat_football::soccer_model_msgs::msg::{Ball, RobotArray};
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::geometry_msgs::msg::{PointStamped, PoseStamped, PoseWithCovarianceStamped, Twist};
@@ -57,13 +57,14 @@ pub struct WalkTo {
     /// The side on which the robot pushes the ball past another robot: 1 for left, -1 for right.
     passing: Option<f64>,
     reported: Option<(Time, &'static str)>,
+    /// The goal posts in `map`.
+    posts: Vec<DVec2>,
 }
 
 /// The keys of [`WalkTo`].
 pub struct Ports {
     cmd_vel: Publication<Twist>,
     state: Publication<Text>,
-    posts: Setting<Vec<f64>>,
     settings: SettingKeys,
 }
 
@@ -181,11 +182,11 @@ impl WalkTo {
             self.goal = Goal::Place(Place { position, heading: here.heading + goal.heading });
         }
         let robots = here.map_or_else(Vec::new, |here| self.robots_from(here, now));
-        let posts = here.map_or_else(Vec::new, |here| posts_from(here, ctx.get::<Vec<f64>>(ctx.ports.posts)));
+        let posts = here.map_or_else(Vec::new, |here| self.posts_from(here));
         let obstacles = [robots.as_slice(), &posts].concat();
         let (velocity, state) = match (self.goal, here) {
-            (Goal::Nothing, _) => (None, "idle"),
-            (_, None) | (Goal::FromHere(_), _) => (None, "blind"),
+            (Goal::Nothing, _) => (None, WalkState::IDLE),
+            (_, None) | (Goal::FromHere(_), _) => (None, WalkState::BLIND),
             (Goal::Place(goal), Some(here)) => {
                 self.walk_to_place(goal.seen_from(here), &obstacles, &settings)
             }
@@ -195,9 +196,9 @@ impl WalkTo {
                 }
                 Some(ball) => {
                     let target = past(&robots, here.point(ball), here.point(target), &mut self.passing);
-                    (Some(self.dribble(here.point(ball), target, &obstacles, &settings)), "walking")
+                    (Some(self.dribble(here.point(ball), target, &obstacles, &settings)), WalkState::WALKING)
                 }
-                None => (None, "blind"),
+                None => (None, WalkState::BLIND),
             },
         };
         // A player in possession ignores obstacles behind the ball.
@@ -221,6 +222,11 @@ impl WalkTo {
         let keep = |robot: &Other| if robot.is_fallen { KEEP_OFF_FALLEN } else { KEEP_OFF };
         let robots = self.beliefs.robots(now).iter();
         robots.map(|robot| Obstacle { at: here.point(robot.position), keep: keep(robot) }).collect()
+    }
+
+    /// The goal posts, relative to this place.
+    fn posts_from(&self, here: Place) -> Vec<Obstacle> {
+        self.posts.iter().map(|post| Obstacle { at: here.point(*post), keep: KEEP_OFF_POST }).collect()
     }
 
     /// Lines up for a kick; ball and target are relative to the robot.
@@ -250,13 +256,16 @@ impl WalkTo {
         // ball relative to its feet is known.
         let is_at_rest = self.stands_since.is_some_and(|since| since + REST <= now);
         if is_at_rest && is_in_window(STANDING_WINDOW) {
-            return (Some(Velocity::default()), if foot > 0.0 { "kick_left" } else { "kick_right" });
+            return (
+                Some(Velocity::default()),
+                if foot > 0.0 { WalkState::KICK_LEFT } else { WalkState::KICK_RIGHT },
+            );
         }
         let stops =
             self.stops_since.filter(|since| !is_at_rest && now < *since + PATIENCE && is_in_window(2.0));
         self.stops_since = stops.or_else(|| (!is_at_rest && is_in_window(1.0)).then_some(now));
         if self.stops_since.is_some() {
-            return (Some(Velocity::default()), "walking");
+            return (Some(Velocity::default()), WalkState::WALKING);
         }
         let limit = if self.is_closing_in { 0.35 } else { 0.2 };
         let is_behind = off.x > -0.05 && off.x < BEHIND + 0.15 && off.y.abs() < limit / 2.0;
@@ -272,7 +281,7 @@ impl WalkTo {
             let way = around(DVec2::from_angle(heading).rotate(place), ball);
             self.step_or_walk(way, heading, obstacles, settings)
         };
-        (Some(velocity), "walking")
+        (Some(velocity), WalkState::WALKING)
     }
 
     /// Dribbles; ball and target are relative to the robot. Behind the ball on the line to the target, the
@@ -309,9 +318,9 @@ impl WalkTo {
         settings: &Settings,
     ) -> (Option<Velocity>, &'static str) {
         if goal.position.length() < settings.there_distance && goal.heading.abs() < settings.there_angle {
-            return (Some(Velocity::default()), "there");
+            return (Some(Velocity::default()), WalkState::THERE);
         }
-        (Some(self.step_or_walk(goal.position, goal.heading, obstacles, settings)), "walking")
+        (Some(self.step_or_walk(goal.position, goal.heading, obstacles, settings)), WalkState::WALKING)
     }
 
     /// Steps in all directions, but first back, because a gait that also steps aside or turns hardly moves
@@ -390,13 +399,6 @@ fn avoiding(to: DVec2, obstacles: &[Obstacle]) -> DVec2 {
     in_the_way.fold(to, |to, obstacle| around(to, obstacle.at))
 }
 
-/// The goal posts relative to this place; `posts` has x and y in turn.
-fn posts_from(here: Place, posts: &[f64]) -> Vec<Obstacle> {
-    let posts = posts.as_chunks().0.iter().map(|post: &[f64; 2]| DVec2::from(*post));
-    let posts = posts.filter(|post| post.is_finite());
-    posts.map(|post| Obstacle { at: here.point(post), keep: KEEP_OFF_POST }).collect()
-}
-
 /// Turns to a point and walks forward.
 fn far(to: DVec2, settings: &Settings) -> Velocity {
     let bearing = to.to_angle();
@@ -423,6 +425,19 @@ impl Module for WalkTo {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
+        let field = setup.read_only_setting(
+            "field",
+            String::new(),
+            "name of a built-in field, or path of a file, whose goal posts are obstacles; empty: none are",
+        )?;
+        let name = setup.value(field).cloned().unwrap_or_default();
+        self.posts = match name.as_str() {
+            "" => Vec::new(),
+            name => match Field::named(name) {
+                Ok(field) => field.posts().to_vec(),
+                Err(error) => return Err(setup.refuse_value(field, error.to_string())),
+            },
+        };
         setup.subscribe("walk_to/pose", |walk: &mut Self, goal: Received<'_, PoseStamped>, _| {
             let position = DVec2::new(goal.pose.position.x, goal.pose.position.y);
             let place = Place { position, heading: heading_of(&goal.pose.orientation) };
@@ -466,7 +481,6 @@ impl Module for WalkTo {
         Ok(Ports {
             cmd_vel: setup.publish("cmd_vel")?,
             state: setup.publish("walk_to/state")?,
-            posts: setup.setting("posts", Vec::new(), "m; where posts are in `map`, x and y in turn")?,
             settings: SettingKeys::declare(setup)?,
         })
     }

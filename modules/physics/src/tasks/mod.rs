@@ -22,6 +22,7 @@ use crate::scenery::Ball;
 use crate::simulation::SimulationOptions;
 use crate::world::{Posture, Variation};
 use downbeat_executor::{InletError, SetupError};
+use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_servos::servo_emulator::Random;
 use std::f64::consts::PI;
 use std::fmt;
@@ -380,10 +381,10 @@ fn fall(robot: &mut WalkingRobot, seed: u64) -> Result<(), Failure> {
 
 fn get_up(robot: &mut WalkingRobot) -> Result<(f64, usize), Failure> {
     let attempts =
-        |robot: &WalkingRobot| robot.states().iter().filter(|state| *state == "getting_up").count();
+        |robot: &WalkingRobot| robot.states().iter().filter(|state| *state == RobotState::GETTING_UP).count();
     let mut time = 0.0;
-    while attempts(robot) == 0 || robot.states().last().is_none_or(|state| state != "upright") {
-        if time > PATIENCE || robot.states().last().is_some_and(|state| state == "helpless") {
+    while attempts(robot) == 0 || robot.states().last().is_none_or(|state| state != RobotState::UPRIGHT) {
+        if time > PATIENCE || robot.states().last().is_some_and(|state| state == RobotState::HELPLESS) {
             return Err(Failure::Lies { attempts: attempts(robot) });
         }
         robot.run(0.1)?;

@@ -7,6 +7,7 @@ use downbeat_darwin_op::gait::Gait;
 use downbeat_darwin_op::motions::MotionPlayer;
 use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue};
 use downbeat_imu_filter::ImuFilter;
+use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::Twist;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_servos::joint_command_mux::JointCommandMux;
@@ -152,7 +153,7 @@ impl WalkingRobot {
     /// [`Failure::Fell`].
     pub fn has_not_fallen(&self) -> Result<(), Failure> {
         let has_fallen =
-            !self.robot.is_upright() || self.states.lock().iter().any(|state| state != "upright");
+            !self.robot.is_upright() || self.states.lock().iter().any(|state| state != RobotState::UPRIGHT);
         if has_fallen { Err(Failure::Fell { after: self.elapsed }) } else { Ok(()) }
     }
 
