@@ -1,10 +1,10 @@
 //! A core whose cycles follow a bag.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::iter::Peekable;
 
 use bytes::Bytes;
-use downbeat_bags::{Messages, Reader, Selection, TopicId};
+use downbeat_bags::{BagMessage, Messages, Reader, Selection, TopicId};
 use downbeat_edge::EncodedInlet;
 use downbeat_executor::{Clock, Core, ManualClock, Time};
 
@@ -31,12 +31,13 @@ impl Follower<'_> {
     /// are published at their times: in one cycle per message time if the bag was recorded in a robot, else
     /// with timers that fire at their exact times in between.
     ///
-    /// `after_cycle` is called after each cycle and after the end. Returns the number of cycles in the bag.
+    /// `after_cycle` is called after each cycle and after the end, with the messages of other topics that the
+    /// inputs have come upon. Returns the number of cycles in the bag.
     pub(crate) fn run(
         &mut self,
         reader: &Reader,
         cycles: &Cycles,
-        mut after_cycle: impl FnMut(),
+        mut after_cycle: impl FnMut(Vec<BagMessage>),
     ) -> Result<u64, PlaybackError> {
         let first = cycles.first_number();
         let mut count = first;
@@ -55,7 +56,7 @@ impl Follower<'_> {
                         self.settings.give(self.core, |change| change.is_due(moment))?;
                         self.cycle(time)?;
                         count += 1;
-                        after_cycle();
+                        after_cycle(self.inputs.take_others());
                     }
                 }
                 self.clock.set(Time::from_nanos(cycles.end()));
@@ -69,7 +70,7 @@ impl Follower<'_> {
                         self.give(time)?;
                         self.cycle(time)?;
                         count += 1;
-                        after_cycle();
+                        after_cycle(self.inputs.take_others());
                     }
                 }
             }
@@ -77,13 +78,13 @@ impl Follower<'_> {
                 while let Some(time) = self.inputs.next_time()? {
                     self.run_until(Time::from_nanos(time))?;
                     self.give(time)?;
-                    after_cycle();
+                    after_cycle(self.inputs.take_others());
                 }
                 self.run_until(Time::from_nanos(reader.end_time().unwrap_or(0)))?;
             }
         }
         self.core.stop();
-        after_cycle();
+        after_cycle(self.inputs.take_others());
         Ok(count - first)
     }
 
@@ -120,10 +121,12 @@ impl Follower<'_> {
     }
 }
 
-/// Messages of several topics, published in the order of the bag.
+/// Messages of several topics, published in the order of the bag; on the way, messages of other topics are
+/// kept for whoever compares them, so that the bag is read once.
 pub(crate) struct Inputs {
     topics: BTreeMap<TopicId, Input>,
     messages: Option<Peekable<Messages>>,
+    others: Vec<BagMessage>,
     given: u64,
 }
 
@@ -136,11 +139,13 @@ struct Input {
 }
 
 impl Inputs {
-    /// Opens these topics, named without the leading slash. Topics that the bag lacks are skipped.
+    /// Opens these topics, named without the leading slash. Topics that the bag lacks are skipped. `others`
+    /// are topics that are only read.
     pub(crate) fn open<'a>(
         core: &mut Core,
         reader: &Reader,
         names: impl IntoIterator<Item = &'a str>,
+        others: impl IntoIterator<Item = TopicId>,
         extract: &mut Extract,
     ) -> Result<Self, PlaybackError> {
         let names: Vec<&str> = names.into_iter().collect();
@@ -152,19 +157,42 @@ impl Inputs {
             let inlet = interfaces.inlet(core, name, recorded.message_type())?;
             topics.insert(id, Input { inlet, recorded, later: later.take(name), waiting: VecDeque::new() });
         }
-        if topics.is_empty() {
-            return Ok(Self { topics, messages: None, given: 0 });
-        }
-        let messages = reader.messages(Selection::all().topics(topics.keys().copied()))?;
-        Ok(Self { topics, messages: Some(messages.peekable()), given: 0 })
+        let read: BTreeSet<_> = topics.keys().copied().chain(others).collect();
+        let messages = match read.is_empty() {
+            true => None,
+            false => Some(reader.messages(Selection::all().topics(read))?.peekable()),
+        };
+        Ok(Self { topics, messages, others: Vec::new(), given: 0 })
     }
 
+    /// The messages of the other topics that were read since the last call.
+    fn take_others(&mut self) -> Vec<BagMessage> {
+        std::mem::take(&mut self.others)
+    }
+
+    /// The messages that were not read.
+    pub(crate) fn into_rest(self) -> Option<Peekable<Messages>> {
+        self.messages
+    }
+
+    /// The time of the next message of an input.
     pub(crate) fn next_time(&mut self) -> Result<Option<i64>, PlaybackError> {
+        while let Some(message) = self.peek()? {
+            let (topic, time) = (message.topic, message.log_time);
+            if self.topics.contains_key(&topic) {
+                return Ok(Some(time));
+            }
+            self.others.extend(self.messages.as_mut().and_then(Iterator::next).transpose()?);
+        }
+        Ok(None)
+    }
+
+    fn peek(&mut self) -> Result<Option<&BagMessage>, PlaybackError> {
         let Some(messages) = &mut self.messages else { return Ok(None) };
         if let Some(Err(error)) = messages.next_if(Result::is_err) {
             return Err(error.into());
         }
-        Ok(messages.peek().and_then(|message| message.as_ref().ok()).map(|message| message.log_time))
+        Ok(messages.peek().and_then(|message| message.as_ref().ok()))
     }
 
     /// Publishes all messages up to that time.
@@ -188,11 +216,12 @@ impl Inputs {
 
     /// Reads all messages up to that time.
     fn read(&mut self, time: i64) -> Result<(), PlaybackError> {
-        while self.next_time()?.is_some_and(|next| next <= time) {
+        while self.peek()?.is_some_and(|next| next.log_time <= time) {
             let message = self.messages.as_mut().and_then(Iterator::next);
             let Some(message) = message.transpose()? else { break };
-            if let Some(input) = self.topics.get_mut(&message.topic) {
-                input.waiting.push_back(input.recorded.to_cdr(message.data)?);
+            match self.topics.get_mut(&message.topic) {
+                Some(input) => input.waiting.push_back(input.recorded.to_cdr(message.data)?),
+                None => self.others.push(message),
             }
         }
         Ok(())

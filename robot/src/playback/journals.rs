@@ -1,6 +1,6 @@
 //! What a bag contains about the recorded run: its cycles and changed settings.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use downbeat_bags::{Reader, Selection, TopicId};
@@ -28,23 +28,35 @@ impl Extract {
         Self { interfaces: interfaces.clone(), messages: BTreeMap::new() }
     }
 
+    /// Reads all topics that describe the recorded run.
+    pub(crate) fn read_journals(&mut self, reader: &Reader) -> Result<(), PlaybackError> {
+        let journals =
+            [journal::CYCLES, journal::MESSAGES, journal::SETTINGS, journal::EVENTS, journal::STEPS];
+        self.read(reader, journals.into_iter().filter_map(|topic| reader.topic(&format!("/{topic}"))))
+    }
+
+    /// Reads those of the topics that were not read before.
     pub(crate) fn read(
+        &mut self,
         reader: &Reader,
-        topics: &BTreeSet<TopicId>,
-        interfaces: &Interfaces,
-    ) -> Result<Self, PlaybackError> {
+        topics: impl IntoIterator<Item = TopicId>,
+    ) -> Result<(), PlaybackError> {
         let mut extract = BTreeMap::new();
-        for &id in topics {
-            extract.insert(id, (RecordedType::of(&reader.topics()[id.index()], interfaces)?, Vec::new()));
+        for id in topics.into_iter().filter(|id| !self.messages.contains_key(id)) {
+            let recorded = RecordedType::of(&reader.topics()[id.index()], &self.interfaces)?;
+            extract.insert(id, (recorded, Vec::new()));
         }
-        for message in reader.messages(Selection::all().topics(topics.iter().copied()))? {
+        if extract.is_empty() {
+            return Ok(());
+        }
+        for message in reader.messages(Selection::all().topics(extract.keys().copied()))? {
             let message = message?;
             if let Some((recorded, messages)) = extract.get_mut(&message.topic) {
                 messages.push(recorded.to_cdr(message.data)?);
             }
         }
-        let messages = extract.into_iter().map(|(id, (_, messages))| (id, messages)).collect();
-        Ok(Self { interfaces: interfaces.clone(), messages })
+        self.messages.extend(extract.into_iter().map(|(id, (_, messages))| (id, messages)));
+        Ok(())
     }
 
     /// The interfaces with which the messages were read.
@@ -54,10 +66,7 @@ impl Extract {
 
     /// Returns the messages of a topic, and reads them if that has not happened yet.
     pub(crate) fn of(&mut self, reader: &Reader, topic: TopicId) -> Result<&[Bytes], PlaybackError> {
-        if !self.messages.contains_key(&topic) {
-            let mut read = Self::read(reader, &BTreeSet::from([topic]), &self.interfaces)?;
-            self.messages.append(&mut read.messages);
-        }
+        self.read(reader, [topic])?;
         Ok(self.messages.get(&topic).map_or(&[], Vec::as_slice))
     }
 

@@ -121,7 +121,8 @@ pub fn play_into(
 ) -> Result<u64, PlaybackError> {
     let topics = played_topics(core, reader, topics)?;
     let mut extract = Extract::new(interfaces);
-    let inputs = Inputs::open(core, reader, topics.iter().map(String::as_str), &mut extract)?;
+    extract.read_journals(reader)?;
+    let inputs = Inputs::open(core, reader, topics.iter().map(String::as_str), [], &mut extract)?;
     let cycles = match Cycles::read(reader, &mut extract)? {
         Cycles::OfMessages => Cycles::Unknown,
         cycles => cycles,
@@ -137,7 +138,7 @@ pub fn play_into(
     let has_events = !events.is_empty();
     let reached = ReplayedTime::default();
     let mut follower = Follower { core, clock, inputs, settings, events, reached };
-    follower.run(reader, &cycles, || {})?;
+    follower.run(reader, &cycles, |_| {})?;
     match follower.inputs.given() {
         0 if !has_events => Err(PlaybackError::NothingToPlay),
         played => Ok(played),

@@ -1,12 +1,12 @@
 //! Compares the messages of replayed modules with those in the bag.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::iter::Peekable;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use downbeat_bags::{Comparer, FieldRule, Messages, Reader, Selection, TopicId};
+use downbeat_bags::{BagMessage, Comparer, FieldRule, Messages, Reader, Selection, TopicId};
 use downbeat_edge::Interfaces;
 
 use super::plan::Plan;
@@ -17,7 +17,8 @@ use crate::playback::journals::Cycles;
 
 /// The comparisons of all topics. The bag is read only as far as the replay has advanced.
 pub(super) struct Comparisons {
-    recorded: Peekable<Messages>,
+    /// The recorded messages; `None` while the inputs of the replay read them, and pass them on.
+    messages: Option<Peekable<Messages>>,
     topics: BTreeMap<TopicId, Comparison>,
     by_name: BTreeMap<String, TopicId>,
     /// See [`Cycles::begin`].
@@ -98,9 +99,22 @@ impl Comparisons {
             );
             by_name.insert(name.clone(), id);
         }
-        let ids: BTreeSet<TopicId> = topics.keys().copied().collect();
-        let recorded = reader.messages(Selection::all().topics(ids))?.peekable();
-        Ok(Self { recorded, topics, by_name, begin: plan.cycles.begin(), failure: None })
+        // Each detached module advances through the whole bag, before the inputs of the others do.
+        let messages = match plan.detached.is_empty() {
+            true => None,
+            false => Some(reader.messages(Selection::all().topics(topics.keys().copied()))?.peekable()),
+        };
+        Ok(Self { messages, topics, by_name, begin: plan.cycles.begin(), failure: None })
+    }
+
+    /// The topics whose recorded messages have to be [passed on](Self::recorded).
+    pub(super) fn fed_topics(&self) -> Vec<TopicId> {
+        if self.messages.is_some() { Vec::new() } else { self.topics.keys().copied().collect() }
+    }
+
+    /// Reads the remaining messages from there.
+    pub(super) fn read_from(&mut self, rest: Option<Peekable<Messages>>) {
+        self.messages = self.messages.take().or(rest);
     }
 
     /// The messages from now on come from other modules than those before.
@@ -165,23 +179,27 @@ impl Comparisons {
     }
 
     fn read_next(&mut self) -> ControlFlow<()> {
-        let Some(message) = self.recorded.next() else { return ControlFlow::Break(()) };
-        let message = match message {
-            Ok(message) => message,
-            Err(error) => {
-                self.failure.get_or_insert(error.into());
-                return ControlFlow::Continue(());
-            }
-        };
-        let Some(topic) = self.topics.get_mut(&message.topic) else { return ControlFlow::Continue(()) };
+        match self.messages.as_mut().and_then(Iterator::next) {
+            None => return ControlFlow::Break(()),
+            Some(Ok(message)) => self.recorded(message),
+            Some(Err(error)) => drop(self.failure.get_or_insert(error.into())),
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// Adds a recorded message.
+    pub(super) fn recorded(&mut self, message: BagMessage) {
+        let Some(topic) = self.topics.get_mut(&message.topic) else { return };
         if self.begin.is_some_and(|begin| message.log_time <= begin) {
-            return ControlFlow::Continue(());
+            return;
         }
         match topic.recorded_type.to_cdr(message.data) {
             Ok(cdr) => topic.recorded.push_back((message.log_time, cdr)),
             Err(error) => drop(self.failure.get_or_insert(error.into())),
         }
-        ControlFlow::Continue(())
+        if !topic.is_shared {
+            topic.compare_in_order();
+        }
     }
 }
 

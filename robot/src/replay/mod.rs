@@ -166,12 +166,14 @@ pub fn replay(
     let started = Instant::now();
     let mut file = file.on_any_machine();
     let settings = reader.metadata().map_or_else(Vec::new, |bag| use_recorded_settings(&mut file, bag));
-    let made = match file.modules.iter().any(|module| module.kind.is_foreign()) {
-        true => Extract::new(&file.catalog.interfaces).messages(reader, journal::EVENTS)?.unwrap_or_default(),
-        false => Vec::new(),
-    };
+    let mut extract = Extract::new(&file.catalog.interfaces);
+    let mut made = Vec::new();
+    if file.modules.iter().any(|module| module.kind.is_foreign()) {
+        extract.read_journals(reader)?;
+        made = extract.messages(reader, journal::EVENTS)?.unwrap_or_default();
+    }
     let versions = VersionsInBag::use_in(&mut file, reader, &made, options.last_version);
-    let (plan, mut extract) = Plan::make(&file, reader, options, versions.reached.clone())?;
+    let plan = Plan::make(&file, reader, options, versions.reached.clone(), &mut extract)?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
     let mut calls = Calls::default();
     if let Some(events) = extract.messages(reader, journal::EVENTS)? {

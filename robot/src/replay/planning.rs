@@ -21,7 +21,8 @@ impl Plan {
         reader: &Reader,
         options: &ReplayOptions,
         reached: ReplayedTime,
-    ) -> Result<(Self, Extract), ReplayError> {
+        extract: &mut Extract,
+    ) -> Result<Self, ReplayError> {
         check_names(file, options)?;
         if options.simulators == Simulators::RunAgain && !was_in_simulated_time(reader) {
             return Err(ReplayError::RealTime);
@@ -46,8 +47,8 @@ impl Plan {
             !was_in_simulated_time(reader) && matches!(module.options().synchrony, Synchrony::Detached(_))
         };
         let begins_later = file.modules.iter().any(runs_detached) && {
-            let mut extract = Extract::new(&file.catalog.interfaces);
-            Cycles::read(reader, &mut extract)?.begin().is_some()
+            extract.read_journals(reader)?;
+            Cycles::read(reader, extract)?.begin().is_some()
         };
         for module in &file.modules {
             let is_asked_for = options.modules.contains(&module.name);
@@ -86,10 +87,9 @@ impl Plan {
         plan.check()?;
         plan.not_compared =
             coverage::not_compared(&mut plan, &graph, reader, options, &file.catalog.interfaces);
-        let mut extract =
-            Extract::read(reader, &plan.read_before(file, reader, &graph), &file.catalog.interfaces)?;
-        plan.cycles = Cycles::read(reader, &mut extract)?;
-        Ok((plan, extract))
+        extract.read(reader, plan.read_before(file, reader, &graph))?;
+        plan.cycles = Cycles::read(reader, extract)?;
+        Ok(plan)
     }
 
     /// Checks whether the module can be replayed; the error is a message with the reason.

@@ -39,17 +39,20 @@ pub(super) fn attached(
     core = build(file, reader, plan, extract, core, is_replayed)?;
     let interfaces = &file.catalog.interfaces;
     let captured = Captured::add(&mut core, plan, is_replayed)?;
-    let inputs = Inputs::open(&mut core, reader, plan.inputs.iter().map(String::as_str), extract)?;
+    let names = plan.inputs.iter().map(String::as_str);
+    let inputs = Inputs::open(&mut core, reader, names, comparisons.fed_topics(), extract)?;
     let settings = SettingsChanges::read(reader, extract, &plan.cycles, is_replayed)?;
     let end = plan.cycles.end();
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let events = Events::of_core(&mut core, recorded.as_deref(), interfaces, Some(plan.services()))?;
     let reached = plan.reached.clone();
     let mut follower = Follower { core: &mut core, clock: &clock, inputs, settings, events, reached };
-    let cycles = follower.run(reader, &plan.cycles, || {
+    let cycles = follower.run(reader, &plan.cycles, |recorded| {
+        recorded.into_iter().for_each(|message| comparisons.recorded(message));
         let before_end = captured.take().into_iter().filter(|replayed| replayed.time < end);
         before_end.for_each(|replayed| comparisons.replayed(replayed));
     })?;
+    comparisons.read_from(follower.inputs.into_rest());
     captured.take_events().iter().for_each(|event| calls.replayed(plan, event, is_replayed));
     comparisons.end_before(end);
     Ok(cycles)
