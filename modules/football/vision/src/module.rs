@@ -9,8 +9,8 @@ use downbeat_executor::{Context, Kept, Module, Publication, Received, Setting, S
 use downbeat_football::Field;
 use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_football::soccer_model_msgs::msg::Ball as BallEstimate;
-use downbeat_football::soccer_vision_2d_msgs::msg as flat;
-use downbeat_football::soccer_vision_3d_msgs::msg as solid;
+use downbeat_football::soccer_vision_2d_msgs::msg as vision_2d;
+use downbeat_football::soccer_vision_3d_msgs::msg as vision_3d;
 use downbeat_football::soccer_vision_attribute_msgs::msg::{Confidence, Robot as RobotAttributes};
 use downbeat_football::vision_msgs::msg::{BoundingBox2D, BoundingBox3D, Point2D};
 use downbeat_msgs::builtin_interfaces;
@@ -59,16 +59,16 @@ pub struct Vision {
 
 /// The keys of [`Vision`].
 pub struct Ports {
-    flat_boundary: Publication<flat::FieldBoundary>,
-    flat_markings: Publication<flat::MarkingArray>,
-    flat_balls: Publication<flat::BallArray>,
-    flat_posts: Publication<flat::GoalpostArray>,
-    flat_robots: Publication<flat::RobotArray>,
-    boundary: Publication<solid::FieldBoundary>,
-    markings: Publication<solid::MarkingArray>,
-    balls: Publication<solid::BallArray>,
-    posts: Publication<solid::GoalpostArray>,
-    robots: Publication<solid::RobotArray>,
+    boundary_in_picture: Publication<vision_2d::FieldBoundary>,
+    markings_in_picture: Publication<vision_2d::MarkingArray>,
+    balls_in_picture: Publication<vision_2d::BallArray>,
+    posts_in_picture: Publication<vision_2d::GoalpostArray>,
+    robots_in_picture: Publication<vision_2d::RobotArray>,
+    boundary: Publication<vision_3d::FieldBoundary>,
+    markings: Publication<vision_3d::MarkingArray>,
+    balls: Publication<vision_3d::BallArray>,
+    posts: Publication<vision_3d::GoalpostArray>,
+    robots: Publication<vision_3d::RobotArray>,
     ball: Publication<BallEstimate>,
     annotated: Publication<Image>,
     diagnostics: Publication<DiagnosticArray>,
@@ -248,11 +248,11 @@ impl Module for Vision {
         setup.subscribe("camera/image_raw", Self::on_image)?;
         setup.every(RETRY, Self::look)?;
         Ok(Ports {
-            flat_boundary: setup.publish("vision/pixels/field_boundary")?,
-            flat_markings: setup.publish("vision/pixels/markings")?,
-            flat_balls: setup.publish("vision/pixels/balls")?,
-            flat_posts: setup.publish("vision/pixels/goalposts")?,
-            flat_robots: setup.publish("vision/pixels/robots")?,
+            boundary_in_picture: setup.publish("vision/pixels/field_boundary")?,
+            markings_in_picture: setup.publish("vision/pixels/markings")?,
+            balls_in_picture: setup.publish("vision/pixels/balls")?,
+            posts_in_picture: setup.publish("vision/pixels/goalposts")?,
+            robots_in_picture: setup.publish("vision/pixels/robots")?,
             boundary: setup.publish("vision/field_boundary")?,
             markings: setup.publish("vision/markings")?,
             balls: setup.publish("vision/balls")?,
@@ -294,8 +294,8 @@ fn publish(
     let ground = Header { frame_id: FOOTPRINT.to_owned(), ..image.clone() };
     let pixels = image.clone();
     ctx.publish(
-        ctx.ports.flat_boundary,
-        flat::FieldBoundary {
+        ctx.ports.boundary_in_picture,
+        vision_2d::FieldBoundary {
             header: pixels.clone(),
             points: seen.boundary.iter().map(|point| pixel(*point)).collect(),
             confidence: confidence(1.0),
@@ -303,7 +303,7 @@ fn publish(
     );
     ctx.publish(
         ctx.ports.boundary,
-        solid::FieldBoundary {
+        vision_3d::FieldBoundary {
             header: ground.clone(),
             points: seen.boundary.iter().filter_map(|point| view.on_floor(*point)).map(place).collect(),
             confidence: confidence(1.0),
@@ -311,21 +311,24 @@ fn publish(
     );
     publish_markings(seen, view, field, [&pixels, &ground], ctx);
     let balls = seen.balls.iter();
-    let flat_balls = balls.clone().map(|ball| flat::Ball {
+    let balls_in_picture = balls.clone().map(|ball| vision_2d::Ball {
         bb: around(ball.centre, DVec2::splat(2.0 * ball.radius)),
         center: pixel(ball.centre),
         confidence: confidence(ball.confidence),
     });
     ctx.publish(
-        ctx.ports.flat_balls,
-        flat::BallArray { header: pixels.clone(), balls: flat_balls.collect() },
+        ctx.ports.balls_in_picture,
+        vision_2d::BallArray { header: pixels.clone(), balls: balls_in_picture.collect() },
     );
     let radius = field.ball.diameter / 2.0;
-    let solid_balls = balls.map(|ball| solid::Ball {
+    let balls_on_floor = balls.map(|ball| vision_3d::Ball {
         center: Point { z: radius, ..place(ball.place) },
         confidence: confidence(ball.confidence),
     });
-    ctx.publish(ctx.ports.balls, solid::BallArray { header: ground.clone(), balls: solid_balls.collect() });
+    ctx.publish(
+        ctx.ports.balls,
+        vision_3d::BallArray { header: ground.clone(), balls: balls_on_floor.collect() },
+    );
     if let Some(ball) = seen.balls.first() {
         let [[xx, xy], [_, yy]] = view.covariance(ball.place, *ctx.get(ctx.ports.angle_deviation));
         let mut message = BallEstimate { header: ground.clone(), ..BallEstimate::default() };
@@ -335,38 +338,44 @@ fn publish(
         message.twist.covariance[0] = -1.0;
         ctx.publish(ctx.ports.ball, message);
     }
-    let flat_posts = seen.posts.iter().map(|post| flat::Goalpost {
+    let posts_in_picture = seen.posts.iter().map(|post| vision_2d::Goalpost {
         bb: standing(post.foot, post.size),
         confidence: confidence(post.confidence),
-        ..flat::Goalpost::default()
+        ..vision_2d::Goalpost::default()
     });
     ctx.publish(
-        ctx.ports.flat_posts,
-        flat::GoalpostArray { header: pixels.clone(), posts: flat_posts.collect() },
+        ctx.ports.posts_in_picture,
+        vision_2d::GoalpostArray { header: pixels.clone(), posts: posts_in_picture.collect() },
     );
     let goal = field.goal;
-    let solid_posts = seen.posts.iter().map(|post| solid::Goalpost {
+    let posts_on_floor = seen.posts.iter().map(|post| vision_3d::Goalpost {
         bb: standing_on(post.place, [goal.post_diameter, goal.post_diameter, goal.height]),
         confidence: confidence(post.confidence),
-        ..solid::Goalpost::default()
+        ..vision_3d::Goalpost::default()
     });
     ctx.publish(
         ctx.ports.posts,
-        solid::GoalpostArray { header: ground.clone(), posts: solid_posts.collect() },
+        vision_3d::GoalpostArray { header: ground.clone(), posts: posts_on_floor.collect() },
     );
-    let flat_robots = seen.robots.iter().map(|robot| flat::Robot {
+    let robots_in_picture = seen.robots.iter().map(|robot| vision_2d::Robot {
         bb: standing(robot.foot, robot.size),
         attributes: attributes(robot, own),
         confidence: confidence(robot.confidence),
     });
-    ctx.publish(ctx.ports.flat_robots, flat::RobotArray { header: pixels, robots: flat_robots.collect() });
+    ctx.publish(
+        ctx.ports.robots_in_picture,
+        vision_2d::RobotArray { header: pixels, robots: robots_in_picture.collect() },
+    );
     let size = field.robot;
-    let solid_robots = seen.robots.iter().map(|robot| solid::Robot {
+    let robots_on_floor = seen.robots.iter().map(|robot| vision_3d::Robot {
         bb: standing_on(robot.place, [size.width, size.width, size.height]),
         attributes: attributes(robot, own),
         confidence: confidence(robot.confidence),
     });
-    ctx.publish(ctx.ports.robots, solid::RobotArray { header: ground, robots: solid_robots.collect() });
+    ctx.publish(
+        ctx.ports.robots,
+        vision_3d::RobotArray { header: ground, robots: robots_on_floor.collect() },
+    );
 }
 
 fn attributes(robot: &SeenRobot, own: Option<TeamColour>) -> RobotAttributes {
@@ -389,25 +398,27 @@ fn publish_markings(
     ctx: &mut Context<'_, Ports>,
 ) {
     let rays = |count: usize| i32::try_from(count).unwrap_or(i32::MAX);
-    let mut in_picture = flat::MarkingArray { header: pixels.clone(), ..flat::MarkingArray::default() };
-    let mut on_floor = solid::MarkingArray { header: ground.clone(), ..solid::MarkingArray::default() };
+    let mut in_picture =
+        vision_2d::MarkingArray { header: pixels.clone(), ..vision_2d::MarkingArray::default() };
+    let mut on_floor =
+        vision_3d::MarkingArray { header: ground.clone(), ..vision_3d::MarkingArray::default() };
     for line in &seen.lines {
         let confidence = confidence(line.confidence);
         let [start, end] = line.pixels.map(pixel);
-        in_picture.segments.push(flat::MarkingSegment { start, end, confidence });
+        in_picture.segments.push(vision_2d::MarkingSegment { start, end, confidence });
         let [start, end] = line.ends.map(place);
-        on_floor.segments.push(solid::MarkingSegment { start, end, confidence });
+        on_floor.segments.push(vision_3d::MarkingSegment { start, end, confidence });
     }
     for one in &seen.intersections {
         let confidence = confidence(one.confidence);
         let num_rays = rays(one.arms.len());
-        in_picture.intersections.push(flat::MarkingIntersection {
+        in_picture.intersections.push(vision_2d::MarkingIntersection {
             center: pixel(one.pixel),
             num_rays,
             heading_rays: one.arms.iter().filter_map(|arm| heading_in_picture(one, *arm, view)).collect(),
             confidence,
         });
-        on_floor.intersections.push(solid::MarkingIntersection {
+        on_floor.intersections.push(vision_3d::MarkingIntersection {
             center: place(one.place),
             num_rays,
             rays: one.arms.iter().map(|arm| Vector3 { x: arm.x, y: arm.y, z: 0.0 }).collect(),
@@ -417,21 +428,21 @@ fn publish_markings(
     if let Some(circle) = &seen.circle {
         let confidence = confidence(circle.confidence);
         let [least, most] = circle.bounds;
-        in_picture.ellipses.push(flat::MarkingEllipse {
+        in_picture.ellipses.push(vision_2d::MarkingEllipse {
             bb: around((least + most) / 2.0, most - least),
             center: pixel(circle.pixel),
             confidence,
         });
-        let mut ellipse = solid::MarkingEllipse {
+        let mut ellipse = vision_3d::MarkingEllipse {
             diameter: field.circle_diameter,
             confidence,
-            ..solid::MarkingEllipse::default()
+            ..vision_3d::MarkingEllipse::default()
         };
         ellipse.center.position = place(circle.place);
         ellipse.center.orientation.w = 1.0;
         on_floor.ellipses.push(ellipse);
     }
-    ctx.publish(ctx.ports.flat_markings, in_picture);
+    ctx.publish(ctx.ports.markings_in_picture, in_picture);
     ctx.publish(ctx.ports.markings, on_floor);
 }
 
