@@ -37,8 +37,8 @@ use super::servo::ServoCommand;
 
 /// Robot software as small modules in one process, exposed to ROS 2 Jazzy, recorded and replayed.
 ///
-/// Environment: ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them; DOWNBEAT_LOG sets what
-/// is logged, for example "debug" or "info,rustdds=warn". --ros-args is followed by the arguments of every
+/// Environment: RMW_IMPLEMENTATION, ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them, and
+/// ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenoh_cpp does; DOWNBEAT_LOG sets what is logged, for example "debug" or "info,rustdds=warn". --ros-args is followed by the arguments of every
 /// ROS 2 program: -r, -p, --params-file, --log-level and so on.
 #[derive(Parser)]
 #[command(name = "downbeat", version, arg_required_else_help = true)]
@@ -126,7 +126,7 @@ fn missing_option_if(
 }
 
 /// The arguments of a command that a feature would add.
-#[cfg(not(all(feature = "football", feature = "plots", feature = "view")))]
+#[cfg(not(all(feature = "football", feature = "plots", feature = "view", feature = "zenoh")))]
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub(crate) struct NotBuiltIn {
@@ -180,6 +180,14 @@ pub(crate) enum Command {
     /// (Not in this program, built without "state_machine".) Check the chart of a state machine and draw it.
     #[cfg(not(feature = "state_machine"))]
     Chart(NotBuiltIn),
+    /// Run a Zenoh router until Ctrl-C: nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp find each other through it.
+    ///
+    /// Environment: ZENOH_ROUTER_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenohd reads them.
+    #[cfg(feature = "zenoh")]
+    Router,
+    /// (Not in this program, built without "zenoh".) Run a Zenoh router.
+    #[cfg(not(feature = "zenoh"))]
+    Router(NotBuiltIn),
     /// Inspect, record, play and process bags.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -405,6 +413,9 @@ pub(crate) struct GraphArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N", conflicts_with = "robot")]
     pub(crate) domain: Option<u16>,
+    /// Look over Zenoh, as a client of the router at this endpoint, such as tls/robot.local:7447.
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "robot")]
+    pub(crate) connect: Option<String>,
     /// The maximum time to search until the nodes of all endpoints are known, which takes seconds.
     #[arg(long, value_parser = duration, value_name = "TIME", default_value = "8s", conflicts_with = "robot")]
     pub(crate) wait: Duration,

@@ -26,6 +26,8 @@ mod new_output;
 #[cfg(any(feature = "football", feature = "view"))]
 mod own_command;
 mod parameters;
+#[cfg(feature = "zenoh")]
+mod router;
 mod run;
 mod screen;
 mod servo;
@@ -103,6 +105,10 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Chart(arguments) => chart::chart(&arguments, catalog),
         #[cfg(not(feature = "state_machine"))]
         Command::Chart(_) => not_built("state_machine", ""),
+        #[cfg(feature = "zenoh")]
+        Command::Router => router::router(),
+        #[cfg(not(feature = "zenoh"))]
+        Command::Router(_) => not_built("zenoh", ""),
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {
@@ -173,7 +179,14 @@ fn ends_when_done(command: &Command) -> bool {
 
 /// The error of a command that needs a feature of the package.
 #[cfg_attr(
-    all(feature = "football", feature = "plots", feature = "tables", feature = "top", feature = "view"),
+    all(
+        feature = "football",
+        feature = "plots",
+        feature = "tables",
+        feature = "top",
+        feature = "view",
+        feature = "zenoh"
+    ),
     allow(dead_code)
 )]
 fn not_built<T>(feature: &str, instead: &str) -> anyhow::Result<T> {

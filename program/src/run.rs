@@ -54,7 +54,8 @@ pub(crate) struct RunArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,
-    /// Use this DDS engine instead of the robot file's: rtps, or rustdds if built with that feature.
+    /// Use this engine instead of that of the robot file and of RMW_IMPLEMENTATION: rtps (DDS), or zenoh or
+    /// rustdds if built with that feature.
     #[arg(long, value_name = "ENGINE")]
     pub(crate) engine: Option<Engine>,
     /// End with the process at the other end of standard input, which started this one.
@@ -82,7 +83,7 @@ pub(crate) fn run(
     if let Some(physics) = &arguments.physics {
         simulate_with(&mut file, physics)?;
     }
-    file.expose.features.engine = arguments.engine.unwrap_or(file.expose.features.engine);
+    file.expose.features.engine = arguments.engine.or(file.expose.features.engine);
     #[cfg(feature = "view")]
     arguments.view.apply(&mut file.view);
     // In simulated time the core ends by itself.
@@ -233,15 +234,35 @@ pub(super) fn report_recording(summary: Option<&RecordingSummary>) {
 pub(crate) fn node(
     name: &str,
     domain: Option<u16>,
+    connect: Option<&str>,
     catalog: &Catalog,
     ros: &RosArgs,
 ) -> anyhow::Result<(Participant, Node)> {
     ros.warn_about_what_is_ignored();
     let name = NodeName::new(ros.namespace.as_deref().unwrap_or("/"), name)?;
-    let participant =
-        Participant::join_with(&participant_options(domain)?, ros.remap_rules(), catalog.interfaces.clone())?;
+    let mut options = participant_options(domain)?;
+    if let Some(endpoint) = connect {
+        connect_to(&mut options, endpoint)?;
+    }
+    let participant = Participant::join_with(&options, ros.remap_rules(), catalog.interfaces.clone())?;
     let node = participant.create_node(name)?;
     Ok((participant, node))
+}
+
+/// Joins over Zenoh, by the router at this endpoint.
+#[cfg(feature = "zenoh")]
+fn connect_to(options: &mut ParticipantOptions, endpoint: &str) -> anyhow::Result<()> {
+    options.engine = Engine::Zenoh;
+    options.zenoh.connect = Some(endpoint.to_owned());
+    Ok(())
+}
+
+#[cfg(not(feature = "zenoh"))]
+fn connect_to(_options: &mut ParticipantOptions, endpoint: &str) -> anyhow::Result<()> {
+    anyhow::bail!(
+        "--connect {endpoint} is for Zenoh, and this program is {}",
+        downbeat_robot::features::built_without("zenoh")
+    )
 }
 
 /// The options from the environment, with the domain of the command line if given.

@@ -33,7 +33,7 @@ const SENSORS: &[&str] = &[
     "lidar_emulator",
 ];
 
-const FEATURES: [Feature; 11] = [
+const FEATURES: [Feature; 12] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
@@ -70,6 +70,7 @@ const FEATURES: [Feature; 11] = [
     },
     Feature { name: "tables", is_built_in: cfg!(feature = "tables"), ..NOTHING },
     Feature { name: "view", is_built_in: cfg!(feature = "view"), ..NOTHING },
+    Feature { name: "zenoh", is_built_in: cfg!(feature = "zenoh"), ..NOTHING },
 ];
 
 /// What a program without a feature says where it is needed: the end of a sentence.

@@ -41,11 +41,11 @@ impl FirstHour {
     }
 }
 
-/// The features that are not enabled by default, except for those that compile C. The library of MuJoCo is in
-/// the Python environment.
+/// The features that are not enabled by default, except for SQLite. The library of MuJoCo is in the Python
+/// environment.
 pub(crate) const ALL: &[&str] = &[
     "--features",
-    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/sensors,downbeat/tables",
+    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/sensors,downbeat/tables,downbeat/zenoh",
 ];
 
 pub(crate) fn test() -> anyhow::Result<()> {

@@ -19,6 +19,8 @@ pub struct Engine {
     /// A program whose `main` is [`peer::main`](crate::peer::main) with this engine; cases with processes
     /// need it.
     pub peer: Option<PathBuf>,
+    /// The variables of the environment of that program.
+    pub environment: Vec<(&'static str, String)>,
     /// The cases that it is known to fail.
     pub known_failures: &'static [KnownFailure],
 }
@@ -71,7 +73,7 @@ impl Domain<'_> {
     /// A participant in a process of its own, or why there is none.
     pub(crate) fn start_peer(&self, role: Role) -> Result<PeerProcess, &'static str> {
         let program = self.engine.peer.as_ref().ok_or("it has no other processes")?;
-        Ok(PeerProcess::start(program, self.domain_id, role))
+        Ok(PeerProcess::start(program, &self.engine.environment, self.domain_id, role))
     }
 }
 

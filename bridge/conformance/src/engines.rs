@@ -1,12 +1,14 @@
 //! The engines of this repository.
 
 use crate::engine::Engine;
-#[cfg(feature = "rustdds")]
+#[cfg(any(feature = "rustdds", feature = "zenoh"))]
 use crate::engine::KnownFailure;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::middleware::rtps::RtpsParticipant;
 #[cfg(feature = "rustdds")]
 use downbeat_bridge::middleware::rustdds::RustddsParticipant;
+#[cfg(feature = "zenoh")]
+use downbeat_bridge::middleware::zenoh::ZenohParticipant;
 use downbeat_bridge::middleware::{Middleware, MiddlewareError, ParticipantOptions};
 use parking_lot::Mutex;
 use std::collections::HashMap;
@@ -24,6 +26,7 @@ pub fn in_process() -> Engine {
         }),
         has_network: false,
         peer: None,
+        environment: Vec::new(),
         known_failures: &[],
     }
 }
@@ -31,7 +34,14 @@ pub fn in_process() -> Engine {
 /// The engine of this project; with the program that is the other process, if there is one.
 #[must_use]
 pub fn rtps(peer: Option<PathBuf>) -> Engine {
-    Engine { name: "downbeat-rtps", join: Box::new(join_rtps), has_network: true, peer, known_failures: &[] }
+    Engine {
+        name: "downbeat-rtps",
+        join: Box::new(join_rtps),
+        has_network: true,
+        peer,
+        environment: Vec::new(),
+        known_failures: &[],
+    }
 }
 
 /// A participant of the engine of this project.
@@ -51,6 +61,7 @@ pub fn rustdds(peer: Option<PathBuf>) -> Engine {
         join: Box::new(join_rustdds),
         has_network: true,
         peer,
+        environment: Vec::new(),
         known_failures: RUSTDDS,
     }
 }
@@ -150,5 +161,101 @@ const RUSTDDS: &[KnownFailure] = &[
         cause: "it announces itself by multicast only",
         effect: "hosts that multicast does not reach are not discovered",
         remedy: "none",
+    },
+];
+
+/// Zenoh, with a router for the participants of this process and of the peer; with the program that is the
+/// other process, if there is one.
+///
+/// # Panics
+/// If the router does not start.
+#[cfg(feature = "zenoh")]
+#[must_use]
+pub fn zenoh(peer: Option<PathBuf>) -> Engine {
+    let free = std::net::TcpListener::bind(("127.0.0.1", 0)).and_then(|socket| socket.local_addr());
+    let port = free.unwrap_or_else(|error| panic!("no port is free: {error}")).port();
+    let settings = |overrides: String| {
+        let overrides = Some(overrides);
+        downbeat_zenoh::Settings { overrides, router_check_attempts: 10, ..Default::default() }
+    };
+    let router =
+        downbeat_zenoh::Router::start(&settings(format!("listen/endpoints=[\"tcp/127.0.0.1:{port}\"]")));
+    let router = router.unwrap_or_else(|error| panic!("no router: {error}"));
+    let overrides =
+        format!("connect/endpoints=[\"tcp/127.0.0.1:{port}\"];listen/endpoints=[\"tcp/127.0.0.1:0\"]");
+    let of_session = settings(overrides.clone());
+    Engine {
+        name: "zenoh 1.10.2",
+        join: Box::new(move |options| {
+            // As long as there are participants.
+            let _ = &router;
+            let options = ParticipantOptions { zenoh: of_session.clone(), ..options.clone() };
+            Ok(Box::new(ZenohParticipant::new(&options)?))
+        }),
+        has_network: true,
+        peer,
+        environment: vec![("ZENOH_CONFIG_OVERRIDE", overrides)],
+        known_failures: ZENOH,
+    }
+}
+
+/// A participant on Zenoh, with the configuration of the environment.
+///
+/// # Errors
+/// Those of [`ZenohParticipant::new`].
+#[cfg(feature = "zenoh")]
+pub fn join_zenoh(options: &ParticipantOptions) -> Result<Box<dyn Middleware>, MiddlewareError> {
+    let failed = |error: downbeat_zenoh::SettingsError| MiddlewareError::Zenoh {
+        domain_id: options.domain_id,
+        reason: error.to_string(),
+    };
+    let zenoh = downbeat_zenoh::Settings::from_variables(|name| std::env::var(name).ok()).map_err(failed)?;
+    Ok(Box::new(ZenohParticipant::new(&ParticipantOptions { zenoh, ..options.clone() })?))
+}
+
+/// What Zenoh has not, or `rmw_zenoh_cpp` does not use.
+#[cfg(feature = "zenoh")]
+const ZENOH: &[KnownFailure] = &[
+    KnownFailure {
+        case: "a_reader_that_asks_for_more_than_is_offered_is_not_matched",
+        limit: "quality of service is not compared",
+        cause: "Zenoh delivers by key; `rmw_zenoh_cpp` compares nothing either",
+        effect: "a reliable subscription receives from a best-effort publisher, and no event says so",
+        remedy: "compare the profiles with `downbeat topic info -v`",
+    },
+    KnownFailure {
+        case: "each_policy_keeps_apart_what_does_not_suit_and_is_named_on_both_sides",
+        limit: "quality of service is not compared",
+        cause: "Zenoh delivers by key; `rmw_zenoh_cpp` compares nothing either",
+        effect: "no event on `bridge/qos_events` of this kind",
+        remedy: "compare the profiles with `downbeat topic info -v`",
+    },
+    KnownFailure {
+        case: "missed_deadlines_are_reported_on_both_sides",
+        limit: "missed deadlines are not reported",
+        cause: "`rmw_zenoh_cpp` announces deadlines and does not enforce them",
+        effect: "no event on `bridge/qos_events`",
+        remedy: "check the stamps of messages",
+    },
+    KnownFailure {
+        case: "a_writer_with_manual_liveliness_lives_as_long_as_it_says_so",
+        limit: "manual liveliness is not enforced",
+        cause: "`rmw_zenoh_cpp` announces it and does not enforce it",
+        effect: "no event on `bridge/qos_events`",
+        remedy: "publish a heartbeat and check its age",
+    },
+    KnownFailure {
+        case: "a_late_reader_gets_no_sample_past_its_lifespan",
+        limit: "samples do not expire",
+        cause: "`rmw_zenoh_cpp` announces lifespans and does not enforce them",
+        effect: "a late subscription receives expired messages",
+        remedy: "check the stamps of messages",
+    },
+    KnownFailure {
+        case: "static_peers_are_announced_to",
+        limit: "`ROS_STATIC_PEERS` has no effect",
+        cause: "sessions connect to what their configuration names",
+        effect: "a warning at the start",
+        remedy: "set `connect/endpoints` by ZENOH_CONFIG_OVERRIDE",
     },
 ];

@@ -19,13 +19,19 @@ pub(crate) struct PeerProcess {
 }
 
 impl PeerProcess {
-    pub(crate) fn start(program: &Path, domain_id: u16, role: Role) -> Self {
+    pub(crate) fn start(
+        program: &Path,
+        environment: &[(&'static str, String)],
+        domain_id: u16,
+        role: Role,
+    ) -> Self {
         let role = match role {
             Role::Reads => "reads",
             Role::Writes => "writes",
         };
         let mut command = Command::new(program);
         command.args([&domain_id.to_string(), role]).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command.envs(environment.iter().map(|(name, value)| (name, value)));
         let mut child =
             command.spawn().unwrap_or_else(|error| panic!("cannot start {}: {error}", program.display()));
         let mut line = String::new();

@@ -185,12 +185,10 @@ impl Bridge {
                 let inlet = message_type.inlet_with(core, topic, waiting)?;
                 let (traffic, clock) = (Arc::clone(&traffic), Arc::clone(&self.clock));
                 let mut from_ros = FromRos { inlet, traffic, limiter, clock };
-                let (own, participant) = (Arc::clone(&self.own), node.participant_gid().participant());
+                let own = Arc::clone(&self.own);
                 let take = move |sample: Sample| {
                     // Others of the participant are let in, such as a bag that is played.
-                    let is_own =
-                        sample.writer.participant() == participant && own.read().contains(&sample.writer);
-                    if !is_own {
+                    if !own.read().contains(&sample.writer) {
                         from_ros.take(&sample);
                     }
                 };

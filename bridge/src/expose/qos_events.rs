@@ -139,7 +139,8 @@ impl EndpointQos {
                 message.policy = policy.name().to_owned();
                 peer
             }
-            EndpointEvent::IncompatibleType { peer, .. } => {
+            EndpointEvent::IncompatibleType { peer, .. }
+            | EndpointEvent::IncompatibleDefinition { peer, .. } => {
                 counts.incompatible_types += 1;
                 (message.kind, message.total) = (QosEvent::INCOMPATIBLE_TYPE, counts.incompatible_types);
                 peer

@@ -39,12 +39,21 @@ impl fmt::Display for Gid {
     }
 }
 
-/// The description of an endpoint: names on the wire, and quality of service.
+/// The namespace and name of a node.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct NodeIdentity {
+    /// It begins with a slash; `/` is the root.
+    pub namespace: String,
+    /// Its name.
+    pub name: String,
+}
+
+/// The description of an endpoint: names as ROS 2 writes them on DDS, and quality of service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// The topic on the wire, such as `rt/joint_states`.
+    /// The topic on DDS, such as `rt/joint_states`.
     pub topic_name: String,
-    /// The type on the wire, such as `sensor_msgs::msg::dds_::JointState_`.
+    /// The type on DDS, such as `sensor_msgs::msg::dds_::JointState_`.
     pub type_name: String,
     /// What is offered or requested.
     pub qos: QosProfile,
@@ -56,6 +65,8 @@ pub struct Endpoint {
     pub send_window_bytes: u64,
     /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can announce it.
     pub type_hash: Option<String>,
+    /// The node that has it, for engines that announce it with the endpoint.
+    pub node: Option<NodeIdentity>,
 }
 
 impl Endpoint {
@@ -75,6 +86,7 @@ impl Endpoint {
             send_window: Self::SEND_WINDOW,
             send_window_bytes: Self::SEND_WINDOW_BYTES,
             type_hash: None,
+            node: None,
         }
     }
 }
@@ -138,6 +150,15 @@ impl Direction {
     }
 }
 
+/// A node of another participant.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct RemoteNodeIdentity {
+    /// The participant.
+    pub participant: Gid,
+    /// Namespace and name, `/robot/talker`, without control characters.
+    pub name: String,
+}
+
 /// An endpoint of another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RemoteEndpoint {
@@ -163,6 +184,8 @@ pub struct RemoteEndpoint {
     pub liveliness_lease_duration: Option<Duration>,
     /// The hash of the type, `RIHS01_` and 64 hex digits, if the peer announces it.
     pub type_hash: Option<String>,
+    /// Its node, where the engine learns it with the endpoint.
+    pub node: Option<RemoteNodeIdentity>,
 }
 
 impl RemoteEndpoint {

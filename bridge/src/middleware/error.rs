@@ -16,10 +16,18 @@ pub enum MiddlewareError {
         /// What the engine said.
         reason: String,
     },
+    /// Zenoh could not be joined.
+    #[error("joining ROS domain {domain_id} over Zenoh failed: {reason}")]
+    Zenoh {
+        /// The domain.
+        domain_id: u16,
+        /// What Zenoh said.
+        reason: String,
+    },
     /// The engine refused an endpoint.
     #[error("creating a {endpoint} on topic {topic_name:?} (type {type_name}) failed: {reason}")]
     Endpoint {
-        /// "writer" or "reader".
+        /// Such as "writer" or "reader".
         endpoint: &'static str,
         /// The topic on the wire.
         topic_name: String,
@@ -37,7 +45,7 @@ pub enum MiddlewareError {
         reason: String,
     },
     /// The thread that serves the readers could not start.
-    #[error("starting the DDS reader thread failed: {0}")]
+    #[error("starting a thread of the engine failed: {0}")]
     ReaderThread(#[from] std::io::Error),
     /// The thread that runs the handlers of services could not start.
     #[error("starting the thread of the services failed: {0}")]
@@ -66,7 +74,7 @@ pub enum WriteError {
         found: Vec<u8>,
     },
     /// The engine failed.
-    #[error("the DDS engine failed: {0}")]
+    #[error("the engine failed: {0}")]
     Engine(String),
     /// The engine panicked.
     #[error("the DDS engine panicked while writing")]

@@ -38,6 +38,14 @@ pub enum EndpointEvent {
         /// The DDS name of its type.
         type_name: Arc<str>,
     },
+    /// Another endpoint is on the topic with a type of the same name and another definition, and the engine
+    /// exchanges no samples with it.
+    IncompatibleDefinition {
+        /// The other endpoint.
+        peer: Gid,
+        /// The hash of its type; `None` if it announces none.
+        type_hash: Option<Arc<str>>,
+    },
     /// The writer wrote no sample within the offered deadline, or the reader received none within the
     /// requested one.
     DeadlineMissed {

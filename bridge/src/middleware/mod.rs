@@ -5,25 +5,37 @@
 //! encapsulation header and the body, as returned by `rclpy.serialization.serialize_message`.
 //!
 //! The engines behind [`Middleware`] are [`rtps`], the engine of this project, which communicates with every
-//! ROS 2 node; the crate rustdds, with the feature of that name; and [`in_process`], a hub in memory for
-//! tests without a network. The package in `conformance/` tests all of them, including requests and replies
-//! ([`rpc`]), which are samples that refer to the related sample.
+//! ROS 2 node over DDS; the crate rustdds and Zenoh, with the features of those names; and [`in_process`], a
+//! hub in memory for tests without a network. The package in `conformance/` tests all of them, including requests and replies
+//! ([`rpc`]). On DDS these are samples that refer to the related sample, and the nodes of a participant are
+//! samples too. An engine that has [`Services`] or [`Nodes`] of its own says so.
 
 pub mod in_process;
 pub mod rpc;
 pub mod rtps;
 #[cfg(feature = "rustdds")]
 pub mod rustdds;
+#[cfg(feature = "zenoh")]
+pub mod zenoh;
 
 mod endpoint;
 mod error;
 mod event;
 mod options;
+mod service;
 
-pub use endpoint::{Direction, Endpoint, Gid, RemoteEndpoint, Sample, SampleIdentity, WriteOptions};
+pub use endpoint::{
+    Direction, Endpoint, Gid, NodeIdentity, RemoteEndpoint, RemoteNodeIdentity, Sample, SampleIdentity,
+    WriteOptions,
+};
 pub use error::{MiddlewareError, WriteError};
 pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};
 pub use options::{DiscoveryRange, Engine, MAX_DOMAIN_ID, OptionsError, ParticipantOptions};
+
+pub use service::{
+    ServiceClient, ServiceEndpoint, ServiceReply, ServiceRequest, ServiceRequestHandler, ServiceServer,
+    Services,
+};
 
 use bytes::Bytes;
 use std::sync::Arc;
@@ -73,9 +85,43 @@ pub trait Middleware: Send + Sync {
         None
     }
 
+    /// The nodes, where the engine announces them itself. `None` where they are samples on
+    /// `ros_discovery_info`, as on DDS.
+    fn nodes(&self) -> Option<&dyn Nodes> {
+        None
+    }
+
+    /// The services, where the engine has requests and replies itself. `None` where they are two topics, as
+    /// on DDS.
+    fn services(&self) -> Option<&dyn Services> {
+        None
+    }
+
     /// Leaves the domain at once, for a process that is about to end without dropping it. Without an effect
     /// in engines that cannot, whose peers then wait for the lease to expire.
     fn leave(&self) {}
+}
+
+/// The nodes of an engine that announces them itself. Their endpoints name them in [`Endpoint::node`], and
+/// those of others in [`RemoteEndpoint::node`].
+pub trait Nodes: Send + Sync {
+    /// Announces a node.
+    ///
+    /// # Errors
+    /// [`MiddlewareError`] when the engine refuses it.
+    fn add(&self, node: &NodeIdentity) -> Result<(), MiddlewareError>;
+
+    /// Withdraws a node.
+    fn remove(&self, node: &NodeIdentity);
+
+    /// The nodes of other participants.
+    fn remote(&self) -> Vec<RemoteNodeIdentity>;
+
+    /// Whether everything that others have announced before this participant joined is known.
+    fn has_heard_all(&self) -> bool;
+
+    /// What tools call the implementation of these participants.
+    fn implementation(&self) -> &'static str;
 }
 
 /// Writes samples to one topic. Dropping it removes the endpoint.
@@ -150,7 +196,7 @@ pub trait Reader: Send + Sync {
     fn on_event(&self, handler: EventHandler);
 }
 
-/// Joins the domain that the options name: over DDS, or alone when discovery is off.
+/// Joins the domain that the options name: over its engine, or alone when discovery is off.
 ///
 /// # Errors
 /// [`MiddlewareError`] when the participant cannot be created.
@@ -163,5 +209,7 @@ pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, Middlew
         Engine::Rtps => Ok(Arc::new(rtps::RtpsParticipant::new(options)?)),
         #[cfg(feature = "rustdds")]
         Engine::Rustdds => Ok(Arc::new(rustdds::RustddsParticipant::new(options)?)),
+        #[cfg(feature = "zenoh")]
+        Engine::Zenoh => Ok(Arc::new(zenoh::ZenohParticipant::new(options)?)),
     }
 }

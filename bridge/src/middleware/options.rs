@@ -1,4 +1,4 @@
-//! Which domain to join and how far to look, as ROS 2 environment variables say it.
+//! Which engine to use, which domain to join and how far to look, as ROS 2 environment variables say it.
 
 use std::fmt;
 use std::str::FromStr;
@@ -20,7 +20,7 @@ pub enum DiscoveryRange {
     Subnet,
 }
 
-/// The engine that speaks RTPS.
+/// The engine below the nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Engine {
     /// The engine of this project, `downbeat-rtps`.
@@ -29,6 +29,9 @@ pub enum Engine {
     /// The crate rustdds: a second opinion, with the limits that `docs/dds_limits.md` lists.
     #[cfg(feature = "rustdds")]
     Rustdds,
+    /// Zenoh, for nodes with `rmw_zenoh_cpp`.
+    #[cfg(feature = "zenoh")]
+    Zenoh,
 }
 
 impl Engine {
@@ -37,13 +40,31 @@ impl Engine {
         Self::Rtps,
         #[cfg(feature = "rustdds")]
         Self::Rustdds,
+        #[cfg(feature = "zenoh")]
+        Self::Zenoh,
     ];
+
+    /// The engine that `RMW_IMPLEMENTATION` names: those of DDS are one network.
+    fn of_rmw(found: &str) -> Result<Self, OptionsError> {
+        match found {
+            "rmw_fastrtps_cpp" | "rmw_fastrtps_dynamic_cpp" | "rmw_cyclonedds_cpp" | "rmw_connextdds" => {
+                Ok(Self::default())
+            }
+            #[cfg(feature = "zenoh")]
+            "rmw_zenoh_cpp" => Ok(Self::Zenoh),
+            #[cfg(not(feature = "zenoh"))]
+            "rmw_zenoh_cpp" => Err(OptionsError::NoZenoh),
+            found => Err(OptionsError::Rmw { found: found.to_owned() }),
+        }
+    }
 
     fn name(self) -> &'static str {
         match self {
             Self::Rtps => "rtps",
             #[cfg(feature = "rustdds")]
             Self::Rustdds => "rustdds",
+            #[cfg(feature = "zenoh")]
+            Self::Zenoh => "zenoh",
         }
     }
 }
@@ -84,6 +105,25 @@ pub enum OptionsError {
         /// The name found.
         found: String,
     },
+    /// `RMW_IMPLEMENTATION` names no known implementation.
+    #[error(
+        "RMW_IMPLEMENTATION={found:?} is not known: expected rmw_fastrtps_cpp, rmw_fastrtps_dynamic_cpp, rmw_cyclonedds_cpp or \
+         rmw_connextdds (DDS), or rmw_zenoh_cpp (Zenoh)"
+    )]
+    Rmw {
+        /// The value found.
+        found: String,
+    },
+    /// `RMW_IMPLEMENTATION` is that of Zenoh, which is not built in.
+    #[error(
+        "RMW_IMPLEMENTATION=rmw_zenoh_cpp: this program is built without \"zenoh\": build with --features zenoh, or unset it to \
+         use DDS"
+    )]
+    NoZenoh,
+    /// A variable of Zenoh has an invalid value.
+    #[cfg(feature = "zenoh")]
+    #[error(transparent)]
+    Zenoh(#[from] downbeat_zenoh::SettingsError),
     /// `ROS_AUTOMATIC_DISCOVERY_RANGE` is not a range.
     #[error(
         "ROS_AUTOMATIC_DISCOVERY_RANGE={found:?} is not a range: expected LOCALHOST, SUBNET, OFF or SYSTEM_DEFAULT"
@@ -109,6 +149,9 @@ pub struct ParticipantOptions {
     pub engine: Engine,
     /// How long others keep this participant after they last heard of it.
     pub lease: Duration,
+    /// The configuration of Zenoh, as `ZENOH_*` variables say it.
+    #[cfg(feature = "zenoh")]
+    pub zenoh: downbeat_zenoh::Settings,
 }
 
 impl ParticipantOptions {
@@ -125,11 +168,13 @@ impl ParticipantOptions {
             wants_security: false,
             engine: Engine::default(),
             lease: Self::LEASE,
+            #[cfg(feature = "zenoh")]
+            zenoh: downbeat_zenoh::Settings::default(),
         }
     }
 
-    /// The options in `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_LOCALHOST_ONLY`,
-    /// `ROS_STATIC_PEERS` and `ROS_SECURITY_*`. An empty variable counts as unset.
+    /// The options in `RMW_IMPLEMENTATION`, `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`,
+    /// `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS`, `ROS_SECURITY_*` and `ZENOH_*`. An empty variable counts as unset.
     ///
     /// # Errors
     /// [`OptionsError`] when a variable holds no valid value.
@@ -177,7 +222,17 @@ impl ParticipantOptions {
         if wants_security && lookup("ROS_SECURITY_STRATEGY").is_some_and(|value| value == "Enforce") {
             return Err(OptionsError::Security);
         }
-        Ok(Self { discovery_range, static_peers, wants_security, ..Self::new(domain_id) })
+        let engine = lookup("RMW_IMPLEMENTATION")
+            .map_or(Ok(Engine::default()), |found| Engine::of_rmw(found.trim()))?;
+        Ok(Self {
+            discovery_range,
+            static_peers,
+            wants_security,
+            engine,
+            #[cfg(feature = "zenoh")]
+            zenoh: downbeat_zenoh::Settings::from_variables(lookup)?,
+            ..Self::new(domain_id)
+        })
     }
 
     /// Requests of the environment that are not supported, each as a sentence for the log with an
@@ -185,6 +240,19 @@ impl ParticipantOptions {
     #[must_use]
     pub fn not_honoured(&self) -> Vec<String> {
         let mut sentences = Vec::new();
+        #[cfg(feature = "zenoh")]
+        if self.engine == Engine::Zenoh {
+            if self.wants_security {
+                let text = "ROS_SECURITY_ENABLE=true: on Zenoh security is configured by ZENOH_SESSION_CONFIG_URI, not by keystores";
+                sentences.push(text.to_owned());
+            }
+            if !self.static_peers.is_empty() {
+                let text =
+                    "ROS_STATIC_PEERS has no effect on Zenoh: set connect/endpoints by ZENOH_CONFIG_OVERRIDE";
+                sentences.push(text.to_owned());
+            }
+            return sentences;
+        }
         if self.wants_security {
             let text = "ROS_SECURITY_ENABLE=true: the DDS engine has no security, this node joins without it. Unset it, or set \
                         ROS_SECURITY_STRATEGY=Enforce to have such a node not start";
@@ -211,10 +279,10 @@ fn engines() -> String {
 }
 
 fn hint(engine: &str) -> &'static str {
-    if engine == "rustdds" {
-        "; this program is built without \"rustdds\": build with --features rustdds"
-    } else {
-        ""
+    match engine {
+        "rustdds" => "; this program is built without \"rustdds\": build with --features rustdds",
+        "zenoh" => "; this program is built without \"zenoh\": build with --features zenoh",
+        _ => "",
     }
 }
 
@@ -236,6 +304,22 @@ mod tests {
             options(&[("ROS_DOMAIN_ID", ""), ("ROS_STATIC_PEERS", "")]).unwrap(),
             ParticipantOptions::new(0)
         );
+    }
+
+    #[test]
+    fn the_implementations_of_dds_are_one_network_and_an_unknown_one_is_an_error() {
+        let engine = |value| options(&[("RMW_IMPLEMENTATION", value)]).map(|options| options.engine);
+        for known in
+            ["", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds"]
+        {
+            assert_eq!(engine(known), Ok(Engine::Rtps), "{known}");
+        }
+        let error = engine("rmw_zenoh").unwrap_err().to_string();
+        assert!(error.contains("\"rmw_zenoh\"") && error.contains("rmw_cyclonedds_cpp"), "{error}");
+        #[cfg(feature = "zenoh")]
+        assert_eq!(engine("rmw_zenoh_cpp"), Ok(Engine::Zenoh));
+        #[cfg(not(feature = "zenoh"))]
+        assert!(engine("rmw_zenoh_cpp").unwrap_err().to_string().contains("--features zenoh"));
     }
 
     #[test]

@@ -193,9 +193,9 @@ impl Node {
     ) -> Result<RawClient, NodeError> {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
-        let endpoint = name.endpoint(&shared.interfaces, service_type, qos);
+        let endpoint = name.endpoint(self.name(), &shared.interfaces, service_type, qos);
         let client = RequestClient::new(&*shared.middleware, &shared.worker, &endpoint)?;
-        let [requests, replies] = Definition::of_service(shared, &name, service_type, &endpoint.type_hashes);
+        let [requests, replies] = Definition::of_service(shared, &name, service_type, &endpoint);
         client.on_events(requests, replies);
         let (reader, writer) = client.gids();
         let events = ServiceEvents::new(&name, service_type);

@@ -5,7 +5,7 @@
 
 use super::membership::Shared;
 use super::{ServiceName, ServiceType};
-use crate::middleware::{EndpointEvent, EventHandler, Gid, Middleware};
+use crate::middleware::{EndpointEvent, EventHandler, Gid, Middleware, ServiceEndpoint};
 use crate::worker::WorkerLink;
 use downbeat_msgs::printable;
 use parking_lot::Mutex;
@@ -57,13 +57,17 @@ impl Definition {
         shared: &Shared,
         service: &ServiceName,
         service_type: &ServiceType,
-        hashes: &[Option<String>; 2],
+        endpoint: &ServiceEndpoint,
     ) -> [EventHandler; 2] {
+        if shared.middleware.services().is_some() {
+            // One endpoint, and the engine compares.
+            return [of_engine(service, service_type, endpoint.type_hash.clone()), Box::new(|_| ())];
+        }
         let of = |part, hashes| {
             Self::new(shared, format!("service '{service}'"), &format!("{service_type}_{part}"), hashes)
                 .handler()
         };
-        let [request, response] = hashes.clone();
+        let [request, response] = endpoint.type_hashes.clone();
         // rmw_fastrtps_cpp announces the hash of the request on both topics.
         let replies = response.into_iter().chain(request.clone()).collect();
         [of("Request", request.into_iter().collect()), of("Response", replies)]
@@ -75,6 +79,11 @@ impl Definition {
                 self.compare(*peer);
             }
         })
+    }
+
+    /// The hash of the type; `None` if it is unknown.
+    pub(super) fn hash(&self) -> Option<&str> {
+        self.0.as_ref()?.hashes.first().map(String::as_str)
     }
 
     /// Logs a matched endpoint if it announces another definition. Runs on a thread of the middleware, which
@@ -91,6 +100,41 @@ impl Definition {
             comparison.worker.run(move || compared.compare_waiting());
         }
     }
+}
+
+/// Logs endpoints of others on a service whose requests or replies would not arrive.
+fn of_engine(service: &ServiceName, service_type: &ServiceType, ours: Option<String>) -> EventHandler {
+    let (service, service_type) = (service.clone(), service_type.clone());
+    let logged = Mutex::new(HashSet::new());
+    let is_new = move |peer: Gid| {
+        let mut logged = logged.lock();
+        logged.len() < MOST_PEERS && logged.insert(peer)
+    };
+    Box::new(move |event| match event {
+        EndpointEvent::IncompatibleDefinition { peer, type_hash } if is_new(*peer) => {
+            let of = format!("service '{service}'");
+            let ours = ours.as_deref().unwrap_or("unknown");
+            let text =
+                apart(&of, service_type.as_str(), ours, type_hash.as_deref(), "Calls are not answered");
+            tracing::warn!(%peer, "{text}");
+        }
+        EndpointEvent::IncompatibleType { peer, type_name } if is_new(*peer) => tracing::warn!(
+            %peer,
+            "service '{service}': another node has it with type {}, this node with {service_type}. Calls are not answered. Give one \
+             of them another name",
+            printable(type_name),
+        ),
+        _ => {}
+    })
+}
+
+/// The warning of an endpoint with which nothing is exchanged, since the definitions differ.
+pub(super) fn apart(of: &str, type_name: &str, ours: &str, theirs: Option<&str>, effect: &str) -> String {
+    let theirs = theirs.map_or_else(|| "unknown".into(), printable);
+    format!(
+        "{of}: another node has another definition of {type_name}: its hash is {theirs}, that of this node {ours}. {effect}. \
+         Build both nodes with one definition"
+    )
 }
 
 impl Comparison {

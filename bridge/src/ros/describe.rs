@@ -4,6 +4,7 @@
 use super::membership::Membership;
 use super::{Client, MessageType, Node, NodeError, ServiceName, ServiceType, Subscription, TopicName};
 use crate::edge::KnownType;
+use crate::middleware::RemoteEndpoint;
 use crate::middleware::rpc::CallError;
 use crate::worker::{WorkerLink, oneshot};
 use downbeat_msgs::dynamic::{Definitions, DescribedTypes, TypeDefinition, TypeError, TypeLookupError};
@@ -70,7 +71,7 @@ impl Node {
         message_type: &MessageType,
         timeout: Duration,
     ) -> Result<TypeDefinition, DescribeError> {
-        self.describe_endpoint(&topic.to_wire(), topic.as_str(), message_type, timeout)
+        self.describe_endpoint(&topic.to_wire(), topic.as_str(), message_type, message_type.as_str(), timeout)
     }
 
     /// The same for the request and the response of a service. Nodes of rcl do not describe these by
@@ -85,10 +86,14 @@ impl Node {
         timeout: Duration,
     ) -> Result<[TypeDefinition; 2], DescribeError> {
         let [requests, replies] = service.topics();
+        // An engine with services announces the hash of the service, and only the topic of requests.
+        let is_whole = self.membership.shared.middleware.services().is_some();
+        let replies = if is_whole { requests.clone() } else { replies };
         let describe = |topic: &str, part: &str| {
             let message_type =
                 MessageType::new(&format!("{service_type}_{part}")).map_err(NodeError::from)?;
-            self.describe_endpoint(topic, service.as_str(), &message_type, timeout)
+            let asked = if is_whole { service_type.as_str() } else { message_type.as_str() };
+            self.describe_endpoint(topic, service.as_str(), &message_type, asked, timeout)
         };
         Ok([describe(&requests, "Request")?, describe(&replies, "Response")?])
     }
@@ -98,31 +103,41 @@ impl Node {
         topic: &str,
         name: &str,
         message_type: &MessageType,
+        asked: &str,
         timeout: Duration,
     ) -> Result<TypeDefinition, DescribeError> {
-        let inquiry = self.inquire(topic, name, message_type)?;
+        let inquiry = self.inquire(topic, name, message_type, asked)?;
         // If the service is missing the call reports it.
         let _ = inquiry.client.wait_for_service(timeout);
         let answer = inquiry.client.call_and_wait(&inquiry.request(), timeout);
         inquiry.read(answer)
     }
 
-    /// `topic` as on the wire; `name` for errors.
-    fn inquire(&self, topic: &str, name: &str, message_type: &MessageType) -> Result<Inquiry, DescribeError> {
+    /// `topic` as on DDS; `name` for errors; `asked` is the type that is announced with the hash, which has
+    /// `message_type` as a part.
+    fn inquire(
+        &self,
+        topic: &str,
+        name: &str,
+        message_type: &MessageType,
+        asked: &str,
+    ) -> Result<Inquiry, DescribeError> {
         let (type_name, on_wire) = (message_type.as_str().to_owned(), message_type.to_wire());
         let shared = &self.membership.shared;
         let endpoints = shared.middleware.remote_endpoints();
         let owners = shared.graph.remote_owners(&endpoints).owners;
+        let is_whole = asked != type_name;
+        let is_of_type = |endpoint: &RemoteEndpoint| is_whole || endpoint.type_name == on_wire;
         let mut known = endpoints
             .iter()
-            .filter(|endpoint| endpoint.topic_name == topic && endpoint.type_name == on_wire)
+            .filter(|endpoint| endpoint.topic_name == topic && is_of_type(endpoint))
             .filter_map(|endpoint| Some((owners.get(&endpoint.gid)?.clone(), endpoint.type_hash.clone()?)));
         let Some((node, hash)) = known.next() else {
             return Err(DescribeError::NobodyToAsk { topic: name.to_owned(), type_name });
         };
         let service = format!("{node}/get_type_description");
         let client = self.client::<GetTypeDescription>(&service, QosProfile::SERVICES)?;
-        Ok(Inquiry { node, type_name, hash, client })
+        Ok(Inquiry { node, type_name, asked: asked.to_owned(), hash, client })
     }
 }
 
@@ -131,6 +146,7 @@ struct Inquiry {
     /// The node to ask.
     node: String,
     type_name: String,
+    asked: String,
     hash: String,
     client: Client<GetTypeDescription>,
 }
@@ -138,7 +154,7 @@ struct Inquiry {
 impl Inquiry {
     fn request(&self) -> GetTypeDescriptionRequest {
         GetTypeDescriptionRequest {
-            type_name: self.type_name.clone(),
+            type_name: self.asked.clone(),
             type_hash: self.hash.clone(),
             include_type_sources: false,
         }
@@ -161,10 +177,10 @@ impl Inquiry {
         self,
         answer: Result<GetTypeDescriptionResponse, CallError>,
     ) -> Result<TypeDefinition, DescribeError> {
-        let Self { node, type_name, hash, .. } = self;
+        let Self { node, type_name, asked, hash, .. } = self;
         let answer = answer.map_err(|error| DescribeError::Call { node: node.clone(), error })?;
         if !answer.successful {
-            return Err(DescribeError::Refused { node, type_name, reason: answer.failure_reason });
+            return Err(DescribeError::Refused { node, type_name: asked, reason: answer.failure_reason });
         }
         let mut described = DescribedTypes::new(&node);
         described.add(&answer.type_description, &hash)?;
@@ -219,8 +235,9 @@ fn inquire_publisher(
     if subscription.matched_publishers() == 0 {
         return Some(Ok(None));
     }
-    let topic = subscription.topic();
     // The client of an inquiry does not keep the node.
-    let inquiry = node.by_itself().inquire(&topic.to_wire(), topic.as_str(), subscription.message_type());
+    let (topic, message_type) = (subscription.topic(), subscription.message_type());
+    let node = node.by_itself();
+    let inquiry = node.inquire(&topic.to_wire(), topic.as_str(), message_type, message_type.as_str());
     Some(inquiry.map(Some))
 }

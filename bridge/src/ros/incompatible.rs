@@ -1,6 +1,6 @@
 //! Warnings about endpoints of others that do not match, in the words of rclcpp.
 
-use super::definition::Definition;
+use super::definition::{Definition, apart};
 use super::{MessageType, TopicName};
 use crate::middleware::{Direction, EndpointEvent, EventHandler, Gid, QosPolicyKind};
 use downbeat_msgs::printable;
@@ -49,6 +49,9 @@ impl Warnings {
                 EndpointEvent::IncompatibleType { peer, type_name } => {
                     warnings.warn_of_type(*peer, type_name)
                 }
+                EndpointEvent::IncompatibleDefinition { peer, type_hash } => {
+                    warnings.warn_of_definition(*peer, type_hash.as_deref());
+                }
                 EndpointEvent::Matched { peer } => warnings.definition.compare(*peer),
                 _ => {}
             }
@@ -63,13 +66,24 @@ impl Warnings {
     }
 
     fn warn_of_type(&self, peer: Gid, theirs: &str) {
-        let is_new = {
-            let types = &mut self.logged.lock().types;
-            types.len() < MOST_PEERS && types.insert(peer)
-        };
-        if is_new {
+        if self.is_new(peer) {
             tracing::warn!(%peer, "{}", self.type_warning(theirs));
         }
+    }
+
+    fn warn_of_definition(&self, peer: Gid, theirs: Option<&str>) {
+        if self.is_new(peer) {
+            let of = format!("topic '{}'", self.topic);
+            let ours = self.definition.hash().unwrap_or("unknown");
+            let text =
+                apart(&of, self.message_type.as_str(), ours, theirs, "No messages are exchanged with it");
+            tracing::warn!(%peer, "{text}");
+        }
+    }
+
+    fn is_new(&self, peer: Gid) -> bool {
+        let types = &mut self.logged.lock().types;
+        types.len() < MOST_PEERS && types.insert(peer)
     }
 
     /// The words are those of `default_incompatible_type_callback` (rclcpp, `publisher_base.cpp` and

@@ -3,7 +3,9 @@
 mod client;
 mod definition;
 mod describe;
+mod discovery_info;
 mod graph;
+mod graph_types;
 mod incompatible;
 mod introspection;
 mod membership;

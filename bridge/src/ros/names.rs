@@ -4,6 +4,7 @@
 //! `rcl_expand_topic_name` (branch jazzy), the wire form that of
 //! `rmw_fastrtps_shared_cpp/namespace_prefix.hpp`.
 
+use crate::middleware::NodeIdentity;
 use std::fmt;
 use thiserror::Error;
 
@@ -65,6 +66,11 @@ impl NodeName {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The same for the middleware.
+    pub(super) fn identity(&self) -> NodeIdentity {
+        NodeIdentity { namespace: self.namespace.clone(), name: self.name.clone() }
     }
 
     fn in_namespace(&self, relative: &str) -> String {

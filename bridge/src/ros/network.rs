@@ -23,6 +23,8 @@ pub struct FoundNode {
     pub name: String,
     /// The participant it belongs to.
     pub participant: Gid,
+    /// The implementation of the middleware, such as `eProsima Fast DDS`.
+    pub vendor: String,
 }
 
 /// An endpoint of a node of another participant on a topic or service.
@@ -70,7 +72,11 @@ impl Participant {
     pub fn found(&self) -> Found {
         let remote = self.remote_endpoints();
         let heard = self.shared.graph.remote_owners(&remote);
-        let nodes = heard.nodes.into_iter().map(|(participant, name)| FoundNode { name, participant });
+        let of_engine = self.shared.middleware.nodes().map(|nodes| nodes.implementation().to_owned());
+        let nodes = heard.nodes.into_iter().map(|(participant, name)| {
+            let vendor = of_engine.clone().unwrap_or_else(|| vendor(participant));
+            FoundNode { name, participant, vendor }
+        });
         let mut nodes: Vec<_> = nodes.collect();
         nodes.sort();
         let mut endpoints: Vec<_> =
@@ -106,9 +112,9 @@ impl Participant {
 
 impl From<Found> for NetworkGraph {
     fn from(Found { nodes, endpoints }: Found) -> Self {
-        let node = |FoundNode { name, participant }| NetworkNode {
+        let node = |FoundNode { name, participant, vendor }| NetworkNode {
             name,
-            vendor: vendor(participant),
+            vendor,
             participant: participant.participant(),
         };
         Self {

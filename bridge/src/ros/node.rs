@@ -99,11 +99,6 @@ impl Node {
         Ok(resolve(request, direction, &peers))
     }
 
-    /// The identity of the participant.
-    pub(crate) fn participant_gid(&self) -> Gid {
-        self.membership.shared.middleware.gid()
-    }
-
     /// The worker of the participant.
     pub(crate) fn worker(&self) -> WorkerLink {
         self.membership.shared.worker.link()
@@ -194,6 +189,7 @@ mod tests {
             liveliness: qos.liveliness,
             liveliness_lease_duration: qos.liveliness_lease_duration,
             type_hash: None,
+            node: None,
         };
         let best = resolve(&QosRequest::BEST_AVAILABLE, Direction::In, &[subscription]);
         assert_eq!(best.reliability, Reliability::Reliable, "it is not a publisher");

@@ -80,7 +80,7 @@ impl Participant {
         interfaces: Interfaces,
     ) -> Result<Self, MiddlewareError> {
         let worker = Worker::start().map_err(MiddlewareError::ServiceThread)?;
-        let graph = Graph::join(&*middleware, worker.link())?;
+        let graph = Graph::join(&middleware, worker.link())?;
         let (nodes, furnishers) = (Mutex::default(), Mutex::default());
         let shared = Arc::new(Shared { graph, worker, middleware, remaps, interfaces, nodes, furnishers });
         let mut joined = JOINED.lock();
@@ -98,9 +98,7 @@ impl Participant {
     pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
         let given = name;
         let name = self.shared.remaps.node(&given)?;
-        if !self.shared.graph.add_node(&name) {
-            return Err(NodeError::Exists(name));
-        }
+        self.shared.graph.add_node(&name)?;
         let node = Node::new(&self.shared, name);
         let interfaces = self.shared.interfaces.clone();
         let service = node.by_itself().serve::<GetTypeDescription>(
@@ -153,9 +151,7 @@ impl Participant {
     /// it may become false again. Never true while there are none, or participants that are no ROS 2 nodes.
     #[must_use]
     pub fn has_heard_all(&self) -> bool {
-        let Some(participants) = self.shared.middleware.remote_participants() else { return false };
-        let endpoints = self.shared.middleware.remote_endpoints();
-        !participants.is_empty() && self.shared.graph.has_heard_all(&participants, &endpoints)
+        self.shared.graph.has_heard_all(&*self.shared.middleware)
     }
 
     /// The nodes of other participants. Those that were there before take some seconds to be heard of.

@@ -5,7 +5,6 @@ use super::incompatible::Warnings;
 use super::membership::Shared;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
-use crate::edge::Interfaces;
 use crate::middleware::{Direction, Endpoint, EventHandler, Gid, ReaderCounter, WriteError, Writer};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
@@ -108,7 +107,7 @@ impl Node {
     ) -> Result<Publisher, NodeError> {
         let topic = self.topic_name(topic)?;
         let shared = &self.membership.shared;
-        let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
+        let endpoint = endpoint(self, &topic, message_type, qos);
         let writer = shared.middleware.create_writer(&endpoint)?;
         let warnings = warnings(shared, &topic, message_type, Direction::Out, &endpoint);
         writer.on_event(warnings.and(Box::new(|_| ())));
@@ -138,11 +137,12 @@ pub(super) fn warnings(
 }
 
 pub(super) fn endpoint(
-    interfaces: &Interfaces,
+    node: &Node,
     topic: &TopicName,
     message_type: &MessageType,
     qos: QosProfile,
 ) -> Endpoint {
-    let type_hash = interfaces.message_hash(message_type.as_str());
-    Endpoint { type_hash, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
+    let type_hash = node.membership.shared.interfaces.message_hash(message_type.as_str());
+    let node = Some(node.name().identity());
+    Endpoint { type_hash, node, ..Endpoint::new(topic.to_wire(), message_type.to_wire(), qos) }
 }

@@ -211,11 +211,11 @@ impl Node {
     ) -> Result<Service, NodeError> {
         let name = self.service_name(service)?;
         let shared = &self.membership.shared;
-        let endpoint = name.endpoint(&shared.interfaces, service_type, qos);
+        let endpoint = name.endpoint(self.name(), &shared.interfaces, service_type, qos);
         let events = ServiceEvents::new(&name, service_type);
         let on_request = observed(Arc::clone(&events), on_request);
         let server = RequestServer::new(&*shared.middleware, &shared.worker, &endpoint, on_request)?;
-        let [requests, replies] = Definition::of_service(shared, &name, service_type, &endpoint.type_hashes);
+        let [requests, replies] = Definition::of_service(shared, &name, service_type, &endpoint);
         server.on_events(requests, replies);
         let (reader, writer) = server.gids();
         Ok(Service {

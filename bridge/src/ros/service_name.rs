@@ -42,6 +42,7 @@ impl ServiceName {
     /// do. Those of `rmw_fastrtps_cpp` announce that of the request on both topics.
     pub(super) fn endpoint(
         &self,
+        node: &NodeName,
         interfaces: &Interfaces,
         service_type: &ServiceType,
         qos: QosProfile,
@@ -49,8 +50,13 @@ impl ServiceName {
         let [request_topic, reply_topic] = self.topics();
         let type_hashes =
             ["Request", "Response"].map(|part| interfaces.message_hash(&format!("{service_type}_{part}")));
+        let known = interfaces.service(service_type.as_str()).ok();
+        let type_hash = known.map(|known| known.hash().to_owned()).filter(|hash| !hash.is_empty());
         ServiceEndpoint {
             name: self.as_str().to_owned(),
+            type_name: service_type.0.to_wire(),
+            type_hash,
+            node: Some(node.identity()),
             request_topic,
             request_type: format!("{}Request_", service_type.0.to_wire()),
             reply_topic,
@@ -103,6 +109,7 @@ mod tests {
         let node = NodeName::new("/robot", "downbeat").unwrap();
         let service = ServiceName::expand("~/stand_up", &node).unwrap();
         let endpoint = service.endpoint(
+            &node,
             &Interfaces::carried(),
             &ServiceType::new("std_srvs/srv/SetBool").unwrap(),
             QosProfile::SERVICES,

@@ -67,7 +67,7 @@ impl Node {
     ) -> Result<Subscription, NodeError> {
         let topic = self.topic_name(topic)?;
         let shared = &self.membership.shared;
-        let endpoint = endpoint(&shared.interfaces, &topic, message_type, qos);
+        let endpoint = endpoint(self, &topic, message_type, qos);
         let reader = shared.middleware.create_reader(&endpoint, on_sample)?;
         let warnings = warnings(shared, &topic, message_type, Direction::In, &endpoint);
         reader.on_event(warnings.and(Box::new(|_| ())));

@@ -28,8 +28,9 @@ use format::Format;
 /// The variable that selects what is logged.
 const VARIABLE: &str = "DOWNBEAT_LOG";
 
-/// rustdds logs each repair and each refused sample as an error; the bridge reports what matters.
-const DEFAULT: &str = "info,rustdds=off";
+/// rustdds logs each repair and each refused sample as an error; the bridge reports what matters. Zenoh logs
+/// each failed attempt to connect as a warning.
+const DEFAULT: &str = "info,rustdds=off,zenoh=error";
 
 /// The name of the logger while there is no node.
 const PROGRAM: &str = "downbeat";
@@ -104,7 +105,7 @@ fn filter_of(arguments: &LogArguments) -> Option<String> {
         return None;
     }
     let level = arguments.level.map_or("info", LogLevel::as_filter);
-    let mut filter = format!("{level},rustdds=off");
+    let mut filter = format!("{level},rustdds=off,zenoh=error");
     for (logger, level) in &arguments.loggers {
         filter.push_str(&format!(",{}={}", logger.replace('.', "::"), level.as_filter()));
     }
@@ -202,7 +203,7 @@ impl LogLayer {
     /// Returns whether some logger has a level that accepts such an event.
     fn may_be_raised(&self, metadata: &Metadata<'_>) -> bool {
         let severity = Severity::of(*metadata.level());
-        let is_ours = !metadata.target().starts_with("rustdds");
+        let is_ours = !["rustdds", "zenoh"].iter().any(|other| metadata.target().starts_with(other));
         metadata.is_event() && is_ours && self.levels.least().is_some_and(|least| severity >= least)
     }
 }

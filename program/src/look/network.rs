@@ -26,6 +26,9 @@ pub(crate) struct LookArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(super) domain: Option<u16>,
+    /// Look over Zenoh, as a client of the router at this endpoint, such as tls/robot.local:7447.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub(super) connect: Option<String>,
     /// The maximum time to wait for discovery: seconds, or with a unit.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value = "8")]
     pub(super) spin_time: Duration,
@@ -82,18 +85,20 @@ impl Look {
         // Only used by clap.
         let _ = arguments.no_daemon;
         let name = format!("_downbeat_{command}_{}", std::process::id());
-        Self::join_as(&name, arguments.domain, arguments.spin_time, environment)
+        let LookArguments { domain, connect, spin_time, .. } = arguments;
+        Self::join_as(&name, *domain, connect.as_deref(), *spin_time, environment)
     }
 
     pub(crate) fn join_as(
         name: &str,
         domain: Option<u16>,
+        connect: Option<&str>,
         longest: Duration,
         environment: &Environment<'_>,
     ) -> anyhow::Result<Self> {
         let stop = Stop::new()?.at_end_of_output();
         let Environment { catalog, ros } = *environment;
-        let (participant, node) = run::node(name, domain, catalog, ros)?;
+        let (participant, node) = run::node(name, domain, connect, catalog, ros)?;
         Ok(Self { participant, node, stop, interfaces: catalog.interfaces.clone(), longest })
     }
 

@@ -23,8 +23,8 @@ pub struct NodeFeatures {
     pub clock: ClockChoice,
     /// Whether the process publishes its state on the topic `diagnostics` once a second.
     pub diagnostics: bool,
-    /// The engine that speaks RTPS.
-    pub engine: Engine,
+    /// The engine below the node; `None` for that of the environment.
+    pub engine: Option<Engine>,
 }
 
 /// The source of time.
@@ -48,7 +48,7 @@ impl Default for NodeFeatures {
             network: false,
             clock: ClockChoice::Own,
             diagnostics: true,
-            engine: Engine::default(),
+            engine: None,
         }
     }
 }
@@ -71,7 +71,8 @@ impl NodeFeatures {
                 .take("diagnostics")
                 .map_or(Ok(unless_given.diagnostics), |value| value.flag())?,
             engine: table.take("engine").map_or(Ok(unless_given.engine), |value| {
-                value.text()?.parse().map_err(|error: OptionsError| value.error(error.to_string()))
+                let engine = value.text()?.parse();
+                engine.map(Some).map_err(|error: OptionsError| value.error(error.to_string()))
             })?,
         })
     }

@@ -62,7 +62,7 @@ impl RobotNode {
         let claim = claim(&robot.file, options.domain_id)?;
         let features = robot.file.expose.features.clone();
         let participant = Participant::join_with(
-            &ParticipantOptions { engine: features.engine, ..options.clone() },
+            &ParticipantOptions { engine: features.engine.unwrap_or(options.engine), ..options.clone() },
             robot.file.remaps.clone(),
             robot.file.catalog.interfaces.clone(),
         )?;

@@ -23,9 +23,9 @@ pub(super) fn a_peer_that_leaves_disappears_immediately(domain: &Domain<'_>) -> 
     let writer = alice.create_writer(&chatter(QosProfile::DEFAULT)).unwrap();
     let (reader, _samples) = subscribe(&*alice, &chatter(QosProfile::DEFAULT));
     // She hears herself, too.
-    let others =
-        |peers: Vec<Gid>| peers.iter().filter(|peer| peer.participant() != alice.gid().participant()).count();
-    let matched = || (others(writer.matched_readers()), others(reader.matched_writers()));
+    let others = |peers: Vec<Gid>, own: Gid| peers.iter().filter(|peer| **peer != own).count();
+    let matched =
+        || (others(writer.matched_readers(), reader.gid()), others(reader.matched_writers(), writer.gid()));
     wait_until("both processes are matched", || matched() == (1, 1));
     let start = Instant::now();
     reads.leave();

@@ -122,6 +122,7 @@ impl Middleware for InProcessParticipant {
                 liveliness: endpoint.qos.liveliness,
                 liveliness_lease_duration: endpoint.qos.liveliness_lease_duration,
                 type_hash: endpoint.type_hash.clone(),
+                node: None,
             })
             .collect()
     }

@@ -3,8 +3,8 @@
 use super::mapping::{Mapping, PayloadHeader};
 use super::{MAX_IN_FLIGHT, ServiceEndpoint, of_participant, reading};
 use crate::middleware::{
-    EventHandler, Gid, Middleware, MiddlewareError, Reader, Sample, SampleIdentity, WriteError, WriteOptions,
-    Writer,
+    EventHandler, Gid, MatchHandler, Middleware, MiddlewareError, Reader, Sample, SampleIdentity,
+    ServiceClient, WriteError, WriteOptions, Writer,
 };
 use crate::worker::{TimeLimited, Worker, WorkerLink};
 use bytes::Bytes;
@@ -78,18 +78,29 @@ pub struct Answer {
 /// Makes calls. Dropping it removes the endpoints and ends its calls.
 pub struct RequestClient {
     shared: Arc<Shared>,
-    reader: Box<dyn Reader>,
+}
+
+/// The endpoints of a client.
+enum Endpoints {
+    /// The writer of requests and the reader of replies, by whose identity servers name the client.
+    Topics { writer: Box<dyn Writer>, reader: Box<dyn Reader> },
+    /// That of an engine with services.
+    Service(Box<dyn ServiceClient>),
+}
+
+/// How the next request goes out.
+enum Way<'a> {
+    Topic(&'a dyn Writer, WriteOptions),
+    Service(&'a dyn ServiceClient),
 }
 
 struct Shared {
     service: String,
-    writer: Box<dyn Writer>,
+    endpoints: Endpoints,
     worker: WorkerLink,
     /// The number of the last request. Held while one is numbered and written: the number of the call must be
     /// known before its answer comes.
     last: Mutex<CallNumber>,
-    /// The identity of the reader of replies, by which servers name it.
-    reader: Gid,
     calls: Mutex<Calls>,
     /// For `changed`, which is notified when matches change.
     waiting: Mutex<()>,
@@ -126,6 +137,11 @@ impl RequestClient {
         worker: &Worker,
         service: &ServiceEndpoint,
     ) -> Result<Self, MiddlewareError> {
+        if let Some(services) = middleware.services() {
+            let client = services.create_client(service)?;
+            let shared = Shared::new(service, worker, Endpoints::Service(client));
+            return Ok(Self { shared });
+        }
         // The reader first: a server that knows the writer then knows where to answer, too.
         let receiver = Arc::new(OnceLock::<Weak<Shared>>::new());
         let incoming = {
@@ -138,47 +154,41 @@ impl RequestClient {
         };
         let reader = middleware.create_reader(&reading(service.replies()), Box::new(incoming))?;
         let writer = middleware.create_writer(&service.requests())?;
-        let shared = Arc::new(Shared {
-            service: service.name.clone(),
-            worker: worker.link(),
-            last: Mutex::default(),
-            reader: reader.gid(),
-            writer,
-            calls: Mutex::default(),
-            waiting: Mutex::default(),
-            changed: Condvar::new(),
-        });
-        let weak = Arc::downgrade(&shared);
-        receiver.get_or_init(|| weak.clone());
-        shared.worker.watch(weak.clone() as _);
-        let on_match = move || {
-            if let Some(shared) = weak.upgrade() {
-                drop(shared.waiting.lock());
-                shared.changed.notify_all();
-            }
-        };
-        shared.writer.on_match(Box::new(on_match.clone()));
-        reader.on_match(Box::new(on_match));
-        Ok(Self { shared, reader })
+        let shared = Shared::new(service, worker, Endpoints::Topics { writer, reader });
+        receiver.get_or_init(|| Arc::downgrade(&shared));
+        Ok(Self { shared })
     }
 
-    /// The identities of its two endpoints: the reader of replies, the writer of requests.
+    /// The identities of its two endpoints: the reader of replies, the writer of requests. They are the same
+    /// where the engine has services.
     #[must_use]
     pub fn gids(&self) -> (Gid, Gid) {
-        (self.reader.gid(), self.shared.writer.gid())
+        match &self.shared.endpoints {
+            Endpoints::Topics { writer, reader } => (reader.gid(), writer.gid()),
+            Endpoints::Service(client) => (client.gid(), client.gid()),
+        }
     }
 
     /// Registers the handlers for events of its two endpoints: of the writer of requests, of the reader of
-    /// replies. They run on a thread of the middleware, so they must not block.
+    /// replies; only the first where the engine has services. They run on a thread of the middleware, so they
+    /// must not block.
     pub fn on_events(&self, requests: EventHandler, replies: EventHandler) {
-        self.shared.writer.on_event(requests);
-        self.reader.on_event(replies);
+        match &self.shared.endpoints {
+            Endpoints::Topics { writer, reader } => {
+                writer.on_event(requests);
+                reader.on_event(replies);
+            }
+            Endpoints::Service(client) => client.on_event(requests),
+        }
     }
 
     /// How many servers are matched in both directions.
     #[must_use]
     pub fn servers(&self) -> usize {
-        self.request_readers().len()
+        match &self.shared.endpoints {
+            Endpoints::Topics { writer, reader } => request_readers(&**writer, &**reader).len(),
+            Endpoints::Service(client) => client.servers(),
+        }
     }
 
     /// Waits until a server is available, at most for `timeout`. Returns true if one is.
@@ -227,19 +237,9 @@ impl RequestClient {
         let shared = &self.shared;
         let service = || shared.service.clone();
         let mut last = shared.last.lock();
-        let servers = self.request_readers();
-        let Some(server) = preferred(&servers) else {
-            return Err((on_reply, CallError::NoServer { service: service() }));
-        };
-        let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
-
         let number = *last + 1;
-        let (payload, related) = match Mapping::of(server) {
-            Mapping::RelatedIdentity => {
-                let number = SampleIdentity::UNKNOWN_NUMBER;
-                (cdr, Some(SampleIdentity { endpoint: self.reader.gid(), number }))
-            }
-            Mapping::PayloadHeader => (PayloadHeader::of(shared.writer.gid(), number).put_on(&cdr), None),
+        let Some((way, payload)) = shared.way(number, cdr) else {
+            return Err((on_reply, CallError::NoServer { service: service() }));
         };
         let deadline = Instant::now() + timeout;
         let is_first = {
@@ -251,8 +251,19 @@ impl RequestClient {
             calls.by_deadline.insert((deadline, number));
             calls.by_deadline.first() == Some(&(deadline, number))
         };
-        let options = WriteOptions { related, only_to: is_mixed.then_some(server) };
-        match shared.writer.write_with(payload, options) {
+        let written = match way {
+            Way::Topic(writer, options) => writer.write_with(payload, options),
+            Way::Service(client) => {
+                let shared = Arc::downgrade(shared);
+                let on_reply = move |cdr| {
+                    if let Some(shared) = shared.upgrade() {
+                        shared.answer(number, cdr);
+                    }
+                };
+                client.send(number, payload, timeout, Box::new(on_reply)).map(|()| number)
+            }
+        };
+        match written {
             Ok(written) => {
                 *last = written;
                 if is_first {
@@ -267,14 +278,6 @@ impl RequestClient {
             },
         }
     }
-
-    /// The readers of requests that take what is asked now and whose participants can also answer.
-    fn request_readers(&self) -> Vec<Gid> {
-        let answering = self.reader.matched_writers();
-        let mut readers = self.shared.writer.matched_readers();
-        readers.retain(|reader| of_participant(&answering, reader.participant()).is_some());
-        readers
-    }
 }
 
 impl Drop for RequestClient {
@@ -284,6 +287,59 @@ impl Drop for RequestClient {
 }
 
 impl Shared {
+    fn new(service: &ServiceEndpoint, worker: &Worker, endpoints: Endpoints) -> Arc<Self> {
+        let shared = Arc::new(Self {
+            service: service.name.clone(),
+            endpoints,
+            worker: worker.link(),
+            last: Mutex::default(),
+            calls: Mutex::default(),
+            waiting: Mutex::default(),
+            changed: Condvar::new(),
+        });
+        let weak = Arc::downgrade(&shared);
+        shared.worker.watch(weak.clone() as _);
+        let on_match = move || -> MatchHandler {
+            let weak = weak.clone();
+            Box::new(move || {
+                if let Some(shared) = weak.upgrade() {
+                    drop(shared.waiting.lock());
+                    shared.changed.notify_all();
+                }
+            })
+        };
+        match &shared.endpoints {
+            Endpoints::Topics { writer, reader } => {
+                writer.on_match(on_match());
+                reader.on_match(on_match());
+            }
+            Endpoints::Service(client) => client.on_match(on_match()),
+        }
+        shared
+    }
+
+    /// How the request with this number goes out, and its payload; `None` without a server.
+    fn way(&self, number: CallNumber, cdr: Bytes) -> Option<(Way<'_>, Bytes)> {
+        let (writer, reader) = match &self.endpoints {
+            Endpoints::Topics { writer, reader } => (&**writer, &**reader),
+            Endpoints::Service(client) => {
+                return (client.servers() > 0).then(|| (Way::Service(&**client), cdr));
+            }
+        };
+        let servers = request_readers(writer, reader);
+        let server = preferred(&servers)?;
+        let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
+        let (payload, related) = match Mapping::of(server) {
+            Mapping::RelatedIdentity => {
+                let number = SampleIdentity::UNKNOWN_NUMBER;
+                (cdr, Some(SampleIdentity { endpoint: reader.gid(), number }))
+            }
+            Mapping::PayloadHeader => (PayloadHeader::of(writer.gid(), number).put_on(&cdr), None),
+        };
+        let options = WriteOptions { related, only_to: is_mixed.then_some(server) };
+        Some((Way::Topic(writer, options), payload))
+    }
+
     /// Answers all calls that wait with an error.
     fn end_calls(&self, error: impl Fn(String) -> CallError) {
         let calls = std::mem::take(&mut *self.calls.lock());
@@ -295,21 +351,27 @@ impl Shared {
 
     /// Takes a reply, if it is to a call of this client.
     fn receive(&self, sample: Sample) {
+        let Endpoints::Topics { writer, reader } = &self.endpoints else { return };
         let (number, cdr) = match sample.related {
             Some(SampleIdentity { endpoint, number })
-                if endpoint == self.reader || endpoint == self.writer.gid() =>
+                if endpoint == reader.gid() || endpoint == writer.gid() =>
             {
                 (number, sample.cdr)
             }
             // Of a server of rmw_cyclonedds.
             None => match PayloadHeader::take_off(&sample.cdr) {
-                Some((header, cdr)) if header == PayloadHeader::of(self.writer.gid(), header.number) => {
+                Some((header, cdr)) if header == PayloadHeader::of(writer.gid(), header.number) => {
                     (header.number, cdr)
                 }
                 _ => return,
             },
             Some(_) => return,
         };
+        self.answer(number, cdr);
+    }
+
+    /// Answers a call, unless its time is up.
+    fn answer(&self, number: CallNumber, cdr: Bytes) {
         if let Some(call) = self.calls.lock().take(number) {
             self.worker.run(move || (call.on_reply)(Ok(Answer { number, cdr })));
         }
@@ -336,6 +398,14 @@ impl TimeLimited for Shared {
             }
         }
     }
+}
+
+/// The readers of requests that take what is asked now and whose participants can also answer.
+fn request_readers(writer: &dyn Writer, reader: &dyn Reader) -> Vec<Gid> {
+    let answering = reader.matched_writers();
+    let mut readers = writer.matched_readers();
+    readers.retain(|reader| of_participant(&answering, reader.participant()).is_some());
+    readers
 }
 
 /// Chooses the server for the next request, since a request has one form: a server without the header in the

@@ -1,5 +1,6 @@
-//! Raw requests and replies, made of two topics: clients write requests, servers write replies, and every
-//! client reads all replies and keeps its own.
+//! Raw requests and replies. An engine may have [`Services`](super::Services); on the others they are made of
+//! two topics: clients write requests, servers write replies, and every client reads all replies and keeps its
+//! own.
 //!
 //! Implementations differ in how a reply names its request. `rmw_fastrtps` puts it beside the payload
 //! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first
@@ -20,8 +21,10 @@ mod server;
 pub use client::{Answer, CallError, CallNumber, RequestClient};
 pub use server::{IncomingRequest, RefusalHandler, ReplyError, RequestHandler, RequestServer, Responder};
 
+pub use super::ServiceEndpoint;
+
 use super::{Endpoint, Gid};
-use downbeat_msgs::qos::{History, QosProfile};
+use downbeat_msgs::qos::History;
 use std::time::Duration;
 
 /// How long a reply waits for the reader of the client that asked.
@@ -30,26 +33,6 @@ pub const REPLY_HOLD: Duration = Duration::from_secs(1);
 /// The most requests that a server has accepted and not answered, and the most calls of a client without an
 /// answer. More are refused.
 pub const MAX_IN_FLIGHT: usize = 1024;
-
-/// The two topics of a service, with names as they stand on the wire.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ServiceEndpoint {
-    /// The name in errors and warnings.
-    pub name: String,
-    /// The topic of requests, such as `rq/resetRequest`.
-    pub request_topic: String,
-    /// The type of requests, such as `std_srvs::srv::dds_::Trigger_Request_`.
-    pub request_type: String,
-    /// The topic of replies, such as `rr/resetReply`.
-    pub reply_topic: String,
-    /// The type of replies, such as `std_srvs::srv::dds_::Trigger_Response_`.
-    pub reply_type: String,
-    /// What both topics offer and request.
-    pub qos: QosProfile,
-    /// The hashes of the types of requests and replies, `RIHS01_` and 64 hex digits, for engines that can
-    /// announce them.
-    pub type_hashes: [Option<String>; 2],
-}
 
 impl ServiceEndpoint {
     fn requests(&self) -> Endpoint {

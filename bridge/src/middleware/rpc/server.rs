@@ -4,7 +4,8 @@ use super::mapping::{Label, ReturnAddress, request};
 use super::{MAX_IN_FLIGHT, REPLY_HOLD, ServiceEndpoint, of_participant, reading};
 use crate::limiter::Limiter;
 use crate::middleware::{
-    EventHandler, Gid, Middleware, MiddlewareError, Reader, Sample, WriteError, WriteOptions, Writer,
+    EventHandler, Gid, Middleware, MiddlewareError, Reader, Sample, ServiceReply, ServiceRequest,
+    ServiceServer, WriteError, WriteOptions, Writer,
 };
 use crate::worker::{TimeLimited, Worker, WorkerLink};
 use bytes::Bytes;
@@ -52,14 +53,26 @@ pub enum ReplyError {
 /// itself.
 pub struct RequestServer {
     shared: Arc<Shared>,
-    reader: Arc<dyn Reader>,
+    receiving: Receiving,
+}
+
+/// The endpoint that receives requests.
+enum Receiving {
+    Topic(Arc<dyn Reader>),
+    Service(Box<dyn ServiceServer>),
+}
+
+/// The endpoints of a server whose service is two topics.
+struct Topics {
+    writer: Box<dyn Writer>,
+    /// Empty while it is created.
+    reader: OnceLock<Weak<dyn Reader>>,
 }
 
 struct Shared {
     service: String,
-    writer: Box<dyn Writer>,
-    /// That of the server; empty while it is created.
-    reader: OnceLock<Weak<dyn Reader>>,
+    /// `None` where the engine has services.
+    topics: Option<Topics>,
     worker: WorkerLink,
     is_closed: AtomicBool,
     open: Arc<AtomicUsize>,
@@ -92,44 +105,51 @@ impl RequestServer {
         service: &ServiceEndpoint,
         on_request: RequestHandler,
     ) -> Result<Self, MiddlewareError> {
+        let on_request = Arc::new(Mutex::new(on_request));
+        if let Some(services) = middleware.services() {
+            let shared = Shared::new(service, worker, None);
+            let receiver = Arc::downgrade(&shared);
+            let incoming = move |ServiceRequest { cdr, client, number, reply }| {
+                if let Some(shared) = receiver.upgrade() {
+                    let way = Way::Service(reply);
+                    accept(
+                        &shared,
+                        &on_request,
+                        Accepted { cdr, client, number, request_client: client, way },
+                    );
+                }
+            };
+            let server = services.create_server(service, Box::new(incoming))?;
+            return Ok(Self { shared, receiving: Receiving::Service(server) });
+        }
         // The writer first: who finds the server by its request topic can be answered.
-        let shared = Arc::new(Shared {
-            service: service.name.clone(),
-            writer: middleware.create_writer(&service.replies())?,
-            reader: OnceLock::new(),
-            worker: worker.link(),
-            is_closed: AtomicBool::new(false),
-            open: Arc::default(),
-            refusing: Arc::default(),
-            refusal: OnceLock::new(),
-            held: Mutex::default(),
-            refused: AtomicU64::new(0),
-            unreachable: AtomicU64::new(0),
-            unanswered: Limiter::default(),
-            unreached: Limiter::default(),
-        });
+        let writer = middleware.create_writer(&service.replies())?;
+        let shared = Shared::new(service, worker, Some(Topics { writer, reader: OnceLock::new() }));
         let limited: Weak<dyn TimeLimited> = Arc::<Shared>::downgrade(&shared) as _;
         shared.worker.watch(limited);
         let matched = Arc::downgrade(&shared);
-        shared.writer.on_match(Box::new(move || {
-            if let Some(shared) = matched.upgrade() {
-                shared.send_held();
-            }
-        }));
+        if let Some(topics) = &shared.topics {
+            topics.writer.on_match(Box::new(move || {
+                if let Some(shared) = matched.upgrade() {
+                    shared.send_held();
+                }
+            }));
+        }
         let incoming = {
             let shared = Arc::downgrade(&shared);
-            let on_request = Arc::new(Mutex::new(on_request));
             move |sample| {
                 if let Some(shared) = shared.upgrade() {
-                    accept(&shared, &on_request, sample);
+                    accept_sample(&shared, &on_request, sample);
                 }
             }
         };
         let reader: Arc<dyn Reader> =
             middleware.create_reader(&reading(service.requests()), Box::new(incoming))?.into();
-        // Nothing else sets it.
-        let _ = shared.reader.set(Arc::downgrade(&reader));
-        Ok(Self { shared, reader })
+        if let Some(topics) = &shared.topics {
+            // Nothing else sets it.
+            let _ = topics.reader.set(Arc::downgrade(&reader));
+        }
+        Ok(Self { shared, receiving: Receiving::Topic(reader) })
     }
 
     /// Registers, once, what answers requests that nothing else answers: beyond [`MAX_IN_FLIGHT`], and when a
@@ -139,25 +159,41 @@ impl RequestServer {
         let _ = self.shared.refusal.set(refusal);
     }
 
-    /// The identities of its two endpoints: the reader of requests, the writer of replies.
+    /// The identities of its two endpoints: the reader of requests, the writer of replies. They are the same
+    /// where the engine has services.
     #[must_use]
     pub fn gids(&self) -> (Gid, Gid) {
-        (self.reader.gid(), self.shared.writer.gid())
+        match (&self.receiving, &self.shared.topics) {
+            (Receiving::Topic(reader), Some(topics)) => (reader.gid(), topics.writer.gid()),
+            (Receiving::Topic(reader), None) => (reader.gid(), reader.gid()),
+            (Receiving::Service(server), _) => (server.gid(), server.gid()),
+        }
     }
 
     /// Registers the handlers for events of its two endpoints: of the reader of requests, of the writer of
-    /// replies. They run on a thread of the middleware, so they must not block.
+    /// replies; only the first where the engine has services. They run on a thread of the middleware, so they
+    /// must not block.
     pub fn on_events(&self, requests: EventHandler, replies: EventHandler) {
-        self.reader.on_event(requests);
-        self.shared.writer.on_event(replies);
+        match &self.receiving {
+            Receiving::Topic(reader) => reader.on_event(requests),
+            Receiving::Service(server) => server.on_event(requests),
+        }
+        if let Some(topics) = &self.shared.topics {
+            topics.writer.on_event(replies);
+        }
     }
 
     /// How many clients are matched in both directions.
     #[must_use]
     pub fn matched_clients(&self) -> usize {
-        let readers = self.shared.writer.matched_readers();
+        let reader = match &self.receiving {
+            Receiving::Topic(reader) => reader,
+            Receiving::Service(server) => return server.clients(),
+        };
+        let readers = self.shared.topics.iter().flat_map(|topics| topics.writer.matched_readers());
+        let readers: Vec<_> = readers.collect();
         let is_reached = |writer: &Gid| of_participant(&readers, writer.participant()).is_some();
-        self.reader.matched_writers().iter().filter(|writer| is_reached(writer)).count()
+        reader.matched_writers().iter().filter(|writer| is_reached(writer)).count()
     }
 
     /// Requests that were refused since [`MAX_IN_FLIGHT`] others were not answered yet, or were no requests.
@@ -192,9 +228,24 @@ pub struct Responder {
 
 /// A request without a reply so far.
 struct Unanswered {
-    address: ReturnAddress,
+    way: Way,
     open: Open,
     on_sent: Option<OnSent>,
+}
+
+/// The way of a reply to its client.
+enum Way {
+    Topic(ReturnAddress),
+    Service(Box<dyn ServiceReply>),
+}
+
+/// A request before its place among the open ones is known.
+struct Accepted {
+    cdr: Bytes,
+    client: Gid,
+    number: i64,
+    request_client: Gid,
+    way: Way,
 }
 
 impl Responder {
@@ -247,7 +298,19 @@ impl Responder {
         let (Some(server), Some(unanswered)) = (server, self.unanswered.take()) else {
             return Err(ReplyError::Closed);
         };
-        let Unanswered { address, open, on_sent } = unanswered;
+        let Unanswered { way, open, on_sent } = unanswered;
+        let address = match way {
+            Way::Topic(address) => address,
+            Way::Service(reply) => {
+                if reply.has_client_left() {
+                    server.unreachable.fetch_add(1, Ordering::Relaxed);
+                    return Ok(());
+                }
+                reply.send(cdr.clone())?;
+                on_sent.into_iter().for_each(|on_sent| on_sent(&cdr));
+                return Ok(());
+            }
+        };
         {
             // Held while looking: a client that is matched after the look finds its reply among those that
             // wait.
@@ -300,15 +363,21 @@ impl Drop for Open {
     }
 }
 
-fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample: Sample) {
+fn accept_sample(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample: Sample) {
     let (client, number) = (sample.writer, sample.sequence_number);
     let Some((address, cdr)) = request(sample) else {
         shared.refuse(client, "it is too short for its header");
         return;
     };
-    let responder = |address, open| Responder {
+    let request_client = address.reader.unwrap_or(client);
+    accept(shared, on_request, Accepted { cdr, client, number, request_client, way: Way::Topic(address) });
+}
+
+fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, accepted: Accepted) {
+    let Accepted { cdr, client, number, request_client, way } = accepted;
+    let responder = |way, open| Responder {
         server: Arc::downgrade(shared),
-        unanswered: Some(Unanswered { address, open, on_sent: None }),
+        unanswered: Some(Unanswered { way, open, on_sent: None }),
     };
     let Some(open) = Open::new(&shared.open) else {
         const REASON: &str = "1024 requests are not answered yet";
@@ -316,13 +385,12 @@ fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample:
         if shared.refusal.get().is_some()
             && let Some(place) = Open::new(&shared.refusing)
         {
-            let responder = responder(address, place);
+            let responder = responder(way, place);
             shared.worker.run(move || responder.refuse(REASON));
         }
         return;
     };
-    let request_client = address.reader.unwrap_or(client);
-    let responder = responder(address, open);
+    let responder = responder(way, open);
     let request = IncomingRequest { cdr, client, number, request_client, responder };
     let (server, on_request) = (Arc::downgrade(shared), Arc::clone(on_request));
     shared.worker.run(move || {
@@ -333,6 +401,28 @@ fn accept(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample:
 }
 
 impl Shared {
+    fn new(service: &ServiceEndpoint, worker: &Worker, topics: Option<Topics>) -> Arc<Self> {
+        Arc::new(Self {
+            service: service.name.clone(),
+            topics,
+            worker: worker.link(),
+            is_closed: AtomicBool::new(false),
+            open: Arc::default(),
+            refusing: Arc::default(),
+            refusal: OnceLock::new(),
+            held: Mutex::default(),
+            refused: AtomicU64::new(0),
+            unreachable: AtomicU64::new(0),
+            unanswered: Limiter::default(),
+            unreached: Limiter::default(),
+        })
+    }
+
+    /// The matched readers of replies.
+    fn reply_readers(&self) -> Vec<Gid> {
+        self.topics.as_ref().map(|topics| topics.writer.matched_readers()).unwrap_or_default()
+    }
+
     fn refuse(&self, client: Gid, reason: &str) {
         if self.refused.fetch_add(1, Ordering::Relaxed) == 0 {
             let service = &self.service;
@@ -341,7 +431,7 @@ impl Shared {
     }
 
     fn reaches(&self, address: &ReturnAddress) -> bool {
-        let readers = self.writer.matched_readers();
+        let readers = self.reply_readers();
         match address.reader {
             Some(reader) => readers.contains(&reader),
             None => of_participant(&readers, address.client.participant()).is_some(),
@@ -350,7 +440,7 @@ impl Shared {
 
     /// Returns whether the client that asked is no longer matched.
     fn has_left(&self, address: &ReturnAddress) -> bool {
-        let reader = self.reader.get().and_then(Weak::upgrade);
+        let reader = self.topics.as_ref().and_then(|topics| topics.reader.get()?.upgrade());
         reader.is_some_and(|reader| !reader.matched_writers().contains(&address.client))
     }
 
@@ -371,13 +461,14 @@ impl Shared {
     }
 
     fn send(&self, address: &ReturnAddress, cdr: &Bytes) -> Result<(), ReplyError> {
-        let readers = self.writer.matched_readers();
+        let Some(topics) = &self.topics else { return Err(ReplyError::Closed) };
+        let readers = topics.writer.matched_readers();
         let reader = address.reader.or_else(|| of_participant(&readers, address.client.participant()));
         let (payload, related) = match address.label {
             Label::Related(identity) => (cdr.clone(), Some(identity)),
             Label::Header(header) => (header.put_on(cdr), None),
         };
-        self.writer.write_with(payload, WriteOptions { related, only_to: reader })?;
+        topics.writer.write_with(payload, WriteOptions { related, only_to: reader })?;
         Ok(())
     }
 

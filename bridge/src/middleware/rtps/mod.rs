@@ -175,7 +175,7 @@ impl Reader for RtpsReader {
 
 /// Whether a payload begins with the encapsulation header of CDR, of either byte order (RTPS 2.5, table
 /// 10.3).
-pub(super) fn is_cdr(payload: &[u8]) -> bool {
+pub(in crate::middleware) fn is_cdr(payload: &[u8]) -> bool {
     matches!(payload, [0, 0 | 1, _, _, ..])
 }
 
@@ -230,6 +230,7 @@ fn remote(data: EndpointData) -> RemoteEndpoint {
         lifespan: profile.lifespan,
         liveliness: profile.liveliness,
         liveliness_lease_duration: profile.liveliness_lease_duration,
+        node: None,
     }
 }
 

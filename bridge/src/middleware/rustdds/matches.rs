@@ -225,6 +225,7 @@ impl Matches {
                 liveliness,
                 liveliness_lease_duration,
                 type_hash: type_hash(&endpoint.user_data),
+                node: None,
             },
         );
     }

@@ -65,7 +65,7 @@ pub(super) fn play(
     let stop = Stop::new()?;
     let remaps = arguments.remap.iter().chain(&ros.remaps).cloned().collect();
     let ros = RosArgs { remaps, ..ros.clone() };
-    let (_participant, node) = node(NODE_NAME, arguments.domain, catalog, &ros)?;
+    let (_participant, node) = node(NODE_NAME, arguments.domain, None, catalog, &ros)?;
     let requests = arguments.publish_service_requests.then_some(arguments.service_requests_source);
     let targets = targets(&player, &node, &overrides, requests, &stop)?;
     let left_out = left_out(&player, &targets);

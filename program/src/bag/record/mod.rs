@@ -178,7 +178,7 @@ fn record_from_ros(
         Some(path) => QosOverrides::read(path)?,
         None => QosOverrides::default(),
     };
-    let (participant, node) = node(&arguments.node_name, arguments.domain, catalog, ros)?;
+    let (participant, node) = node(&arguments.node_name, arguments.domain, None, catalog, ros)?;
     let options = RosRecorderOptions {
         filter: filter(arguments, |name| Ok(node.topic_name(name)?.as_str().to_owned()))?,
         qos_overrides,

@@ -1,0 +1,363 @@
+//! Nodes on Zenoh, seen and used by Zenoh's own Python package, which speaks as `rmw_zenoh_cpp` does.
+#![allow(clippy::unwrap_used)]
+
+use downbeat_bridge::edge::Interfaces;
+use downbeat_bridge::middleware::{DiscoveryRange, EndpointEvent, Engine, ParticipantOptions, Sample};
+use downbeat_bridge::ros::{MessageType, NodeName, Participant, RemapRules};
+use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::std_msgs::msg::String as Text;
+use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
+use downbeat_msgs::{Message, Service, cdr};
+use downbeat_zenoh::Settings;
+use downbeat_zenoh::wire::{Attachment, Token, gid};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+const WATCHDOG: Duration = Duration::from_secs(30);
+const DOMAIN: u16 = 85;
+
+/// The router, and what it does for a test.
+struct Router {
+    child: Child,
+    input: ChildStdin,
+    said: Receiver<Value>,
+    port: u16,
+}
+
+impl Router {
+    /// `None` without Python.
+    fn start() -> Option<Self> {
+        let python = test_machine::interpreter("DOWNBEAT_PYTHON")?;
+        let port = TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port();
+        let mut command = Command::new(python);
+        command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/zenoh/peer.py"), &port.to_string()]);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let (sender, said) = channel();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in output.lines().map_while(Result::ok) {
+                if sender.send(serde_json::from_str(&line).unwrap()).is_err() {
+                    return;
+                }
+            }
+        });
+        let input = child.stdin.take().unwrap();
+        let mut router = Self { child, input, said, port };
+        router.next("ready");
+        Some(router)
+    }
+
+    fn act(&mut self, what: &Value) {
+        writeln!(self.input, "{what}").unwrap();
+        self.input.flush().unwrap();
+    }
+
+    /// The next thing of this kind that it says.
+    fn next(&mut self, kind: &str) -> Value {
+        loop {
+            let said = self.said.recv_timeout(WATCHDOG).expect("the router says something");
+            if said["kind"] == kind {
+                return said;
+            }
+        }
+    }
+
+    /// Does something and waits until it is done.
+    fn done(&mut self, what: &Value) {
+        self.act(what);
+        self.next("done");
+    }
+
+    fn tokens(&mut self) -> Vec<String> {
+        self.act(&json!({"do": "tokens", "key": format!("@ros2_lv/{DOMAIN}/**")}));
+        let tokens = self.next("tokens");
+        tokens["tokens"].as_array().unwrap().iter().map(|token| token.as_str().unwrap().to_owned()).collect()
+    }
+
+    fn join(&self) -> Participant {
+        let overrides = format!(
+            "connect/endpoints=[\"tcp/127.0.0.1:{}\"];listen/endpoints=[\"tcp/127.0.0.1:0\"]",
+            self.port
+        );
+        let zenoh = Settings { overrides: Some(overrides), router_check_attempts: 20, ..Settings::default() };
+        let options = ParticipantOptions {
+            engine: Engine::Zenoh,
+            discovery_range: DiscoveryRange::Localhost,
+            zenoh,
+            ..ParticipantOptions::new(DOMAIN)
+        };
+        Participant::join_with(&options, RemapRules::default(), Interfaces::carried()).unwrap()
+    }
+}
+
+impl Drop for Router {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !condition() {
+        assert!(start.elapsed() < WATCHDOG, "gave up waiting until {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn golden() -> NodeName {
+    NodeName::new("/ns1", "golden").unwrap()
+}
+
+fn text_type() -> MessageType {
+    MessageType::new(Text::TYPE_NAME).unwrap()
+}
+
+fn text(data: &str) -> Vec<u8> {
+    cdr::to_vec(&Text { data: data.to_owned() })
+}
+
+fn hex(bytes: impl AsRef<[u8]>) -> String {
+    bytes.as_ref().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &Value) -> Vec<u8> {
+    let digits = text.as_str().unwrap().as_bytes();
+    digits.chunks(2).map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap()).collect()
+}
+
+fn key_of_text(name: &str) -> String {
+    format!("{DOMAIN}/{name}/std_msgs::msg::dds_::String_/{}", Text::TYPE_HASH)
+}
+
+fn key_of_service(name: &str) -> String {
+    format!("{DOMAIN}/{name}/std_srvs::srv::dds_::SetBool_/{}", SetBool::TYPE_HASH)
+}
+
+#[test]
+fn the_tokens_of_a_node_are_those_of_rmw_zenoh() {
+    let Some(mut router) = Router::start() else { return };
+    let participant = router.join();
+    let node = participant.create_node(golden()).unwrap();
+    let kind = text_type();
+    let _chatter = node.publish("chatter", &kind, QosProfile::DEFAULT).unwrap();
+    let latched =
+        QosProfile { durability: QosProfile::LATCHED.durability, ..QosProfile::DEFAULT.keep_last(3) };
+    let _latched = node.publish("/latched", &kind, latched).unwrap();
+    let sensor = QosProfile::SENSOR_DATA.keep_last(5);
+    let _heard = node.subscribe("/abs/be", &kind, sensor, Box::new(|_| ())).unwrap();
+    let answer = |_| SetBoolResponse::default();
+    let _server = node.serve::<SetBool>("/sb", QosProfile::SERVICES, answer).unwrap();
+    let _client = node.client::<SetBool>("~/other", QosProfile::SERVICES).unwrap();
+
+    wait_until("all tokens are there", || router.tokens().len() == 7);
+    let tokens = router.tokens();
+    let session = tokens[0].split('/').nth(2).unwrap().to_owned();
+    let description = downbeat_msgs::type_description_interfaces::srv::GetTypeDescription::TYPE_HASH;
+    let string = format!("std_msgs::msg::dds_::String_/{}", Text::TYPE_HASH);
+    let set_bool = format!("std_srvs::srv::dds_::SetBool_/{}", SetBool::TYPE_HASH);
+    let mut expected: Vec<String> = [
+        "0/NN/%/%ns1/golden".to_owned(),
+        format!(
+            "1/SS/%/%ns1/golden/%ns1%golden%get_type_description/type_description_interfaces::srv::dds_::\
+             GetTypeDescription_/{description}/::,10:,:,:,,"
+        ),
+        format!("2/MP/%/%ns1/golden/%ns1%chatter/{string}/::,10:,:,:,,"),
+        format!("3/MP/%/%ns1/golden/%latched/{string}/:1:,3:,:,:,,"),
+        format!("4/MS/%/%ns1/golden/%abs%be/{string}/2::,5:,:,:,,"),
+        format!("5/SS/%/%ns1/golden/%sb/{set_bool}/::,10:,:,:,,"),
+        format!("6/SC/%/%ns1/golden/%ns1%golden%other/{set_bool}/::,10:,:,:,,"),
+    ]
+    .into_iter()
+    .map(|rest| format!("@ros2_lv/{DOMAIN}/{session}/0/{rest}"))
+    .collect();
+    expected.sort();
+    assert_eq!(tokens, expected);
+
+    drop((_chatter, _latched, _heard, _server, _client, node));
+    wait_until("all tokens are gone", || router.tokens().is_empty());
+}
+
+#[test]
+fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
+    let Some(mut router) = Router::start() else { return };
+    let participant = router.join();
+    let node = participant.create_node(golden()).unwrap();
+    let publisher = node.publish("chatter", &text_type(), QosProfile::DEFAULT).unwrap();
+    let (sender, samples) = channel::<Sample>();
+    let hear = Box::new(move |sample| drop(sender.send(sample)));
+    let _heard = node.subscribe("/sensor", &text_type(), QosProfile::DEFAULT, hear).unwrap();
+
+    router.done(&json!({"do": "subscribe", "key": key_of_text("ns1/chatter")}));
+    let token = router.tokens().into_iter().find(|token| token.contains("/MP/%/%ns1/golden/%ns1%chatter/"));
+    // The publisher hears of the subscription some time later.
+    let sample = loop {
+        publisher.publish(text("hello").into()).unwrap();
+        if let Ok(said) = router.said.recv_timeout(Duration::from_millis(200))
+            && said["kind"] == "sample"
+        {
+            break said;
+        }
+    };
+    assert_eq!(sample["key"], *key_of_text("ns1/chatter"));
+    assert_eq!(unhex(&sample["payload"]), text("hello"));
+    assert_eq!((&sample["congestion"], &sample["encoding"]), (&json!("DROP"), &json!("zenoh/bytes")));
+    assert_eq!(sample["has_time"], true);
+    let attachment = unhex(&sample["attachment"]);
+    assert_eq!(attachment.len(), 33);
+    let attachment = Attachment::parse(&attachment).unwrap();
+    assert!(attachment.sequence_number >= 1);
+    assert_eq!(attachment.gid, gid(&token.unwrap()));
+
+    // What is no sample of ROS 2 is skipped.
+    let (key, good) = (key_of_text("sensor"), hex(text("good")));
+    let whole = hex(Attachment { sequence_number: 3, source_time_ns: 7, gid: [0x22; 16] }.to_bytes());
+    for (attachment, payload) in [
+        ("none", &*good),
+        ("010203", &*good),
+        ("", &*good),
+        (&*whole, ""),
+        (&*whole, "0102"),
+        (&whole[..64], &*good),
+    ] {
+        router.done(&json!({"do": "put", "key": key, "payload": payload, "attachment": attachment}));
+    }
+    let other_hash = key.replace("RIHS01_df", "RIHS01_00");
+    router.done(&json!({"do": "put", "key": other_hash, "payload": good, "attachment": whole}));
+    router.done(&json!({"do": "put", "key": key, "payload": good, "attachment": whole}));
+    let received = samples.recv_timeout(WATCHDOG).unwrap();
+    assert_eq!((&received.cdr[..], received.sequence_number), (&text("good")[..], 3));
+    assert_eq!((received.source_time_ns, received.writer.0), (Some(7), [0x22; 16]));
+    assert!(samples.recv_timeout(Duration::from_millis(300)).is_err(), "it comes once");
+}
+
+#[test]
+fn services_are_called_both_ways() {
+    let Some(mut router) = Router::start() else { return };
+    let participant = router.join();
+    let node = participant.create_node(golden()).unwrap();
+    let answer = |request: SetBoolRequest| SetBoolResponse { success: request.data, message: "done".into() };
+    let _server = node.serve::<SetBool>("/sb", QosProfile::SERVICES, answer).unwrap();
+    let request = hex(cdr::to_vec(&SetBoolRequest { data: true }));
+    let expected = SetBoolResponse { success: true, message: "done".into() };
+
+    let key = key_of_service("sb");
+    wait_until("the server is announced", || router.tokens().iter().any(|token| token.contains("/%sb/")));
+    router.act(&json!({"do": "get", "key": key, "payload": request, "number": 7}));
+    let replies = router.next("replies");
+    assert_eq!(replies["replies"].as_array().unwrap().len(), 1, "{replies}");
+    let reply = &replies["replies"][0];
+    assert_eq!((&reply["key"], unhex(&reply["payload"])), (&json!(key), cdr::to_vec(&expected)));
+    let attachment = Attachment::parse(&unhex(&reply["attachment"])).unwrap();
+    assert_eq!((attachment.sequence_number, attachment.gid), (7, [0x11; 16]));
+
+    // A query without attachment and payload ends at once, without an answer.
+    router.act(&json!({"do": "get", "key": key, "payload": "", "number": 8, "is_bare": true}));
+    let replies = router.next("replies");
+    assert_eq!(replies["replies"], json!([]));
+    assert!(replies["seconds"].as_f64().unwrap() < 10.0, "{replies}");
+
+    // A server of another definition is not called.
+    let client = node.client::<SetBool>("/theirs", QosProfile::SERVICES).unwrap();
+    let token = format!(
+        "@ros2_lv/{DOMAIN}/abc/0/1/SS/%/%/other/%theirs/std_srvs::srv::dds_::SetBool_/{}/::,10:,:,:,,",
+        SetBool::TYPE_HASH
+    );
+    assert!(token.parse::<Token>().is_ok());
+    router.done(&json!({"do": "announce", "token": token.replace("RIHS01_abe9", "RIHS01_0000")}));
+    router
+        .done(&json!({"do": "serve", "key": key_of_service("theirs"), "reply": hex(cdr::to_vec(&expected))}));
+    wait_until("the other is listed", || {
+        participant.found().endpoints.iter().any(|endpoint| endpoint.name == "/theirs")
+    });
+    assert!(!client.is_available(), "its definition is another one");
+    router.done(&json!({"do": "announce", "token": token}));
+    assert!(client.wait_for_service(WATCHDOG));
+    let answer = client.call_and_wait(&SetBoolRequest { data: false }, WATCHDOG).unwrap();
+    assert_eq!(answer, expected);
+    let query = router.next("query");
+    assert_eq!(unhex(&query["payload"]), cdr::to_vec(&SetBoolRequest { data: false }));
+    let attachment = Attachment::parse(&unhex(&query["attachment"])).unwrap();
+    let own = router.tokens().into_iter().find(|token| token.contains("/SC/%/%ns1/golden/%theirs/")).unwrap();
+    assert_eq!((attachment.sequence_number, attachment.gid), (1, gid(&own)));
+}
+
+#[test]
+fn late_subscriptions_get_the_last_samples_both_ways() {
+    let Some(mut router) = Router::start() else { return };
+    let participant = router.join();
+    let node = participant.create_node(golden()).unwrap();
+    let latched =
+        QosProfile { durability: QosProfile::LATCHED.durability, ..QosProfile::DEFAULT.keep_last(3) };
+    let publisher = node.publish("/latched", &text_type(), latched).unwrap();
+    for number in 1..=5 {
+        publisher.publish(text(&number.to_string()).into()).unwrap();
+    }
+    router.done(&json!({"do": "latched_subscription", "key": key_of_text("latched"), "depth": 3}));
+    let heard: Vec<_> = (0..3).map(|_| unhex(&router.next("sample")["payload"])).collect();
+    assert_eq!(heard, ["3", "4", "5"].map(text));
+
+    let payloads: Vec<_> = (1..=5).map(|number| hex(text(&number.to_string()))).collect();
+    router.done(&json!({"do": "latched_publisher", "key": key_of_text("theirs"), "payloads": payloads}));
+    let (sender, samples) = channel::<Sample>();
+    let hear = Box::new(move |sample| drop(sender.send(sample)));
+    let _late = node.subscribe("/theirs", &text_type(), latched, hear).unwrap();
+    let heard: Vec<_> = (0..3).map(|_| samples.recv_timeout(WATCHDOG).unwrap().cdr.to_vec()).collect();
+    assert_eq!(heard, ["3", "4", "5"].map(text));
+    assert!(samples.recv_timeout(Duration::from_millis(300)).is_err(), "each comes once");
+}
+
+#[test]
+fn another_definition_of_a_topic_is_reported() {
+    let Some(mut router) = Router::start() else { return };
+    let participant = router.join();
+    let node = participant.create_node(golden()).unwrap();
+    let publisher = node.publish("/chatter", &text_type(), QosProfile::DEFAULT).unwrap();
+    let (sender, events) = channel();
+    publisher.on_event(Box::new(move |event| drop(sender.send(event.clone()))));
+    let other = Text::TYPE_HASH.replace("RIHS01_df", "RIHS01_00");
+    let token = format!(
+        "@ros2_lv/{DOMAIN}/abc/0/1/MS/%/%ns2/listener/%chatter/std_msgs::msg::dds_::String_/{other}/::,10:,:,:,,"
+    );
+    router.done(&json!({"do": "announce", "token": token}));
+    let expected = EndpointEvent::IncompatibleDefinition {
+        peer: downbeat_bridge::middleware::Gid(gid(&token)),
+        type_hash: Some(other[..].into()),
+    };
+    assert_eq!(events.recv_timeout(WATCHDOG).unwrap(), expected);
+    let nodes: Vec<_> = participant.found().nodes.into_iter().map(|node| (node.name, node.vendor)).collect();
+    assert_eq!(nodes, [("/ns2/listener".to_owned(), "Zenoh".to_owned())]);
+}
+
+#[test]
+fn nodes_of_two_processes_find_and_describe_each_other() {
+    let Some(router) = Router::start() else { return };
+    let (robot, observer) = (router.join(), router.join());
+    let node = robot.create_node(golden()).unwrap();
+    let _text = node.publish("chatter", &text_type(), QosProfile::DEFAULT).unwrap();
+    let answer = |_| SetBoolResponse::default();
+    let server = node.serve::<SetBool>("light", QosProfile::SERVICES, answer).unwrap();
+    let watching = observer.create_node(NodeName::new("/", "observer").unwrap()).unwrap();
+    wait_until("the node is found with its endpoints", || {
+        observer.remote_nodes().iter().any(|node| node.name == "/ns1/golden" && node.endpoints.len() == 1)
+            && observer.found().endpoints.iter().any(|endpoint| endpoint.name == "/ns1/light")
+    });
+    let light =
+        observer.found().endpoints.into_iter().find(|endpoint| endpoint.name == "/ns1/light").unwrap();
+    assert_eq!((&*light.type_name, light.node.as_deref()), (SetBool::TYPE_NAME, Some("/ns1/golden")));
+    assert_eq!(light.remote.type_hash.as_deref(), Some(SetBool::TYPE_HASH));
+    let topic = watching.topic_name("/ns1/chatter").unwrap();
+    let described = watching.describe(&topic, &text_type(), WATCHDOG).unwrap();
+    assert!(described.text.contains("string data"), "{}", described.text);
+    let [request, response] =
+        watching.describe_service(server.name(), server.service_type(), WATCHDOG).unwrap();
+    assert!(request.text.contains("bool data"), "{}", request.text);
+    assert!(response.text.contains("string message"), "{}", response.text);
+    drop((_text, server, node, robot));
+    wait_until("it has left", || observer.found().nodes.is_empty());
+}

@@ -1,0 +1,75 @@
+//! The session of a participant.
+
+use crate::settings::insert;
+use crate::{Settings, SettingsError};
+use std::time::{Duration, Instant};
+use thiserror::Error;
+use zenoh::{Session, Wait};
+
+/// Between two looks for a router.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// How far a session reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reach {
+    /// Nobody.
+    Off,
+    /// Whom its configuration reaches.
+    Configured,
+}
+
+/// A session was not opened.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum OpenError {
+    /// The configuration cannot be used.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// Zenoh refused.
+    #[error("Zenoh: {0}")]
+    Zenoh(String),
+}
+
+/// The result of looking for a router.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RouterCheck {
+    /// One is connected.
+    Found,
+    /// There is none.
+    Missing,
+    /// It was not looked for.
+    Skipped,
+}
+
+/// Opens a session and looks for a router for as long as the settings say. Without a router it goes on alone,
+/// and connects when one comes.
+///
+/// # Errors
+/// [`OpenError`] when the configuration cannot be used, or a client finds no router.
+pub fn open(settings: &Settings, reach: Reach) -> Result<(Session, RouterCheck), OpenError> {
+    let mut config = settings.session()?;
+    if reach == Reach::Off {
+        for key in ["connect/endpoints", "listen/endpoints"] {
+            insert(&mut config, key, "[]")?;
+        }
+    }
+    let session = zenoh::open(config).wait().map_err(|error| OpenError::Zenoh(error.to_string()))?;
+    let check = if reach == Reach::Off { RouterCheck::Skipped } else { look(&session, settings) };
+    Ok((session, check))
+}
+
+fn look(session: &Session, settings: &Settings) -> RouterCheck {
+    let until = match settings.router_check_attempts {
+        ..0 => return RouterCheck::Skipped,
+        0 => None,
+        attempts => Some(Instant::now() + Duration::from_secs(attempts.unsigned_abs().min(86_400))),
+    };
+    loop {
+        if session.info().routers_zid().wait().next().is_some() {
+            return RouterCheck::Found;
+        }
+        if until.is_some_and(|until| Instant::now() >= until) {
+            return RouterCheck::Missing;
+        }
+        std::thread::sleep(LOOK);
+    }
+}
