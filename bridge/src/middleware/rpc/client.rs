@@ -323,7 +323,7 @@ impl Shared {
         let (writer, reader) = match &self.endpoints {
             Endpoints::Topics { writer, reader } => (&**writer, &**reader),
             Endpoints::Service(client) => {
-                return (client.servers() > 0).then(|| (Way::Service(&**client), cdr));
+                return (client.servers() > 0).then_some((Way::Service(&**client), cdr));
             }
         };
         let servers = request_readers(writer, reader);

@@ -59,11 +59,12 @@ enum Relation {
     OtherDefinition,
 }
 
-/// An event, and the handlers that were registered when it happened.
+/// An event, and the handlers that were registered when it happened. `None` where only the way to a matched
+/// endpoint has changed.
 struct News {
     on_match: Option<Arc<MatchHandler>>,
     on_event: Option<Arc<EventHandler>>,
-    event: EndpointEvent,
+    event: Option<EndpointEvent>,
 }
 
 /// The thread that calls the handlers.
@@ -78,12 +79,14 @@ impl Delivery {
         let (news, received) = unbounded::<News>();
         let run = move || {
             for News { on_match, on_event, event } in received {
-                if let (Some(handler), EndpointEvent::Matched { .. } | EndpointEvent::Unmatched { .. }) =
-                    (on_match, &event)
-                {
+                let is_match = matches!(
+                    event,
+                    None | Some(EndpointEvent::Matched { .. } | EndpointEvent::Unmatched { .. })
+                );
+                if let Some(handler) = on_match.filter(|_| is_match) {
                     handler();
                 }
-                if let Some(handler) = on_event {
+                if let (Some(handler), Some(event)) = (on_event, event) {
                     handler(&event);
                 }
             }
@@ -215,15 +218,21 @@ impl Graph {
             if let Some(relation) = relation(&endpoint, &known.endpoint) {
                 let event = event(&relation, *peer, &known.endpoint);
                 let on_event = Some(Arc::clone(&handler));
-                self.delivery.send(News { on_match: None, on_event, event });
+                self.delivery.send(News { on_match: None, on_event, event: Some(event) });
             }
         }
+    }
+
+    /// Calls the handler for changes of the matched endpoints.
+    pub(super) fn way_changed(&self, local: Gid) {
+        let on_match = self.state.lock().locals.get(&local).and_then(|local| local.on_match.clone());
+        self.delivery.send(News { on_match, on_event: None, event: None });
     }
 
     /// Reports an event of an endpoint of this participant.
     pub(super) fn happened(&self, local: Gid, event: EndpointEvent) {
         let on_event = self.state.lock().locals.get(&local).and_then(|local| local.on_event.clone());
-        self.delivery.send(News { on_match: None, on_event, event });
+        self.delivery.send(News { on_match: None, on_event, event: Some(event) });
     }
 
     pub(super) fn is_known(&self, gid: Gid) -> bool {
@@ -312,7 +321,7 @@ impl State {
 
 impl Local {
     fn news(&self, event: EndpointEvent) -> News {
-        News { on_match: self.on_match.clone(), on_event: self.on_event.clone(), event }
+        News { on_match: self.on_match.clone(), on_event: self.on_event.clone(), event: Some(event) }
     }
 }
 

@@ -125,7 +125,6 @@ pub(super) struct ZenohClient {
     service: ServiceEndpoint,
     /// Knows whether a server is reached. `None` while the hash of the service is unknown.
     querier: Mutex<Option<Arc<Querier<'static>>>>,
-    on_match: Arc<Mutex<Option<Arc<MatchHandler>>>>,
 }
 
 impl ZenohClient {
@@ -138,7 +137,6 @@ impl ZenohClient {
             domain: Arc::clone(domain),
             service: service.clone(),
             querier: Mutex::default(),
-            on_match: Arc::default(),
         };
         client.querier();
         Ok(client)
@@ -157,10 +155,11 @@ impl ZenohClient {
             let key = key(self.domain.domain_id, name, type_name, hash.as_deref());
             let declared = self.domain.session.declare_querier(key).target(QueryTarget::AllComplete).wait();
             let listening = declared.and_then(|declared| {
-                let on_match = Arc::clone(&self.on_match);
+                let (domain, gid) = (Arc::downgrade(&self.domain), self.announcement.gid);
                 let changed = move |_| {
-                    let handler = on_match.lock().clone();
-                    handler.into_iter().for_each(|handler| handler());
+                    if let Some(domain) = domain.upgrade() {
+                        domain.graph.way_changed(gid);
+                    }
                 };
                 declared.matching_listener().callback(changed).background().wait()?;
                 Ok(declared)
@@ -193,9 +192,7 @@ impl ServiceClient for ZenohClient {
     }
 
     fn on_match(&self, handler: MatchHandler) {
-        let handler = Arc::new(handler);
-        *self.on_match.lock() = Some(Arc::clone(&handler));
-        self.domain.graph.on_match(self.announcement.gid, Box::new(move || handler()));
+        self.domain.graph.on_match(self.announcement.gid, handler);
     }
 
     fn on_event(&self, handler: EventHandler) {
