@@ -14,6 +14,7 @@ use downbeat_executor::{
     Context, Core, GraphEdge, Inlet, ManualClock, Module, Received, Setup, SetupError, Time,
 };
 use downbeat_msgs::{cdr, qos::QosProfile, std_msgs::msg};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
@@ -307,4 +308,63 @@ fn a_change_that_cannot_be_changes_nothing() {
     drop(running);
     assert!(bridge.add(&[text("text", Direction::In)]).is_err());
     assert_eq!(peer.topics_of("/robot"), Vec::<String>::new(), "all endpoints go with the core");
+}
+
+/// A robot in a lab and in a fleet, and somebody who looks at each of them.
+struct TwoNetworks {
+    robot: Peer,
+    networks: BTreeMap<String, Node>,
+    lab: Peer,
+    fleet: Peer,
+}
+
+impl TwoNetworks {
+    fn new() -> Self {
+        let (lab, fleet) = (Hub::new(), Hub::new());
+        let peer = |hub, name| join(hub, "/", name, RemapRules::default());
+        let networks = BTreeMap::from([("fleet".to_owned(), peer(&fleet, "robot").node)]);
+        Self { robot: peer(&lab, "robot"), networks, lab: peer(&lab, "peer"), fleet: peer(&fleet, "peer") }
+    }
+
+    fn start(&self, core: &mut Core, exposures: &[Exposure]) -> Result<Bridge, ExposeError> {
+        Bridge::start_between(core, &self.robot.node, self.networks.clone(), exposures)
+    }
+}
+
+fn in_fleet(exposure: Exposure) -> Exposure {
+    Exposure { network: Some("fleet".to_owned()), ..exposure }
+}
+
+#[test]
+fn each_network_has_its_own_selection() {
+    let networks = TwoNetworks::new();
+    let (mut core, _, _) = core();
+    core.inlet::<msg::String>("image").unwrap();
+    let out = |topic| text(topic, Direction::Out);
+    let bridge = networks.start(&mut core, &[out("text"), out("image"), in_fleet(out("text"))]).unwrap();
+    core.cycle().unwrap();
+    assert_eq!(networks.lab.topics_of("/robot"), ["/image", "/text"]);
+    assert_eq!(networks.fleet.topics_of("/robot"), ["/text"]);
+    assert_eq!(bridge.status().endpoints()[2].endpoint.network.as_deref(), Some("fleet"));
+    let unknown = Exposure { network: Some("base".to_owned()), ..out("image") };
+    assert!(matches!(bridge.add(&[unknown]), Err(ExposeError::NoNetwork { .. })));
+}
+
+#[test]
+fn messages_of_one_network_go_to_another_only_if_that_is_allowed_and_never_back() {
+    let networks = TwoNetworks::new();
+    let refused =
+        networks.start(&mut core().0, &[text("text", Direction::In), in_fleet(text("text", Direction::Out))]);
+    assert!(matches!(refused, Err(ExposeError::Relay(_))), "{:?}", refused.err());
+
+    let (mut core, _, _) = core();
+    let relayed = in_fleet(Exposure { relays: true, ..text("text", Direction::Out) });
+    let _bridge = networks.start(&mut core, &[text("text", Direction::In), relayed]).unwrap();
+    let (_in_lab, heard_in_lab) = networks.lab.listen("text");
+    let (_in_fleet, heard_in_fleet) = networks.fleet.listen("text");
+    let publisher = networks.lab.node.publish("text", &string(), QosProfile::DEFAULT).unwrap();
+    publisher.publish(cdr::to_vec(&message("forward")).into()).unwrap();
+    (0..4).for_each(|_| core.cycle().unwrap());
+    assert_eq!(heard_in_fleet.try_iter().collect::<Vec<_>>(), ["forward"]);
+    assert_eq!(heard_in_lab.try_iter().collect::<Vec<_>>(), ["forward"], "once, from its publisher");
 }

@@ -1,5 +1,6 @@
 //! The bridge: exposes topics of a core, and changes which while the core runs.
 
+use super::conflict::Opposite;
 use super::endpoint::ExposedEndpoint;
 use super::endpoints::{BridgeStatus, EndpointReport, Endpoints, Exposed, FromRos, Held, ToRos, Traffic};
 use super::exposure::{ExposeError, Exposure, Limiter, OfACycle};
@@ -9,7 +10,7 @@ use crate::middleware::{Direction, EndpointEvent, Gid, Sample};
 use crate::ros::{MessageType, NameError, Node, NodeError, learn};
 use downbeat_executor::{Clock, Core, CoreHandle, Inbox, OutletInbox};
 use parking_lot::{Mutex, RwLock};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
@@ -32,6 +33,8 @@ pub fn expose(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Br
 #[derive(Clone)]
 pub struct Bridge {
     node: Node,
+    /// Its nodes in further networks, by the names of the networks.
+    networks: Arc<BTreeMap<String, Node>>,
     core: CoreHandle,
     clock: Arc<dyn Clock>,
     events: QosEvents,
@@ -49,12 +52,26 @@ impl Bridge {
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed.
     pub fn start(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Self, ExposeError> {
+        Self::start_between(core, node, BTreeMap::new(), exposures)
+    }
+
+    /// The same with nodes in further networks, by the names with which exposures choose them.
+    ///
+    /// # Errors
+    /// [`ExposeError`] when a topic cannot be exposed.
+    pub fn start_between(
+        core: &mut Core,
+        node: &Node,
+        networks: BTreeMap<String, Node>,
+        exposures: &[Exposure],
+    ) -> Result<Self, ExposeError> {
         if core.topics().any(|topic| *topic.name == *QOS_EVENTS_TOPIC && topic.is_published) {
             return Err(ExposeError::SecondBridge);
         }
         let clock = core.clock();
         let bridge = Self {
             node: node.clone(),
+            networks: Arc::new(networks),
             core: core.handle(),
             events: QosEvents::open(&mut CoreAccess::Idle(core), Arc::clone(&clock))?,
             clock,
@@ -116,17 +133,15 @@ impl Bridge {
             .collect();
         let mut all = Vec::<Exposed>::with_capacity(exposures.len());
         for ((exposure, node), name) in exposures.iter().zip(&nodes).zip(&names) {
-            let is_reverse = |topic: &str, direction, other_name: Option<&String>| {
-                exposure.is_reverse_of(topic, direction)
-                    && !(exposure.message_type.is_raw() && name.as_ref() != other_name)
-            };
-            let mut others = exposures.iter().zip(&names);
-            if others.any(|(other, name)| is_reverse(&other.topic, other.direction, name.as_ref()))
-                || self
-                    .endpoints
-                    .any(|other| is_reverse(&other.topic, other.direction, Some(&other.ros_topic)))
-            {
-                return Err(ExposeError::BothDirections(exposure.topic.clone()));
+            let others = exposures.iter().zip(&names);
+            let conflict = others.into_iter().find_map(|(other, other_name)| {
+                exposure.conflict(name.as_deref(), &Opposite::of_exposure(other, other_name.as_deref()))
+            });
+            let conflict = conflict.or_else(|| {
+                self.endpoints.find(|other| exposure.conflict(name.as_deref(), &Opposite::of_endpoint(other)))
+            });
+            if let Some(error) = conflict {
+                return Err(error);
             }
             let exposed = self.create(core, node, exposure)?;
             let is_same = |other: &ExposedEndpoint| exposed.endpoint.is_same_as(other);
@@ -140,9 +155,16 @@ impl Bridge {
 
     fn node_of(&self, exposure: &Exposure) -> Result<Node, ExposeError> {
         let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
+        let node = match &exposure.network {
+            None => &self.node,
+            Some(network) => self.networks.get(network).ok_or_else(|| ExposeError::NoNetwork {
+                topic: exposure.topic.clone(),
+                network: network.clone(),
+            })?,
+        };
         match &exposure.node {
-            None => Ok(self.node.clone()),
-            Some(name) => self.node.sibling(name).map_err(failed),
+            None => Ok(node.clone()),
+            Some(name) => node.sibling(name).map_err(failed),
         }
     }
 

@@ -16,6 +16,12 @@ pub struct ExposedEndpoint {
     pub ros_topic: String,
     /// The node that has the endpoint, absolute.
     pub node: String,
+    /// The network that has it; `None` for that of the bridge's node.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<String>,
+    /// Whether messages go out that came in from another network.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not", rename = "relay")]
+    pub relays: bool,
     /// Out of the executor or into it.
     pub direction: Direction,
     /// As in `sensor_msgs/msg/Imu`.
@@ -41,6 +47,8 @@ impl ExposedEndpoint {
             topic: exposure.topic.clone(),
             ros_topic: ros_topic.to_string(),
             node: node.to_string(),
+            network: exposure.network.clone(),
+            relays: exposure.relays,
             direction: exposure.direction,
             type_name: exposure.message_type.name().to_owned(),
             qos: qos.into(),
@@ -50,8 +58,8 @@ impl ExposedEndpoint {
 
     /// True if the same node has both, in the same direction.
     pub(super) fn is_same_as(&self, other: &Self) -> bool {
-        let key = |endpoint: &Self| (endpoint.direction, endpoint.ros_topic.clone(), endpoint.node.clone());
-        key(self) == key(other)
+        (self.direction, &self.ros_topic, &self.node, &self.network)
+            == (other.direction, &other.ros_topic, &other.node, &other.network)
     }
 }
 
@@ -71,6 +79,9 @@ impl fmt::Display for ExposedEndpoint {
         }
         if limits.of_a_cycle == OfACycle::Latest {
             f.write_str(", latest only")?;
+        }
+        if let Some(network) = &self.network {
+            write!(f, ", on {network}")?;
         }
         Ok(())
     }

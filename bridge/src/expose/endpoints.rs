@@ -121,6 +121,11 @@ impl Endpoints {
         self.state.lock().exposed.iter().any(|exposed| is(&exposed.endpoint))
     }
 
+    /// The first answer that is not `None`.
+    pub(super) fn find<T>(&self, look: impl Fn(&ExposedEndpoint) -> Option<T>) -> Option<T> {
+        self.state.lock().exposed.iter().find_map(|exposed| look(&exposed.endpoint))
+    }
+
     pub(super) fn extend(&self, exposed: Vec<Exposed>) -> Result<(), ExposeError> {
         let mut state = self.state.lock();
         if state.has_ended {

@@ -26,6 +26,10 @@ pub struct Exposure {
     pub limits: Limits,
     /// The node that has the endpoint; `None` for the bridge's own.
     pub node: Option<NodeName>,
+    /// The network that has it; `None` for that of the bridge's node.
+    pub network: Option<String>,
+    /// Whether messages go out that came in from another network.
+    pub relays: bool,
 }
 
 /// Which messages of a topic pass: the latest of a cycle, of these every n-th, of these no more than the rate
@@ -87,6 +91,19 @@ pub enum ExposeError {
          another topic of the executor"
     )]
     BothDirections(String),
+    /// What comes in from one network would go out to another.
+    #[error(
+        "topic \"{0}\" comes in from one network and would go out to another, which its exposure does not allow"
+    )]
+    Relay(String),
+    /// The bridge was not given a network of that name.
+    #[error("topic \"{topic}\": there is no network \"{network}\"")]
+    NoNetwork {
+        /// The topic in the executor.
+        topic: String,
+        /// The network.
+        network: String,
+    },
     /// The node has an endpoint of that direction on the topic already.
     #[error("{0} is exposed already; remove it before, or give this one another name")]
     Twice(String),
@@ -113,6 +130,8 @@ impl Exposure {
             qos: QosRequest::default(),
             limits: Limits::default(),
             node: None,
+            network: None,
+            relays: false,
         }
     }
 
@@ -122,10 +141,19 @@ impl Exposure {
         self.ros_topic.as_deref().unwrap_or(&self.topic)
     }
 
-    /// True if one would publish what the other receives.
-    pub(super) fn is_reverse_of(&self, topic: &str, direction: Direction) -> bool {
-        self.topic.trim_start_matches('/') == topic.trim_start_matches('/') && self.direction != direction
+    /// True if this would publish in one network what the other receives from another one.
+    #[must_use]
+    pub fn relays_from(&self, other: &Self) -> bool {
+        let directions = (self.direction, other.direction);
+        directions == (Direction::Out, Direction::In)
+            && self.network != other.network
+            && is_same_topic(&self.topic, &other.topic)
     }
+}
+
+/// Whether two names mean the same topic of the executor.
+pub(super) fn is_same_topic(one: &str, other: &str) -> bool {
+    one.trim_start_matches('/') == other.trim_start_matches('/')
 }
 
 impl Limits {

@@ -23,6 +23,7 @@
 
 mod actions;
 mod bridge;
+mod conflict;
 mod endpoint;
 mod endpoints;
 mod exposure;

@@ -73,7 +73,7 @@ impl RobotFile {
         let mut selection =
             Selection { file: self, survey, topics, claimed: claimed(entries), found: Vec::new() };
         for direction in [Direction::Out, Direction::In] {
-            let taken = taken.iter().map(|name| (direction, canonical(name).to_owned()));
+            let taken = taken.iter().map(|name| (None, direction, canonical(name).to_owned()));
             selection.claimed.extend(taken);
         }
         for entry in entries {
@@ -81,6 +81,7 @@ impl RobotFile {
         }
         let Selection { found, .. } = selection;
         survey.admit(self.refuse_the_same_name_twice(&found))?;
+        survey.admit(self.refuse_unmeant_relays(&found))?;
         Ok(found.into_iter().map(|(_, exposure)| exposure).collect())
     }
 
@@ -134,7 +135,9 @@ impl RobotFile {
             self.source
                 .error(1, "the core does not answer: it has stopped or is held, or a module does not return")
         })?;
-        let taken: Vec<_> = status.endpoints().into_iter().map(|report| report.endpoint.topic).collect();
+        let endpoints = status.endpoints().into_iter().map(|report| report.endpoint);
+        let taken: Vec<_> =
+            endpoints.filter(|endpoint| endpoint.network.is_none()).map(|endpoint| endpoint.topic).collect();
         // The lines are those of this text, not of the robot file.
         self.exposures_of(&entries, &topics, &taken).map_err(|error| match error {
             RobotFileError::File(FileError::Line { line, problem, .. }) => {
@@ -149,10 +152,30 @@ impl RobotFile {
         self.node_name()?;
         let mut names = BTreeSet::new();
         for (line, exposure) in found {
-            let ExposedEndpoint { direction, ros_topic, node, .. } =
+            let ExposedEndpoint { direction, ros_topic, node, network, .. } =
                 self.exposed_endpoint(exposure, *line)?;
-            if !names.insert((direction, ros_topic.clone(), node)) {
+            if !names.insert((direction, ros_topic.clone(), node, network)) {
                 return Err(self.source.error(*line, format!("{ros_topic} is exposed twice")));
+            }
+        }
+        Ok(())
+    }
+
+    /// What comes in from one network goes out to another only if the file says so.
+    fn refuse_unmeant_relays(&self, found: &[(usize, Exposure)]) -> Result<()> {
+        let network = |exposure: &Exposure| match &exposure.network {
+            None => "the robot's own network".to_owned(),
+            Some(name) => format!("network \"{name}\""),
+        };
+        for (line, out) in found.iter().filter(|(_, exposure)| !exposure.relays) {
+            if let Some((_, other)) = found.iter().find(|(_, other)| out.relays_from(other)) {
+                let problem = format!(
+                    "\"{}\" comes in from {} and would go out to {}: add relay = true here if that is meant",
+                    out.topic,
+                    network(other),
+                    network(out)
+                );
+                return Err(self.source.error(*line, problem));
             }
         }
         Ok(())
@@ -189,10 +212,13 @@ impl RobotFile {
     }
 }
 
-/// The topics that are named, by direction: patterns leave them alone.
-fn claimed(entries: &[ExposeEntry]) -> BTreeSet<(Direction, String)> {
+/// A topic in a network.
+type Claim = (Option<String>, Direction, String);
+
+/// The topics that are named, by network and direction: patterns leave them alone.
+fn claimed(entries: &[ExposeEntry]) -> BTreeSet<Claim> {
     let named = entries.iter().filter_map(|entry| match &entry.topics {
-        TopicChoice::Name(name) => Some((entry.direction, canonical(name).to_owned())),
+        TopicChoice::Name(name) => Some((entry.network.clone(), entry.direction, canonical(name).to_owned())),
         TopicChoice::Pattern { .. } => None,
     });
     named.collect()
@@ -202,7 +228,7 @@ struct Selection<'a> {
     file: &'a RobotFile,
     survey: &'a Survey,
     topics: &'a [TopicInfo],
-    claimed: BTreeSet<(Direction, String)>,
+    claimed: BTreeSet<Claim>,
     found: Vec<(usize, Exposure)>,
 }
 
@@ -231,7 +257,8 @@ impl<'a> Selection<'a> {
             return self.select_raw(entry, canonical(name));
         }
         let topic = self.file.topic(self.topics, name, entry.line, "expose")?;
-        if entry.direction == Direction::Out && !topic.is_published {
+        let is_relayed = entry.relays && self.comes_in(canonical(name));
+        if entry.direction == Direction::Out && !topic.is_published && !is_relayed {
             return refuse(format!("no module publishes \"{}\"; does it belong under \"in\"?", topic.name));
         }
         let Some(message_type) = self.interfaces().message_in(topic) else {
@@ -246,6 +273,11 @@ impl<'a> Selection<'a> {
         let exposure = self.exposure(entry, &topic.name, message_type, ros_topic)?;
         self.found.push((entry.line, exposure));
         Ok(())
+    }
+
+    /// Whether a topic that is named comes in from a network.
+    fn comes_in(&self, name: &str) -> bool {
+        self.claimed.iter().any(|(_, direction, topic)| *direction == Direction::In && topic == name)
     }
 
     /// A topic of bytes, which no module need have: what comes in may go out again under another name, or
@@ -264,7 +296,7 @@ impl<'a> Selection<'a> {
             };
             return Err(refuse(format!("\"{name}\" carries {carried}{problem}")));
         }
-        let comes_in = self.claimed.contains(&(Direction::In, name.to_owned()));
+        let comes_in = self.comes_in(name);
         if entry.direction == Direction::Out && !comes_in && !topic.is_some_and(|topic| topic.is_published) {
             return Err(refuse(format!("no module publishes \"{name}\", and it is not under \"in\" either")));
         }
@@ -308,7 +340,7 @@ impl<'a> Selection<'a> {
         let is_excepted = |topic: &TopicInfo| except.iter().any(|(_, pattern)| pattern.matches(&topic.name));
         let mut exposures = Vec::new();
         for &&(topic, message_type) in matching.iter().filter(|(topic, _)| !is_excepted(topic)) {
-            if self.claimed.insert((entry.direction, topic.name.to_string())) {
+            if self.claimed.insert((entry.network.clone(), entry.direction, topic.name.to_string())) {
                 let renamed = entry.ros_topic.as_ref().and_then(|to| pattern.rename(&topic.name, to));
                 let ros_topic = renamed.unwrap_or_else(|| ros_name(&topic.name));
                 exposures.push((entry.line, self.exposure(entry, &topic.name, message_type, ros_topic)?));
@@ -334,6 +366,8 @@ impl<'a> Selection<'a> {
             qos: entry.qos,
             limits: entry.limits,
             node,
+            network: entry.network.clone(),
+            relays: entry.relays,
         })
     }
 }

@@ -259,3 +259,47 @@ fn bytes_of_a_type_that_is_not_compiled_in_need_no_module() {
         assert!(problem.contains(expected), "{problem}");
     }
 }
+
+#[test]
+fn each_network_has_its_own_selection() {
+    let text = "out = [\"joint_states\", \"battery_state\"]\n[networks.fleet]\ndomain = 7\n\
+        out = [{ topic = \"joint_states\", rate_hz = 1.0 }, \"b*\"]\nin = [\"joint_commands\"]";
+    let endpoints = exposed_with(text, "");
+    let of = |network: Option<&str>| -> Vec<_> {
+        let its = endpoints.iter().filter(|endpoint| endpoint.network.as_deref() == network);
+        its.map(|endpoint| (endpoint.topic.as_str(), endpoint.direction)).collect()
+    };
+    assert_eq!(of(None), [("joint_states", Direction::Out), ("battery_state", Direction::Out)]);
+    let out = ["joint_states", "battery_state", "buttons"].map(|topic| (topic, Direction::Out));
+    assert_eq!(of(Some("fleet")), [&out[..], &[("joint_commands", Direction::In)]].concat());
+    let limited = endpoints.iter().find(|endpoint| endpoint.limits.period.is_some()).unwrap();
+    assert!(limited.to_string().ends_with("at most 1 Hz, on fleet"), "{limited}");
+}
+
+#[test]
+fn what_comes_in_from_one_network_goes_out_to_another_only_if_the_file_says_so() {
+    let fleet = |relay: &str| {
+        format!(
+            "in = [\"joint_commands\"]\n[networks.fleet]\ndomain = 7\n\
+             out = [{{ topic = \"joint_commands\"{relay}, as = \"/fleet/commands\" }}]"
+        )
+    };
+    assert_eq!(exposed(&fleet(", relay = true")).len(), 2);
+    let text = "[networks.fleet]\ndomain = 7\nout = [\"joint_states\"]\n\
+        [networks.base]\ndomain = 8\nin = [{ topic = \"joint_states\", type = \"sensor_msgs/msg/JointState\" }]";
+    assert!(problem(text).contains("add relay = true here"), "{}", problem(text));
+}
+
+#[test]
+fn a_network_that_cannot_be_joined_is_refused_with_the_line() {
+    for (network, words) in [
+        ("domain = 233", "from 0 to 232"),
+        ("domian = 1", "did you mean \"domain\"?"),
+        ("engine = \"zenho\"", "\"zenho\" is no engine"),
+        ("connect = \"tcp/base:7447\"", "\"connect\" needs engine = \"zenoh\""),
+        ("services = [\"stand_up\"]", "services"),
+    ] {
+        let text = problem(&format!("[networks.fleet]\n{network}"));
+        assert!(text.starts_with("robot.toml:12: ") && text.contains(words), "{network}: {text}");
+    }
+}

@@ -8,6 +8,7 @@ mod features;
 mod include;
 mod launcher;
 mod module;
+mod networks;
 mod record;
 mod source;
 mod table;
@@ -28,6 +29,7 @@ pub use expose::{ActionEntry, ExposeEntry, ExposeSection, LifecycleEntry, Servic
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
+pub use networks::NetworkEntry;
 pub use record::{RecordEntry, RecordOptions};
 pub use source::RobotFileError;
 pub use source::{Given, ParameterPlace, Place, Source, toml_string};
@@ -63,6 +65,8 @@ pub struct RobotFile {
     pub modules: Vec<ModuleEntry>,
     /// What is exposed to ROS 2.
     pub expose: ExposeSection,
+    /// Further networks, to which some of the topics in `expose` belong.
+    pub networks: Vec<NetworkEntry>,
     /// What is recorded, and how.
     pub record: RecordEntry,
     /// How a bag of the robot is replayed.
@@ -172,7 +176,10 @@ impl RobotFile {
             modules.extend(include::include(value, catalog, &inside)?);
         }
         let expose = root.take("expose").map(|value| expose::expose(value, &catalog.interfaces));
-        let expose = expose.transpose()?.unwrap_or_default();
+        let mut expose = expose.transpose()?.unwrap_or_default();
+        let networks = root.take("networks").map_or(Ok(Vec::new()), |value| {
+            networks::networks(value, &catalog.interfaces, &mut expose.topics)
+        })?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
         let view = root.take("view").map_or(Ok(ViewEntry::default()), view::view)?;
@@ -189,6 +196,7 @@ impl RobotFile {
             launcher,
             modules,
             expose,
+            networks,
             record,
             replay,
             view,

@@ -31,7 +31,7 @@ pub(super) struct Newcomers {
 /// What was taken in before, or could not be, by its names: it is tried once.
 #[derive(Default)]
 struct Known {
-    topics: BTreeSet<(Direction, String, String)>,
+    topics: BTreeSet<(Option<String>, Direction, String, String)>,
     /// Names in the core and in ROS 2.
     offered: BTreeSet<(String, String)>,
     called: BTreeSet<(String, String)>,
@@ -55,8 +55,9 @@ impl Known {
     }
 }
 
-fn key(exposure: &Exposure) -> (Direction, String, String) {
-    (exposure.direction, exposure.topic.clone(), exposure.ros_topic().to_owned())
+fn key(exposure: &Exposure) -> (Option<String>, Direction, String, String) {
+    let Exposure { network, direction, topic, .. } = exposure;
+    (network.clone(), *direction, topic.clone(), exposure.ros_topic().to_owned())
 }
 
 impl Newcomers {
@@ -152,7 +153,9 @@ impl Newcomers {
         for exposure in new.topics {
             // By hand, with `downbeat expose`.
             let is_exposed = bridge.status().endpoints().iter().any(|EndpointReport { endpoint, .. }| {
-                endpoint.direction == exposure.direction && endpoint.topic == exposure.topic
+                endpoint.direction == exposure.direction
+                    && endpoint.topic == exposure.topic
+                    && endpoint.network == exposure.network
             });
             if is_exposed {
                 continue;

@@ -61,11 +61,9 @@ impl RobotNode {
         let exposed = robot.exposed()?;
         let claim = claim(&robot.file, options.domain_id)?;
         let features = robot.file.expose.features.clone();
-        let participant = Participant::join_with(
-            &ParticipantOptions { engine: features.engine.unwrap_or(options.engine), ..options.clone() },
-            robot.file.remaps.clone(),
-            robot.file.catalog.interfaces.clone(),
-        )?;
+        let own_options =
+            ParticipantOptions { engine: features.engine.unwrap_or(options.engine), ..options.clone() };
+        let participant = join(&robot.file, &own_options)?;
         let node = participant.create_node(robot.file.given_node_name()?)?;
         if let Some(log) = log {
             log.names.set_node(node.name());
@@ -95,7 +93,8 @@ impl RobotNode {
             }
             tracing::info!("exposed lifecycle: {}", node.name());
         }
-        let bridge = Bridge::start(&mut robot.core, &node, &exposed.topics)?;
+        let networks = join_networks(&robot.file, options, own_options)?;
+        let bridge = Bridge::start_between(&mut robot.core, &node, networks, &exposed.topics)?;
         if let Some(diagnostics) = diagnostics {
             diagnostics.watch_endpoints(bridge.status());
         }
@@ -104,7 +103,8 @@ impl RobotNode {
                 Direction::Out => "to ROS 2",
                 Direction::In => "from ROS 2",
             };
-            tracing::info!("exposed {arrow}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
+            let network = endpoint.network.map(|name| format!(" on {name}")).unwrap_or_default();
+            tracing::info!("exposed {arrow}{network}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
         let introspection = robot.file.expose.introspection;
         let services =
@@ -152,6 +152,31 @@ impl RobotNode {
     pub fn domain(&self) -> u16 {
         self.domain
     }
+}
+
+fn join(file: &RobotFile, options: &ParticipantOptions) -> Result<Participant, StartError> {
+    Ok(Participant::join_with(options, file.remaps.clone(), file.catalog.interfaces.clone())?)
+}
+
+/// Joins the further networks of the file. Returns the robot's node in each, by the name of the network.
+fn join_networks(
+    file: &RobotFile,
+    environment: &ParticipantOptions,
+    own: ParticipantOptions,
+) -> Result<BTreeMap<String, Node>, StartError> {
+    let mut joined = vec![own];
+    let mut nodes = BTreeMap::new();
+    for network in &file.networks {
+        let options = network.options(environment);
+        if joined.contains(&options) {
+            return Err(file.same_network(network).into());
+        }
+        let participant = join(file, &options)?;
+        nodes.insert(network.name.clone(), participant.create_node(file.given_node_name()?)?);
+        tracing::info!("joined network {}: {}, domain {}", network.name, options.engine, options.domain_id);
+        joined.push(options);
+    }
+    Ok(nodes)
 }
 
 /// Gives the other nodes of the robot file what every node has, parameters and `/rosout`, and those of a

@@ -7,6 +7,7 @@ mod topic;
 
 pub use lifecycle::LifecycleEntry;
 pub use service::{ActionEntry, ServiceEntry};
+pub(super) use topic::topics;
 pub use topic::{ExposeEntry, TopicChoice};
 
 use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};

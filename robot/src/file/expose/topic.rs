@@ -34,6 +34,10 @@ pub struct ExposeEntry {
     /// The node that has the endpoint, if it is not the node of the robot: absolute, or relative to the
     /// robot's namespace.
     pub node: Option<String>,
+    /// The network in `[networks]`; `None` for the robot's own.
+    pub network: Option<String>,
+    /// Whether messages go out that came in from another network.
+    pub relays: bool,
 }
 
 impl ExposeEntry {
@@ -50,6 +54,8 @@ impl ExposeEntry {
             qos: QosRequest::default(),
             limits: Limits::default(),
             node: None,
+            network: None,
+            relays: false,
         }
     }
 }
@@ -77,7 +83,7 @@ impl fmt::Display for TopicChoice {
     }
 }
 
-pub(super) fn topics(table: &mut Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
+pub(in crate::file) fn topics(table: &mut Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
     let mut topics = Vec::new();
     for direction in [Direction::Out, Direction::In] {
         for value in table.take(direction.name()).map_or(Ok(Vec::new()), |value| value.list())? {
@@ -101,6 +107,8 @@ fn entry(value: Value<'_>, direction: Direction, interfaces: &Interfaces) -> Res
             qos,
             limits,
             node: None,
+            network: None,
+            relays: false,
         });
     };
     let topic = table.require("topic")?;
@@ -131,6 +139,11 @@ fn entry(value: Value<'_>, direction: Direction, interfaces: &Interfaces) -> Res
         qos: table.take("qos").map_or(Ok(qos), |value| qos::request(value, direction))?,
         limits: limits_of(&mut table)?,
         node: table.take("node").map(|value| value.text().map(str::to_owned)).transpose()?,
+        network: None,
+        relays: match direction {
+            Direction::Out => table.take("relay").map_or(Ok(false), |value| value.flag())?,
+            Direction::In => false,
+        },
     };
     table.finish()?;
     Ok(entry)

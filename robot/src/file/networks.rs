@@ -1,0 +1,96 @@
+//! `[networks.NAME]`: further networks of a robot, each with topics of its own selection.
+
+use std::path::PathBuf;
+
+use downbeat_bridge::middleware::{Engine, MAX_DOMAIN_ID, OptionsError, ParticipantOptions};
+use downbeat_edge::Interfaces;
+
+use super::expose::{ExposeEntry, topics};
+use super::table::{Table, Value};
+use super::{Result, RobotFile, RobotFileError};
+
+/// A network beside the one of `[expose]`, in which the robot has a node of the same name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NetworkEntry {
+    pub(crate) line: usize,
+    /// Its name in the robot file.
+    pub name: String,
+    /// The engine; `None` for that of the environment.
+    pub engine: Option<Engine>,
+    /// The ROS domain; `None` for that of the environment.
+    pub domain: Option<u16>,
+    /// With Zenoh: the endpoint of the router, of which the robot is then a client.
+    pub connect: Option<String>,
+    /// With Zenoh: the file with the configuration of the session.
+    pub config: Option<PathBuf>,
+}
+
+impl NetworkEntry {
+    /// How to join it; what the entry leaves open is as in the environment.
+    pub(crate) fn options(&self, environment: &ParticipantOptions) -> ParticipantOptions {
+        let mut options = environment.clone();
+        options.engine = self.engine.unwrap_or(environment.engine);
+        options.domain_id = self.domain.unwrap_or(environment.domain_id);
+        #[cfg(feature = "zenoh")]
+        {
+            let text = |path: &PathBuf| path.display().to_string();
+            let file = self.config.as_ref().map(text);
+            options.zenoh.session_file = file.or(options.zenoh.session_file);
+            options.zenoh.connect = self.connect.clone().or(options.zenoh.connect);
+        }
+        options
+    }
+}
+
+impl RobotFile {
+    /// The error if a network is one in which the robot is already.
+    pub(crate) fn same_network(&self, network: &NetworkEntry) -> RobotFileError {
+        let problem = format!(
+            "network \"{}\" is one that the robot is in already: give it another \"domain\" or \"engine\"",
+            network.name
+        );
+        self.source.error(network.line, problem)
+    }
+}
+
+/// Reads `[networks]`, and adds the topics of its networks to those of `[expose]`.
+pub(super) fn networks(
+    value: Value<'_>,
+    interfaces: &Interfaces,
+    exposed: &mut Vec<ExposeEntry>,
+) -> Result<Vec<NetworkEntry>> {
+    let networks = value.table("[networks]")?.take_rest().into_iter();
+    let network = |(name, value): (String, Value<'_>)| {
+        let mut table = value.table(&format!("[networks.{name}]"))?;
+        let entry = network(&mut table, name)?;
+        let mut of_network = topics(&mut table, interfaces)?;
+        table.finish()?;
+        of_network.iter_mut().for_each(|topic| topic.network = Some(entry.name.clone()));
+        exposed.extend(of_network);
+        Ok(entry)
+    };
+    networks.map(network).collect()
+}
+
+fn network(table: &mut Table<'_>, name: String) -> Result<NetworkEntry> {
+    let engine = table.take("engine").map(|value| {
+        value.text()?.parse::<Engine>().map_err(|error: OptionsError| value.error(error.to_string()))
+    });
+    let engine = engine.transpose()?;
+    let domain = table
+        .take("domain")
+        .map(|value| value.number_in(0..=i64::from(MAX_DOMAIN_ID), "a domain, from 0 to 232"));
+    let mut of_zenoh = |key| {
+        let Some(value) = table.take(key) else { return Ok(None) };
+        match engine.is_some_and(|engine| engine.to_string() == ZENOH) {
+            true => Ok(Some((value.text()?.to_owned(), value.path().to_owned()))),
+            false => Err(value.error(format!("\"{key}\" needs engine = \"{ZENOH}\""))),
+        }
+    };
+    let connect = of_zenoh("connect")?.map(|(endpoint, _)| endpoint);
+    let config = of_zenoh("config")?.map(|(file, robot)| robot.with_file_name(file));
+    Ok(NetworkEntry { line: table.line(), name, engine, domain: domain.transpose()?, connect, config })
+}
+
+/// The name of the engine, which may not be built in.
+const ZENOH: &str = "zenoh";
