@@ -28,7 +28,7 @@ pub use expose::{ActionEntry, ExposeEntry, ExposeSection, LifecycleEntry, Servic
 pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
-pub use record::{RecordEntry, RecordOptions};
+pub use record::RecordEntry;
 pub use source::RobotFileError;
 pub use source::{Given, ParameterPlace, Place, Source, toml_string};
 pub(crate) use table::list_of;
