@@ -490,3 +490,22 @@ fn shells_complete_the_commands() {
         }
     }
 }
+
+#[test]
+fn each_command_has_a_man_page_with_its_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man1");
+    assert!(downbeat(&["man", pages.to_str().unwrap()]).status().unwrap().success());
+    let page = |name: &str| std::fs::read_to_string(pages.join(name)).unwrap().replace("\\-", "-");
+    assert!(page("downbeat.1").contains("downbeat-bag(1)"));
+    let record = page("downbeat-bag-record.1");
+    for words in ["--storage-preset-profile", "--slow-disk", "drop and count messages", "--exclude-regex"] {
+        assert!(record.contains(words), "{words}: {record}");
+    }
+    assert!(!pages.join("downbeat-library-child.1").exists(), "hidden commands have no page");
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let output = downbeat(&["man", file.to_str().unwrap()]).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.contains("cannot write the man pages into"), "{error}");
+}

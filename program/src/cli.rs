@@ -243,6 +243,14 @@ pub(crate) enum Command {
         #[arg(value_enum)]
         shell: Shell,
     },
+    /// Write a man page for each command into a folder.
+    ///
+    /// For a user: downbeat man ~/.local/share/man/man1
+    Man {
+        /// The folder; it is created if it does not exist. Pages of the same names are replaced.
+        #[arg(value_name = "DIR")]
+        folder: PathBuf,
+    },
     /// Run the library of a module with `isolate`. Robots start it.
     #[command(hide = true)]
     LibraryChild,

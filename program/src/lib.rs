@@ -46,8 +46,11 @@ mod vision;
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::ffi::OsString;
+use std::fs;
+use std::path::Path;
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::CommandFactory;
 
 use cli::{BagCommand, Cli, Command, DescriptionCommand, EmulateCommand};
@@ -153,6 +156,7 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
             print_completions(shell);
             Ok(())
         }
+        Command::Man { folder } => write_man_pages(&folder),
         Command::LibraryChild => Ok(()),
     };
     screen.show(Vec::new());
@@ -223,6 +227,14 @@ fn print_completions(shell: clap_complete::Shell) {
     let mut script = Vec::new();
     clap_complete::generate(shell, &mut command, name, &mut script);
     print!("{}", String::from_utf8_lossy(&script));
+}
+
+fn write_man_pages(folder: &Path) -> anyhow::Result<()> {
+    let write = || {
+        fs::create_dir_all(folder)?;
+        clap_mangen::generate_to(Cli::command(), folder)
+    };
+    write().with_context(|| format!("cannot write the man pages into {}", folder.display()))
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {

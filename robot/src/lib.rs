@@ -20,6 +20,7 @@ mod lifecycle;
 pub mod parameters;
 pub mod playback;
 mod profile;
+pub mod record_options;
 mod recorded;
 mod recorded_settings;
 pub mod recorder;
@@ -51,13 +52,14 @@ pub use file::Source;
 pub use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, LifecycleEntry,
-    ModuleEntry, NodeFeatures, RecordEntry, RecordOptions, ReplaySection, RobotFile, RobotFileError,
-    TopicChoice, ViewAccess, ViewEntry,
+    ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError, TopicChoice,
+    ViewAccess, ViewEntry,
 };
 pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
     SettingProfile,
 };
+pub use record_options::RecordOptions;
 pub use recorded_settings::ChangedSetting;
 pub(crate) use recorded_settings::{RecordedSettings, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};

@@ -13,6 +13,7 @@ pub(super) mod play;
 #[cfg(feature = "plots")]
 pub(super) mod plot;
 pub(super) mod record;
+mod record_options;
 pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;

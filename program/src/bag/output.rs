@@ -6,16 +6,15 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::custom_data;
+use super::record_options::{Copying, GivenOptions};
 use crate::new_output::{Force, Output};
 use crate::unfinished::Unfinished;
-use downbeat_bags::{
-    Compression, Copied, Copy, Reader, SplitLimits, Storage, StorageError, StorageOptions, WriterOptions,
-};
-use downbeat_robot::SOURCES_FOLDER;
+use downbeat_bags::{Copied, Copy, Reader};
+use downbeat_robot::{RecordOptions, SOURCES_FOLDER};
 
 /// How a new bag is written.
 #[derive(Args)]
@@ -32,56 +31,8 @@ pub(crate) struct OutputArguments {
 pub(crate) struct LayoutArguments {
     #[command(flatten)]
     force: Force,
-    /// The storage: mcap or, if built with --features sqlite, sqlite3, which does not store publish times.
-    #[arg(short, long, default_value_t = Storage::Mcap, value_name = "STORAGE")]
-    storage: Storage,
-    /// How chunks are compressed; sqlite3 does not support compression.
-    #[arg(long, value_enum, default_value_t = CompressionChoice::None)]
-    compression: CompressionChoice,
-    /// Preset profile, as in ros2 bag record: none, fastwrite, zstd_fast or zstd_small; for sqlite3 none or
-    /// resilient.
-    #[arg(long, value_name = "PRESET", conflicts_with = "compression")]
-    storage_preset_profile: Option<String>,
-    /// Bytes after which the bag continues in a new file; 0 for never.
-    #[arg(short = 'b', long, default_value_t = 0, value_name = "BYTES")]
-    max_bag_size: u64,
-    /// Seconds after which the bag continues in a new file; 0 for never.
-    #[arg(short = 'd', long, default_value_t = 0, value_name = "SECONDS")]
-    max_bag_duration: u64,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum CompressionChoice {
-    /// No compression.
-    None,
-    /// With LZ4.
-    Lz4,
-    /// With Zstandard.
-    Zstd,
-}
-
-impl LayoutArguments {
-    fn writer_options(&self) -> Result<WriterOptions, StorageError> {
-        let options = match &self.storage_preset_profile {
-            Some(preset) => WriterOptions::new().storage(StorageOptions::preset(self.storage, preset)?),
-            None => WriterOptions::new()
-                .storage(StorageOptions::of(self.storage)?)
-                .compression(self.compression.into()),
-        };
-        let max_bytes = (self.max_bag_size > 0).then_some(self.max_bag_size);
-        let max_duration = (self.max_bag_duration > 0).then(|| Duration::from_secs(self.max_bag_duration));
-        Ok(options.split(SplitLimits { max_bytes, max_duration }))
-    }
-}
-
-impl From<CompressionChoice> for Compression {
-    fn from(choice: CompressionChoice) -> Self {
-        match choice {
-            CompressionChoice::None => Self::None,
-            CompressionChoice::Lz4 => Self::Lz4,
-            CompressionChoice::Zstd => Self::Zstd,
-        }
-    }
+    #[command(flatten)]
+    options: GivenOptions<Copying>,
 }
 
 /// Writes the copy of `bags` into a new bag, with their custom data and the versions of modules in them, and
@@ -94,8 +45,11 @@ pub(crate) fn write(
 ) -> anyhow::Result<Copied> {
     let replaces = (layout.force, Output::Bag);
     let unfinished = Unfinished::directory(directory, replaces, bags.iter().map(Reader::path))?;
-    let options = custom_data(bags)
-        .fold(layout.writer_options()?, |options, (key, value)| options.custom_data(key, value));
+    let mut record = RecordOptions::default();
+    layout.options.apply(&mut record)?;
+    let storage = record.writer.storage.storage();
+    let options =
+        custom_data(bags).fold(record.writer, |options, (key, value)| options.custom_data(key, value));
     let mut progress = Progress::new("writing", copy.message_count());
     let copied = copy.into_writer(options.create(unfinished.written())?, |written| progress.at(written))?;
     drop(progress);
@@ -112,9 +66,8 @@ pub(crate) fn write(
     }
     if copied.without_publish_time > 0 {
         tracing::warn!(
-            "the publish times of {} messages are lost: {} only stores receive times",
-            copied.without_publish_time,
-            layout.storage
+            "the publish times of {} messages are lost: {storage} only stores receive times",
+            copied.without_publish_time
         );
     }
     println!("wrote {} messages into {}", copied.summary.message_count(), directory.display());

@@ -30,7 +30,7 @@ pub use features::{ClockChoice, NodeFeatures};
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub use networks::NetworkEntry;
-pub use record::{RecordEntry, RecordOptions};
+pub use record::RecordEntry;
 pub use source::RobotFileError;
 pub use source::{Given, ParameterPlace, Place, Source, toml_string};
 pub(crate) use table::list_of;

@@ -2,15 +2,11 @@
 
 use std::num::NonZeroUsize;
 
-use downbeat_bags::{
-    Compression, RecordingOptions, SnapshotLimits, Storage, StorageOptions, SyncPolicy, WhenDiskFull,
-    WhenSlow, WriterOptions,
-};
 use downbeat_bridge::expose::TopicPattern;
-use downbeat_msgs::encoding::Encoding;
 
 use super::table::{Table, Value};
 use super::{Result, choice};
+use crate::record_options::{RECORD_OPTIONS, RecordOption, RecordOptions, Takes, set_preset};
 
 /// What is recorded and how it is written.
 #[derive(Clone)]
@@ -30,17 +26,6 @@ pub struct RecordEntry {
     pub options: RecordOptions,
 }
 
-/// How a recording is written, as set in `[record]` of a robot file and on the command line.
-#[derive(Clone, Debug, Default)]
-pub struct RecordOptions {
-    /// The serialisation format of the messages.
-    pub encoding: Encoding,
-    /// How its files are written.
-    pub writer: WriterOptions,
-    /// What happens to messages until they are written.
-    pub recording: RecordingOptions,
-}
-
 impl Default for RecordEntry {
     fn default() -> Self {
         Self {
@@ -55,34 +40,11 @@ impl Default for RecordEntry {
     }
 }
 
-impl RecordOptions {
-    /// Returns the reason if the storage cannot contain messages in the encoding.
-    #[must_use]
-    pub fn refusal(&self) -> Option<String> {
-        let is_refused = self.writer.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
-        is_refused.then(|| {
-            let encoding = self.encoding;
-            format!("the storage sqlite3 does not support the encoding {encoding}: record as cdr, or in the storage mcap")
-        })
-    }
-
-    /// Sets how many bytes of messages may wait, to be written or for a snapshot.
-    pub fn set_cache_bytes(&mut self, cache_bytes: usize) {
-        self.recording.cache_bytes = cache_bytes;
-        if let Some(snapshot) = &mut self.recording.snapshot {
-            snapshot.max_bytes = cache_bytes;
-        }
-    }
-}
-
-/// The smallest size of a chunk.
-const LEAST_CHUNK: i64 = 1024;
-
 pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
     let mut table = value.table("[record]")?;
     let topics = table.take("topics");
     let line = topics.map_or(table.line(), |value| value.line());
-    let encoding = table.take("encoding");
+    let encoding = table.peek("encoding");
     let topics = match topics {
         Some(value) if value.text().is_ok_and(|text| text == "all") => None,
         Some(value) => {
@@ -98,7 +60,7 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
         types: list(&mut table, "types", |value| Ok(value.text()?.to_owned()))?,
         modules: list(&mut table, "modules", |value| Ok(value.text()?.to_owned()))?,
         exposed: table.take("exposed").map(|value| value.flag()).transpose()?,
-        options: options(&mut table, encoding)?,
+        options: options(&mut table)?,
     };
     table.finish()?;
     match (encoding, entry.options.refusal()) {
@@ -107,67 +69,52 @@ pub(super) fn record(value: Value<'_>) -> Result<RecordEntry> {
     }
 }
 
-fn options(table: &mut Table<'_>, encoding: Option<Value<'_>>) -> Result<RecordOptions> {
+fn options(table: &mut Table<'_>) -> Result<RecordOptions> {
     let mut options = RecordOptions::default();
-    if let Some(value) = encoding {
-        options.encoding = choice(value, &Encoding::ALL.map(|encoding| (encoding.as_str(), encoding)))?;
-    }
-    let writer = &mut options.writer;
-    writer.storage = storage(table)?;
-    writer.split.max_bytes = table.take("max_bag_size").map(bytes).transpose()?;
-    writer.split.max_duration = table.take("max_bag_duration").map(|value| value.duration()).transpose()?;
-    if let Some(value) = table.take("max_bag_files") {
-        writer.max_bag_files = NonZeroUsize::new(value.count()? as usize);
-    }
-    if let Some(value) = table.take("disk_full") {
-        writer.disk_full = choice(value, &[("stop", WhenDiskFull::Stop), ("drop", WhenDiskFull::Drop)])?;
-    }
-    if let Some(value) = table.take("sync") {
-        let policies =
-            [("never", SyncPolicy::Never), ("files", SyncPolicy::Files), ("chunks", SyncPolicy::Chunks)];
-        writer.sync = choice(value, &policies)?;
-    }
-    if let Some(value) = table.take("slow_disk") {
-        options.recording.when_slow = choice(value, &[("stop", WhenSlow::Stop), ("drop", WhenSlow::Drop)])?;
-    }
-    if let Some(value) = table.take("max_cache_size") {
-        options.recording.cache_bytes = bytes(value)?;
-    }
-    if let Some(value) = table.take("snapshot") {
-        let max_bytes = options.recording.cache_bytes;
-        options.recording.snapshot =
-            Some(SnapshotLimits { max_bytes, max_duration: Some(value.duration()?) });
-    }
-    Ok(options)
-}
-
-/// Reads `storage`, `preset` and the keys that override a preset.
-fn storage(table: &mut Table<'_>) -> Result<StorageOptions> {
-    let mut options = match table.take("storage") {
-        Some(value) => {
-            let options = StorageOptions::of(choice(value, &Storage::ALL)?);
-            options.map_err(|error| value.error(error.to_string()))?
+    for option in RECORD_OPTIONS {
+        if let Some(value) = table.take(option.key) {
+            set(option, &mut options, value)?;
         }
-        None => StorageOptions::default(),
-    };
-    if let Some(value) = table.take("preset") {
-        let storage = options.storage();
-        let presets: Vec<_> = storage.presets().iter().map(|&name| (name, name)).collect();
-        let preset = StorageOptions::preset(storage, choice(value, &presets)?);
-        options = preset.map_err(|error| value.error(error.to_string()))?;
-    }
-    if let Some(value) = table.take("compression") {
-        let mcap = options.mcap_mut().map_err(|error| value.error(error.to_string()))?;
-        mcap.compression = choice(value, &Compression::ALL)?;
-    }
-    if let Some(value) = table.take("chunk_size") {
-        options.set_chunk_size(value.number_in(LEAST_CHUNK..=1 << 30, "1024 to 1073741824 bytes")?);
     }
     Ok(options)
 }
 
-fn bytes<N: TryFrom<i64>>(value: Value<'_>) -> Result<N> {
-    value.number_in(LEAST_CHUNK..=i64::MAX, "a number of bytes, 1024 or more")
+/// Applies a value of the file.
+fn set(option: &RecordOption, options: &mut RecordOptions, value: Value<'_>) -> Result<()> {
+    let applied = match &option.takes {
+        Takes::Choice(choices) => {
+            let choices: Vec<_> = choices.iter().map(|choice| (choice.name, choice.set)).collect();
+            choice(value, &choices)?(options)
+        }
+        Takes::Preset => {
+            let presets = options.writer.storage.storage().presets();
+            let presets: Vec<_> = presets.iter().map(|&name| (name, name)).collect();
+            set_preset(options, choice(value, &presets)?)
+        }
+        Takes::Bytes { in_file, set, .. } => {
+            let expected = match (in_file.start(), in_file.end()) {
+                (least, &i64::MAX) => format!("a number of bytes, {least} or more"),
+                (least, most) => format!("{least} to {most} bytes"),
+            };
+            set(options, value.number_in(in_file.clone(), &expected)?);
+            Ok(())
+        }
+        Takes::Count(set) => {
+            if let Some(count) = NonZeroUsize::new(value.count()? as usize) {
+                set(options, count);
+            }
+            Ok(())
+        }
+        Takes::Time(set) => set(options, value.duration()?),
+        Takes::Switch(set) => set(options, value.flag()?),
+        Takes::Entries(set) => {
+            for (key, text) in value.table(option.key)?.take_rest() {
+                set(options, &key, text.text()?);
+            }
+            Ok(())
+        }
+    };
+    applied.map_err(|reason| value.error(reason))
 }
 
 /// Reads a name or a valid pattern.

@@ -27,11 +27,12 @@
 //! its kind does.
 
 mod calibration;
+mod emulated;
 mod jpeg;
 mod pattern;
-mod pictures;
 mod source;
 mod v4l2;
+mod yuyv;
 
 use std::time::Duration;
 
@@ -43,7 +44,7 @@ use downbeat_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use downbeat_msgs::std_msgs::msg::Header;
 
 pub use calibration::{Calibration, CalibrationError};
-pub use pictures::Pictures;
+pub use emulated::Pictures;
 pub use source::{Captured, Format, Frame, Granted, LONGEST_SIDE, Request, Source, VideoDevice, Wanted};
 pub use v4l2::V4l2;
 
@@ -361,7 +362,7 @@ impl Camera {
                 let rows = bytes.get(..whole).ok_or("it is cut off")?;
                 match self.encoding {
                     Encoding::Rgb8 => {
-                        let rgb = jpeg::yuyv_to_rgb(rows, width as usize, bytes_per_line as usize);
+                        let rgb = yuyv::to_rgb(rows, width as usize, bytes_per_line as usize);
                         ("rgb8", width * 3, rgb)
                     }
                     Encoding::Yuyv | Encoding::Off => ("yuv422_yuy2", bytes_per_line, rows.to_vec()),

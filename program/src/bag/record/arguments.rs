@@ -1,15 +1,13 @@
 //! The options of `downbeat bag record`: those of `ros2 bag record` of Jazzy by their names, and some of our
 //! own.
 
-use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::bag::record_options::{GivenOptions, Recording};
 use crate::new_output::Force;
 use clap::{Args, ValueEnum};
-use downbeat_bags::Storage;
 use downbeat_files::duration::parse as duration;
-use downbeat_msgs::encoding::Encoding;
 use downbeat_robot::LogLevel;
 use regex_lite::Regex;
 
@@ -30,9 +28,6 @@ pub(crate) struct RecordArguments {
     pub(crate) discovery: DiscoveryArguments,
     #[command(flatten)]
     pub(crate) writing: WritingArguments,
-    /// Start paused.
-    #[arg(long)]
-    pub(crate) start_paused: bool,
     /// Stamp messages with the time of /clock. Nothing is recorded before the first time is received.
     #[arg(long, conflicts_with = "no_discovery")]
     pub(crate) use_sim_time: bool,
@@ -54,6 +49,11 @@ pub(crate) struct RecordArguments {
     /// The ROS domain, instead of ROS_DOMAIN_ID.
     #[arg(long, value_name = "N")]
     pub(crate) domain: Option<u16>,
+    #[command(
+        flatten,
+        next_help_heading = "How the bag is written; with --robot by default as [record] of the robot file says"
+    )]
+    pub(crate) options: GivenOptions<Recording>,
 }
 
 /// Which topics are recorded.
@@ -129,66 +129,22 @@ pub(crate) struct DiscoveryArguments {
     pub(crate) qos_profile_overrides_path: Option<PathBuf>,
 }
 
-/// How the bag is written.
+/// Options of `ros2 bag record` on how the bag is written that are not keys of robot files: one value is
+/// accepted, or a robot file says the same by other keys.
 #[derive(Args)]
 pub(crate) struct WritingArguments {
-    /// The storage: mcap or, if built with --features sqlite, sqlite3, which supports neither publish times
-    /// nor encodings other than cdr; default mcap or, with --robot, that of the robot file's [record].
-    #[arg(short, long, value_name = "STORAGE")]
-    pub(crate) storage: Option<Storage>,
     /// The serialization format: cdr, as in ROS 2; see --encoding for others.
     #[arg(short = 'f', long, value_parser = ["cdr"], value_name = "FORMAT")]
     pub(crate) serialization_format: Option<String>,
-    /// Bytes after which the bag continues in a new file; 0 for never.
-    #[arg(short = 'b', long, value_name = "BYTES")]
-    pub(crate) max_bag_size: Option<u64>,
-    /// Seconds after which the bag continues in a new file; 0 for never.
-    #[arg(short = 'd', long, value_name = "SECONDS")]
-    pub(crate) max_bag_duration: Option<u64>,
-    /// Keep at most this many files: the oldest is deleted.
-    #[arg(long, value_name = "N")]
-    pub(crate) max_bag_files: Option<NonZeroUsize>,
-    /// Bytes of messages that may be queued, default 104857600; with 0 every message waits for the disk.
-    #[arg(long, value_name = "BYTES")]
-    pub(crate) max_cache_size: Option<usize>,
-    /// Keep messages in memory, and write them when the service ~/snapshot is called.
-    #[arg(long, conflicts_with = "robot")]
-    pub(crate) snapshot_mode: bool,
-    /// With --snapshot-mode: keep the messages of this duration, if they fit into --max-cache-size.
-    #[arg(long, value_parser = duration, value_name = "TIME", requires = "snapshot_mode")]
-    pub(crate) snapshot_duration: Option<Duration>,
-    /// Add this to the metadata. The last value of a key is used.
-    #[arg(long, num_args = 1.., value_name = "KEY=VALUE", value_parser = key_and_value)]
-    pub(crate) custom_data: Vec<(String, String)>,
-    /// Preset profile: none, fastwrite, zstd_fast or zstd_small, default as none with checksums; for sqlite3
-    /// none or resilient (default).
-    #[arg(long, value_name = "PRESET")]
-    pub(crate) storage_preset_profile: Option<String>,
     /// A YAML file of storage options for rosbag2_storage_mcap or rosbag2_storage_sqlite3.
     #[arg(long, value_name = "FILE.yaml")]
     pub(crate) storage_config_file: Option<PathBuf>,
     /// Compress chunks with Zstandard, like --storage-preset-profile zstd_fast.
-    #[arg(long, conflicts_with = "storage_preset_profile")]
+    #[arg(long, conflicts_with_all = ["preset", "compression"])]
     pub(crate) zstd: bool,
     /// Only none: the storage compresses chunks, but neither messages nor whole files.
     #[arg(long, value_parser = ["none"], default_value = "none", value_name = "MODE")]
     pub(crate) compression_mode: String,
-    /// Write messages as: cdr, json, cbor, protobuf, foxglove-protobuf, flatbuffers or foxglove-flatbuffers;
-    /// default cdr or, with --robot, that of the robot file's [record].
-    #[arg(long, value_name = "ENCODING")]
-    pub(crate) encoding: Option<Encoding>,
-    /// What to do if messages arrive faster than they can be written.
-    #[arg(long, value_enum, value_name = "WHAT")]
-    pub(crate) when_slow: Option<OnTrouble>,
-    /// What to do if the disk is full.
-    #[arg(long, value_enum, value_name = "WHAT")]
-    pub(crate) when_disk_full: Option<OnTrouble>,
-    /// When to sync written data to disk.
-    #[arg(long, value_enum, value_name = "WHEN")]
-    pub(crate) sync: Option<SyncWhen>,
-    /// The most that a killed recording loses, default 1s.
-    #[arg(long, value_parser = duration, value_name = "TIME")]
-    pub(crate) flush_interval: Option<Duration>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -212,24 +168,6 @@ impl From<Level> for LogLevel {
     }
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-pub(crate) enum OnTrouble {
-    /// Drop and count messages, and continue.
-    Drop,
-    /// Stop recording; earlier messages are kept.
-    Stop,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-pub(crate) enum SyncWhen {
-    /// Never.
-    Never,
-    /// At the end of each file.
-    Files,
-    /// After each chunk.
-    Chunks,
-}
-
 impl SelectionArguments {
     /// Returns whether anything is selected.
     pub(crate) fn is_given(&self) -> bool {
@@ -239,11 +177,6 @@ impl SelectionArguments {
             || self.regex.is_some()
             || !(self.topics.is_empty() && self.services.is_empty() && self.topic_types.is_empty())
     }
-}
-
-fn key_and_value(text: &str) -> Result<(String, String), String> {
-    let (key, value) = text.split_once('=').ok_or_else(|| format!("\"{text}\" is not KEY=VALUE"))?;
-    Ok((key.to_owned(), value.to_owned()))
 }
 
 fn regex(text: &str) -> Result<Regex, String> {

@@ -14,11 +14,8 @@ use crate::run::{WatchedRobot, node};
 use crate::screen::{Screen, shorten, wrap};
 use crate::status::{SEPARATOR, bag};
 use crate::stop::{Key, Keyboard, Stop};
-use arguments::{ExposedChoice, OnTrouble, RecordArguments, SyncWhen};
-use downbeat_bags::{
-    Recording, RecordingControl, RecordingSummary, SnapshotLimits, StorageOptions, StoragePreset, SyncPolicy,
-    WhenDiskFull, WhenSlow,
-};
+use arguments::{ExposedChoice, RecordArguments};
+use downbeat_bags::{Recording, RecordingControl, RecordingSummary, StoragePreset};
 use downbeat_robot::recorder::Unrecorded;
 use downbeat_robot::ros_recorder::{
     QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events,
@@ -192,7 +189,7 @@ fn record_from_ros(
     let recording = Recording::start_with(writer, &record.recording)
         .context("cannot start the thread that writes the bag")?;
     let control = recording.control();
-    let services = serve(&node, &control, arguments.writing.snapshot_mode)?;
+    let services = serve(&node, &control, record.recording.takes_snapshots())?;
     let mut recorder = RosRecorder::new(&participant, &node, recording.sender(), options)?;
 
     let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
@@ -297,63 +294,17 @@ const DEFAULT_CACHE_BYTES: usize = 100 * 1024 * 1024;
 
 /// Overrides the options with the command line.
 fn apply(arguments: &RecordArguments, options: &mut RecordOptions) -> anyhow::Result<()> {
-    let given = &arguments.writing;
-    let writer = &mut options.writer;
-    let storage = given.storage.unwrap_or(writer.storage.storage());
-    if let Some(preset) = &given.storage_preset_profile {
-        writer.storage = StorageOptions::preset(storage, preset)?;
-    } else if storage != writer.storage.storage() {
-        writer.storage = StorageOptions::of(storage)?;
-    }
-    if given.zstd {
-        let (mcap, fast) = (writer.storage.mcap_mut()?, StoragePreset::ZstdFast.options());
+    arguments.options.apply(options)?;
+    let storage = &mut options.writer.storage;
+    if arguments.writing.zstd {
+        let (mcap, fast) = (storage.mcap_mut()?, StoragePreset::ZstdFast.options());
         (mcap.compression, mcap.level) = (fast.compression, fast.level);
     }
-    if let Some(path) = &given.storage_config_file {
-        writer.storage = writer.storage.clone().with_config_file(path)?;
+    if let Some(path) = &arguments.writing.storage_config_file {
+        *storage = storage.clone().with_config_file(path)?;
     }
-    if let Some(bytes) = given.max_bag_size {
-        writer.split.max_bytes = (bytes > 0).then_some(bytes);
+    match options.refusal() {
+        Some(reason) => bail!(reason),
+        None => Ok(()),
     }
-    if let Some(seconds) = given.max_bag_duration {
-        writer.split.max_duration = (seconds > 0).then_some(Duration::from_secs(seconds));
-    }
-    writer.max_bag_files = given.max_bag_files.or(writer.max_bag_files);
-    writer.flush_interval = given.flush_interval.unwrap_or(writer.flush_interval);
-    match given.when_disk_full {
-        Some(OnTrouble::Drop) => writer.disk_full = WhenDiskFull::Drop,
-        Some(OnTrouble::Stop) => writer.disk_full = WhenDiskFull::Stop,
-        None => {}
-    }
-    match given.sync {
-        Some(SyncWhen::Never) => writer.sync = SyncPolicy::Never,
-        Some(SyncWhen::Files) => writer.sync = SyncPolicy::Files,
-        Some(SyncWhen::Chunks) => writer.sync = SyncPolicy::Chunks,
-        None => {}
-    }
-    for (key, value) in &given.custom_data {
-        *writer = std::mem::take(writer).custom_data(key, value);
-    }
-    match given.when_slow {
-        Some(OnTrouble::Drop) => options.recording.when_slow = WhenSlow::Drop,
-        Some(OnTrouble::Stop) => options.recording.when_slow = WhenSlow::Stop,
-        None => {}
-    }
-    options.encoding = given.encoding.unwrap_or(options.encoding);
-    if let Some(reason) = options.refusal() {
-        bail!(reason);
-    }
-    if let Some(bytes) = given.max_cache_size {
-        options.set_cache_bytes(bytes);
-    }
-    if given.snapshot_mode {
-        let max_bytes = options.recording.cache_bytes;
-        if max_bytes == 0 {
-            bail!("Max cache size must be greater than 0 when snapshot mode is enabled");
-        }
-        options.recording.snapshot =
-            Some(SnapshotLimits { max_bytes, max_duration: given.snapshot_duration });
-    }
-    options.recording.is_paused |= arguments.start_paused;
-    Ok(())
 }
