@@ -44,6 +44,28 @@ mod with_zenoh {
 
     const ROBOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/darwin_op.toml");
 
+    /// A head whose controller serves an action.
+    const HEAD: &str = r#"
+        [robot]
+        name = "head"
+        [[module]]
+        kind = "darwin_op_emulator"
+        settings = { link = "memory:head" }
+        [[module]]
+        name = "hardware"
+        kind = "darwin_op"
+        settings = { port = "memory:head", hardware_id = "emulated" }
+        [[module]]
+        name = "head_controller"
+        kind = "joint_trajectory"
+        settings = { joints = ["head_pan", "head_tilt"], "constraints.goal_time" = 20.0 }
+        [expose]
+        engine = "zenoh"
+        out = ["joint_states"]
+        actions = ["head_controller/follow_joint_trajectory"]
+        lifecycle = ["head_controller"]
+    "#;
+
     fn free_port() -> u16 {
         TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port()
     }
@@ -105,9 +127,8 @@ mod with_zenoh {
         network.shown(&["param", "get", "/darwin_op", parameter]);
         let service = ["service", "call", "/darwin_op/list_parameters", "rcl_interfaces/srv/ListParameters"];
         assert!(network.shown(&service).contains(parameter), "{parameter}");
-        let actions = network.shown(&["action", "list"]);
-        let topics_of_actions = network.shown(&["topic", "list", "--include-hidden-topics"]);
-        assert_eq!(actions.trim().is_empty(), !topics_of_actions.contains("/_action/status"), "{actions}");
+        let line = network.shown(&["topic", "echo", "--once", "/rosout"]);
+        assert!(line.contains("name: darwin_op"), "{line}");
         assert!(network.shown(&["graph"]).contains("/darwin_op"));
 
         // As a client of the router, without the variables.
@@ -126,6 +147,34 @@ mod with_zenoh {
         assert!(!network.shown(&["node", "list", "--spin-time", "1"]).contains("/darwin_op"));
         router.ask(Way::Signal(Signal::INT));
         assert!(router.wait().success(), "{}", router.output());
+    }
+
+    #[test]
+    fn an_action_and_a_lifecycle_are_used_by_a_second_process() {
+        const CONTROLLER: &str = "/head_controller";
+        const ACTION: &str = "/head_controller/follow_joint_trajectory";
+        const TYPE: &str = "control_msgs/action/FollowJointTrajectory";
+        let network = Network { port: free_port(), domain: free_domain() };
+        let _router = network.router();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("robot.toml");
+        std::fs::write(&file, HEAD).unwrap();
+        // The robot file names the engine.
+        let mut command = network.command(&["run", file.to_str().unwrap()]);
+        let _robot = Program::start({
+            command.env_remove("RMW_IMPLEMENTATION");
+            command
+        });
+        wait_until("the action is listed", || {
+            network.shown(&["action", "list", "-t"]).contains(&format!("{ACTION} [{TYPE}]"))
+        });
+        assert!(network.shown(&["lifecycle", "get", CONTROLLER]).contains("active [3]"));
+        let goal = "{trajectory: {joint_names: [head_pan, head_tilt], points: [{positions: [0.1, 0.0], time_from_start: {sec: 1}}]}}";
+        let reached = network.shown(&["action", "send_goal", "-f", ACTION, TYPE, goal]);
+        assert!(reached.contains("Goal finished with status: SUCCEEDED"), "{reached}");
+        assert!(reached.contains("Feedback:"), "{reached}");
+        network.shown(&["lifecycle", "set", CONTROLLER, "deactivate"]);
+        assert!(network.shown(&["lifecycle", "get", CONTROLLER]).contains("inactive [2]"));
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! Nodes on Zenoh, seen and used by Zenoh's own Python package, which speaks as `rmw_zenoh_cpp` does.
 #![allow(clippy::unwrap_used)]
 
-use downbeat_bridge::edge::Interfaces;
-use downbeat_bridge::middleware::{DiscoveryRange, EndpointEvent, Engine, ParticipantOptions, Sample};
-use downbeat_bridge::ros::{MessageType, NodeName, Participant, RemapRules};
+use downbeat_bridge::middleware::zenoh::ZenohParticipant;
+use downbeat_bridge::middleware::{DiscoveryRange, EndpointEvent, ParticipantOptions, Sample};
+use downbeat_bridge::ros::{MessageType, NodeName, Participant};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -79,18 +80,21 @@ impl Router {
     }
 
     fn join(&self) -> Participant {
+        Participant::on(self.session()).unwrap()
+    }
+
+    fn session(&self) -> Arc<ZenohParticipant> {
         let overrides = format!(
             "connect/endpoints=[\"tcp/127.0.0.1:{}\"];listen/endpoints=[\"tcp/127.0.0.1:0\"]",
             self.port
         );
         let zenoh = Settings { overrides: Some(overrides), router_check_attempts: 20, ..Settings::default() };
         let options = ParticipantOptions {
-            engine: Engine::Zenoh,
             discovery_range: DiscoveryRange::Localhost,
             zenoh,
             ..ParticipantOptions::new(DOMAIN)
         };
-        Participant::join_with(&options, RemapRules::default(), Interfaces::carried()).unwrap()
+        Arc::new(ZenohParticipant::new(&options).unwrap())
     }
 }
 
@@ -186,7 +190,8 @@ fn the_tokens_of_a_node_are_those_of_rmw_zenoh() {
 #[test]
 fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
     let Some(mut router) = Router::start() else { return };
-    let participant = router.join();
+    let session = router.session();
+    let participant = Participant::on(Arc::<ZenohParticipant>::clone(&session)).unwrap();
     let node = participant.create_node(golden()).unwrap();
     let publisher = node.publish("chatter", &text_type(), QosProfile::DEFAULT).unwrap();
     let (sender, samples) = channel::<Sample>();
@@ -234,6 +239,7 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
     assert_eq!((&received.cdr[..], received.sequence_number), (&text("good")[..], 3));
     assert_eq!((received.source_time_ns, received.writer.0), (Some(7), [0x22; 16]));
     assert!(samples.recv_timeout(Duration::from_millis(300)).is_err(), "it comes once");
+    assert_eq!(session.skipped(), 6);
 }
 
 #[test]

@@ -38,8 +38,9 @@ use super::servo::ServoCommand;
 /// Robot software as small modules in one process, exposed to ROS 2 Jazzy, recorded and replayed.
 ///
 /// Environment: RMW_IMPLEMENTATION, ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them, and
-/// ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenoh_cpp does; DOWNBEAT_LOG sets what is logged, for example "debug" or "info,rustdds=warn". --ros-args is followed by the arguments of every
-/// ROS 2 program: -r, -p, --params-file, --log-level and so on.
+/// ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenoh_cpp does; DOWNBEAT_LOG sets what is
+/// logged, for example "debug" or "info,rustdds=warn". --ros-args is followed by the arguments of every ROS 2
+/// program: -r, -p, --params-file, --log-level and so on.
 #[derive(Parser)]
 #[command(name = "downbeat", version, arg_required_else_help = true)]
 pub(crate) struct Cli {
@@ -180,7 +181,8 @@ pub(crate) enum Command {
     /// (Not in this program, built without "state_machine".) Check the chart of a state machine and draw it.
     #[cfg(not(feature = "state_machine"))]
     Chart(NotBuiltIn),
-    /// Run a Zenoh router until Ctrl-C: nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp find each other through it.
+    /// Run a Zenoh router until Ctrl-C: nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp find each other through
+    /// it.
     ///
     /// Environment: ZENOH_ROUTER_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenohd reads them.
     #[cfg(feature = "zenoh")]

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
-/// The identity of a participant or an endpoint: on DDS its GUID, 12 bytes of participant and 4 of endpoint.
+/// The identity of a participant or an endpoint: on DDS its GUID, 12 bytes of participant and 4 of endpoint;
+/// of an endpoint on Zenoh a hash, which has no such parts.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct Gid(pub [u8; 16]);
 

@@ -6,9 +6,9 @@
 //!
 //! The engines behind [`Middleware`] are [`rtps`], the engine of this project, which communicates with every
 //! ROS 2 node over DDS; the crate rustdds and Zenoh, with the features of those names; and [`in_process`], a
-//! hub in memory for tests without a network. The package in `conformance/` tests all of them, including requests and replies
-//! ([`rpc`]). On DDS these are samples that refer to the related sample, and the nodes of a participant are
-//! samples too. An engine that has [`Services`] or [`Nodes`] of its own says so.
+//! hub in memory for tests without a network. The package in `conformance/` tests all of them, including
+//! requests and replies ([`rpc`]). On DDS these are samples that refer to the related sample, and the nodes
+//! of a participant are samples too. An engine that has [`Services`] or [`Nodes`] of its own says so.
 
 pub mod in_process;
 pub mod rpc;

@@ -174,7 +174,8 @@ impl ParticipantOptions {
     }
 
     /// The options in `RMW_IMPLEMENTATION`, `ROS_DOMAIN_ID`, `ROS_AUTOMATIC_DISCOVERY_RANGE`,
-    /// `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS`, `ROS_SECURITY_*` and `ZENOH_*`. An empty variable counts as unset.
+    /// `ROS_LOCALHOST_ONLY`, `ROS_STATIC_PEERS`, `ROS_SECURITY_*` and `ZENOH_*`. An empty variable counts as
+    /// unset.
     ///
     /// # Errors
     /// [`OptionsError`] when a variable holds no valid value.

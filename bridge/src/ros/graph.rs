@@ -4,7 +4,6 @@ use super::NodeName;
 use super::discovery_info::DiscoveryInfo;
 use super::graph_types::{Owners, remote_topic};
 pub use super::graph_types::{RemoteNode, RemoteTopic};
-use super::membership::NodeError;
 use crate::middleware::{Direction, Gid, Middleware, MiddlewareError, Nodes, RemoteEndpoint};
 use crate::worker::WorkerLink;
 use parking_lot::Mutex;
@@ -37,22 +36,21 @@ impl Graph {
         Ok(Self::Samples(DiscoveryInfo::join(&**middleware, worker)?))
     }
 
-    /// Adds a node.
-    ///
-    /// # Errors
-    /// [`NodeError`] when the participant has one of that name, or the engine refuses it.
-    pub(super) fn add_node(&self, node: &NodeName) -> Result<(), NodeError> {
-        let is_new = match self {
-            Self::Samples(info) => info.add_node(node),
-            Self::Engine(graph) => graph.names.lock().insert(node.clone()),
-        };
-        if !is_new {
-            return Err(NodeError::Exists(node.clone()));
+    /// Adds a node; false when the participant has one of that name already.
+    pub(super) fn add_node(&self, node: &NodeName) -> Result<bool, MiddlewareError> {
+        match self {
+            Self::Samples(info) => Ok(info.add_node(node)),
+            Self::Engine(graph) => {
+                let mut names = graph.names.lock();
+                if names.contains(node) {
+                    return Ok(false);
+                }
+                if let Some(nodes) = graph.middleware.nodes() {
+                    nodes.add(&node.identity())?;
+                }
+                Ok(names.insert(node.clone()))
+            }
         }
-        if let Some(nodes) = self.of_engine() {
-            nodes.add(&node.identity())?;
-        }
-        Ok(())
     }
 
     pub(super) fn remove_node(&self, node: &NodeName) {

@@ -98,7 +98,9 @@ impl Participant {
     pub fn create_node(&self, name: NodeName) -> Result<Node, NodeError> {
         let given = name;
         let name = self.shared.remaps.node(&given)?;
-        self.shared.graph.add_node(&name)?;
+        if !self.shared.graph.add_node(&name)? {
+            return Err(NodeError::Exists(name));
+        }
         let node = Node::new(&self.shared, name);
         let interfaces = self.shared.interfaces.clone();
         let service = node.by_itself().serve::<GetTypeDescription>(

@@ -1,4 +1,5 @@
-//! The configuration of sessions and routers: the defaults of `rmw_zenoh_cpp`, files, and what overrides both.
+//! The configuration of sessions and routers: the defaults of `rmw_zenoh_cpp`, files, and what overrides
+//! both.
 
 use thiserror::Error;
 use zenoh::Config;
@@ -7,8 +8,8 @@ use zenoh::Config;
 /// decides how many it sends. Larger messages are dropped.
 pub const MOST_MESSAGE_BYTES: usize = 64 << 20;
 
-/// What `rmw_zenoh_cpp` sets in both of its files (`DEFAULT_RMW_ZENOH_{SESSION,ROUTER}_CONFIG.json5`, 0.2.10),
-/// as far as it differs from Zenoh's own defaults or matters here.
+/// What `rmw_zenoh_cpp` sets in both of its files (`DEFAULT_RMW_ZENOH_{SESSION,ROUTER}_CONFIG.json5`,
+/// 0.2.10), as far as it differs from Zenoh's own defaults or matters here.
 const COMMON: &[(&str, &str)] = &[
     ("connect/exit_on_failure", "{ router: false, peer: false, client: true }"),
     ("connect/retry", "{ period_init_ms: 1000, period_max_ms: 4000, period_increase_factor: 2 }"),
@@ -42,7 +43,7 @@ const ROUTER: &[(&str, &str)] = &[
 ];
 
 /// The variables of the environment that `rmw_zenoh_cpp` reads.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// `ZENOH_SESSION_CONFIG_URI`: a file in place of the defaults of sessions.
     pub session_file: Option<String>,
@@ -99,6 +100,19 @@ pub enum SettingsError {
     },
 }
 
+/// Those of an empty environment.
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            session_file: None,
+            router_file: None,
+            overrides: None,
+            router_check_attempts: 1,
+            connect: None,
+        }
+    }
+}
+
 impl Settings {
     /// The settings in the environment, which `lookup` reads. An empty variable counts as unset.
     ///
@@ -107,7 +121,7 @@ impl Settings {
     pub fn from_variables(lookup: impl Fn(&str) -> Option<String>) -> Result<Self, SettingsError> {
         let lookup = |name: &str| lookup(name).filter(|value| !value.trim().is_empty());
         let router_check_attempts = match lookup("ZENOH_ROUTER_CHECK_ATTEMPTS") {
-            None => 1,
+            None => Self::default().router_check_attempts,
             Some(found) => found.trim().parse().map_err(|_| SettingsError::Attempts { found })?,
         };
         Ok(Self {
@@ -128,7 +142,7 @@ impl Settings {
         let mut config = self.config(file, SESSION)?;
         if let Some(connect) = &self.connect {
             insert(&mut config, "mode", r#""client""#)?;
-            insert(&mut config, "connect/endpoints", &serde_json_list(connect))?;
+            insert(&mut config, "connect/endpoints", &list(connect))?;
         }
         Ok(config)
     }
@@ -194,7 +208,7 @@ pub(crate) fn insert(config: &mut Config, key: &str, value: &str) -> Result<(), 
 }
 
 /// A list of one text, as JSON.
-fn serde_json_list(text: &str) -> String {
+fn list(text: &str) -> String {
     format!("[{text:?}]")
 }
 

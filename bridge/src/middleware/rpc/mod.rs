@@ -1,11 +1,11 @@
 //! Raw requests and replies. An engine may have [`Services`](super::Services); on the others they are made of
-//! two topics: clients write requests, servers write replies, and every client reads all replies and keeps its
-//! own.
+//! two topics: clients write requests, servers write replies, and every client reads all replies and keeps
+//! its own.
 //!
-//! Implementations differ in how a reply names its request. `rmw_fastrtps` puts it beside the payload
-//! (the *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first
-//! 16 bytes of the payload. A server answers each request the way its client speaks, and a client uses the
-//! form of the matched server. The vendor in the identity of the peer determines its form.
+//! Implementations differ in how a reply names its request. `rmw_fastrtps` puts it beside the payload (the
+//! *related sample identity* of DDS-RPC, as inline quality of service), `rmw_cyclonedds` into the first 16
+//! bytes of the payload. A server answers each request the way its client speaks, and a client uses the form
+//! of the matched server. The vendor in the identity of the peer determines its form.
 //!
 //! As in `rmw_fastrtps`, a reply waits until the client that asked is matched, for at most [`REPLY_HOLD`]:
 //! discovery of a new client may have found one half of it only, and its first reply would be lost. And a

@@ -3,8 +3,8 @@
 //! Keys, tokens and attachments are those of [`downbeat_zenoh::wire`]. Every publisher and subscription is an
 //! advanced one of zenoh-ext, which is how transient local samples reach late subscriptions. There is no
 //! matching of quality of service: all publishers of a key reach all subscriptions of it. As in
-//! `rmw_zenoh_cpp`, deadlines, lifespans and manual liveliness are announced and not enforced, and samples are
-//! not acknowledged.
+//! `rmw_zenoh_cpp`, deadlines, lifespans and manual liveliness are announced and not enforced, and samples
+//! are not acknowledged.
 //!
 //! Handlers of samples run on threads of the session, or on the thread that writes for subscriptions of the
 //! same participant. Only what must not be dropped goes through a thread of this engine ([`Outbox`]).

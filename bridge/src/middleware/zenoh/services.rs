@@ -17,11 +17,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// The longest time that a query stays open. `rmw_zenoh_cpp` waits 600 s, and for results of actions for ever.
+/// The longest time that a query stays open. `rmw_zenoh_cpp` waits 600 s, and for results of actions for
+/// ever.
 const LONGEST_QUERY: Duration = Duration::from_secs(7 * 24 * 3600);
-
-/// A payload that Zenoh would not tell from none.
-const NO_PAYLOAD: &str = "a request without a payload or attachment";
 
 pub(super) struct ZenohServer {
     announcement: Announcement,
@@ -73,7 +71,7 @@ impl ServiceServer for ZenohServer {
 /// What a peer asked, if it is a request of ROS 2.
 fn request(domain: &Arc<Domain>, query: Query, key: &str) -> Result<ServiceRequest, &'static str> {
     let (Some(attachment), Some(received)) = (query.attachment(), query.payload()) else {
-        return Err(NO_PAYLOAD);
+        return Err("the request has no payload or no attachment");
     };
     let attachment =
         Attachment::parse(&attachment.to_bytes()).ok_or("its attachment is not that of ROS 2")?;

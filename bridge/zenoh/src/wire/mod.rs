@@ -1,8 +1,8 @@
 //! Keys, tokens and attachments as `rmw_zenoh_cpp` 0.2.10 (Jazzy) writes them, without a session.
 //!
-//! A publisher or subscription of a topic and a service have one [`key`]. Every node and endpoint is announced
-//! by a liveliness [`Token`], whose hash is the identity of the endpoint ([`gid`]). Every sample, request and
-//! reply carries an [`Attachment`].
+//! A publisher or subscription of a topic and a service have one [`key`]. Every node and endpoint is
+//! announced by a liveliness [`Token`], whose hash is the identity of the endpoint ([`gid`]). Every sample,
+//! request and reply carries an [`Attachment`].
 //!
 //! # References
 //! `rmw_zenoh_cpp/src/detail/{liveliness_utils,qos,attachment_helpers}.cpp` and `docs/design.md` of
