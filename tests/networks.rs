@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 use test_machine::free_domain;
 
-/// Sends two topics to a fleet and takes one from there; what the fleet says is not sent to the robot's own network.
+/// Sends two topics to a fleet and takes one from there, which is not sent to the robot's own network.
 const FLEET: &str = "\
 out = [{ topic = \"battery_state\", rate_hz = 2.0 }, { topic = \"joint_states\", as = \"/fleet/joints\" }]
 in = [{ topic = \"plan\", as = \"/fleet/plan\", type = \"std_msgs/msg/String\", raw = true }]
