@@ -80,6 +80,27 @@ fn a_robot_on_dds_is_in_a_fleet_on_zenoh_and_replays_bit_for_bit() {
     });
 }
 
+#[cfg(feature = "zenoh")]
+#[test]
+fn a_robot_runs_without_the_router_of_its_fleet_and_joins_when_it_comes() {
+    let (folder, own) = (tempfile::tempdir().unwrap(), free_domain());
+    let port = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let fleet = format!(
+        "[networks.fleet]\nengine = \"zenoh\"\nconnect = \"{endpoint}\"\nout = [\"battery_state\"]\n"
+    );
+    let robot = robot_file(folder.path(), |text| format!("{text}\n{fleet}"));
+    let running =
+        Running::start_by(downbeat(&["run", robot.to_str().unwrap()]).env("ROS_DOMAIN_ID", own.to_string()));
+    running.wait_for_output("no Zenoh router is there");
+    wait_until("the robot runs", || shown(own, &["topic", "list"]).contains("/battery_state"));
+    let mut router = downbeat(&["router"]);
+    let _router =
+        Running::start_by(router.env("ZENOH_CONFIG_OVERRIDE", format!("listen/endpoints=[\"{endpoint}\"]")));
+    let look = ["topic", "list", "--connect", &endpoint];
+    wait_until("the fleet sees the robot", || shown(own, &look).contains("/battery_state"));
+}
+
 #[test]
 fn a_network_that_the_robot_is_in_already_is_refused_with_its_line() {
     let (folder, domain) = (tempfile::tempdir().unwrap(), free_domain());

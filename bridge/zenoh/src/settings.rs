@@ -57,6 +57,9 @@ pub struct Settings {
     /// What to connect to in place of what the file says, such as `tls/robot.local:7447`; the session is then
     /// a client.
     pub connect: Option<String>,
+    /// The router of a peer in place of what the file says: the peer goes on without it, and joins when it
+    /// comes.
+    pub router: Option<String>,
 }
 
 /// The configuration cannot be used.
@@ -109,6 +112,7 @@ impl Default for Settings {
             overrides: None,
             router_check_attempts: 1,
             connect: None,
+            router: None,
         }
     }
 }
@@ -130,6 +134,7 @@ impl Settings {
             overrides: lookup("ZENOH_CONFIG_OVERRIDE"),
             router_check_attempts,
             connect: None,
+            router: None,
         })
     }
 
@@ -140,6 +145,9 @@ impl Settings {
     pub fn session(&self) -> Result<Config, SettingsError> {
         let file = self.session_file.as_deref().map(|path| ("ZENOH_SESSION_CONFIG_URI", path));
         let mut config = self.config(file, SESSION)?;
+        if let Some(router) = &self.router {
+            insert(&mut config, "connect/endpoints", &list(router))?;
+        }
         if let Some(connect) = &self.connect {
             insert(&mut config, "mode", r#""client""#)?;
             insert(&mut config, "connect/endpoints", &list(connect))?;
@@ -250,6 +258,14 @@ mod tests {
         assert_eq!(value(&config, "mode"), r#""router""#);
         assert_eq!(value(&config, "listen/endpoints"), r#"["tcp/[::]:7447"]"#);
         assert_eq!(value(&config, "connect/endpoints"), "[]");
+    }
+
+    #[test]
+    fn a_router_that_is_named_leaves_a_peer_a_peer() {
+        let router = Some("tls/base:7447#a=1;b=2".to_owned());
+        let config = Settings { router, ..settings(&[]).unwrap() }.session().unwrap();
+        assert_eq!(value(&config, "connect/endpoints"), r#"["tls/base:7447#a=1;b=2"]"#);
+        assert_eq!(value(&config, "mode"), r#""peer""#);
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub struct NetworkEntry {
     pub engine: Option<Engine>,
     /// The ROS domain; `None` for that of the environment.
     pub domain: Option<u16>,
-    /// With Zenoh: the endpoint of the router, of which the robot is then a client.
+    /// With Zenoh: the endpoint of the router, in place of the configured one.
     pub connect: Option<String>,
     /// With Zenoh: the file with the configuration of the session.
     pub config: Option<PathBuf>,
@@ -36,7 +36,7 @@ impl NetworkEntry {
             let text = |path: &PathBuf| path.display().to_string();
             let file = self.config.as_ref().map(text);
             options.zenoh.session_file = file.or(options.zenoh.session_file);
-            options.zenoh.connect = self.connect.clone().or(options.zenoh.connect);
+            options.zenoh.router = self.connect.clone();
         }
         options
     }
