@@ -7,9 +7,7 @@
 //! are not acknowledged.
 //!
 //! Handlers of samples run on threads of the session, or on the thread that writes for subscriptions of the
-//! same participant. Only what must not be dropped goes through a thread of this engine ([`Outbox`]).
-//!
-//! [`Outbox`]: outbox::Outbox
+//! same participant. Only what must not be dropped goes through a thread of this engine (`outbox.rs`).
 
 mod domain;
 mod graph;

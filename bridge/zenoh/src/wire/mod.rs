@@ -1,6 +1,6 @@
 //! Keys, tokens and attachments as `rmw_zenoh_cpp` 0.2.10 (Jazzy) writes them, without a session.
 //!
-//! A publisher or subscription of a topic and a service have one [`key`]. Every node and endpoint is
+//! A publisher or subscription of a topic and a service have one [`key()`]. Every node and endpoint is
 //! announced by a liveliness [`Token`], whose hash is the identity of the endpoint ([`gid`]). Every sample,
 //! request and reply carries an [`Attachment`].
 //!
