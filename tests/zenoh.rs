@@ -138,6 +138,10 @@ mod with_zenoh {
         command.env("ROS_DOMAIN_ID", &domain);
         let (is_done, nodes) = run(command);
         assert!(is_done && nodes.contains("/darwin_op"), "{nodes}");
+        let nobody = downbeat(&["node", "list", "--connect", &format!("tcp/127.0.0.1:{}", free_port())]);
+        let (is_done, text) = run(nobody);
+        assert!(!is_done && text.contains("no Zenoh router answers at tcp/127.0.0.1:"), "{text}");
+        assert!(!text.contains(".rs:"), "{text}");
         let apart = Network { domain: free_domain(), ..network };
         assert!(!apart.shown(&["node", "list", "--spin-time", "1"]).contains("/darwin_op"), "another domain");
 

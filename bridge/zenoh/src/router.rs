@@ -1,5 +1,6 @@
 //! A router, by which nodes find each other.
 
+use crate::session::reason;
 use crate::settings::insert;
 use crate::{OpenError, Settings};
 use std::net::{Ipv6Addr, TcpListener};
@@ -25,7 +26,7 @@ impl Router {
         if is_without_ipv6 {
             insert(&mut config, "listen/endpoints", IPV4)?;
         }
-        let session = zenoh::open(config).wait().map_err(|error| OpenError::Zenoh(error.to_string()))?;
+        let session = zenoh::open(config).wait().map_err(|error| OpenError::Zenoh(reason(&error)))?;
         Ok(Self { session, is_without_ipv6 })
     }
 

@@ -24,8 +24,19 @@ pub enum OpenError {
     /// The configuration cannot be used.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// No router answers where a client is to connect.
+    #[error(
+        "no Zenoh router answers at {endpoint}: {reason}. Start it there with `downbeat router`; for tls also check the certificates in \
+         ZENOH_CONFIG_OVERRIDE, transport/link/tls"
+    )]
+    NoRouter {
+        /// Where.
+        endpoint: String,
+        /// What Zenoh said.
+        reason: String,
+    },
     /// Zenoh refused.
-    #[error("Zenoh: {0}")]
+    #[error("{0}")]
     Zenoh(String),
 }
 
@@ -52,9 +63,20 @@ pub fn open(settings: &Settings, reach: Reach) -> Result<(Session, RouterCheck),
             insert(&mut config, key, "[]")?;
         }
     }
-    let session = zenoh::open(config).wait().map_err(|error| OpenError::Zenoh(error.to_string()))?;
+    let failed = |error: zenoh::Error| match &settings.connect {
+        Some(endpoint) => OpenError::NoRouter { endpoint: endpoint.clone(), reason: reason(&error) },
+        None => OpenError::Zenoh(reason(&error)),
+    };
+    let session = zenoh::open(config).wait().map_err(failed)?;
     let check = if reach == Reach::Off { RouterCheck::Skipped } else { look(&session, settings) };
     Ok((session, check))
+}
+
+/// What an error of Zenoh says, without the place in its source.
+pub(crate) fn reason(error: &zenoh::Error) -> String {
+    let text = error.to_string();
+    let said = text.rsplit_once(" at ").filter(|(_, place)| place.contains(".rs:")).map(|(said, _)| said);
+    said.unwrap_or(&text).trim_end().trim_end_matches(['!', '.']).to_owned()
 }
 
 fn look(session: &Session, settings: &Settings) -> RouterCheck {
