@@ -9,7 +9,7 @@ use super::expose::{ExposeEntry, topics};
 use super::table::{Table, Value};
 use super::{Result, RobotFile, RobotFileError};
 
-/// A network beside the one of `[expose]`, in which the robot has a node of the same name.
+/// A network in addition to that of `[expose]`, in which the robot has a node of the same name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NetworkEntry {
     pub(crate) line: usize,
