@@ -26,6 +26,7 @@ struct Router {
     child: Child,
     input: ChildStdin,
     said: Receiver<Value>,
+    kept: Vec<Value>,
     port: u16,
 }
 
@@ -47,7 +48,7 @@ impl Router {
             }
         });
         let input = child.stdin.take().unwrap();
-        let mut router = Self { child, input, said, port };
+        let mut router = Self { child, input, said, kept: Vec::new(), port };
         router.next("ready");
         Some(router)
     }
@@ -57,13 +58,17 @@ impl Router {
         self.input.flush().unwrap();
     }
 
-    /// The next thing of this kind that it says.
+    /// The next thing of this kind that it says. Others are kept: its threads say theirs in between.
     fn next(&mut self, kind: &str) -> Value {
+        if let Some(position) = self.kept.iter().position(|said| said["kind"] == kind) {
+            return self.kept.remove(position);
+        }
         loop {
             let said = self.said.recv_timeout(WATCHDOG).expect("the router says something");
             if said["kind"] == kind {
                 return said;
             }
+            self.kept.push(said);
         }
     }
 
