@@ -4,6 +4,7 @@ use std::marker::PhantomData;
 
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
+use downbeat_bags::Storage;
 use downbeat_robot::RecordOptions;
 use downbeat_robot::record_options::{RECORD_OPTIONS, RecordOption, Scope, Takes};
 
@@ -116,9 +117,10 @@ fn checked(option: &'static RecordOption) -> impl Fn(&str) -> Result<String, Str
 }
 
 fn help(option: &RecordOption) -> String {
+    let of = |storage: Storage| storage.presets().join(", ");
     let presets = match option.takes {
-        Takes::Preset => " none, fastwrite, zstd_fast, zstd_small; for sqlite3 none, resilient",
-        _ => "",
+        Takes::Preset => format!(" {}; for sqlite3 {}", of(Storage::Mcap), of(Storage::Sqlite3)),
+        _ => String::new(),
     };
     format!("{}{presets} [default: {}]", option.help, plain(option.default))
 }
@@ -135,7 +137,7 @@ mod tests {
     use std::path::Path;
 
     use clap::Parser;
-    use downbeat_bags::{Storage, StorageOptions};
+    use downbeat_bags::StorageOptions;
     use downbeat_robot::{Catalog, RobotFile, Source};
 
     use super::*;
