@@ -34,7 +34,7 @@ fn between_hosts<T: FnOnce(&Hosts)>(line: Line, checks: Vec<Check>, test: T) {
         return;
     };
     let path = std::any::type_name::<T>().trim_end_matches("::{{closure}}");
-    hosts.run_again(path.split_once("::").unwrap().1);
+    hosts.run_again(0, path.split_once("::").unwrap().1);
 }
 
 fn in_domain(mut command: Command, domain_id: u16) -> Command {

@@ -29,6 +29,7 @@ use super::bag::replay::ReplayArguments;
 use super::bag::view::ViewBagArguments;
 use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
+use super::network::NetworkArguments;
 use super::new::NewArguments;
 use super::new_output::Force;
 use super::parameters::ParameterArguments;
@@ -412,7 +413,7 @@ pub(crate) enum ExposeDirection {
 #[derive(Args)]
 pub(crate) struct GraphArguments {
     /// The robot file; without one, the ROS 2 network is shown.
-    #[arg(value_name = "ROBOT.toml")]
+    #[arg(value_name = "ROBOT.toml", conflicts_with_all = ["domain", "engine", "connect"])]
     pub(crate) robot: Option<PathBuf>,
     /// The format; default is text for the network, dot for a robot file.
     #[arg(long, value_enum)]
@@ -420,12 +421,8 @@ pub(crate) struct GraphArguments {
     /// Print JSON.
     #[arg(long, conflicts_with = "format")]
     pub(crate) json: bool,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N", conflicts_with = "robot")]
-    pub(crate) domain: Option<u16>,
-    /// Look over Zenoh, as a client of the router at this endpoint, such as tls/robot.local:7447.
-    #[arg(long, value_name = "ENDPOINT", conflicts_with = "robot")]
-    pub(crate) connect: Option<String>,
+    #[command(flatten)]
+    pub(crate) network: NetworkArguments,
     /// The maximum time to search until the nodes of all endpoints are known, which takes seconds.
     #[arg(long, value_parser = duration, value_name = "TIME", default_value = "8s", conflicts_with = "robot")]
     pub(crate) wait: Duration,

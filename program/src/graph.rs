@@ -57,10 +57,7 @@ pub(super) fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow:
 fn look(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<NetworkGraph> {
     // Hidden like the nodes of ROS 2 tools.
     let name = format!("_downbeat_graph_{}", std::process::id());
-    let look = {
-        let connect = arguments.connect.as_deref();
-        Look::join_as(&name, arguments.domain, connect, arguments.wait, &Environment { catalog, ros })?
-    };
+    let look = Look::join_as(&name, &arguments.network, arguments.wait, &Environment { catalog, ros })?;
     Ok(look.all(Patience::Nodes).into())
 }
 

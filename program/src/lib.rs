@@ -21,6 +21,7 @@ mod graph;
 mod interface;
 mod logging;
 mod look;
+mod network;
 mod new;
 mod new_output;
 #[cfg(any(feature = "football", feature = "view"))]

@@ -7,6 +7,10 @@ use downbeat_zenoh::{Router, Settings};
 
 use crate::stop::Stop;
 
+/// Zenoh says what it denies among the most detailed lines of its log only.
+const SHOW_DENIED: &str =
+    "DOWNBEAT_LOG=info,zenoh=error,zenoh::net::routing::interceptor::access_control=trace";
+
 pub(crate) fn router() -> anyhow::Result<()> {
     let stop = Stop::new()?;
     let settings = Settings::from_variables(|name| std::env::var(name).ok())?;
@@ -17,6 +21,11 @@ pub(crate) fn router() -> anyhow::Result<()> {
         tracing::info!("this machine has no IPv6: the router listens on IPv4 only");
     }
     tracing::info!("Zenoh router {} listens on {}", router.id(), router.locators().join(", "));
+    if router.has_access_control() {
+        tracing::info!(
+            "access control is on: what its rules deny is dropped, and nobody is told; {SHOW_DENIED} logs each decision"
+        );
+    }
     while !stop.is_due() {
         stop.sleep(Duration::from_secs(3600));
     }

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use clap::Args;
 
 use super::logging::Log;
+use super::network::participant_options;
 use super::new_output::{Force, Output};
 use super::parameters::ParameterArguments;
 use super::screen::Screen;
@@ -14,8 +14,7 @@ use super::statistics::{Statistics, Times};
 use super::status::{Faults, Sources, StatusBlock};
 use super::stop::Stop;
 use downbeat_bags::{Recording, RecordingSummary};
-use downbeat_bridge::middleware::{Engine, MAX_DOMAIN_ID, ParticipantOptions};
-use downbeat_bridge::ros::{Node, NodeName, Participant};
+use downbeat_bridge::middleware::Engine;
 use downbeat_files::duration::parse as duration;
 use downbeat_msgs::encoding::Encoding;
 #[cfg(feature = "view")]
@@ -228,52 +227,4 @@ pub(super) fn report_recording(summary: Option<&RecordingSummary>) {
     for topic in summary.topics.iter().filter(|topic| topic.lost > 0) {
         tracing::warn!("{} messages of {} are not in the bag: the disk was too slow", topic.lost, topic.name);
     }
-}
-
-/// Creates the node of a command.
-pub(crate) fn node(
-    name: &str,
-    domain: Option<u16>,
-    connect: Option<&str>,
-    catalog: &Catalog,
-    ros: &RosArgs,
-) -> anyhow::Result<(Participant, Node)> {
-    ros.warn_about_what_is_ignored();
-    let name = NodeName::new(ros.namespace.as_deref().unwrap_or("/"), name)?;
-    let mut options = participant_options(domain)?;
-    if let Some(endpoint) = connect {
-        connect_to(&mut options, endpoint)?;
-    }
-    let participant = Participant::join_with(&options, ros.remap_rules(), catalog.interfaces.clone())?;
-    let node = participant.create_node(name)?;
-    Ok((participant, node))
-}
-
-/// Joins over Zenoh, by the router at this endpoint.
-#[cfg(feature = "zenoh")]
-fn connect_to(options: &mut ParticipantOptions, endpoint: &str) -> anyhow::Result<()> {
-    options.engine = Engine::Zenoh;
-    options.zenoh.connect = Some(endpoint.to_owned());
-    Ok(())
-}
-
-#[cfg(not(feature = "zenoh"))]
-fn connect_to(_options: &mut ParticipantOptions, endpoint: &str) -> anyhow::Result<()> {
-    anyhow::bail!(
-        "--connect {endpoint} is for Zenoh, and this program is {}",
-        downbeat_robot::features::built_without("zenoh")
-    )
-}
-
-/// The options from the environment, with the domain of the command line if given.
-pub(crate) fn participant_options(domain: Option<u16>) -> anyhow::Result<ParticipantOptions> {
-    let mut options = ParticipantOptions::from_env()?;
-    if let Some(domain) = domain {
-        let is_valid = domain <= MAX_DOMAIN_ID;
-        is_valid
-            .then_some(())
-            .with_context(|| format!("--domain {domain}: domains are 0 to {MAX_DOMAIN_ID}"))?;
-        options.domain_id = domain;
-    }
-    Ok(options)
 }

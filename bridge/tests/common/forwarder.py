@@ -1,4 +1,4 @@
-"""A line between two network interfaces that delays every frame and loses some: the kernel of a test machine may lack netem.
+"""A line between two network interfaces that delays every frame, loses some and carries so many at a time: the kernel of a test machine may lack netem.
 
     forwarder.py PORT PORT --delay-ms 20 --loss 0.02 --seed 1
 
@@ -9,25 +9,14 @@ import argparse
 import random
 import select
 import socket
-import struct
 import time
 from collections import deque
 
 ALL_PROTOCOLS = 0x0003
 SO_RCVBUFFORCE = 33
-HEADERS = struct.Struct("!12xHB5xHxB")  # EtherType, version and header length, flags and fragment offset, protocol
-IPV4, UDP = 0x0800, 17
-
-
-def without_checksum(frame):
-    """The sender of a virtual interface leaves the checksum to hardware that is not there; zero says that there is none."""
-    if len(frame) < HEADERS.size:
-        return frame
-    ether_type, version, fragment, protocol = HEADERS.unpack_from(frame)
-    udp = 14 + 4 * (version & 0x0F)
-    if (ether_type, protocol) == (IPV4, UDP) and fragment & 0x1FFF == 0 and len(frame) >= udp + 8:
-        frame[udp + 6 : udp + 8] = b"\0\0"
-    return frame
+SOL_PACKET, PACKET_VNET_HDR = 263, 15
+VNET_HEADER = 10  # before each frame: says which checksum the sender of a virtual interface left to the next
+MOST_WAITING = 256_000  # bytes
 
 
 class Way:
@@ -37,6 +26,7 @@ class Way:
         self.source, self.target, self.line = source, target, line
         self.random = random.Random(seed)
         self.frames = deque()
+        self.free_at = 0.0  # when the last frame that waits is sent
 
     def receive(self, now):
         while True:
@@ -47,7 +37,17 @@ class Way:
             except OSError:
                 return  # the link is down
             if address[2] != socket.PACKET_OUTGOING and self.random.random() >= self.line.loss:
-                self.frames.append((now + self.line.delay_ms / 1000, without_checksum(bytearray(frame))))
+                self.send(now, frame)
+
+    def send(self, now, frame):
+        at = now
+        if self.line.mbit_per_s:
+            second = self.line.mbit_per_s * 1e6 / 8
+            at = max(now, self.free_at)
+            if (at - now) * second > MOST_WAITING:
+                return
+            self.free_at = at = at + (len(frame) - VNET_HEADER) / second
+        self.frames.append((at + self.line.delay_ms / 1000, frame))
 
     def deliver(self, now):
         while self.frames and self.frames[0][0] <= now:
@@ -59,6 +59,7 @@ class Way:
 
 def port(name):
     opened = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ALL_PROTOCOLS))
+    opened.setsockopt(SOL_PACKET, PACKET_VNET_HDR, 1)
     opened.bind((name, 0))
     opened.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 64 << 20)
     opened.setblocking(False)
@@ -70,6 +71,7 @@ def main():
     arguments.add_argument("ports", nargs=2)
     arguments.add_argument("--delay-ms", type=float, default=0)
     arguments.add_argument("--loss", type=float, default=0)
+    arguments.add_argument("--mbit-per-s", type=float)
     arguments.add_argument("--seed", type=int, default=1)
     line = arguments.parse_args()
     one, two = map(port, line.ports)

@@ -21,7 +21,7 @@ mod settings;
 pub mod wire;
 
 pub use router::Router;
-pub use session::{OpenError, Reach, RouterCheck, open};
+pub use session::{OpenError, Reach, RouterCheck, open, open_onlooker};
 pub use settings::{MOST_MESSAGE_BYTES, Settings, SettingsError};
 /// The crates of the pinned version, for the engine.
 pub use {zenoh, zenoh_ext};

@@ -13,6 +13,7 @@ const IPV4: &str = r#"["tcp/0.0.0.0:7447"]"#;
 pub struct Router {
     session: Session,
     is_without_ipv6: bool,
+    has_access_control: bool,
 }
 
 impl Router {
@@ -26,14 +27,21 @@ impl Router {
         if is_without_ipv6 {
             insert(&mut config, "listen/endpoints", IPV4)?;
         }
+        let has_access_control = config.get_json("access_control/enabled").is_ok_and(|value| value == "true");
         let session = zenoh::open(config).wait().map_err(|error| OpenError::Zenoh(reason(&error)))?;
-        Ok(Self { session, is_without_ipv6 })
+        Ok(Self { session, is_without_ipv6, has_access_control })
     }
 
     /// Whether it listens on IPv4 only, since this machine has no IPv6.
     #[must_use]
     pub fn is_without_ipv6(&self) -> bool {
         self.is_without_ipv6
+    }
+
+    /// Whether its configuration has rules for who may do what.
+    #[must_use]
+    pub fn has_access_control(&self) -> bool {
+        self.has_access_control
     }
 
     /// Its identity, in hexadecimal digits.

@@ -72,11 +72,29 @@ pub fn open(settings: &Settings, reach: Reach) -> Result<(Session, RouterCheck),
     Ok((session, check))
 }
 
-/// What an error of Zenoh says, without the place in its source.
+/// Opens a further session for a moment, a client of the same routers; `None` where there is none.
+#[must_use]
+pub fn open_onlooker(settings: &Settings) -> Option<Session> {
+    let mut config = settings.session().ok()?;
+    let has_router = config.get_json("connect/endpoints").is_ok_and(|endpoints| endpoints != "[]");
+    for (key, value) in [("mode", r#""client""#), ("listen/endpoints", "[]"), ("connect/timeout_ms", "2000")]
+    {
+        insert(&mut config, key, value).ok()?;
+    }
+    has_router.then(|| zenoh::open(config).wait().ok()).flatten()
+}
+
+/// What an error of Zenoh says, without the places in its source.
 pub(crate) fn reason(error: &zenoh::Error) -> String {
     let text = error.to_string();
-    let said = text.rsplit_once(" at ").filter(|(_, place)| place.contains(".rs:")).map(|(said, _)| said);
-    said.unwrap_or(&text).trim_end().trim_end_matches(['!', '.']).to_owned()
+    let mut said = text.trim_end();
+    while let Some((before, place)) = said.rsplit_once(" at ") {
+        if !place.contains(".rs:") {
+            break;
+        }
+        said = before.trim_end_matches(['.', ' ']);
+    }
+    said.trim_end_matches(['!', '.']).to_owned()
 }
 
 fn look(session: &Session, settings: &Settings) -> RouterCheck {
@@ -93,5 +111,21 @@ fn look(session: &Session, settings: &Settings) -> RouterCheck {
             return RouterCheck::Missing;
         }
         std::thread::sleep(LOOK);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_places_in_the_source_of_zenoh_are_left_out() {
+        for (said, expected) in [
+            ("no way at 10:00! at /a/session.rs:61.", "no way at 10:00"),
+            ("in use (os error 98) at /a/tcp.rs:61. at /a/unicast.rs:432.", "in use (os error 98)"),
+            ("Unable to connect.", "Unable to connect"),
+        ] {
+            assert_eq!(reason(&said.into()), expected);
+        }
     }
 }

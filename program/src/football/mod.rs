@@ -13,9 +13,10 @@ use clap::Args;
 use parking_lot::Mutex;
 
 use crate::logging::Log;
+use crate::network::participant_options;
 use crate::new_output::{Force, Output};
 use crate::parameters::ParameterArguments;
-use crate::run::{participant_options, report_recording};
+use crate::run::report_recording;
 use crate::screen::Screen;
 use crate::stop::Stop;
 use downbeat_bridge::middleware::DiscoveryRange;

@@ -9,8 +9,9 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 
 use crate::logging::Log;
+use crate::network::participant_options;
 use crate::parameters::ParameterArguments;
-use crate::run::{PATIENCE, WatchedRobot, participant_options};
+use crate::run::{PATIENCE, WatchedRobot};
 use crate::screen::Screen;
 use crate::stop::Stop;
 use downbeat_bridge::expose::TopicPattern;

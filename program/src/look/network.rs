@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use crate::run;
+use crate::network::NetworkArguments;
 use crate::stop::Stop;
 use clap::Args;
 use downbeat_bridge::edge::Interfaces;
@@ -23,12 +23,8 @@ pub(crate) struct Environment<'a> {
 /// Arguments of every command that inspects the network.
 #[derive(Args)]
 pub(crate) struct LookArguments {
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(super) domain: Option<u16>,
-    /// Look over Zenoh, as a client of the router at this endpoint, such as tls/robot.local:7447.
-    #[arg(long, value_name = "ENDPOINT")]
-    pub(super) connect: Option<String>,
+    #[command(flatten)]
+    pub(super) network: NetworkArguments,
     /// The maximum time to wait for discovery: seconds, or with a unit.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value = "8")]
     pub(super) spin_time: Duration,
@@ -85,20 +81,18 @@ impl Look {
         // Only used by clap.
         let _ = arguments.no_daemon;
         let name = format!("_downbeat_{command}_{}", std::process::id());
-        let LookArguments { domain, connect, spin_time, .. } = arguments;
-        Self::join_as(&name, *domain, connect.as_deref(), *spin_time, environment)
+        Self::join_as(&name, &arguments.network, arguments.spin_time, environment)
     }
 
     pub(crate) fn join_as(
         name: &str,
-        domain: Option<u16>,
-        connect: Option<&str>,
+        network: &NetworkArguments,
         longest: Duration,
         environment: &Environment<'_>,
     ) -> anyhow::Result<Self> {
         let stop = Stop::new()?.at_end_of_output();
         let Environment { catalog, ros } = *environment;
-        let (participant, node) = run::node(name, domain, connect, catalog, ros)?;
+        let (participant, node) = network.node(name, catalog, ros)?;
         Ok(Self { participant, node, stop, interfaces: catalog.interfaces.clone(), longest })
     }
 

@@ -70,9 +70,9 @@ pub(super) fn publish(arguments: &PublishArguments, environment: &Environment<'_
         );
     }
     let (period, yaml) = (period(arguments.rate)?, arguments.fields.read()?);
-    let LookArguments { domain, connect, spin_time, .. } = &arguments.look;
+    let LookArguments { network, spin_time, .. } = &arguments.look;
     let look = match &arguments.node_name {
-        Some(name) => Look::join_as(name, *domain, connect.as_deref(), *spin_time, environment)?,
+        Some(name) => Look::join_as(name, network, *spin_time, environment)?,
         None => Look::join("topic", &arguments.look, environment)?,
     };
     let type_name = full_name(&arguments.type_name, "msg");

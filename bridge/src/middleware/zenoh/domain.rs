@@ -3,6 +3,7 @@
 use super::graph::Graph;
 use super::outbox::Outbox;
 use super::qos;
+use super::repair::Repairs;
 use crate::middleware::{Endpoint, Gid, MiddlewareError, NodeIdentity, ServiceEndpoint};
 use downbeat_zenoh::wire::{Announced, EndpointToken, NodeName, Role, Token, gid};
 use downbeat_zenoh::zenoh::liveliness::LivelinessToken;
@@ -22,6 +23,7 @@ pub(super) struct Domain {
     pub(super) domain_id: u16,
     pub(super) graph: Graph,
     pub(super) outbox: Outbox,
+    pub(super) repairs: Repairs,
     /// The identity of the session, in hexadecimal digits.
     id: String,
     /// Numbers nodes and endpoints; none is used again.
@@ -61,6 +63,7 @@ impl Domain {
             domain_id,
             graph: Graph::new(id.clone())?,
             outbox: Outbox::start()?,
+            repairs: Repairs::default(),
             id,
             next: AtomicU64::new(0),
             nodes: Mutex::default(),

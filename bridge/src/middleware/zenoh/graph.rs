@@ -4,13 +4,13 @@ use crate::middleware::{EndpointEvent, EventHandler, Gid, MatchHandler, Middlewa
 use crossbeam::channel::{Sender, unbounded};
 use downbeat_zenoh::wire::{Announced, EndpointToken, NodeName, Role, Token, gid};
 use parking_lot::Mutex;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 
 /// The most nodes and endpoints of others that are remembered; further ones are counted only.
-const MOST_TOKENS: usize = 16_384;
+pub(super) const MOST_TOKENS: usize = 16_384;
 
 /// Nodes and endpoints of a domain.
 pub(super) struct Graph {
@@ -42,6 +42,13 @@ pub(super) struct NodeKey {
 pub(super) struct Known {
     pub(super) node: NodeKey,
     pub(super) endpoint: EndpointToken,
+}
+
+/// A token that others know and this participant does not, or the other way round.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Difference {
+    Missing(String),
+    Gone(Gid),
 }
 
 /// An endpoint of this participant.
@@ -127,10 +134,10 @@ impl Graph {
         Ok(Self { state: Mutex::new(state), delivery: Delivery::start()? })
     }
 
-    /// Takes the token of another session, which may have been there before.
-    pub(super) fn appeared(&self, text: &str) {
+    /// Takes a token, which may have been there before. Returns false if it is not one of another session.
+    pub(super) fn appeared(&self, text: &str) -> bool {
         let mut state = self.state.lock();
-        let Some(token) = state.read(text) else { return };
+        let Some(token) = state.read(text) else { return false };
         let key = NodeKey { session: token.session, number: token.node_id, name: token.node };
         let gid = Gid(gid(text));
         if state.nodes.len() + state.endpoints.len() >= MOST_TOKENS {
@@ -140,7 +147,7 @@ impl Graph {
                     "more than {MOST_TOKENS} nodes and endpoints are announced on Zenoh: this node does not see the others"
                 );
             }
-            return;
+            return true;
         }
         match token.announced {
             Announced::Node => {
@@ -148,6 +155,7 @@ impl Graph {
             }
             Announced::Endpoint(endpoint) => state.add(gid, Known { node: key, endpoint }, &self.delivery),
         }
+        true
     }
 
     /// Forgets the token of another session, which may have gone before. A node goes with its endpoints.
@@ -165,6 +173,40 @@ impl Graph {
         let its = state.endpoints.iter().filter(|(_, known)| is_its(known)).map(|(gid, _)| *gid);
         for gid in its.collect::<Vec<_>>() {
             state.remove(gid, &self.delivery);
+        }
+    }
+
+    /// How what is known of other sessions differs from all tokens of the domain.
+    pub(super) fn difference(&self, told: &BTreeSet<String>) -> BTreeSet<Difference> {
+        let mut state = self.state.lock();
+        let mut differences = BTreeSet::new();
+        let mut there = HashSet::new();
+        for text in told {
+            if state.read(text).is_some() {
+                let gid = Gid(gid(text));
+                there.insert(gid);
+                if !state.nodes.contains_key(&gid) && !state.endpoints.contains_key(&gid) {
+                    differences.insert(Difference::Missing(text.clone()));
+                }
+            }
+        }
+        let is_remote = |(_, known): &(&Gid, &Known)| known.node.session != state.own_session;
+        let endpoints = state.endpoints.iter().filter(is_remote).map(|(gid, _)| gid);
+        let known = state.nodes.keys().chain(endpoints);
+        differences.extend(known.filter(|gid| !there.contains(gid)).map(|gid| Difference::Gone(*gid)));
+        differences
+    }
+
+    pub(super) fn put_right(&self, difference: &Difference) {
+        match difference {
+            Difference::Missing(token) => {
+                self.appeared(token);
+            }
+            Difference::Gone(gid) => {
+                let mut state = self.state.lock();
+                state.nodes.remove(gid);
+                state.remove(*gid, &self.delivery);
+            }
         }
     }
 

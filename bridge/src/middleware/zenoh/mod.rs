@@ -11,8 +11,11 @@
 
 mod domain;
 mod graph;
+mod order;
 mod outbox;
 mod qos;
+mod recheck;
+mod repair;
 mod services;
 mod topics;
 
@@ -63,17 +66,23 @@ impl ZenohParticipant {
             );
         }
         let domain = Arc::new(Domain::new(session, domain_id)?);
+        let arrivals = recheck::start(&domain, &options.zenoh)?;
         let heard = Arc::downgrade(&domain);
         let hear = move |sample: ZenohSample| {
             let Some(domain) = heard.upgrade() else { return };
             match sample.kind() {
-                SampleKind::Put => domain.graph.appeared(sample.key_expr()),
+                SampleKind::Put => {
+                    if domain.graph.appeared(sample.key_expr()) {
+                        arrivals.add();
+                    }
+                }
                 SampleKind::Delete => domain.graph.disappeared(sample.key_expr()),
             }
         };
         let tokens = domain.session.liveliness().declare_subscriber(tokens_of(domain_id));
         let tokens = tokens.callback(hear).wait().map_err(|error| domain.failed(&error))?;
         let has_heard_all = Arc::<AtomicBool>::default();
+        // Only a question says when all that was there before has been told.
         let asked = Asked {
             domain: Arc::downgrade(&domain),
             has_heard_all: (check == RouterCheck::Found).then(|| Arc::clone(&has_heard_all)),

@@ -1,7 +1,9 @@
 //! Writers and readers of topics.
 
 use super::domain::{Announcement, Domain, now_ns, of_topic};
+use super::order::{MOST_WRITERS, Order, Taken};
 use super::qos::MOST_KEPT;
+use super::repair::Gap;
 use crate::middleware::rtps::is_cdr;
 use crate::middleware::{
     Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler, MiddlewareError, Reader, ReaderCounter, Sample,
@@ -10,6 +12,7 @@ use crate::middleware::{
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History, Reliability};
 use downbeat_zenoh::wire::{Attachment, EndpointToken, Role, key, keys_of_any_hash};
+use downbeat_zenoh::zenoh::matching::MatchingStatus;
 use downbeat_zenoh::zenoh::qos::CongestionControl;
 use downbeat_zenoh::zenoh::sample::{Sample as ZenohSample, SampleKind};
 use downbeat_zenoh::zenoh::{Error, Wait, qos};
@@ -19,23 +22,35 @@ use downbeat_zenoh::zenoh_ext::{
 };
 use parking_lot::Mutex;
 use std::collections::HashMap;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 /// How often a reliable transient local publisher says which sample is its last, as `rmw_zenoh_cpp` does.
 const HEARTBEAT: Duration = Duration::from_millis(500);
-
-/// The most writers whose sequence numbers a reader follows.
-const MOST_WRITERS: usize = 1024;
 
 pub(super) struct ZenohWriter {
     // Dropped in this order: nobody sees an endpoint that is gone.
     announcement: Announcement,
     domain: Arc<Domain>,
     sending: Arc<Sending>,
-    matched: Arc<AtomicUsize>,
+    readers: Readers,
     must_block: bool,
+}
+
+/// Who receives from a writer: endpoints that have announced themselves and, where access control hides them,
+/// or for programs of Zenoh that are no nodes, at least somebody.
+#[derive(Clone)]
+struct Readers {
+    announced: Arc<AtomicUsize>,
+    is_anybody: Arc<AtomicBool>,
+}
+
+impl Readers {
+    fn count(&self) -> usize {
+        let anybody = usize::from(self.is_anybody.load(Ordering::Relaxed));
+        self.announced.load(Ordering::Relaxed).max(anybody)
+    }
 }
 
 struct Sending {
@@ -67,9 +82,21 @@ impl ZenohWriter {
         let publisher = publisher.wait().map_err(|error| refused(&error))?;
         let described = domain.describe(endpoint.node.as_ref(), token);
         let sending = Sending { publisher, last: Mutex::default(), gid: described.gid };
+        let is_anybody = Arc::<AtomicBool>::default();
+        let changed = {
+            let (domain, is_anybody, gid) = (Arc::downgrade(domain), Arc::clone(&is_anybody), sending.gid);
+            move |status: MatchingStatus| {
+                is_anybody.store(status.matching(), Ordering::Relaxed);
+                if let Some(domain) = domain.upgrade() {
+                    domain.graph.way_changed(gid);
+                }
+            }
+        };
+        let listener = sending.publisher.matching_listener().callback(changed).background().wait();
+        listener.map_err(|error| refused(&error))?;
         let announcement = domain.announce(described, refused)?;
         Ok(Self {
-            matched: domain.graph.match_count(announcement.gid),
+            readers: Readers { announced: domain.graph.match_count(announcement.gid), is_anybody },
             announcement,
             domain: Arc::clone(domain),
             sending: Arc::new(sending),
@@ -98,12 +125,12 @@ impl Writer for ZenohWriter {
     }
 
     fn readers(&self) -> usize {
-        self.matched.load(Ordering::Relaxed)
+        self.readers.count()
     }
 
     fn reader_counter(&self) -> ReaderCounter {
-        let matched = Arc::clone(&self.matched);
-        Box::new(move || matched.load(Ordering::Relaxed))
+        let readers = self.readers.clone();
+        Box::new(move || readers.count())
     }
 
     fn matched_readers(&self) -> Vec<Gid> {
@@ -146,8 +173,86 @@ impl Writer for ZenohWriter {
 pub(super) struct ZenohReader {
     announcement: Announcement,
     domain: Arc<Domain>,
-    on_sample: Arc<Mutex<Option<SampleHandler>>>,
+    receiving: Arc<Receiving>,
     _subscriber: AdvancedSubscriber<()>,
+}
+
+/// What receives for a reader.
+pub(super) struct Receiving {
+    domain: Weak<Domain>,
+    topic: String,
+    gid: Gid,
+    /// Whether writers keep what they sent, so that it can be asked for.
+    is_kept: bool,
+    /// Held over the handler, so that samples of one writer stay in order.
+    state: Mutex<Received>,
+}
+
+struct Received {
+    on_sample: Option<SampleHandler>,
+    /// The last sample of each writer, where samples are not kept.
+    numbers: HashMap<Gid, i64>,
+    order: Order,
+}
+
+impl Receiving {
+    /// Takes a sample as it comes, or the answer to a question.
+    pub(super) fn take(self: &Arc<Self>, received: &ZenohSample) {
+        let Some(domain) = self.domain.upgrade() else { return };
+        let sample = match sample(received) {
+            Ok(sample) => sample,
+            Err(reason) => return domain.skipped.count(&self.topic, reason),
+        };
+        let mut state = self.state.lock();
+        let writer = sample.writer;
+        if let (true, Some(source)) = (self.is_kept, received.source_info()) {
+            let taken = state.order.take(sample);
+            if let Some(missing) = taken.gap {
+                let (id, number) = (source.source_id(), source.source_sn());
+                let first = number.wrapping_sub(u32::try_from(missing).unwrap_or(number));
+                let (key, session, entity) = (received.key_expr(), id.zid(), id.eid());
+                let question = format!("{key}/@adv/*/{session}/{entity}/**?_sn={first}..{number}");
+                domain.repairs.ask(Gap {
+                    of: Arc::downgrade(self),
+                    writer,
+                    question,
+                    attempts: 0,
+                    is_answered: Arc::default(),
+                });
+            }
+            self.deliver(&domain, &mut state, writer, taken);
+        } else {
+            let lost = lost(&mut state.numbers, &sample).unwrap_or(0);
+            self.deliver(&domain, &mut state, writer, Taken { ready: vec![sample], lost, gap: None });
+        }
+    }
+
+    /// The domain, until it is left.
+    pub(super) fn domain(&self) -> Option<Arc<Domain>> {
+        self.domain.upgrade()
+    }
+
+    pub(super) fn has_gap(&self, writer: Gid) -> bool {
+        self.state.lock().order.has_gap(writer)
+    }
+
+    /// Goes on without the samples that a writer does not answer for.
+    pub(super) fn give_up(&self, writer: Gid) {
+        let Some(domain) = self.domain.upgrade() else { return };
+        let mut state = self.state.lock();
+        let taken = state.order.give_up(writer);
+        self.deliver(&domain, &mut state, writer, taken);
+    }
+
+    fn deliver(&self, domain: &Domain, state: &mut Received, writer: Gid, taken: Taken) {
+        if taken.lost > 0 {
+            let event = EndpointEvent::MessagesLost { peer: writer, count: taken.lost };
+            domain.graph.happened(self.gid, event);
+        }
+        if let Some(on_sample) = state.on_sample.as_mut() {
+            taken.ready.into_iter().for_each(on_sample);
+        }
+    }
 }
 
 impl ZenohReader {
@@ -163,42 +268,39 @@ impl ZenohReader {
             Some(hash) => key(domain.domain_id, name, type_name, Some(hash)),
             None => keys_of_any_hash(domain.domain_id, name, type_name),
         };
-        let name = name.clone();
+        let topic = name.clone();
         let described = domain.describe(endpoint.node.as_ref(), token);
-        let on_sample = Arc::new(Mutex::new(Some(on_sample)));
+        let is_latched = endpoint.qos.durability == Durability::TransientLocal;
+        let is_kept = is_latched && endpoint.qos.reliability == Reliability::Reliable;
+        let receiving = Arc::new(Receiving {
+            domain: Arc::downgrade(domain),
+            topic,
+            gid: described.gid,
+            is_kept,
+            state: Mutex::new(Received {
+                on_sample: Some(on_sample),
+                numbers: HashMap::new(),
+                order: Order::default(),
+            }),
+        });
         let take = {
-            let (domain, on_sample, gid) = (Arc::downgrade(domain), Arc::clone(&on_sample), described.gid);
-            let numbers = Mutex::<HashMap<Gid, i64>>::default();
-            move |received: ZenohSample| {
-                let Some(domain) = domain.upgrade() else { return };
-                let sample = match sample(&received) {
-                    Ok(sample) => sample,
-                    Err(reason) => return domain.skipped.count(&name, reason),
-                };
-                // Held over the handler, so that samples of one writer stay in order.
-                let mut on_sample = on_sample.lock();
-                if let Some(count) = lost(&numbers, &sample) {
-                    domain.graph.happened(gid, EndpointEvent::MessagesLost { peer: sample.writer, count });
-                }
-                if let Some(on_sample) = on_sample.as_mut() {
-                    on_sample(sample);
-                }
-            }
+            let receiving = Arc::clone(&receiving);
+            move |received: ZenohSample| receiving.take(&received)
         };
         let mut subscriber = domain.session.declare_subscriber(key).callback(take).advanced();
-        if endpoint.qos.durability == Durability::TransientLocal {
+        if is_latched {
             let history = HistoryConfig::default().detect_late_publishers();
             subscriber = subscriber
                 .history(history.max_samples(kept(endpoint.qos.history)))
                 .subscriber_detection()
                 .query_timeout(Duration::from_millis(u64::MAX));
-            if endpoint.qos.reliability == Reliability::Reliable {
+            if is_kept {
                 subscriber = subscriber.recovery(RecoveryConfig::default().heartbeat());
             }
         }
         let subscriber = subscriber.wait().map_err(|error| refused(&error))?;
         let announcement = domain.announce(described, refused)?;
-        Ok(Self { announcement, domain: Arc::clone(domain), on_sample, _subscriber: subscriber })
+        Ok(Self { announcement, domain: Arc::clone(domain), receiving, _subscriber: subscriber })
     }
 }
 
@@ -226,7 +328,7 @@ impl Reader for ZenohReader {
 
 impl Drop for ZenohReader {
     fn drop(&mut self) {
-        self.on_sample.lock().take();
+        self.receiving.state.lock().on_sample = None;
     }
 }
 
@@ -254,8 +356,7 @@ pub(super) fn payload(received: &[u8]) -> Result<Bytes, &'static str> {
 }
 
 /// The number of samples of the same writer that are missing before this one.
-fn lost(numbers: &Mutex<HashMap<Gid, i64>>, sample: &Sample) -> Option<u64> {
-    let mut numbers = numbers.lock();
+fn lost(numbers: &mut HashMap<Gid, i64>, sample: &Sample) -> Option<u64> {
     if numbers.len() >= MOST_WRITERS && !numbers.contains_key(&sample.writer) {
         numbers.clear();
     }
@@ -288,7 +389,7 @@ mod tests {
 
     #[test]
     fn gaps_in_the_numbers_of_a_writer_are_counted() {
-        let numbers = Mutex::default();
+        let mut numbers = HashMap::new();
         let of = |writer, sequence_number| Sample {
             cdr: Bytes::new(),
             source_time_ns: None,
@@ -296,7 +397,7 @@ mod tests {
             sequence_number,
             related: None,
         };
-        let lost = |writer, number| super::lost(&numbers, &of(writer, number));
+        let mut lost = |writer, number| super::lost(&mut numbers, &of(writer, number));
         assert_eq!(lost(1, 7), None, "what was before it came is not lost");
         assert_eq!([lost(1, 8), lost(2, 1), lost(1, 11)], [None, None, Some(2)]);
         assert_eq!([lost(1, 9), lost(1, i64::MIN), lost(1, i64::MAX)], [None; 3]);

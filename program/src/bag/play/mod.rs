@@ -14,6 +14,7 @@ use clap::Args;
 use super::open;
 use super::select::{TopicArguments, carried_over};
 use crate::logging::Log;
+use crate::network::NetworkArguments;
 use crate::new_output::Force;
 use crate::screen::Screen;
 use downbeat_bags::{PlayerOptions, Reader};
@@ -104,7 +105,7 @@ pub(crate) struct PlayArguments {
     pub(crate) disable_keyboard_controls: bool,
     /// Run the modules of this robot on the bag instead of playing to ROS 2: deterministically, with the time
     /// of the bag, as fast as possible.
-    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "playback_duration",
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["rate", "start_offset", "domain", "engine", "connect", "playback_duration",
           "playback_until_sec", "playback_until_nsec", "repeats", "delay", "remap", "clock", "clock_topics",
           "clock_topics_all", "start_paused", "no_latched", "skip_gaps", "publish_service_requests", "disable_keyboard_controls", "read_ahead_queue_size", "qos_profile_overrides_path", "wait_for_all_acked", "topic_types", "services", "regex", "exclude_regex", "exclude_topics",
           "exclude_topic_types", "exclude_services"])]
@@ -118,9 +119,8 @@ pub(crate) struct PlayArguments {
     /// default cdr.
     #[arg(long, value_name = "ENCODING", requires = "record")]
     pub(crate) encoding: Option<Encoding>,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(crate) domain: Option<u16>,
+    #[command(flatten)]
+    pub(crate) network: NetworkArguments,
 }
 
 pub(crate) fn play(

@@ -8,7 +8,6 @@ use super::PlayArguments;
 use super::controls::{Control, Controls, answer};
 use super::target::{Target, targets};
 use crate::bag::select::absolute;
-use crate::run::node;
 use crate::screen::Screen;
 use crate::stop::{Key, Keyboard, Stop};
 use downbeat_bags::{BagMessage, Gap, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
@@ -65,7 +64,7 @@ pub(super) fn play(
     let stop = Stop::new()?;
     let remaps = arguments.remap.iter().chain(&ros.remaps).cloned().collect();
     let ros = RosArgs { remaps, ..ros.clone() };
-    let (_participant, node) = node(NODE_NAME, arguments.domain, None, catalog, &ros)?;
+    let (_participant, node) = arguments.network.node(NODE_NAME, catalog, &ros)?;
     let requests = arguments.publish_service_requests.then_some(arguments.service_requests_source);
     let targets = targets(&player, &node, &overrides, requests, &stop)?;
     let left_out = left_out(&player, &targets);

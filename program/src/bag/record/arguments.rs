@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::bag::record_options::{GivenOptions, Recording};
+use crate::network::NetworkArguments;
 use crate::new_output::Force;
 use clap::{Args, ValueEnum};
 use downbeat_files::duration::parse as duration;
@@ -41,14 +42,13 @@ pub(crate) struct RecordArguments {
     #[arg(long, value_enum, value_name = "LEVEL")]
     pub(crate) log_level: Option<Level>,
     /// Run this robot without a bridge and record its topics from the very first message.
-    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["domain", "use_sim_time", "no_discovery", "qos_profile_overrides_path"])]
+    #[arg(long, value_name = "ROBOT.toml", conflicts_with_all = ["domain", "engine", "connect", "use_sim_time", "no_discovery", "qos_profile_overrides_path"])]
     pub(crate) robot: Option<PathBuf>,
     /// Stop after this time: 500ms, 10s, 5min, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub(crate) duration: Option<Duration>,
-    /// The ROS domain, instead of ROS_DOMAIN_ID.
-    #[arg(long, value_name = "N")]
-    pub(crate) domain: Option<u16>,
+    #[command(flatten)]
+    pub(crate) network: NetworkArguments,
     #[command(
         flatten,
         next_help_heading = "How the bag is written; with --robot by default as [record] of the robot file says"

@@ -10,7 +10,7 @@ use anyhow::{Context, bail};
 use crate::bag::select::absolute;
 use crate::logging::Log;
 use crate::new_output::Output;
-use crate::run::{WatchedRobot, node};
+use crate::run::WatchedRobot;
 use crate::screen::{Screen, shorten, wrap};
 use crate::status::{SEPARATOR, bag};
 use crate::stop::{Key, Keyboard, Stop};
@@ -175,7 +175,7 @@ fn record_from_ros(
         Some(path) => QosOverrides::read(path)?,
         None => QosOverrides::default(),
     };
-    let (participant, node) = node(&arguments.node_name, arguments.domain, None, catalog, ros)?;
+    let (participant, node) = arguments.network.node(&arguments.node_name, catalog, ros)?;
     let options = RosRecorderOptions {
         filter: filter(arguments, |name| Ok(node.topic_name(name)?.as_str().to_owned()))?,
         qos_overrides,

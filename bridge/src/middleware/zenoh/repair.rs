@@ -1,0 +1,128 @@
+//! Asks writers for samples that are missing, until they answer.
+//!
+//! A subscription of zenoh-ext asks once. After an outage the way to a writer may be there for its samples
+//! before it is there for questions; nobody answers then, and the samples would be lost.
+
+use super::domain::Domain;
+use super::topics::Receiving;
+use crate::middleware::Gid;
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, unbounded};
+use downbeat_zenoh::zenoh::Wait;
+use downbeat_zenoh::zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
+use parking_lot::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock, Weak};
+use std::time::{Duration, Instant};
+
+/// How long to wait before each question. After the last one what is missing is lost.
+const WAITS: [Duration; 6] = [
+    Duration::from_millis(200),
+    Duration::from_millis(500),
+    Duration::from_secs(1),
+    Duration::from_secs(2),
+    Duration::from_secs(4),
+    Duration::from_secs(8),
+];
+
+/// The thread that asks, from the first gap on.
+#[derive(Default)]
+pub(super) struct Repairs(OnceLock<Option<Sender<Gap>>>);
+
+/// Samples that are missing.
+pub(super) struct Gap {
+    pub(super) of: Weak<Receiving>,
+    pub(super) writer: Gid,
+    /// Where the writer answers for what it keeps, with the numbers of Zenoh: those that are missing, and the
+    /// one after them, by which an answer is recognised.
+    pub(super) question: String,
+    pub(super) attempts: usize,
+    pub(super) is_answered: Arc<AtomicBool>,
+}
+
+impl Repairs {
+    pub(super) fn ask(&self, gap: Gap) {
+        let gaps = self.0.get_or_init(|| {
+            // Unbounded: a writer of a subscription has one gap at a time.
+            let (sender, gaps) = unbounded();
+            let run = move || ask_until_answered(&gaps);
+            let thread = std::thread::Builder::new().name("downbeat-zenoh-repair".into()).spawn(run);
+            thread.is_ok().then_some(sender)
+        });
+        let refused = match gaps {
+            Some(gaps) => gaps.send(gap).err().map(|error| error.0),
+            None => Some(gap),
+        };
+        if let Some(gap) = refused {
+            gap.give_up();
+        }
+    }
+}
+
+fn ask_until_answered(gaps: &Receiver<Gap>) {
+    let mut waiting = Vec::<(Instant, Gap)>::new();
+    loop {
+        let next = waiting.iter().map(|(due, _)| *due).min();
+        let received = match next {
+            Some(due) => gaps.recv_deadline(due),
+            None => gaps.recv().map_err(|_| RecvTimeoutError::Disconnected),
+        };
+        match received {
+            Ok(gap) => waiting.push((Instant::now() + WAITS[0], gap)),
+            Err(RecvTimeoutError::Timeout) => (),
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+        let now = Instant::now();
+        for (due, gap) in std::mem::take(&mut waiting) {
+            if due > now {
+                waiting.push((due, gap));
+            } else if let Some(gap) = gap.is_due() {
+                waiting.push((now + WAITS[gap.attempts], gap));
+            }
+        }
+    }
+}
+
+impl Gap {
+    /// Asks, or gives up. Returns itself if there is more to do.
+    fn is_due(mut self) -> Option<Self> {
+        let receiving = self.of.upgrade()?;
+        if !receiving.has_gap(self.writer) {
+            return None;
+        }
+        self.attempts += 1;
+        if self.is_answered.load(Ordering::Acquire) || self.attempts >= WAITS.len() {
+            // What the writer does not keep any more does not come.
+            self.give_up();
+            return None;
+        }
+        self.ask(&*receiving.domain()?);
+        Some(self)
+    }
+
+    fn ask(&self, domain: &Domain) {
+        let (of, is_answered) = (Weak::clone(&self.of), Arc::clone(&self.is_answered));
+        let take = Mutex::new(move |reply: Reply| {
+            if let (Some(receiving), Ok(sample)) = (of.upgrade(), reply.into_result()) {
+                receiving.take(&sample);
+                is_answered.store(true, Ordering::Release);
+            }
+        });
+        let asked = domain
+            .session
+            .get(&self.question)
+            .callback(move |reply| (*take.lock())(reply))
+            .consolidation(ConsolidationMode::None)
+            .accept_replies(ReplyKeyExpr::Any)
+            .timeout(Duration::from_secs(10))
+            .wait();
+        if let Err(error) = asked {
+            tracing::debug!(%error, question = self.question, "missing samples cannot be asked for");
+        }
+    }
+
+    fn give_up(&self) {
+        if let Some(receiving) = self.of.upgrade() {
+            receiving.give_up(self.writer);
+        }
+    }
+}

@@ -1,0 +1,244 @@
+//! What `docs/fleets.md` shows of several robots: certificates, access control, two sites. The files are those
+//! of the page, with other addresses.
+#![cfg(feature = "zenoh")]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use common::program::Program;
+use common::{downbeat, robot_file, wait_until};
+use std::fs::File;
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Output};
+use test_machine::{free_domain, has_program, missing};
+
+const PAGE: &str = include_str!("../docs/fleets.md");
+
+/// What a block of the page holds; its first line names the file.
+fn file_of_the_page(name: &str) -> String {
+    let (_, block) = PAGE.split_once(&format!("// {name}\n")).unwrap();
+    block.split("```").next().unwrap().to_owned()
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port()
+}
+
+/// A folder with certificates, as the page makes them, and a domain.
+struct Site {
+    folder: tempfile::TempDir,
+    domain: u16,
+}
+
+impl Site {
+    fn new() -> Option<Self> {
+        if !has_program("openssl") {
+            missing("openssl", "Debian: the package openssl");
+            return None;
+        }
+        let site = Self { folder: tempfile::tempdir().unwrap(), domain: free_domain() };
+        site.make_certificates("");
+        Some(site)
+    }
+
+    /// Runs the lines of the page, for its hosts and for `localhost`, in a folder below.
+    fn make_certificates(&self, below: &str) {
+        let folder = self.path(below);
+        std::fs::create_dir_all(&folder).unwrap();
+        let lines = PAGE.split("```sh\n").find(|block| block.starts_with("openssl")).unwrap();
+        let lines =
+            lines.split("```").next().unwrap().replace("DNS:$name.local", "DNS:$name.local,DNS:localhost");
+        let output = Command::new("sh").args(["-e", "-c", &lines]).current_dir(folder).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+
+    fn path(&self, name: &str) -> std::path::PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Writes a file of the page, with `localhost` and a port in place of its addresses.
+    fn write(&self, name: &str, port: u16) -> std::path::PathBuf {
+        let text = file_of_the_page(name);
+        let text =
+            text.replace("tls/[::]:7447", "tls/localhost:7447").replace("base.local:7447", "localhost:7447");
+        let text = text
+            .replace(":7447", &format!(":{port}"))
+            .replace("/etc/fleet/", &format!("{}/", self.folder.path().display()));
+        let path = self.path(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// A command of somebody, with a configuration of sessions.
+    fn command(&self, line: &[&str], session: &Path) -> Command {
+        let mut command = downbeat(line);
+        command.env("ROS_DOMAIN_ID", self.domain.to_string()).env("ZENOH_SESSION_CONFIG_URI", session);
+        command
+    }
+
+    fn router(&self, file: &Path) -> Program {
+        let mut command = downbeat(&["router"]);
+        command.env("ZENOH_ROUTER_CONFIG_URI", file);
+        let router = Program::start(command);
+        router.wait_for_output("listens on");
+        router
+    }
+}
+
+fn output(command: &mut Command) -> String {
+    let Output { stdout, stderr, .. } = command.output().unwrap();
+    [stdout, stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat()
+}
+
+const FLEET: &str = r#"
+[networks.fleet]
+engine = "zenoh"
+config = "robot_1.json5"
+out = ["battery_state", { topic = "joint_states", as = "/robot_2/joint_states", rate_hz = 5.0 }]
+in = [{ topic = "plan", as = "/fleet/plan", type = "std_msgs/msg/String", raw = true }]
+"#;
+
+#[test]
+fn certificates_and_rules_of_the_page_let_a_robot_do_what_it_may_and_no_more() {
+    let Some(site) = Site::new() else { return };
+    let port = free_port();
+    let [base_router, base, robot] =
+        ["base_router.json5", "base.json5", "robot_1.json5"].map(|name| site.write(name, port));
+    let router = site.router(&base_router);
+    router.wait_for_output("access control is on");
+    let robot_file = robot_file(site.folder.path(), |text| {
+        let text = text.replacen("[robot]\n", "[robot]\nnamespace = \"/robot_1\"\n", 1);
+        format!("{text}\n{FLEET}")
+    });
+    let mut command = downbeat(&["run", robot_file.to_str().unwrap()]);
+    let running = Program::start({
+        command.env("ROS_DOMAIN_ID", site.domain.to_string());
+        command
+    });
+    running.wait_for_output("joined network fleet");
+    let of_base = |line: &[&str]| output(&mut site.command(line, &base));
+    wait_until("the base sees the robot", || {
+        of_base(&["topic", "list", "--engine", "zenoh"]).contains("/robot_1/battery_state")
+    });
+    let battery = of_base(&["topic", "echo", "--engine", "zenoh", "--once", "/robot_1/battery_state"]);
+    assert!(battery.contains("voltage:"), "{battery}");
+    let said = of_base(&[
+        "topic",
+        "pub",
+        "--engine",
+        "zenoh",
+        "--once",
+        "-w",
+        "1",
+        "/fleet/plan",
+        "std_msgs/msg/String",
+        "{data: go}",
+    ]);
+    assert!(said.contains("data='go'"), "{said}");
+
+    // What another robot is called is not its to say.
+    let mut echo = site.command(&["topic", "echo", "--engine", "zenoh", "/robot_2/joint_states"], &base);
+    let echo = Program::start({
+        echo.arg("--once");
+        echo
+    });
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    assert!(!echo.output().contains("head_tilt"), "{}", echo.output());
+    // Nor what the others do.
+    let nodes =
+        output(&mut site.command(&["topic", "list", "--engine", "zenoh", "--spin-time", "2"], &robot));
+    assert!(nodes.contains("/robot_1/battery_state"), "{nodes}");
+    let mut speak = site.command(
+        &[
+            "topic",
+            "pub",
+            "--engine",
+            "zenoh",
+            "--times",
+            "3",
+            "-w",
+            "0",
+            "/fleet/plan",
+            "std_msgs/msg/String",
+            "{data: no}",
+        ],
+        &robot,
+    );
+    let heard = Program::start(
+        site.command(&["topic", "echo", "--engine", "zenoh", "/fleet/plan", "std_msgs/msg/String"], &base),
+    );
+    output(&mut speak);
+    assert!(!heard.output().contains("no"), "{}", heard.output());
+}
+
+#[test]
+fn who_has_no_certificate_of_the_fleet_is_refused_and_told_where_to_look() {
+    let Some(site) = Site::new() else { return };
+    site.make_certificates("stranger");
+    let port = free_port();
+    let _router = site.router(&site.write("base_router.json5", port));
+    let base = std::fs::read_to_string(site.write("base.json5", port)).unwrap();
+    let endpoint = format!("tls/localhost:{port}");
+    let folder = site.folder.path().display().to_string();
+    for (name, changed) in [
+        // Signed by another authority.
+        ("stranger.json5", base.replace(&format!("{folder}/base"), &format!("{folder}/stranger/base"))),
+        // Does not believe the router.
+        (
+            "unbelieving.json5",
+            base.replace(&format!("{folder}/ca.pem"), &format!("{folder}/stranger/ca.pem")),
+        ),
+        ("missing.json5", base.replace("base_key.pem", "no_key.pem")),
+    ] {
+        std::fs::write(site.path(name), changed).unwrap();
+        let list = ["topic", "list", "--connect", &endpoint];
+        let text = output(&mut site.command(&list, &site.path(name)));
+        assert!(text.contains(&format!("no Zenoh router answers at {endpoint}")), "{name}: {text}");
+        assert!(text.contains("transport/link/tls") && !text.contains(".rs:"), "{name}: {text}");
+    }
+    let text =
+        output(&mut site.command(&["topic", "list", "--connect", &endpoint], &site.path("base.json5")));
+    assert!(!text.contains("no Zenoh router"), "{text}");
+}
+
+#[test]
+fn a_robot_is_seen_from_the_other_site() {
+    let Some(site) = Site::new() else { return };
+    let [of_base, of_site] = [free_port(), free_port()];
+    let _base = site.router(&site.write("base_router.json5", of_base));
+    let file = site.write("site_router.json5", of_base);
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replace(&format!("tcp/[::]:{of_base}"), &format!("tcp/127.0.0.1:{of_site}")))
+        .unwrap();
+    let _site = site.router(&file);
+    let robot = robot_file(site.folder.path(), |text| {
+        text.replacen("[robot]\n", "[robot]\nnamespace = \"/site_2/robot_7\"\n", 1)
+    });
+    let mut command = downbeat(&["run", robot.to_str().unwrap(), "--engine", "zenoh"]);
+    command.env("ROS_DOMAIN_ID", site.domain.to_string());
+    command.env("ZENOH_CONFIG_OVERRIDE", format!("connect/endpoints=[\"tcp/127.0.0.1:{of_site}\"]"));
+    let running = Program::start(command);
+    let base = site.write("base.json5", of_base);
+    let looks = |line: &[&str]| output(&mut site.command(line, &base));
+    wait_until("the base sees the robot", || {
+        looks(&["topic", "list", "--engine", "zenoh"]).contains("/site_2/robot_7/imu/data_raw")
+    });
+    let states = looks(&["topic", "echo", "--engine", "zenoh", "--once", "/site_2/robot_7/joint_states"]);
+    assert!(states.contains("head_tilt"), "{states} {}", running.output());
+}
+
+#[test]
+fn a_router_whose_log_finds_no_room_goes_on() {
+    let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+    let (port, domain) = (free_port(), free_domain().to_string());
+    let mut command = downbeat(&["router"]);
+    command.env("ZENOH_CONFIG_OVERRIDE", format!("listen/endpoints=[\"tcp/127.0.0.1:{port}\"]"));
+    let mut router = command.stderr(full.try_clone().unwrap()).stdout(full).spawn().unwrap();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let list = || output(downbeat(&["topic", "list", "--connect", &endpoint]).env("ROS_DOMAIN_ID", &domain));
+    wait_until("the router answers", || !list().contains("no Zenoh router"));
+    assert!(router.try_wait().unwrap().is_none());
+    router.kill().unwrap();
+    router.wait().unwrap();
+}
