@@ -97,10 +97,10 @@ pub enum ExposeError {
     )]
     Relay(String),
     /// The bridge was not given a network of that name.
-    #[error("topic \"{topic}\": there is no network \"{network}\"")]
+    #[error("\"{name}\": there is no network \"{network}\"")]
     NoNetwork {
-        /// The topic in the executor.
-        topic: String,
+        /// The topic or service in the executor.
+        name: String,
         /// The network.
         network: String,
     },

@@ -163,17 +163,13 @@ impl RobotFile {
 
     /// What comes in from one network goes out to another only if the file says so.
     fn refuse_unmeant_relays(&self, found: &[(usize, Exposure)]) -> Result<()> {
-        let network = |exposure: &Exposure| match &exposure.network {
-            None => "the robot's own network".to_owned(),
-            Some(name) => format!("network \"{name}\""),
-        };
         for (line, out) in found.iter().filter(|(_, exposure)| !exposure.relays) {
             if let Some((_, other)) = found.iter().find(|(_, other)| out.relays_from(other)) {
                 let problem = format!(
                     "\"{}\" comes in from {} and would go out to {}: add relay = true here if that is meant",
                     out.topic,
-                    network(other),
-                    network(out)
+                    network_name(other.network.as_deref()),
+                    network_name(out.network.as_deref())
                 );
                 return Err(self.source.error(*line, problem));
             }
@@ -387,6 +383,10 @@ fn way(direction: Direction) -> &'static str {
         Direction::Out => "that a module publishes",
         Direction::In => "that modules receive and none publishes",
     }
+}
+
+pub(super) fn network_name(network: Option<&str>) -> String {
+    network.map_or_else(|| "the robot's own network".to_owned(), |name| format!("network \"{name}\""))
 }
 
 pub(super) fn canonical(name: &str) -> &str {

@@ -65,7 +65,7 @@ pub struct RobotFile {
     pub modules: Vec<ModuleEntry>,
     /// What is exposed to ROS 2.
     pub expose: ExposeSection,
-    /// Further networks, to which some of the topics in `expose` belong.
+    /// Further networks, to which some of the entries in `expose` belong.
     pub networks: Vec<NetworkEntry>,
     /// What is recorded, and how.
     pub record: RecordEntry,
@@ -177,9 +177,9 @@ impl RobotFile {
         }
         let expose = root.take("expose").map(|value| expose::expose(value, &catalog.interfaces));
         let mut expose = expose.transpose()?.unwrap_or_default();
-        let networks = root.take("networks").map_or(Ok(Vec::new()), |value| {
-            networks::networks(value, &catalog.interfaces, &mut expose.topics)
-        })?;
+        let networks = root
+            .take("networks")
+            .map_or(Ok(Vec::new()), |value| networks::networks(value, &catalog.interfaces, &mut expose))?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
         let view = root.take("view").map_or(Ok(ViewEntry::default()), view::view)?;
