@@ -2,9 +2,11 @@
 #![allow(clippy::unwrap_used)]
 
 use downbeat_bridge::middleware::zenoh::ZenohParticipant;
-use downbeat_bridge::middleware::{DiscoveryRange, EndpointEvent, ParticipantOptions, Sample};
-use downbeat_bridge::ros::{MessageType, NodeName, Participant};
-use downbeat_msgs::qos::QosProfile;
+use downbeat_bridge::middleware::{
+    DiscoveryRange, EndpointEvent, ParticipantOptions, Priority, Sample, SendOptions,
+};
+use downbeat_bridge::ros::{MessageType, NodeName, Participant, Publisher};
+use downbeat_msgs::qos::{History, QosProfile};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use downbeat_msgs::{Message, Service, cdr};
@@ -12,10 +14,11 @@ use downbeat_zenoh::Settings;
 use downbeat_zenoh::wire::{Attachment, Token, gid};
 use serde_json::{Value, json};
 use std::ffi::OsStr;
-use std::io::{BufRead, BufReader, Write};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -34,17 +37,22 @@ struct Router {
 impl Router {
     /// `None` without Python.
     fn start() -> Option<Self> {
+        Self::start_with(&[])
+    }
+
+    fn start_with(arguments: &[&str]) -> Option<Self> {
         let python = test_machine::interpreter("DOWNBEAT_PYTHON")?;
         // Another program may take a free port before the router does.
-        let started = (0..5).find_map(|_| Self::start_by(&python));
+        let started = (0..5).find_map(|_| Self::start_by(&python, arguments));
         Some(started.expect("a router starts"))
     }
 
     /// `None` if it ended before it was ready.
-    fn start_by(python: &OsStr) -> Option<Self> {
+    fn start_by(python: &OsStr, arguments: &[&str]) -> Option<Self> {
         let port = TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port();
         let mut command = Command::new(python);
         command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/zenoh/peer.py"), &port.to_string()]);
+        command.args(arguments);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (sender, said) = channel();
         let output = BufReader::new(child.stdout.take().unwrap());
@@ -87,6 +95,19 @@ impl Router {
         self.next("done");
     }
 
+    /// Publishes until the router has the sample: the publisher hears of the subscription some time later.
+    fn heard(&mut self, publisher: &Publisher, cdr: &[u8]) -> Value {
+        loop {
+            publisher.publish(cdr.to_vec().into()).unwrap();
+            if let Ok(said) = self.said.recv_timeout(Duration::from_millis(200))
+                && said["kind"] == "sample"
+                && unhex(&said["payload"]) == cdr
+            {
+                return said;
+            }
+        }
+    }
+
     fn tokens(&mut self) -> Vec<String> {
         self.act(&json!({"do": "tokens", "key": format!("@ros2_lv/{DOMAIN}/**")}));
         let tokens = self.next("tokens");
@@ -108,10 +129,12 @@ impl Router {
     }
 
     fn session(&self) -> Arc<ZenohParticipant> {
-        let overrides = format!(
-            "connect/endpoints=[\"tcp/127.0.0.1:{}\"];listen/endpoints=[\"tcp/127.0.0.1:0\"]",
-            self.port
-        );
+        Self::session_through(self.port, "listen/endpoints=[\"tcp/127.0.0.1:0\"]")
+    }
+
+    /// A session that connects to a port, with more of its configuration.
+    fn session_through(port: u16, more: &str) -> Arc<ZenohParticipant> {
+        let overrides = format!("connect/endpoints=[\"tcp/127.0.0.1:{port}\"];{more}");
         let zenoh = Settings { overrides: Some(overrides), router_check_attempts: 20, ..Settings::default() };
         let options = ParticipantOptions {
             discovery_range: DiscoveryRange::Localhost,
@@ -224,18 +247,10 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
 
     router.done(&json!({"do": "subscribe", "key": key_of_text("ns1/chatter")}));
     let token = router.token("/MP/%/%ns1/golden/%ns1%chatter/");
-    // The publisher hears of the subscription some time later.
-    let sample = loop {
-        publisher.publish(text("hello").into()).unwrap();
-        if let Ok(said) = router.said.recv_timeout(Duration::from_millis(200))
-            && said["kind"] == "sample"
-        {
-            break said;
-        }
-    };
+    let sample = router.heard(&publisher, &text("hello"));
     assert_eq!(sample["key"], *key_of_text("ns1/chatter"));
-    assert_eq!(unhex(&sample["payload"]), text("hello"));
     assert_eq!((&sample["congestion"], &sample["encoding"]), (&json!("DROP"), &json!("zenoh/bytes")));
+    assert_eq!((&sample["priority"], &sample["express"]), (&json!("DATA"), &json!(false)));
     assert_eq!(sample["has_time"], true);
     let attachment = unhex(&sample["attachment"]);
     assert_eq!(attachment.len(), 33);
@@ -264,6 +279,65 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
     assert_eq!((received.source_time_ns, received.writer.0), (Some(7), [0x22; 16]));
     assert!(samples.recv_timeout(Duration::from_millis(300)).is_err(), "it comes once");
     assert_eq!(session.skipped(), 6);
+}
+
+#[test]
+fn samples_have_the_priority_of_their_publisher() {
+    let Some(mut router) = Router::start() else { return };
+    let node = router.join().create_node(golden()).unwrap();
+    router.done(&json!({"do": "subscribe", "key": key_of_text("*")}));
+    for (number, (name, priority)) in Priority::ALL.into_iter().enumerate() {
+        let send = SendOptions { priority, is_express: number % 2 == 0 };
+        let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
+        let publisher = node.publish_with(&format!("/{name}"), &text_type(), qos, send).unwrap();
+        let sample = router.heard(&publisher, &text(name));
+        assert_eq!(
+            (&sample["priority"], &sample["express"]),
+            (&json!(name.to_uppercase()), &json!(send.is_express))
+        );
+        assert_eq!(sample["congestion"], "BLOCK", "priorities do not change what may be dropped");
+    }
+}
+
+/// Forwards a connection, and counts the bytes to the router.
+fn counted(port: u16) -> (u16, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let own = listener.local_addr().unwrap().port();
+    let bytes = Arc::<AtomicUsize>::default();
+    let count = Arc::clone(&bytes);
+    std::thread::spawn(move || {
+        let (session, _) = listener.accept().unwrap();
+        let router = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        let (mut from_router, mut to_session) = (router.try_clone().unwrap(), session.try_clone().unwrap());
+        std::thread::spawn(move || std::io::copy(&mut from_router, &mut to_session));
+        let (mut session, mut router, mut buffer) = (session, router, [0; 1 << 16]);
+        while let Ok(read @ 1..) = session.read(&mut buffer) {
+            count.fetch_add(read, Ordering::Relaxed);
+            if router.write_all(&buffer[..read]).is_err() {
+                return;
+            }
+        }
+    });
+    (own, bytes)
+}
+
+#[test]
+fn a_link_is_compressed_if_both_sides_say_so() {
+    const LENGTH: usize = 1 << 20;
+    let sent = |compression: bool| {
+        let mut router = Router::start_with(&[&compression.to_string()])?;
+        let (port, bytes) = counted(router.port);
+        let more = format!("transport/unicast/compression/enabled={compression};mode=\"client\"");
+        let participant = Participant::on(Router::session_through(port, &more)).unwrap();
+        let node = participant.create_node(golden()).unwrap();
+        router.done(&json!({"do": "subscribe", "key": key_of_text("map")}));
+        let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
+        let publisher = node.publish("/map", &text_type(), qos).unwrap();
+        router.heard(&publisher, &text(&"free ".repeat(LENGTH / 5)));
+        Some(bytes.load(Ordering::Relaxed))
+    };
+    let (Some(plain), Some(compressed)) = (sent(false), sent(true)) else { return };
+    assert!(plain > LENGTH && compressed < LENGTH / 10, "{plain} and {compressed} bytes");
 }
 
 #[test]

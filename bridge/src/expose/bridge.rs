@@ -158,7 +158,7 @@ impl Bridge {
         node: &Node,
         exposure: &Exposure,
     ) -> Result<Exposed, ExposeError> {
-        let Exposure { direction, message_type, limits, .. } = *exposure;
+        let Exposure { direction, message_type, limits, send, .. } = *exposure;
         let (topic, ros_topic) = (&exposure.topic, exposure.ros_topic());
         let failed = |error: NodeError| ExposeError::Endpoint { topic: topic.clone(), error };
         let failed_name = |error: NameError| failed(error.into());
@@ -175,7 +175,7 @@ impl Bridge {
         let limiter = Limiter::new(limits);
         let held = match direction {
             Direction::Out => {
-                let publisher = Arc::new(node.publish(ros_topic, &ros_type, qos).map_err(failed)?);
+                let publisher = Arc::new(node.publish_with(ros_topic, &ros_type, qos, send).map_err(failed)?);
                 self.own.write().insert(publisher.gid());
                 publisher.on_event(on_event);
                 let weak = Arc::downgrade(&publisher);

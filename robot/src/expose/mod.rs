@@ -130,7 +130,7 @@ impl RobotFile {
         core: &CoreHandle,
         status: &BridgeStatus,
     ) -> Result<Vec<Exposure>> {
-        let entries = Self::parse_entries(text, &self.catalog.interfaces)?;
+        let entries = Self::parse_entries(text, &self.catalog.interfaces, self.expose.features.engine)?;
         let topics = core.topics().wait(PATIENCE).ok_or_else(|| {
             self.source
                 .error(1, "the core does not answer: it has stopped or is held, or a module does not return")
@@ -361,6 +361,7 @@ impl<'a> Selection<'a> {
             direction: entry.direction,
             qos: entry.qos,
             limits: entry.limits,
+            send: entry.send,
             node,
             network: entry.network.clone(),
             relays: entry.relays,

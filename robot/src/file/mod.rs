@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 
 use downbeat_bags::{FieldRule, FieldRuleError};
 use downbeat_bridge::expose::TopicPattern;
+use downbeat_bridge::middleware::Engine;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_edge::Interfaces;
 use downbeat_files::toml;
@@ -204,11 +205,15 @@ impl RobotFile {
         Ok((file, parameter_files))
     }
 
-    /// Parses a text that contains only the keys `out` and `in` of `[expose]`.
-    pub(crate) fn parse_entries(text: &str, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
+    /// Parses a text that contains only the keys `out` and `in` of `[expose]`, for a network of this engine.
+    pub(crate) fn parse_entries(
+        text: &str,
+        interfaces: &Interfaces,
+        engine: Option<Engine>,
+    ) -> Result<Vec<ExposeEntry>> {
         let source = Source::new(Path::new("expose"), text.to_owned());
         let document = source.table()?;
-        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()), interfaces)
+        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()), interfaces, engine)
     }
 
     /// The file's path.

@@ -6,6 +6,7 @@ use downbeat_bridge::middleware::{Engine, MAX_DOMAIN_ID, OptionsError, Participa
 use downbeat_edge::Interfaces;
 
 use super::expose::{ExposeSection, selection};
+use super::features::take_of_zenoh;
 use super::table::{Table, Value};
 use super::{Result, RobotFile, RobotFileError};
 
@@ -67,7 +68,7 @@ pub(super) fn networks(
     let network = |(name, value): (String, Value<'_>)| {
         let mut table = value.table(&format!("[networks.{name}]"))?;
         let entry = network(&mut table, name)?;
-        let of_network = selection(&mut table, interfaces)?;
+        let of_network = selection(&mut table, interfaces, entry.engine)?;
         table.finish()?;
         exposed.add_network(&entry.name, of_network);
         Ok(entry)
@@ -83,27 +84,18 @@ fn network(table: &mut Table<'_>, name: String) -> Result<NetworkEntry> {
     let domain = table
         .take("domain")
         .map(|value| value.number_in(0..=i64::from(MAX_DOMAIN_ID), "a domain, from 0 to 232"));
-    let mut of_zenoh = |key| {
-        let Some(value) = table.take(key) else { return Ok(None) };
-        match engine.is_some_and(|engine| engine.to_string() == ZENOH) {
-            true => Ok(Some((value.text()?.to_owned(), value.path().to_owned()))),
-            false => Err(value.error(format!("\"{key}\" needs engine = \"{ZENOH}\""))),
-        }
-    };
-    let connect = of_zenoh("connect")?.map(|(endpoint, _)| endpoint);
-    let config = of_zenoh("config")?.map(|(file, robot)| robot.with_file_name(file));
+    let connect = take_of_zenoh(table, "connect", engine)?;
+    let config = take_of_zenoh(table, "config", engine)?;
+    let file = |value: Value<'_>| value.text().map(|name| value.path().with_file_name(name));
     let mut flag = |key| table.take(key).map_or(Ok(false), |value| value.flag());
     Ok(NetworkEntry {
         name,
         engine,
         domain: domain.transpose()?,
-        connect,
-        config,
+        connect: connect.map(|value| value.text().map(str::to_owned)).transpose()?,
+        config: config.map(file).transpose()?,
         parameters: flag("parameters")?,
         rosout: flag("rosout")?,
         line: table.line(),
     })
 }
-
-/// The name of the engine, which may not be built in.
-const ZENOH: &str = "zenoh";

@@ -10,6 +10,7 @@ pub use service::{ActionEntry, ServiceEntry};
 pub use topic::{ExposeEntry, TopicChoice};
 
 use downbeat_bridge::expose::{ServiceIntrospection, TopicPattern};
+use downbeat_bridge::middleware::Engine;
 use downbeat_edge::Interfaces;
 
 use super::table::{Table, Value};
@@ -57,16 +58,24 @@ impl ExposeSection {
 }
 
 /// Reads only `out` and `in`.
-pub(super) fn entries(mut table: Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
-    let topics = topic::topics(&mut table, interfaces)?;
+pub(super) fn entries(
+    mut table: Table<'_>,
+    interfaces: &Interfaces,
+    engine: Option<Engine>,
+) -> Result<Vec<ExposeEntry>> {
+    let topics = topic::topics(&mut table, interfaces, engine)?;
     table.finish()?;
     Ok(topics)
 }
 
 /// Reads the topics, services and actions that are exposed in a network.
-pub(super) fn selection(table: &mut Table<'_>, interfaces: &Interfaces) -> Result<ExposeSection> {
+pub(super) fn selection(
+    table: &mut Table<'_>,
+    interfaces: &Interfaces,
+    engine: Option<Engine>,
+) -> Result<ExposeSection> {
     Ok(ExposeSection {
-        topics: topic::topics(table, interfaces)?,
+        topics: topic::topics(table, interfaces, engine)?,
         services: service::services(table, "services", interfaces)?,
         calls: service::services(table, "calls", interfaces)?,
         actions: service::actions(table, "actions", interfaces)?,
@@ -78,11 +87,11 @@ pub(super) fn selection(table: &mut Table<'_>, interfaces: &Interfaces) -> Resul
 /// Reads `[expose]`.
 pub(super) fn expose(value: Value<'_>, interfaces: &Interfaces) -> Result<ExposeSection> {
     let mut table = value.table("[expose]")?;
-    let selection = selection(&mut table, interfaces)?;
+    let features = NodeFeatures::take(&mut table)?;
+    let selection = selection(&mut table, interfaces, features.engine)?;
     let introspection = service::introspection(&mut table)?;
     let parameters = service::parameters(&mut table)?;
     let lifecycle = lifecycle::lifecycle(&mut table)?;
-    let features = NodeFeatures::take(&mut table)?;
     table.finish()?;
     Ok(ExposeSection { introspection, parameters, lifecycle, features, ..selection })
 }
