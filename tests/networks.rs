@@ -293,12 +293,12 @@ fn services_and_actions_of_a_fleet_go_both_ways_and_replay_bit_for_bit() {
 #[cfg(feature = "zenoh")]
 #[test]
 fn services_and_actions_of_a_fleet_on_zenoh_go_both_ways_and_replay_bit_for_bit() {
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (tempfile::tempdir().unwrap(), free_domain());
     let (endpoint, _router) = router();
-    let mut in_fleet = options(5);
+    let mut in_fleet = options(domain);
     in_fleet.engine = downbeat::bridge::middleware::Engine::Zenoh;
     in_fleet.zenoh.connect = Some(endpoint.clone());
-    let fleet = format!("engine = \"zenoh\"\nconnect = \"{endpoint}\"\ndomain = 5\n");
+    let fleet = format!("engine = \"zenoh\"\nconnect = \"{endpoint}\"\ndomain = {domain}\n");
     talk_between_networks(folder.path(), &fleet, &in_fleet);
 }
 
