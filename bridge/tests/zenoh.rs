@@ -1,6 +1,7 @@
 //! Nodes on Zenoh, seen and used by Zenoh's own Python package, which speaks as `rmw_zenoh_cpp` does.
 #![allow(clippy::unwrap_used)]
 
+use bytes::Bytes;
 use downbeat_bridge::middleware::zenoh::ZenohParticipant;
 use downbeat_bridge::middleware::{
     DiscoveryRange, EndpointEvent, ParticipantOptions, Priority, Sample, SendOptions,
@@ -13,12 +14,13 @@ use downbeat_msgs::{Message, Service, cdr};
 use downbeat_zenoh::Settings;
 use downbeat_zenoh::wire::{Attachment, Token, gid};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -299,26 +301,74 @@ fn samples_have_the_priority_of_their_publisher() {
     }
 }
 
-/// Forwards a connection, and counts the bytes to the router.
-fn counted(port: u16) -> (u16, Arc<AtomicUsize>) {
+/// Forwards a connection to the router, with a pause after every 8 kB, and counts the bytes.
+fn relay(port: u16, pause: Duration) -> (u16, Arc<AtomicUsize>) {
     let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
     let own = listener.local_addr().unwrap().port();
     let bytes = Arc::<AtomicUsize>::default();
     let count = Arc::clone(&bytes);
     std::thread::spawn(move || {
-        let (session, _) = listener.accept().unwrap();
-        let router = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        let (mut session, _) = listener.accept().unwrap();
+        let mut router = TcpStream::connect(("127.0.0.1", port)).unwrap();
         let (mut from_router, mut to_session) = (router.try_clone().unwrap(), session.try_clone().unwrap());
         std::thread::spawn(move || std::io::copy(&mut from_router, &mut to_session));
-        let (mut session, mut router, mut buffer) = (session, router, [0; 1 << 16]);
+        let mut buffer = [0; 8192];
         while let Ok(read @ 1..) = session.read(&mut buffer) {
             count.fetch_add(read, Ordering::Relaxed);
             if router.write_all(&buffer[..read]).is_err() {
                 return;
             }
+            std::thread::sleep(pause);
         }
     });
     (own, bytes)
+}
+
+#[test]
+fn small_messages_of_a_high_priority_pass_a_stream_that_fills_a_slow_link() {
+    const PINGS: usize = 20;
+    /// How many of them arrive.
+    fn arrived(priority: Priority) -> Option<usize> {
+        let mut router = Router::start()?;
+        // 800 kB/s, with small buffers in front.
+        let (port, bytes) = relay(router.port, Duration::from_millis(10));
+        let session = Router::session_through(port, "mode=\"client\";transport/link/tcp/so_sndbuf=65536");
+        let node = Participant::on(session).unwrap().create_node(golden()).unwrap();
+        router.done(&json!({"do": "ignore", "key": key_of_text("stream")}));
+        router.done(&json!({"do": "subscribe", "key": key_of_text("ping")}));
+        let publish = |topic, priority| {
+            let send = SendOptions { priority, ..SendOptions::default() };
+            node.publish_with(topic, &text_type(), QosProfile::SENSOR_DATA, send).unwrap()
+        };
+        let (stream, ping) = (publish("/stream", Priority::Data), publish("/ping", priority));
+        router.heard(&ping, &text("first"));
+        let is_over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let large = Bytes::from(text(&"x".repeat(200_000)));
+                while !is_over.load(Ordering::Relaxed) {
+                    stream.publish(large.clone()).unwrap();
+                }
+            });
+            wait_until("the link is full", || bytes.load(Ordering::Relaxed) > 500_000);
+            for number in 0..PINGS {
+                ping.publish(text(&number.to_string()).into()).unwrap();
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            is_over.store(true, Ordering::Relaxed);
+        });
+        let mut heard = BTreeSet::new();
+        while !heard.contains(&text("last")) {
+            ping.publish(text("last").into()).unwrap();
+            heard.extend(
+                router.said.recv_timeout(Duration::from_millis(50)).map(|said| unhex(&said["payload"])),
+            );
+        }
+        Some((0..PINGS).filter(|number| heard.contains(&text(&number.to_string()))).count())
+    }
+    let (Some(high), Some(same)) = (arrived(Priority::RealTime), arrived(Priority::Data)) else { return };
+    assert_eq!(high, PINGS);
+    assert!(same < PINGS, "the link is not full");
 }
 
 #[test]
@@ -326,7 +376,7 @@ fn a_link_is_compressed_if_both_sides_say_so() {
     const LENGTH: usize = 1 << 20;
     let sent = |compression: bool| {
         let mut router = Router::start_with(&[&compression.to_string()])?;
-        let (port, bytes) = counted(router.port);
+        let (port, bytes) = relay(router.port, Duration::ZERO);
         let more = format!("transport/unicast/compression/enabled={compression};mode=\"client\"");
         let participant = Participant::on(Router::session_through(port, &more)).unwrap();
         let node = participant.create_node(golden()).unwrap();

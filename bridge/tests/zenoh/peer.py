@@ -102,6 +102,8 @@ def act(do, **more):
         tokens(**more)
     elif do == "subscribe":
         kept.append(session.declare_subscriber(more["key"], sample))
+    elif do == "ignore":
+        kept.append(session.declare_subscriber(more["key"], lambda found: None))
     elif do == "put":
         bare = {} if more.get("attachment") == "none" else dict(attachment=bytes.fromhex(more["attachment"]) if "attachment" in more else attachment(more["number"]))
         session.put(more["key"], bytes.fromhex(more["payload"]), **bare)
