@@ -311,6 +311,8 @@ fn parameters_and_the_log_are_in_a_further_network_only_if_the_file_says_so() {
          [networks.base]\ndomain = {base}\nout = [\"battery_state\"]\n"
     );
     let robot = robot_file(folder.path(), |text| format!("{text}\n{networks}"));
+    let checked = text_of(&["check", robot.to_str().unwrap()]);
+    assert!(checked.contains("  log -> /rosout, on fleet\n  parameters, on fleet\n"), "{checked}");
     let _running =
         Running::start_by(downbeat(&["run", robot.to_str().unwrap()]).env("ROS_DOMAIN_ID", own.to_string()));
     for domain in [own, fleet] {

@@ -2,11 +2,14 @@
 #![allow(clippy::unwrap_used)]
 
 use bytes::Bytes;
+use downbeat_bridge::edge::Interfaces;
+use downbeat_bridge::expose::{Exposure, expose};
 use downbeat_bridge::middleware::zenoh::ZenohParticipant;
 use downbeat_bridge::middleware::{
-    DiscoveryRange, EndpointEvent, ParticipantOptions, Priority, Sample, SendOptions,
+    Direction, DiscoveryRange, EndpointEvent, ParticipantOptions, Priority, Sample, SendOptions,
 };
-use downbeat_bridge::ros::{MessageType, NodeName, Participant, Publisher};
+use downbeat_bridge::ros::{MessageType, NodeName, Participant};
+use downbeat_executor::Core;
 use downbeat_msgs::qos::{History, QosProfile};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
@@ -98,9 +101,9 @@ impl Router {
     }
 
     /// Publishes until the router has the sample: the publisher hears of the subscription some time later.
-    fn heard(&mut self, publisher: &Publisher, cdr: &[u8]) -> Value {
+    fn heard(&mut self, cdr: &[u8], mut publish: impl FnMut()) -> Value {
         loop {
-            publisher.publish(cdr.to_vec().into()).unwrap();
+            publish();
             if let Ok(said) = self.said.recv_timeout(Duration::from_millis(200))
                 && said["kind"] == "sample"
                 && unhex(&said["payload"]) == cdr
@@ -249,7 +252,8 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
 
     router.done(&json!({"do": "subscribe", "key": key_of_text("ns1/chatter")}));
     let token = router.token("/MP/%/%ns1/golden/%ns1%chatter/");
-    let sample = router.heard(&publisher, &text("hello"));
+    let hello = text("hello");
+    let sample = router.heard(&hello, || publisher.publish(hello.clone().into()).unwrap());
     assert_eq!(sample["key"], *key_of_text("ns1/chatter"));
     assert_eq!((&sample["congestion"], &sample["encoding"]), (&json!("DROP"), &json!("zenoh/bytes")));
     assert_eq!((&sample["priority"], &sample["express"]), (&json!("DATA"), &json!(false)));
@@ -284,19 +288,31 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
 }
 
 #[test]
-fn samples_have_the_priority_of_their_publisher() {
+fn samples_have_the_priority_that_their_topic_is_exposed_with() {
     let Some(mut router) = Router::start() else { return };
     let node = router.join().create_node(golden()).unwrap();
-    router.done(&json!({"do": "subscribe", "key": key_of_text("*")}));
-    for (number, (name, priority)) in Priority::ALL.into_iter().enumerate() {
-        let send = SendOptions { priority, is_express: number % 2 == 0 };
+    let mut core = Core::new();
+    let message_type = Interfaces::carried().message(Text::TYPE_NAME).unwrap();
+    let topics = Priority::ALL.map(|(name, priority)| {
+        let send = SendOptions { priority, is_express: priority == Priority::RealTime };
         let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
-        let publisher = node.publish_with(&format!("/{name}"), &text_type(), qos, send).unwrap();
-        let sample = router.heard(&publisher, &text(name));
-        assert_eq!(
-            (&sample["priority"], &sample["express"]),
-            (&json!(name.to_uppercase()), &json!(send.is_express))
+        let exposure = Exposure::new(name, message_type, Direction::Out);
+        (core.inlet::<Text>(name).unwrap(), Exposure { send, qos: qos.into(), ..exposure })
+    });
+    expose(&mut core, &node, &topics.each_ref().map(|(_, exposure)| exposure.clone())).unwrap();
+    router.done(&json!({"do": "subscribe", "key": key_of_text("ns1/*")}));
+    for (number, (inlet, Exposure { topic, send, .. })) in topics.iter().enumerate() {
+        let token = format!(
+            "@ros2_lv/{DOMAIN}/abc/0/{number}/MS/%/%/listener/%ns1%{topic}/std_msgs::msg::dds_::String_/{}/::,10:,:,:,,",
+            Text::TYPE_HASH
         );
+        router.done(&json!({"do": "announce", "token": token}));
+        let sample = router.heard(&text(topic), || {
+            inlet.publish(Text { data: topic.clone() }).unwrap();
+            core.cycle().unwrap();
+        });
+        assert_eq!(sample["priority"], topic.to_uppercase());
+        assert_eq!(sample["express"], send.is_express);
         assert_eq!(sample["congestion"], "BLOCK", "priorities do not change what may be dropped");
     }
 }
@@ -341,7 +357,8 @@ fn small_messages_of_a_high_priority_pass_a_stream_that_fills_a_slow_link() {
             node.publish_with(topic, &text_type(), QosProfile::SENSOR_DATA, send).unwrap()
         };
         let (stream, ping) = (publish("/stream", Priority::Data), publish("/ping", priority));
-        router.heard(&ping, &text("first"));
+        let first = text("first");
+        router.heard(&first, || ping.publish(first.clone().into()).unwrap());
         let is_over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             scope.spawn(|| {
@@ -383,7 +400,8 @@ fn a_link_is_compressed_if_both_sides_say_so() {
         router.done(&json!({"do": "subscribe", "key": key_of_text("map")}));
         let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
         let publisher = node.publish("/map", &text_type(), qos).unwrap();
-        router.heard(&publisher, &text(&"free ".repeat(LENGTH / 5)));
+        let map = text(&"free ".repeat(LENGTH / 5));
+        router.heard(&map, || publisher.publish(map.clone().into()).unwrap());
         Some(bytes.load(Ordering::Relaxed))
     };
     let (Some(plain), Some(compressed)) = (sent(false), sent(true)) else { return };
