@@ -140,6 +140,7 @@ fn exposure(action: &str, ros_action: &str) -> ActionExposure {
         ros_action: Some(ros_action.into()),
         action_type: Interfaces::carried().action(FIBONACCI).unwrap(),
         timeout: Duration::from_secs(10),
+        network: None,
     }
 }
 
@@ -166,7 +167,7 @@ impl Running {
     /// Whether all services of the action of ROS 2 are found.
     fn has_found_the_action(&self) -> bool {
         let called = |name: &str| name.starts_with("/count/_action");
-        self.status.services().iter().filter(|(name, ..)| called(name)).all(|(_, is_matched, ..)| *is_matched)
+        self.status.services().iter().filter(|call| called(&call.service)).all(|call| call.is_matched)
     }
 }
 

@@ -7,7 +7,7 @@ use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
 use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::edge::Interfaces;
-use downbeat_bridge::expose::{ExposeError, ServiceExposure, ServicesStatus, expose_services};
+use downbeat_bridge::expose::{ExposeError, ServiceExposure, ServiceReport, ServicesStatus, expose_services};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{Client, Node, NodeName, Participant};
 use downbeat_executor::{Context, Core, Module, Setup, SetupError};
@@ -57,6 +57,7 @@ fn offered(service: &str, service_type: &str) -> ServiceExposure {
         ros_service: Some(format!("~/{service}")),
         service_type: Interfaces::carried().service(service_type).unwrap(),
         timeout: Duration::from_secs(5),
+        network: None,
     }
 }
 
@@ -66,6 +67,7 @@ fn light() -> ServiceExposure {
         ros_service: Some("/light".into()),
         service_type: Interfaces::carried().service("std_srvs/srv/SetBool").unwrap(),
         timeout: Duration::from_secs(10),
+        network: None,
     }
 }
 
@@ -110,7 +112,13 @@ fn a_service_of_a_module_answers_clients_and_says_why_it_refuses() {
     let expected = [("/robot/stand_up", true, 1, 1), ("/robot/panic", true, 0, 1), ("/light", false, 0, 0)];
     wait_until("the calls are counted", || {
         running.status.services()
-            == expected.map(|(name, matched, ok, failed)| (name.into(), matched, ok, failed))
+            == expected.map(|(service, is_matched, answered, failed)| ServiceReport {
+                service: service.into(),
+                network: None,
+                is_matched,
+                answered,
+                failed,
+            })
     });
     drop(running);
     wait_until("the services are gone with the core", || !client.is_available());
@@ -171,7 +179,7 @@ fn rclpy_calls_a_module_and_a_module_calls_rclpy() {
             {"success": false, "message": "I do not lie down"},
         ])
     );
-    wait_until("the light is found", || running.status.services()[2].1);
+    wait_until("the light is found", || running.status.services()[2].is_matched);
     running.ask.publish(true).unwrap();
     let answer = running.answers.recv_timeout(WATCHDOG).unwrap().unwrap();
     assert_eq!(answer, SetBoolResponse { success: true, message: "data is True".into() });

@@ -87,8 +87,15 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
     let ask = core.inlet("ask").unwrap();
     let service_type = Interfaces::carried().service(TYPE).unwrap();
     let timeout = Duration::from_secs(10);
-    let offered = ServiceExposure { service: "stand_up".into(), ros_service: None, service_type, timeout };
-    let called = ServiceExposure { service: "light".into(), ros_service: None, service_type, timeout };
+    let offered = ServiceExposure {
+        service: "stand_up".into(),
+        ros_service: None,
+        service_type,
+        timeout,
+        network: None,
+    };
+    let called =
+        ServiceExposure { service: "light".into(), ros_service: None, service_type, timeout, network: None };
     let introspection =
         ServiceIntrospection { services: Introspection::Metadata, clients: Introspection::Off };
     let status = expose_services_with(&mut core, &node, &[offered], &[called], introspection).unwrap();
@@ -104,7 +111,7 @@ fn services_and_calls_tell_of_themselves_as_they_are_set_to() {
         rclpy.ask(json!({"do": "subscribe", "topic": topic, "type": format!("{TYPE}_Event")}));
     }
     assert_eq!(rclpy.ask(json!({"do": "wait_for_service", "service": "/stand_up"})), true);
-    wait_until("the light is found", || status.services()[1].1);
+    wait_until("the light is found", || status.services()[1].is_matched);
     let is_matched = |rclpy: &mut Peer, topic: &str| {
         rclpy.ask(json!({"do": "publishers_of", "topic": topic})) != json!([])
     };

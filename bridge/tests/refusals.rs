@@ -79,6 +79,7 @@ fn offered(service: &str, service_type: &str, timeout: Duration) -> ServiceExpos
         ros_service: Some(format!("/{service}")),
         service_type: Interfaces::carried().service(service_type).unwrap(),
         timeout,
+        network: None,
     }
 }
 
@@ -104,6 +105,7 @@ fn run_on(node: &Node, mut core: Core) -> Running {
         ros_action: Some("/count".into()),
         action_type: Interfaces::carried().action(FIBONACCI).unwrap(),
         timeout: WATCHDOG,
+        network: None,
     };
     expose(&mut core, node, &action.topics(Direction::Out)).unwrap();
     let mut offers = vec![
@@ -166,6 +168,7 @@ fn what_a_handler_does_its_client_has_a_response() {
     let statuses = running.status.offered();
     let expected = OfferedService {
         service: "/reset".into(),
+        network: None,
         type_name: "std_srvs/srv/Empty",
         answered: 0,
         refused: 1,

@@ -300,6 +300,7 @@ fn exposure(action: &str, ros_action: &str) -> ActionExposure {
         ros_action: Some(ros_action.into()),
         action_type: Interfaces::carried().action("test_msgs/action/Fibonacci").unwrap(),
         timeout: Duration::from_secs(10),
+        network: None,
     }
 }
 
@@ -380,8 +381,8 @@ fn actions_go_both_ways() {
         status
             .services()
             .iter()
-            .filter(|(name, ..)| name.starts_with("/theirs/"))
-            .all(|(_, is_matched, ..)| *is_matched)
+            .filter(|call| call.service.starts_with("/theirs/"))
+            .all(|call| call.is_matched)
     });
     ask.publish(7).unwrap();
     assert_eq!(outcomes.recv_timeout(WATCHDOG).unwrap(), "succeeded [7]");

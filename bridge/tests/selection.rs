@@ -6,7 +6,7 @@ mod common;
 
 use common::{RunningCore, wait_until};
 use downbeat_bridge::edge::Interfaces;
-use downbeat_bridge::expose::{Bridge, ExposeError, Exposure, Limits, OfACycle, expose};
+use downbeat_bridge::expose::{Bridge, ExposeError, Exposure, Limits, NetworkNodes, OfACycle, expose};
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, RemapRules, Subscription};
@@ -312,8 +312,7 @@ fn a_change_that_cannot_be_changes_nothing() {
 
 /// A robot in a lab and in a fleet, and somebody who looks at each of them.
 struct TwoNetworks {
-    robot: Peer,
-    networks: BTreeMap<String, Node>,
+    robot: NetworkNodes,
     lab: Peer,
     fleet: Peer,
 }
@@ -323,11 +322,12 @@ impl TwoNetworks {
         let (lab, fleet) = (Hub::new(), Hub::new());
         let peer = |hub, name| join(hub, "/", name, RemapRules::default());
         let networks = BTreeMap::from([("fleet".to_owned(), peer(&fleet, "robot").node)]);
-        Self { robot: peer(&lab, "robot"), networks, lab: peer(&lab, "peer"), fleet: peer(&fleet, "peer") }
+        let robot = NetworkNodes::new(peer(&lab, "robot").node, networks);
+        Self { robot, lab: peer(&lab, "peer"), fleet: peer(&fleet, "peer") }
     }
 
     fn start(&self, core: &mut Core, exposures: &[Exposure]) -> Result<Bridge, ExposeError> {
-        Bridge::start_between(core, &self.robot.node, self.networks.clone(), exposures)
+        Bridge::start(core, self.robot.clone(), exposures)
     }
 }
 

@@ -1,21 +1,29 @@
 //! Nodes on Zenoh, seen and used by Zenoh's own Python package, which speaks as `rmw_zenoh_cpp` does.
 #![allow(clippy::unwrap_used)]
 
+use bytes::Bytes;
+use downbeat_bridge::edge::Interfaces;
+use downbeat_bridge::expose::{Exposure, expose};
 use downbeat_bridge::middleware::zenoh::ZenohParticipant;
-use downbeat_bridge::middleware::{DiscoveryRange, EndpointEvent, ParticipantOptions, Sample};
+use downbeat_bridge::middleware::{
+    Direction, DiscoveryRange, EndpointEvent, ParticipantOptions, Priority, Sample, SendOptions,
+};
 use downbeat_bridge::ros::{MessageType, NodeName, Participant};
-use downbeat_msgs::qos::QosProfile;
+use downbeat_executor::Core;
+use downbeat_msgs::qos::{History, QosProfile};
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 use downbeat_msgs::{Message, Service, cdr};
 use downbeat_zenoh::Settings;
 use downbeat_zenoh::wire::{Attachment, Token, gid};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
-use std::io::{BufRead, BufReader, Write};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -34,17 +42,22 @@ struct Router {
 impl Router {
     /// `None` without Python.
     fn start() -> Option<Self> {
+        Self::start_with(&[])
+    }
+
+    fn start_with(arguments: &[&str]) -> Option<Self> {
         let python = test_machine::interpreter("DOWNBEAT_PYTHON")?;
         // Another program may take a free port before the router does.
-        let started = (0..5).find_map(|_| Self::start_by(&python));
+        let started = (0..5).find_map(|_| Self::start_by(&python, arguments));
         Some(started.expect("a router starts"))
     }
 
     /// `None` if it ended before it was ready.
-    fn start_by(python: &OsStr) -> Option<Self> {
+    fn start_by(python: &OsStr, arguments: &[&str]) -> Option<Self> {
         let port = TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap().port();
         let mut command = Command::new(python);
         command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/zenoh/peer.py"), &port.to_string()]);
+        command.args(arguments);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (sender, said) = channel();
         let output = BufReader::new(child.stdout.take().unwrap());
@@ -87,6 +100,19 @@ impl Router {
         self.next("done");
     }
 
+    /// Publishes until the router has the sample: the publisher hears of the subscription some time later.
+    fn heard(&mut self, cdr: &[u8], mut publish: impl FnMut()) -> Value {
+        loop {
+            publish();
+            if let Ok(said) = self.said.recv_timeout(Duration::from_millis(200))
+                && said["kind"] == "sample"
+                && unhex(&said["payload"]) == cdr
+            {
+                return said;
+            }
+        }
+    }
+
     fn tokens(&mut self) -> Vec<String> {
         self.act(&json!({"do": "tokens", "key": format!("@ros2_lv/{DOMAIN}/**")}));
         let tokens = self.next("tokens");
@@ -108,10 +134,12 @@ impl Router {
     }
 
     fn session(&self) -> Arc<ZenohParticipant> {
-        let overrides = format!(
-            "connect/endpoints=[\"tcp/127.0.0.1:{}\"];listen/endpoints=[\"tcp/127.0.0.1:0\"]",
-            self.port
-        );
+        Self::session_through(self.port, "listen/endpoints=[\"tcp/127.0.0.1:0\"]")
+    }
+
+    /// A session that connects to a port, with more of its configuration.
+    fn session_through(port: u16, more: &str) -> Arc<ZenohParticipant> {
+        let overrides = format!("connect/endpoints=[\"tcp/127.0.0.1:{port}\"];{more}");
         let zenoh = Settings { overrides: Some(overrides), router_check_attempts: 20, ..Settings::default() };
         let options = ParticipantOptions {
             discovery_range: DiscoveryRange::Localhost,
@@ -224,18 +252,11 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
 
     router.done(&json!({"do": "subscribe", "key": key_of_text("ns1/chatter")}));
     let token = router.token("/MP/%/%ns1/golden/%ns1%chatter/");
-    // The publisher hears of the subscription some time later.
-    let sample = loop {
-        publisher.publish(text("hello").into()).unwrap();
-        if let Ok(said) = router.said.recv_timeout(Duration::from_millis(200))
-            && said["kind"] == "sample"
-        {
-            break said;
-        }
-    };
+    let hello = text("hello");
+    let sample = router.heard(&hello, || publisher.publish(hello.clone().into()).unwrap());
     assert_eq!(sample["key"], *key_of_text("ns1/chatter"));
-    assert_eq!(unhex(&sample["payload"]), text("hello"));
     assert_eq!((&sample["congestion"], &sample["encoding"]), (&json!("DROP"), &json!("zenoh/bytes")));
+    assert_eq!((&sample["priority"], &sample["express"]), (&json!("DATA"), &json!(false)));
     assert_eq!(sample["has_time"], true);
     let attachment = unhex(&sample["attachment"]);
     assert_eq!(attachment.len(), 33);
@@ -264,6 +285,127 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
     assert_eq!((received.source_time_ns, received.writer.0), (Some(7), [0x22; 16]));
     assert!(samples.recv_timeout(Duration::from_millis(300)).is_err(), "it comes once");
     assert_eq!(session.skipped(), 6);
+}
+
+#[test]
+fn samples_have_the_priority_that_their_topic_is_exposed_with() {
+    let Some(mut router) = Router::start() else { return };
+    let node = router.join().create_node(golden()).unwrap();
+    let mut core = Core::new();
+    let message_type = Interfaces::carried().message(Text::TYPE_NAME).unwrap();
+    let topics = Priority::ALL.map(|(name, priority)| {
+        let send = SendOptions { priority, is_express: priority == Priority::RealTime };
+        let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
+        let exposure = Exposure::new(name, message_type, Direction::Out);
+        (core.inlet::<Text>(name).unwrap(), Exposure { send, qos: qos.into(), ..exposure })
+    });
+    expose(&mut core, &node, &topics.each_ref().map(|(_, exposure)| exposure.clone())).unwrap();
+    router.done(&json!({"do": "subscribe", "key": key_of_text("ns1/*")}));
+    for (number, (inlet, Exposure { topic, send, .. })) in topics.iter().enumerate() {
+        let token = format!(
+            "@ros2_lv/{DOMAIN}/abc/0/{number}/MS/%/%/listener/%ns1%{topic}/std_msgs::msg::dds_::String_/{}/::,10:,:,:,,",
+            Text::TYPE_HASH
+        );
+        router.done(&json!({"do": "announce", "token": token}));
+        let sample = router.heard(&text(topic), || {
+            inlet.publish(Text { data: topic.clone() }).unwrap();
+            core.cycle().unwrap();
+        });
+        assert_eq!(sample["priority"], topic.to_uppercase());
+        assert_eq!(sample["express"], send.is_express);
+        assert_eq!(sample["congestion"], "BLOCK", "priorities do not change what may be dropped");
+    }
+}
+
+/// Forwards a connection to the router, with a pause after every 8 kB, and counts the bytes.
+fn relay(port: u16, pause: Duration) -> (u16, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let own = listener.local_addr().unwrap().port();
+    let bytes = Arc::<AtomicUsize>::default();
+    let count = Arc::clone(&bytes);
+    std::thread::spawn(move || {
+        let (mut session, _) = listener.accept().unwrap();
+        let mut router = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        let (mut from_router, mut to_session) = (router.try_clone().unwrap(), session.try_clone().unwrap());
+        std::thread::spawn(move || std::io::copy(&mut from_router, &mut to_session));
+        let mut buffer = [0; 8192];
+        while let Ok(read @ 1..) = session.read(&mut buffer) {
+            count.fetch_add(read, Ordering::Relaxed);
+            if router.write_all(&buffer[..read]).is_err() {
+                return;
+            }
+            std::thread::sleep(pause);
+        }
+    });
+    (own, bytes)
+}
+
+#[test]
+fn small_messages_of_a_high_priority_pass_a_stream_that_fills_a_slow_link() {
+    const PINGS: usize = 20;
+    /// How many of them arrive.
+    fn arrived(priority: Priority) -> Option<usize> {
+        let mut router = Router::start()?;
+        // 800 kB/s, with small buffers in front.
+        let (port, bytes) = relay(router.port, Duration::from_millis(10));
+        let session = Router::session_through(port, "mode=\"client\";transport/link/tcp/so_sndbuf=65536");
+        let node = Participant::on(session).unwrap().create_node(golden()).unwrap();
+        router.done(&json!({"do": "ignore", "key": key_of_text("stream")}));
+        router.done(&json!({"do": "subscribe", "key": key_of_text("ping")}));
+        let publish = |topic, priority| {
+            let send = SendOptions { priority, ..SendOptions::default() };
+            node.publish_with(topic, &text_type(), QosProfile::SENSOR_DATA, send).unwrap()
+        };
+        let (stream, ping) = (publish("/stream", Priority::Data), publish("/ping", priority));
+        let first = text("first");
+        router.heard(&first, || ping.publish(first.clone().into()).unwrap());
+        let is_over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let large = Bytes::from(text(&"x".repeat(200_000)));
+                while !is_over.load(Ordering::Relaxed) {
+                    stream.publish(large.clone()).unwrap();
+                }
+            });
+            wait_until("the link is full", || bytes.load(Ordering::Relaxed) > 500_000);
+            for number in 0..PINGS {
+                ping.publish(text(&number.to_string()).into()).unwrap();
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            is_over.store(true, Ordering::Relaxed);
+        });
+        let mut heard = BTreeSet::new();
+        while !heard.contains(&text("last")) {
+            ping.publish(text("last").into()).unwrap();
+            heard.extend(
+                router.said.recv_timeout(Duration::from_millis(50)).map(|said| unhex(&said["payload"])),
+            );
+        }
+        Some((0..PINGS).filter(|number| heard.contains(&text(&number.to_string()))).count())
+    }
+    let (Some(high), Some(same)) = (arrived(Priority::RealTime), arrived(Priority::Data)) else { return };
+    assert_eq!(high, PINGS);
+    assert!(same < PINGS, "the link is not full");
+}
+
+#[test]
+fn a_link_is_compressed_if_both_sides_say_so() {
+    const LENGTH: usize = 1 << 20;
+    let sent = |compression: bool| {
+        let mut router = Router::start_with(&[&compression.to_string()])?;
+        let (port, bytes) = relay(router.port, Duration::ZERO);
+        let more = format!("transport/unicast/compression/enabled={compression};mode=\"client\"");
+        let participant = Participant::on(Router::session_through(port, &more)).unwrap();
+        let node = participant.create_node(golden()).unwrap();
+        router.done(&json!({"do": "subscribe", "key": key_of_text("map")}));
+        let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
+        let publisher = node.publish("/map", &text_type(), qos).unwrap();
+        let map = text(&"free ".repeat(LENGTH / 5));
+        router.heard(&map, || publisher.publish(map.clone().into()).unwrap());
+        Some(bytes.load(Ordering::Relaxed))
+    };
+    let (Some(plain), Some(compressed)) = (sent(false), sent(true)) else { return };
+    assert!(plain > LENGTH && compressed < LENGTH / 10, "{plain} and {compressed} bytes");
 }
 
 #[test]

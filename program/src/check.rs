@@ -8,8 +8,8 @@ use serde_json::json;
 
 use super::cli::CheckArguments;
 use super::describe::print_missing_kinds;
-use downbeat_bridge::edge::{Interfaces, KnownService, KnownType};
-use downbeat_bridge::expose::ActionExposure;
+use downbeat_bridge::edge::{Interfaces, KnownType};
+use downbeat_bridge::expose::{ActionExposure, ServiceExposure};
 use downbeat_bridge::ros::{NodeName, ServiceName};
 use downbeat_bridge::{clock, rosout};
 use downbeat_executor::{Core, TopicInfo};
@@ -76,7 +76,8 @@ fn print_actions(robot: &Robot) -> anyhow::Result<()> {
     for (actions, arrow) in [(robot.action_exposures()?, "->"), (robot.action_call_exposures()?, "<-")] {
         for action in actions {
             let ros_action = action_name(robot, action.ros_action())?;
-            println!("  action {} {arrow} {ros_action} {}", action.action, action.action_type);
+            let network = on(action.network.as_deref());
+            println!("  action {} {arrow} {ros_action} {}{network}", action.action, action.action_type);
             if arrow == "->" {
                 println!(
                     "    a failure: the goal is not accepted; later, its status is ABORTED, its result has default values"
@@ -109,16 +110,17 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         .topics()
         .map(|topic| json!({ "name": *topic.name, "type": type_name(topic, &file.catalog.interfaces), "is_published": topic.is_published }))
         .collect();
-    let NodeReport { features, services, calls, parameters, lifecycle } = NodeReport::of(robot)?;
+    let NodeReport { features, networks, services, calls, parameters, lifecycle } = NodeReport::of(robot)?;
     let mut actions = Vec::new();
     for (direction, exposures) in [("out", robot.action_exposures()?), ("in", robot.action_call_exposures()?)]
     {
-        for ActionExposure { action, ros_action, action_type, .. } in exposures {
+        for ActionExposure { action, ros_action, action_type, network, .. } in exposures {
             actions.push(json!({
                 "action": action,
                 "ros_action": action_name(robot, ros_action.as_ref().unwrap_or(&action))?,
                 "direction": direction,
                 "type": action_type.name(),
+                "network": network,
             }));
         }
     }
@@ -131,6 +133,7 @@ fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_j
         "exposed": exposed,
         "actions": actions,
         "features": features,
+        "networks": networks,
         "services": services,
         "calls": calls,
         "parameters": parameters,
@@ -183,6 +186,7 @@ fn print_topic(topic: &TopicInfo, interfaces: &Interfaces) {
 #[derive(Serialize)]
 struct NodeReport {
     features: Features,
+    networks: Vec<NetworkReport>,
     services: Vec<ServiceReport>,
     /// Services of others that modules call.
     calls: Vec<ServiceReport>,
@@ -204,6 +208,14 @@ struct Features {
     clock_hz: Option<f64>,
 }
 
+/// What the node has in a further network.
+#[derive(Serialize)]
+struct NetworkReport {
+    network: String,
+    parameters: bool,
+    rosout: bool,
+}
+
 #[derive(Serialize)]
 struct ServiceReport {
     service: String,
@@ -211,6 +223,9 @@ struct ServiceReport {
     #[serde(rename = "type")]
     type_name: &'static str,
     timeout_s: f64,
+    /// `None` for the robot's own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    network: Option<String>,
     /// What clients receive for a request that is refused; `None` for a service of others.
     #[serde(skip_serializing_if = "Option::is_none")]
     refusal: Option<String>,
@@ -233,32 +248,34 @@ struct LifecycleReport {
 impl NodeReport {
     fn of(robot: &Robot) -> anyhow::Result<Self> {
         let (file, node) = (&robot.file, robot.file.node_name()?);
-        let service = |service: &str, ros_service: Option<&str>, service_type: KnownService, timeout| {
-            let name = ros_service.unwrap_or(service);
+        let service = |exposure: &ServiceExposure| {
             anyhow::Ok(ServiceReport {
-                service: service.to_owned(),
-                ros_service: service_name(robot, name, &node)?,
-                type_name: service_type.name(),
-                timeout_s: std::time::Duration::as_secs_f64(&timeout),
+                service: exposure.service.clone(),
+                ros_service: service_name(robot, exposure.ros_service(), &node)?,
+                type_name: exposure.service_type.name(),
+                timeout_s: exposure.timeout.as_secs_f64(),
+                network: exposure.network.clone(),
                 refusal: None,
             })
         };
         let offered = robot.service_exposures()?;
         let offered = offered.iter().map(|offered| {
             let refusal = Some(offered.service_type.refusals().to_string());
-            let (name, ros_name) = (&offered.service, offered.ros_service.as_deref());
-            let report = service(name, ros_name, offered.service_type, offered.timeout)?;
-            Ok(ServiceReport { refusal, ..report })
+            Ok(ServiceReport { refusal, ..service(offered)? })
         });
         let called = robot.call_exposures()?;
-        let called = called.iter().map(|called| {
-            service(&called.service, called.ros_service.as_deref(), called.service_type, called.timeout)
-        });
+        let called = called.iter().map(service);
         let lifecycle = robot.lifecycle_exposures()?.into_iter().map(|exposure| {
             let node = file.remaps.node(&exposure.node)?.to_string();
             anyhow::Ok(LifecycleReport { module: exposure.module, node })
         });
+        let networks = file.networks.iter().map(|network| NetworkReport {
+            network: network.name.clone(),
+            parameters: network.parameters,
+            rosout: network.rosout && !file.is_rosout_disabled,
+        });
         Ok(Self {
+            networks: networks.collect(),
             features: Features::of(&file.expose.features, file.is_rosout_disabled),
             services: offered.collect::<anyhow::Result<_>>()?,
             calls: called.collect::<anyhow::Result<_>>()?,
@@ -285,6 +302,11 @@ impl Features {
             clock_hz,
         }
     }
+}
+
+/// The network of an endpoint, as endpoints of topics print it.
+fn on(network: Option<&str>) -> String {
+    network.map(|network| format!(", on {network}")).unwrap_or_default()
 }
 
 fn service_name(robot: &Robot, name: &str, node: &NodeName) -> anyhow::Result<String> {
@@ -316,9 +338,18 @@ fn parameters(robot: &Robot) -> anyhow::Result<Vec<ParameterReport>> {
 impl fmt::Display for NodeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.features)?;
+        for NetworkReport { network, parameters, rosout } in &self.networks {
+            if *rosout {
+                writeln!(f, "  log -> {}, on {network}", rosout::TOPIC)?;
+            }
+            if *parameters {
+                writeln!(f, "  parameters, on {network}")?;
+            }
+        }
         for (arrow, services) in [("->", &self.services), ("<-", &self.calls)] {
-            for ServiceReport { service, ros_service, type_name, refusal, .. } in services {
-                writeln!(f, "  service {service} {arrow} {ros_service} {type_name}")?;
+            for ServiceReport { service, ros_service, type_name, network, refusal, .. } in services {
+                let network = on(network.as_deref());
+                writeln!(f, "  service {service} {arrow} {ros_service} {type_name}{network}")?;
                 if let Some(refusal) = refusal {
                     writeln!(f, "    a refusal: {refusal}")?;
                 }

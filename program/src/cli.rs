@@ -399,6 +399,13 @@ pub(crate) struct ExposeAddArguments {
     /// Only the last message of each cycle.
     #[arg(long)]
     pub(crate) latest_only: bool,
+    /// On Zenoh: what waits for what on a slow link: real_time, interactive_high, interactive_low, data_high,
+    /// data, data_low or background.
+    #[arg(long, value_name = "PRIORITY")]
+    pub(crate) priority: Option<String>,
+    /// On Zenoh: each message goes at once, without waiting for others that fit into the same packet.
+    #[arg(long)]
+    pub(crate) express: bool,
     /// The node that has the endpoint, instead of the robot's.
     #[arg(long, value_name = "NODE")]
     pub(crate) node: Option<String>,

@@ -46,6 +46,8 @@ fn entries(arguments: &ExposeAddArguments) -> String {
     key("rate_hz", rate_hz.map(|rate| format!("{rate:?}")));
     key("every", every.map(|every| every.to_string()));
     key("latest_only", arguments.latest_only.then(|| "true".into()));
+    key("priority", arguments.priority.as_deref().map(text));
+    key("express", arguments.express.then(|| "true".into()));
     let topics: Vec<_> =
         arguments.topics.iter().map(|topic| format!("{{ topic = {}{keys} }}", text(topic))).collect();
     let direction = match arguments.direction {
@@ -71,9 +73,12 @@ mod tests {
             rate_hz: Some(10.0),
             every: None,
             latest_only: true,
+            priority: Some("data_high".into()),
+            express: true,
             node: None,
         };
-        let keys = "as = \"/cam/*\", except = [\"camera/raw\"], qos = \"sensor_data\", rate_hz = 10.0, latest_only = true";
+        let keys = "as = \"/cam/*\", except = [\"camera/raw\"], qos = \"sensor_data\", rate_hz = 10.0, latest_only = true, \
+            priority = \"data_high\", express = true";
         let expected =
             format!("out = [{{ topic = \"camera/*\", {keys} }}, {{ topic = \"a\\\"b\", {keys} }}]");
         assert_eq!(entries(&arguments), expected);

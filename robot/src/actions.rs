@@ -57,9 +57,9 @@ impl RobotFile {
     /// See [`Robot::action_exposures`].
     fn actions_of(&self, survey: &Survey) -> Result<Vec<ActionExposure>> {
         survey.each(&self.expose.actions, |entry: &ActionEntry| {
-            let served: Vec<_> =
-                actions(survey).filter(|(_, info)| info.server.is_some()).map(|(name, _)| name).collect();
-            let Some((action, info)) = action(survey, entry).filter(|(_, info)| info.server.is_some()) else {
+            let is_served = |(_, info): &(&str, &ServiceInfo)| server_of_the_robot(info).is_some();
+            let Some((action, info)) = action(survey, entry).filter(is_served) else {
+                let served = actions(survey).filter(is_served).map(|(name, _)| name);
                 let hint = suggestion(&entry.action, served);
                 let problem = format!("no module serves an action \"{}\"{hint}", entry.action);
                 return Err(self.source.error(entry.line, problem));
@@ -70,7 +70,11 @@ impl RobotFile {
 
     /// See [`Robot::action_call_exposures`].
     fn action_calls_of(&self, survey: &Survey) -> Result<Vec<ActionExposure>> {
-        survey.each(&self.expose.action_calls, |entry: &ActionEntry| {
+        let calls = &self.expose.action_calls;
+        let names = || calls.iter().map(|call| (call.action.as_str(), call.network.as_deref()));
+        survey.each(calls, |entry: &ActionEntry| {
+            let name = (entry.action.as_str(), entry.network.as_deref());
+            self.refuse_a_second_network(entry.line, name, names())?;
             let found = action(survey, entry);
             if let Some(server) = found.and_then(|(_, info)| server_of_the_robot(info)) {
                 let problem = format!("\"{}\" is served by module \"{server}\" already", entry.action);
@@ -134,6 +138,7 @@ impl RobotFile {
             ros_action: Some(entry.ros_action.clone().unwrap_or_else(|| name.clone())),
             action_type,
             timeout: entry.timeout,
+            network: entry.network.clone(),
         })
     }
 }
@@ -224,6 +229,28 @@ mod tests {
         assert_eq!(exposed.services[0].timeout.as_secs(), 2);
         let everything = robot.file.expose.topics.is_empty();
         assert!(everything, "only the actions");
+    }
+
+    #[test]
+    fn an_action_is_offered_in_several_networks_and_used_in_one() {
+        let both = robot("[networks.a]\nactions = [\"lookup\"]\n[networks.b]\nactions = [\"lookup\"]");
+        let exposed = both.exposed().unwrap();
+        let in_networks = |networks: &[Option<String>]| {
+            let number = networks.len() / 2;
+            networks.iter().filter(|network| network.as_deref() == Some("a")).count() == number
+                && networks.iter().filter(|network| network.as_deref() == Some("b")).count() == number
+        };
+        let topics: Vec<_> = exposed.topics.into_iter().map(|topic| topic.network).collect();
+        let services: Vec<_> = exposed.services.into_iter().map(|service| service.network).collect();
+        assert_eq!((topics.len(), services.len()), (4, 6));
+        assert!(in_networks(&topics) && in_networks(&services), "{topics:?} {services:?}");
+        let both = robot(
+            "[networks.a]\naction_calls = [\"far/lookup\"]\n[networks.b]\naction_calls = [\"far/lookup\"]",
+        );
+        assert_eq!(
+            both.exposed().err().unwrap().to_string(),
+            "robot.toml:9: \"far/lookup\" is called in network \"a\" already, and can be only in one"
+        );
     }
 
     #[test]

@@ -52,8 +52,8 @@ pub use file::Source;
 pub use file::toml_string;
 pub use file::{
     ActionEntry, ClockChoice, ExposeEntry, ExposeSection, LauncherChoice, LauncherEntry, LifecycleEntry,
-    ModuleEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError, TopicChoice,
-    ViewAccess, ViewEntry,
+    ModuleEntry, NetworkEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
+    TopicChoice, ViewAccess, ViewEntry,
 };
 pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,

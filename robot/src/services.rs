@@ -8,6 +8,7 @@ use downbeat_executor::ServiceInfo;
 
 use super::Robot;
 use super::catalog::unregistered;
+use super::expose::{canonical, network_name};
 use super::file::{RobotFile, RobotFileError, ServiceEntry, suggestion};
 use super::survey::Survey;
 
@@ -53,7 +54,8 @@ impl RobotFile {
     /// See [`Robot::service_exposures`].
     pub(super) fn services_of(&self, survey: &Survey) -> Result<Vec<ServiceExposure>> {
         survey.each(&self.expose.services, |entry: &ServiceEntry| {
-            let served: Vec<_> = survey.services.iter().filter(|service| service.server.is_some()).collect();
+            let served = survey.services.iter().filter(|info| server_of_the_robot(info).is_some());
+            let served: Vec<_> = served.collect();
             let Some(info) = served.iter().find(|info| is_named(info, &entry.service)) else {
                 let hint = suggestion(&entry.service, served.iter().map(|info| &*info.name));
                 return Err(self.refuse(entry, format!("no module serves \"{}\"{hint}", entry.service)));
@@ -63,13 +65,17 @@ impl RobotFile {
                 ros_service: entry.ros_service.clone(),
                 service_type: self.service_type(entry, Some(info))?,
                 timeout: entry.timeout,
+                network: entry.network.clone(),
             })
         })
     }
 
     /// See [`Robot::call_exposures`].
     pub(super) fn calls_of(&self, survey: &Survey) -> Result<Vec<ServiceExposure>> {
+        let names = || self.expose.calls.iter().map(|call| (call.service.as_str(), call.network.as_deref()));
         survey.each(&self.expose.calls, |entry: &ServiceEntry| {
+            let name = (entry.service.as_str(), entry.network.as_deref());
+            self.refuse_a_second_network(entry.line, name, names())?;
             let info = survey.services.iter().find(|info| is_named(info, &entry.service));
             if let Some(server) = info.and_then(server_of_the_robot) {
                 let problem = format!("\"{}\" is served by module \"{server}\" already", entry.service);
@@ -80,6 +86,7 @@ impl RobotFile {
                 ros_service: entry.ros_service.clone(),
                 service_type: self.service_type(entry, info)?,
                 timeout: entry.timeout,
+                network: entry.network.clone(),
             })
         })
     }
@@ -100,6 +107,21 @@ impl RobotFile {
         }
         let settings = entries.iter().map(|entry| entry.value.clone()).collect();
         Ok(ParameterExposure { settings, of_module: None })
+    }
+
+    /// Modules call the server of one network. `calls` are all that the file has, each with its network.
+    pub(super) fn refuse_a_second_network<'a>(
+        &self,
+        line: usize,
+        (name, network): (&str, Option<&str>),
+        mut calls: impl Iterator<Item = (&'a str, Option<&'a str>)>,
+    ) -> Result<()> {
+        let first = calls.find(|(other, _)| canonical(other) == canonical(name));
+        let Some((_, other)) = first.filter(|(_, other)| *other != network) else { return Ok(()) };
+        let other = network_name(other);
+        Err(self
+            .source
+            .error(line, format!("\"{name}\" is called in {other} already, and can be only in one")))
     }
 
     fn service_type(&self, entry: &ServiceEntry, info: Option<&ServiceInfo>) -> Result<KnownService> {
@@ -134,7 +156,7 @@ impl RobotFile {
 }
 
 fn is_named(info: &ServiceInfo, name: &str) -> bool {
-    *info.name == *name.trim_start_matches('/')
+    *info.name == *canonical(name)
 }
 
 #[cfg(test)]
@@ -200,6 +222,21 @@ mod tests {
         assert_eq!(called[1].service_type.name(), "std_srvs/srv/Empty");
         let parameters = robot.parameter_exposure().unwrap();
         assert!(parameters.settings[0].matches("legs.gain") && !parameters.settings[0].matches("legs.side"));
+    }
+
+    #[test]
+    fn a_service_is_offered_in_several_networks_and_called_in_one() {
+        let both = robot("services = [\"stand_up\"]\n[networks.fleet]\nservices = [\"stand_up\"]");
+        let networks: Vec<_> =
+            both.service_exposures().unwrap().into_iter().map(|exposure| exposure.network).collect();
+        assert_eq!(networks, [None, Some("fleet".to_owned())]);
+        let fleet = robot("[networks.fleet]\ncalls = [\"plan\"]");
+        assert_eq!(fleet.call_exposures().unwrap()[0].network.as_deref(), Some("fleet"));
+        let both = robot("calls = [\"plan\"]\n[networks.fleet]\ncalls = [\"/plan\"]");
+        assert_eq!(
+            both.call_exposures().unwrap_err().to_string(),
+            "robot.toml:8: \"/plan\" is called in the robot's own network already, and can be only in one"
+        );
     }
 
     #[test]

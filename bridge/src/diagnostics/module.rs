@@ -10,7 +10,6 @@ use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::std_msgs::msg::Header;
 use parking_lot::Mutex;
-use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::time::Duration;
@@ -56,7 +55,7 @@ impl ProcessDiagnostics {
             sources: Arc::clone(&sources),
             asked: None,
             last: None,
-            endpoints: BTreeMap::new(),
+            endpoints: Vec::new(),
             services: Vec::new(),
         };
         let options = ModuleOptions {
@@ -92,7 +91,7 @@ struct Reporter {
     asked: Option<Receipt<Snapshot>>,
     /// The snapshot of the last report: the difference to it decides on levels.
     last: Option<Snapshot>,
-    endpoints: BTreeMap<String, EndpointReport>,
+    endpoints: Vec<EndpointReport>,
     services: Vec<OfferedService>,
 }
 
@@ -136,15 +135,19 @@ impl Reporter {
         }
         {
             let mut sources = self.sources.lock();
-            for report in sources.endpoints.iter().flat_map(BridgeStatus::endpoints) {
-                let last = self.endpoints.get(&report.endpoint.ros_topic);
-                statuses.push(status::endpoint(&self.name, &report, last));
-                self.endpoints.insert(report.endpoint.ros_topic.clone(), report);
+            let now: Vec<_> = sources.endpoints.iter().flat_map(BridgeStatus::endpoints).collect();
+            for report in &now {
+                let last = self.endpoints.iter().find(|last| last.endpoint == report.endpoint);
+                statuses.push(status::endpoint(&self.name, report, last));
             }
+            self.endpoints = now;
             if let Some(services) = &sources.services {
                 let now = services.offered();
                 for service in &now {
-                    let last = self.services.iter().find(|last| last.service == service.service);
+                    let is_same = |last: &&OfferedService| {
+                        (&last.service, &last.network) == (&service.service, &service.network)
+                    };
+                    let last = self.services.iter().find(is_same);
                     statuses.push(status::service(&self.name, service, last));
                 }
                 self.services = now;

@@ -81,7 +81,8 @@ pub(super) fn endpoint(node: &str, now: &EndpointReport, last: Option<&EndpointR
         value("incompatible", now.traffic.qos.incompatible),
         value("incompatible types", now.traffic.qos.incompatible_types),
     ];
-    status(level, format!("{node}: {}", now.endpoint.ros_topic), message, values)
+    let network = on(now.endpoint.network.as_deref());
+    status(level, format!("{node}: {}{network}", now.endpoint.ros_topic), message, values)
 }
 
 /// One service that is offered to ROS 2.
@@ -98,7 +99,13 @@ pub(super) fn service(node: &str, now: &OfferedService, last: Option<&OfferedSer
         value("requests answered", now.answered),
         value("requests refused", now.refused),
     ];
-    status(level, format!("{node}: service {}", now.service), message, values)
+    let network = on(now.network.as_deref());
+    status(level, format!("{node}: service {}{network}", now.service), message, values)
+}
+
+/// What distinguishes the same name in a further network.
+fn on(network: Option<&str>) -> String {
+    network.map(|network| format!(" on {network}")).unwrap_or_default()
 }
 
 fn qos_problems(now: &EndpointReport, last: Option<&EndpointReport>) -> String {
@@ -205,6 +212,7 @@ mod tests {
     fn refused_requests_of_a_service_are_a_warning_until_the_next_report() {
         let at = |answered, refused| OfferedService {
             service: "/reset".into(),
+            network: None,
             type_name: "std_srvs/srv/Empty",
             answered,
             refused,
@@ -219,6 +227,8 @@ mod tests {
         assert_eq!(of(&at(3, 2), None), refused);
         assert_eq!(of(&at(3, 2), Some(&at(1, 0))), refused);
         assert_eq!(of(&at(4, 2), Some(&at(3, 2))), (DiagnosticStatus::OK, "4 requests answered".into()));
+        let in_fleet = OfferedService { network: Some("fleet".into()), ..at(4, 2) };
+        assert_eq!(service("robot", &in_fleet, None).name, "robot: service /reset on fleet");
         let values = service("robot", &at(4, 2), None).values;
         assert!(values.contains(&value("requests refused", 2)), "{values:?}");
     }

@@ -27,6 +27,8 @@ pub struct ActionExposure {
     pub action_type: KnownAction,
     /// How long its server may take to say whether it takes a goal or cancels one.
     pub timeout: Duration,
+    /// The network that has it; `None` for that of the own node.
+    pub network: Option<String>,
 }
 
 impl ActionExposure {
@@ -50,6 +52,7 @@ impl ActionExposure {
             ros_service: Some(name(self.ros_action(), part)),
             service_type,
             timeout,
+            network: self.network.clone(),
         })
         .into()
     }
@@ -62,6 +65,7 @@ impl ActionExposure {
             .map(|(part, message_type, qos)| Exposure {
                 ros_topic: Some(name(self.ros_action(), part)),
                 qos: qos.into(),
+                network: self.network.clone(),
                 ..Exposure::new(name(&self.action, part), message_type, direction)
             })
             .into()

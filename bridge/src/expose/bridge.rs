@@ -4,13 +4,14 @@ use super::conflict::Opposite;
 use super::endpoint::ExposedEndpoint;
 use super::endpoints::{BridgeStatus, EndpointReport, Endpoints, Exposed, FromRos, Held, ToRos, Traffic};
 use super::exposure::{ExposeError, Exposure, Limiter, OfACycle};
+use super::network_nodes::NetworkNodes;
 use super::qos_events::{EndpointQos, QOS_EVENTS_TOPIC, QosEvents};
 use crate::edge::{CoreAccess, Waiting};
 use crate::middleware::{Direction, EndpointEvent, Gid, Sample};
 use crate::ros::{MessageType, NameError, Node, NodeError, learn};
 use downbeat_executor::{Clock, Core, CoreHandle, Inbox, OutletInbox};
 use parking_lot::{Mutex, RwLock};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
@@ -32,9 +33,7 @@ pub fn expose(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Br
 /// keeps its node in the graph.
 #[derive(Clone)]
 pub struct Bridge {
-    node: Node,
-    /// Its nodes in further networks, by the names of the networks.
-    networks: Arc<BTreeMap<String, Node>>,
+    nodes: NetworkNodes,
     core: CoreHandle,
     clock: Arc<dyn Clock>,
     events: QosEvents,
@@ -47,22 +46,14 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// Creates the endpoints of all exposures on `node`, each fed by an outlet of `core` or feeding an inlet.
+    /// Creates the endpoints of all exposures on one node or on one in each network, each fed by an outlet of
+    /// `core` or feeding an inlet.
     ///
     /// # Errors
     /// [`ExposeError`] when a topic cannot be exposed.
-    pub fn start(core: &mut Core, node: &Node, exposures: &[Exposure]) -> Result<Self, ExposeError> {
-        Self::start_between(core, node, BTreeMap::new(), exposures)
-    }
-
-    /// The same with nodes in further networks, by the names with which exposures choose them.
-    ///
-    /// # Errors
-    /// [`ExposeError`] when a topic cannot be exposed.
-    pub fn start_between(
+    pub fn start(
         core: &mut Core,
-        node: &Node,
-        networks: BTreeMap<String, Node>,
+        nodes: impl Into<NetworkNodes>,
         exposures: &[Exposure],
     ) -> Result<Self, ExposeError> {
         if core.topics().any(|topic| *topic.name == *QOS_EVENTS_TOPIC && topic.is_published) {
@@ -70,8 +61,7 @@ impl Bridge {
         }
         let clock = core.clock();
         let bridge = Self {
-            node: node.clone(),
-            networks: Arc::new(networks),
+            nodes: nodes.into(),
             core: core.handle(),
             events: QosEvents::open(&mut CoreAccess::Idle(core), Arc::clone(&clock))?,
             clock,
@@ -95,7 +85,7 @@ impl Bridge {
     /// The node of the endpoints for which no other is named.
     #[must_use]
     pub fn node(&self) -> &Node {
-        &self.node
+        self.nodes.own()
     }
 
     /// Exposes more while the core runs: all of the exposures or, if one fails, none. Waits for the end of a
@@ -155,13 +145,7 @@ impl Bridge {
 
     fn node_of(&self, exposure: &Exposure) -> Result<Node, ExposeError> {
         let failed = |error| ExposeError::Endpoint { topic: exposure.topic.clone(), error };
-        let node = match &exposure.network {
-            None => &self.node,
-            Some(network) => self.networks.get(network).ok_or_else(|| ExposeError::NoNetwork {
-                topic: exposure.topic.clone(),
-                network: network.clone(),
-            })?,
-        };
+        let node = self.nodes.find(&exposure.topic, exposure.network.as_deref())?;
         match &exposure.node {
             None => Ok(node.clone()),
             Some(name) => node.sibling(name).map_err(failed),
@@ -174,7 +158,7 @@ impl Bridge {
         node: &Node,
         exposure: &Exposure,
     ) -> Result<Exposed, ExposeError> {
-        let Exposure { direction, message_type, limits, .. } = *exposure;
+        let Exposure { direction, message_type, limits, send, .. } = *exposure;
         let (topic, ros_topic) = (&exposure.topic, exposure.ros_topic());
         let failed = |error: NodeError| ExposeError::Endpoint { topic: topic.clone(), error };
         let failed_name = |error: NameError| failed(error.into());
@@ -191,7 +175,7 @@ impl Bridge {
         let limiter = Limiter::new(limits);
         let held = match direction {
             Direction::Out => {
-                let publisher = Arc::new(node.publish(ros_topic, &ros_type, qos).map_err(failed)?);
+                let publisher = Arc::new(node.publish_with(ros_topic, &ros_type, qos, send).map_err(failed)?);
                 self.own.write().insert(publisher.gid());
                 publisher.on_event(on_event);
                 let weak = Arc::downgrade(&publisher);

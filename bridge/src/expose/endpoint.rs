@@ -1,7 +1,7 @@
 //! An endpoint of ROS 2 for a topic of a core.
 
 use super::exposure::{Exposure, Limits, OfACycle};
-use crate::middleware::Direction;
+use crate::middleware::{Direction, Priority, SendOptions};
 use crate::ros::{NodeName, TopicName};
 use downbeat_msgs::qos::QosRequest;
 use serde::{Deserialize, Serialize};
@@ -32,6 +32,9 @@ pub struct ExposedEndpoint {
     /// Which messages pass.
     #[serde(flatten)]
     pub limits: Limits,
+    /// How messages that go out go over a link.
+    #[serde(flatten)]
+    pub send: SendOptions,
 }
 
 impl ExposedEndpoint {
@@ -53,6 +56,7 @@ impl ExposedEndpoint {
             type_name: exposure.message_type.name().to_owned(),
             qos: qos.into(),
             limits: exposure.limits,
+            send: exposure.send,
         }
     }
 
@@ -69,7 +73,7 @@ impl fmt::Display for ExposedEndpoint {
             Direction::Out => "->",
             Direction::In => "<-",
         };
-        let Self { topic, ros_topic, type_name, qos, limits, .. } = self;
+        let Self { topic, ros_topic, type_name, qos, limits, send, .. } = self;
         write!(f, "{topic:<24} {arrow} {ros_topic:<28} {type_name:<32} {qos}")?;
         if let Some(rate) = limits.rate_hz() {
             write!(f, ", at most {rate} Hz")?;
@@ -79,6 +83,12 @@ impl fmt::Display for ExposedEndpoint {
         }
         if limits.of_a_cycle == OfACycle::Latest {
             f.write_str(", latest only")?;
+        }
+        if send.priority != Priority::default() {
+            write!(f, ", {}", send.priority.name())?;
+        }
+        if send.is_express {
+            f.write_str(", express")?;
         }
         if let Some(network) = &self.network {
             write!(f, ", on {network}")?;

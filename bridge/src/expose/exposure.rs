@@ -1,7 +1,7 @@
 //! Exposures: which topics of a core are exposed, and which of their messages.
 
 use crate::edge::KnownType;
-use crate::middleware::Direction;
+use crate::middleware::{Direction, SendOptions};
 use crate::ros::{NodeError, NodeName};
 use downbeat_executor::{SetupError, Time};
 use downbeat_msgs::qos::QosRequest;
@@ -24,6 +24,8 @@ pub struct Exposure {
     pub qos: QosRequest,
     /// Which of its messages pass.
     pub limits: Limits,
+    /// How those that go out go over a link.
+    pub send: SendOptions,
     /// The node that has the endpoint; `None` for the bridge's own.
     pub node: Option<NodeName>,
     /// The network that has it; `None` for that of the bridge's node.
@@ -97,10 +99,10 @@ pub enum ExposeError {
     )]
     Relay(String),
     /// The bridge was not given a network of that name.
-    #[error("topic \"{topic}\": there is no network \"{network}\"")]
+    #[error("\"{name}\": there is no network \"{network}\"")]
     NoNetwork {
-        /// The topic in the executor.
-        topic: String,
+        /// The topic or service in the executor.
+        name: String,
         /// The network.
         network: String,
     },
@@ -129,6 +131,7 @@ impl Exposure {
             direction,
             qos: QosRequest::default(),
             limits: Limits::default(),
+            send: SendOptions::default(),
             node: None,
             network: None,
             relays: false,

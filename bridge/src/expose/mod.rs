@@ -27,6 +27,7 @@ mod conflict;
 mod endpoint;
 mod endpoints;
 mod exposure;
+mod network_nodes;
 mod open_requests;
 mod parameters;
 mod pattern;
@@ -38,10 +39,11 @@ pub use bridge::{Bridge, expose};
 pub use endpoint::ExposedEndpoint;
 pub use endpoints::{BridgeStatus, EndpointReport, EndpointTraffic};
 pub use exposure::{ExposeError, Exposure, Limits, OfACycle};
+pub use network_nodes::NetworkNodes;
 pub use parameters::{ParameterExposure, ParameterServer, ParameterServices, parameter_value, setting_value};
 pub use pattern::{PatternError, TopicPattern};
 pub use qos_events::{QOS_EVENTS_TOPIC, QosCounts};
 pub use services::{
     CALLS_MODULE_NAME, ExposedServices, OfferedService, SERVICES_MODULE_NAME, ServiceExposure,
-    ServiceIntrospection, ServicesStatus, expose_services, expose_services_with,
+    ServiceIntrospection, ServiceReport, ServicesStatus, expose_services, expose_services_with,
 };

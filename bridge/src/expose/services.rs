@@ -2,6 +2,7 @@
 
 use super::ExposeError;
 use super::endpoints::Traffic;
+use super::network_nodes::NetworkNodes;
 use super::open_requests::OpenRequests;
 use crate::edge::{
     CoreAccess, EncodedAnswer, EncodedCallError, EncodedCaller, KnownService, Refusals, RemoteCall,
@@ -38,6 +39,8 @@ pub struct ServiceExposure {
     pub service_type: KnownService,
     /// How long the server may take.
     pub timeout: Duration,
+    /// The network that has it; `None` for that of the own node.
+    pub network: Option<String>,
 }
 
 impl ServiceExposure {
@@ -75,6 +78,8 @@ pub struct ServicesStatus {
 pub struct OfferedService {
     /// Its name in ROS 2, absolute.
     pub service: String,
+    /// The network that has it; `None` for that of the own node.
+    pub network: Option<String>,
     /// As in `std_srvs/srv/SetBool`.
     pub type_name: &'static str,
     /// Requests that a module answered.
@@ -85,8 +90,24 @@ pub struct OfferedService {
     pub last_refusal: Option<String>,
 }
 
+/// A service of modules or of ROS 2, and what was called so far.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceReport {
+    /// Its name in ROS 2, absolute.
+    pub service: String,
+    /// The network that has it; `None` for that of the own node.
+    pub network: Option<String>,
+    /// Whether a peer is matched.
+    pub is_matched: bool,
+    /// Calls with an answer.
+    pub answered: u64,
+    /// Calls without one.
+    pub failed: u64,
+}
+
 struct ServiceStatus {
     name: String,
+    network: Option<String>,
     type_name: &'static str,
     traffic: Arc<Traffic>,
     endpoint: WeakService,
@@ -98,8 +119,7 @@ enum WeakService {
 }
 
 impl ServicesStatus {
-    /// The services that are offered to ROS 2: name, type, answered and refused requests, and the last
-    /// reason.
+    /// The services that are offered to ROS 2.
     #[must_use]
     pub fn offered(&self) -> Vec<OfferedService> {
         let services = self.services.read();
@@ -107,29 +127,32 @@ impl ServicesStatus {
         offered
             .map(|status| {
                 let (answered, refused) = status.traffic.totals();
-                let (service, last_refusal) = (status.name.clone(), status.traffic.last_error());
-                OfferedService { service, type_name: status.type_name, answered, refused, last_refusal }
+                let (service, network) = (status.name.clone(), status.network.clone());
+                let (type_name, last_refusal) = (status.type_name, status.traffic.last_error());
+                OfferedService { service, network, type_name, answered, refused, last_refusal }
             })
             .collect()
     }
 
-    /// Each service of ROS 2: its name, whether a peer is matched, calls with and without an answer.
+    /// All services, in the order in which they were exposed.
     #[must_use]
-    pub fn services(&self) -> Vec<(String, bool, u64, u64)> {
+    pub fn services(&self) -> Vec<ServiceReport> {
         let report = |status: &ServiceStatus| {
             let is_matched = match &status.endpoint {
                 WeakService::Offered(service) => service.upgrade().is_some_and(|s| s.matched_clients() > 0),
                 WeakService::Called(client) => client.upgrade().is_some_and(|client| client.is_available()),
             };
             let (answered, failed) = status.traffic.totals();
-            (status.name.clone(), is_matched, answered, failed)
+            let (service, network) = (status.name.clone(), status.network.clone());
+            ServiceReport { service, network, is_matched, answered, failed }
         };
         self.services.read().iter().map(report).collect()
     }
 }
 
-/// Offers services of modules on `node`, and adds observers to `core`: [`CALLS_MODULE_NAME`] serves those
-/// that modules call, [`SERVICES_MODULE_NAME`] has the settings of service introspection.
+/// Offers services of modules on a node or on one in each network, and adds observers to `core`:
+/// [`CALLS_MODULE_NAME`] serves those that modules call, [`SERVICES_MODULE_NAME`] has the settings of service
+/// introspection.
 ///
 /// ROS 2 has no response for a refused request, and its clients wait until one comes. So each request is
 /// answered: where a module refuses it, panics, is removed or takes too long, with the response that
@@ -141,11 +164,11 @@ impl ServicesStatus {
 /// [`ExposeError`] when a service cannot be exposed.
 pub fn expose_services(
     core: &mut Core,
-    node: &Node,
+    nodes: impl Into<NetworkNodes>,
     offered: &[ServiceExposure],
     called: &[ServiceExposure],
 ) -> Result<ServicesStatus, ExposeError> {
-    expose_services_with(core, node, offered, called, ServiceIntrospection::default())
+    expose_services_with(core, nodes, offered, called, ServiceIntrospection::default())
 }
 
 /// The same, with service introspection; settings of [`SERVICES_MODULE_NAME`] change that while the core
@@ -156,18 +179,18 @@ pub fn expose_services(
 /// [`ExposeError`] when a service cannot be exposed.
 pub fn expose_services_with(
     core: &mut Core,
-    node: &Node,
+    nodes: impl Into<NetworkNodes>,
     offered: &[ServiceExposure],
     called: &[ServiceExposure],
     introspection: ServiceIntrospection,
 ) -> Result<ServicesStatus, ExposeError> {
-    Ok(ExposedServices::start(core, node, offered, called, introspection)?.status())
+    Ok(ExposedServices::start(core, nodes, offered, called, introspection)?.status())
 }
 
-/// The services of a core on a node, which may become more while the core runs.
+/// The services of a core in ROS 2, which may become more while the core runs.
 #[derive(Clone)]
 pub struct ExposedServices {
-    node: Node,
+    nodes: NetworkNodes,
     endpoints: Arc<Mutex<Option<ServiceEndpoints>>>,
     status: ServicesStatus,
     /// How many modules serve services of ROS 2.
@@ -181,24 +204,19 @@ impl ExposedServices {
     /// [`ExposeError`] when a service cannot be exposed.
     pub fn start(
         core: &mut Core,
-        node: &Node,
+        nodes: impl Into<NetworkNodes>,
         offered: &[ServiceExposure],
         called: &[ServiceExposure],
         introspection: ServiceIntrospection,
     ) -> Result<Self, ExposeError> {
-        let endpoints = ServiceEndpoints {
-            node: node.clone(),
-            clock: core.clock(),
-            introspection,
-            offered: Vec::new(),
-            clients: Vec::new(),
-        };
+        let endpoints =
+            ServiceEndpoints { clock: core.clock(), introspection, offered: Vec::new(), clients: Vec::new() };
         let endpoints = Arc::new(Mutex::new(Some(endpoints)));
         let (status, calls_modules) = Default::default();
-        let services = Self { node: node.clone(), endpoints, status, calls_modules };
+        let services = Self { nodes: nodes.into(), endpoints, status, calls_modules };
         services.open(&mut CoreAccess::Idle(core), offered, called)?;
-        let module =
-            Services { endpoints: Arc::clone(&services.endpoints), worker: node.worker(), introspection };
+        let (endpoints, worker) = (Arc::clone(&services.endpoints), services.nodes.own().worker());
+        let module = Services { endpoints, worker, introspection };
         let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
         core.add_with(SERVICES_MODULE_NAME, module, options)?;
         let endpoints = Arc::clone(&services.endpoints);
@@ -236,10 +254,10 @@ impl ExposedServices {
         offered: &[ServiceExposure],
         called: &[ServiceExposure],
     ) -> Result<(), ExposeError> {
-        let node = &self.node;
         let (mut statuses, mut remote) = (Vec::new(), Vec::new());
         let (mut services, mut clients) = (Vec::new(), Vec::new());
         for exposure in offered {
+            let node = self.nodes.find(&exposure.service, exposure.network.as_deref())?;
             let traffic = Arc::<Traffic>::default();
             let caller = exposure.service_type.caller_in(core, &exposure.service)?;
             let service = offer(node, exposure, caller, Arc::clone(&traffic))
@@ -247,23 +265,25 @@ impl ExposedServices {
             let (name, service) = (service.name().to_string(), Arc::new(service));
             statuses.push(ServiceStatus {
                 name,
+                network: exposure.network.clone(),
                 type_name: exposure.service_type.name(),
                 traffic,
                 endpoint: WeakService::Offered(Arc::downgrade(&service)),
             });
-            services.push(service);
+            services.push((node.clone(), service));
         }
         for exposure in called {
+            let node = self.nodes.find(&exposure.service, exposure.network.as_deref())?;
             let traffic = Arc::<Traffic>::default();
             let client = client(node, exposure).map_err(|error| failed(&exposure.service, error))?;
             let (name, client) = (client.name().to_string(), Arc::new(client));
             let endpoint = WeakService::Called(Arc::downgrade(&client));
-            clients.push(Arc::downgrade(&client));
+            clients.push((node.clone(), Arc::downgrade(&client)));
             let (worker, timeout) = (node.worker(), exposure.timeout);
             let call = ToRos { client, worker, timeout, traffic: Arc::clone(&traffic) };
             remote.push(exposure.service_type.remote_in(core, &exposure.service, call)?);
-            let type_name = exposure.service_type.name();
-            statuses.push(ServiceStatus { name, type_name, traffic, endpoint });
+            let (network, type_name) = (exposure.network.clone(), exposure.service_type.name());
+            statuses.push(ServiceStatus { name, network, type_name, traffic, endpoint });
         }
         if !remote.is_empty() {
             let name = match self.calls_modules.fetch_add(1, Ordering::Relaxed) {
@@ -283,16 +303,16 @@ impl ExposedServices {
 
 /// The endpoints of the services of a core, until it stops.
 struct ServiceEndpoints {
-    node: Node,
     clock: Arc<dyn Clock>,
     /// As it is now.
     introspection: ServiceIntrospection,
-    offered: Vec<Arc<Service>>,
-    clients: Vec<Weak<RawClient>>,
+    /// Each with its node.
+    offered: Vec<(Node, Arc<Service>)>,
+    clients: Vec<(Node, Weak<RawClient>)>,
 }
 
 impl ServiceEndpoints {
-    fn add(&mut self, offered: Vec<Arc<Service>>, clients: Vec<Weak<RawClient>>) {
+    fn add(&mut self, offered: Vec<(Node, Arc<Service>)>, clients: Vec<(Node, Weak<RawClient>)>) {
         let ServiceIntrospection { services: of_services, clients: of_clients } = self.introspection;
         self.introspect(&offered, of_services);
         self.introspect_calls(&clients, of_clients);
@@ -310,22 +330,23 @@ impl ServiceEndpoints {
         self.introspect_calls(&self.clients, introspection);
     }
 
-    fn introspect(&self, services: &[Arc<Service>], introspection: Introspection) {
-        for service in services {
+    fn introspect(&self, services: &[(Node, Arc<Service>)], introspection: Introspection) {
+        for (node, service) in services {
             let clock = Arc::clone(&self.clock);
             log_failure(
                 service.name(),
-                service.configure_introspection(&self.node, introspection, QosProfile::SERVICES, clock),
+                service.configure_introspection(node, introspection, QosProfile::SERVICES, clock),
             );
         }
     }
 
-    fn introspect_calls(&self, clients: &[Weak<RawClient>], introspection: Introspection) {
-        for client in clients.iter().filter_map(Weak::upgrade) {
+    fn introspect_calls(&self, clients: &[(Node, Weak<RawClient>)], introspection: Introspection) {
+        for (node, client) in clients {
+            let Some(client) = client.upgrade() else { continue };
             let clock = Arc::clone(&self.clock);
             log_failure(
                 client.name(),
-                client.configure_introspection(&self.node, introspection, QosProfile::SERVICES, clock),
+                client.configure_introspection(node, introspection, QosProfile::SERVICES, clock),
             );
         }
     }

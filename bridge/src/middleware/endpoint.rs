@@ -64,6 +64,8 @@ pub struct Endpoint {
     /// How many bytes of samples it may hold for them, beyond those of its history depth: few large samples,
     /// whatever their type. Bounds the memory that a dead or best-effort reader can cost.
     pub send_window_bytes: u64,
+    /// How its samples go over a link.
+    pub send: SendOptions,
     /// The hash of the type, `RIHS01_` and 64 hex digits, for engines that can announce it.
     pub type_hash: Option<String>,
     /// The node that has it, for engines that announce it with the endpoint.
@@ -86,9 +88,60 @@ impl Endpoint {
             qos,
             send_window: Self::SEND_WINDOW,
             send_window_bytes: Self::SEND_WINDOW_BYTES,
+            send: SendOptions::default(),
             type_hash: None,
             node: None,
         }
+    }
+}
+
+/// How the samples of a writer share a link with others. Zenoh follows it; DDS has no such thing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SendOptions {
+    /// Which samples wait for which.
+    #[serde(skip_serializing_if = "Priority::is_default")]
+    pub priority: Priority,
+    /// Whether a sample goes at once, without waiting for others that fit into the same packet.
+    #[serde(rename = "express", skip_serializing_if = "std::ops::Not::not")]
+    pub is_express: bool,
+}
+
+/// A sample overtakes those of lower priorities that wait for a link. From the highest, in Zenoh's words.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(missing_docs, reason = "there is no more to say")]
+pub enum Priority {
+    RealTime,
+    InteractiveHigh,
+    InteractiveLow,
+    DataHigh,
+    #[default]
+    Data,
+    DataLow,
+    Background,
+}
+
+impl Priority {
+    /// All, with the names in robot files.
+    pub const ALL: [(&str, Self); 7] = [
+        ("real_time", Self::RealTime),
+        ("interactive_high", Self::InteractiveHigh),
+        ("interactive_low", Self::InteractiveLow),
+        ("data_high", Self::DataHigh),
+        ("data", Self::Data),
+        ("data_low", Self::DataLow),
+        ("background", Self::Background),
+    ];
+
+    /// The name in robot files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        Self::ALL[self as usize].0
+    }
+
+    fn is_default(&self) -> bool {
+        *self == Self::default()
     }
 }
 

@@ -25,8 +25,8 @@ mod options;
 mod service;
 
 pub use endpoint::{
-    Direction, Endpoint, Gid, NodeIdentity, RemoteEndpoint, RemoteNodeIdentity, Sample, SampleIdentity,
-    WriteOptions,
+    Direction, Endpoint, Gid, NodeIdentity, Priority, RemoteEndpoint, RemoteNodeIdentity, Sample,
+    SampleIdentity, SendOptions, WriteOptions,
 };
 pub use error::{MiddlewareError, WriteError};
 pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};

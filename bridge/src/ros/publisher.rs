@@ -5,7 +5,9 @@ use super::incompatible::Warnings;
 use super::membership::Shared;
 use super::node::{Hold, Listed};
 use super::{MessageType, Node, NodeError, TopicName};
-use crate::middleware::{Direction, Endpoint, EventHandler, Gid, ReaderCounter, WriteError, Writer};
+use crate::middleware::{
+    Direction, Endpoint, EventHandler, Gid, ReaderCounter, SendOptions, WriteError, Writer,
+};
 use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 use std::time::Duration;
@@ -105,9 +107,23 @@ impl Node {
         message_type: &MessageType,
         qos: QosProfile,
     ) -> Result<Publisher, NodeError> {
+        self.publish_with(topic, message_type, qos, SendOptions::default())
+    }
+
+    /// The same, and how messages go over a link.
+    ///
+    /// # Errors
+    /// [`NodeError`] if the name is not valid, or the engine refuses the endpoint.
+    pub fn publish_with(
+        &self,
+        topic: &str,
+        message_type: &MessageType,
+        qos: QosProfile,
+        send: SendOptions,
+    ) -> Result<Publisher, NodeError> {
         let topic = self.topic_name(topic)?;
         let shared = &self.membership.shared;
-        let endpoint = endpoint(self, &topic, message_type, qos);
+        let endpoint = Endpoint { send, ..endpoint(self, &topic, message_type, qos) };
         let writer = shared.middleware.create_writer(&endpoint)?;
         let warnings = warnings(shared, &topic, message_type, Direction::Out, &endpoint);
         writer.on_event(warnings.and(Box::new(|_| ())));

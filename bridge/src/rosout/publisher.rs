@@ -5,6 +5,7 @@ use super::{LogLine, Severity, logger_name};
 use crate::middleware::WriteError;
 use crate::ros::{MessageType, Node, NodeError, Publisher};
 use crate::worker::Mailbox;
+use bytes::Bytes;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rcl_interfaces::msg::Log;
 use downbeat_msgs::{Message, cdr};
@@ -43,8 +44,18 @@ impl Rosout {
     /// # Errors
     /// [`RosoutError`] if the publisher cannot be created, or another node publishes already.
     pub fn publish(&self, node: &Node) -> Result<RosoutPublisher, RosoutError> {
+        self.publish_between(node, &[])
+    }
+
+    /// The same, and on `/rosout` of nodes in further networks, where lines of modules come from these nodes.
+    ///
+    /// # Errors
+    /// [`RosoutError`] if a publisher cannot be created, or another node publishes already.
+    pub fn publish_between(&self, node: &Node, further: &[&Node]) -> Result<RosoutPublisher, RosoutError> {
         let message_type = MessageType::new(Log::TYPE_NAME).map_err(NodeError::from)?;
-        let publisher = node.publish(TOPIC, &message_type, QosProfile::ROSOUT)?;
+        let publish = |node: &Node| node.publish(TOPIC, &message_type, QosProfile::ROSOUT);
+        let publisher = publish(node)?;
+        let further = further.iter().map(|node| publish(node)).collect::<Result<_, _>>()?;
         let lines = Mailbox::new(1);
         let mut waiting = self.shared.waiting.lock();
         if waiting.is_some() {
@@ -52,7 +63,8 @@ impl Rosout {
         }
         *waiting = Some(lines.clone());
         drop(waiting);
-        let sender = Sender { rosout: self.clone(), publisher, logger: logger_name(node.name()), missing: 0 };
+        let (rosout, logger) = (self.clone(), logger_name(node.name()));
+        let sender = Sender { rosout, publisher, further, logger, missing: 0 };
         let sender = Arc::new(Mutex::new(sender));
         let (weak, incoming, worker) = (Arc::downgrade(&sender), lines.clone(), node.worker());
         worker.clone().spawn(async move {
@@ -83,6 +95,8 @@ impl Drop for RosoutPublisher {
 struct Sender {
     rosout: Rosout,
     publisher: Publisher,
+    /// Those in further networks.
+    further: Vec<Publisher>,
     logger: String,
     /// Dropped lines that were reported.
     missing: u64,
@@ -117,10 +131,12 @@ impl Sender {
     }
 
     fn publish(&self, line: &LogLine) -> Result<(), WriteError> {
-        match self.rosout.shared.of_modules.find(line) {
+        let of_robot = || Bytes::from(cdr::to_vec(&line.to_message(&self.logger)));
+        let sent = match self.rosout.shared.of_modules.find(line) {
             Some((publisher, message)) => publisher.publish(cdr::to_vec(&message).into()),
-            None => self.publisher.publish(cdr::to_vec(&line.to_message(&self.logger)).into()),
-        }
+            None => self.publisher.publish(of_robot()),
+        };
+        self.further.iter().fold(sent, |sent, publisher| publisher.publish(of_robot()).and(sent))
     }
 
     fn report_missing(&mut self) {

@@ -1,5 +1,5 @@
 """A Zenoh router that speaks as rmw_zenoh_cpp does: a line of JSON on standard input for each thing to do, one on standard output for
-each thing that happens. Usage: peer.py PORT"""
+each thing that happens. Usage: peer.py PORT [COMPRESSION]"""
 
 import json
 import struct
@@ -15,6 +15,7 @@ config.insert_json5("mode", '"router"')
 config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{sys.argv[1]}"]')
 config.insert_json5("scouting/multicast/enabled", "false")
 config.insert_json5("timestamping/enabled", "true")
+config.insert_json5("transport/unicast/compression/enabled", (sys.argv[2:] or ["false"])[0])
 session = zenoh.open(config)
 kept = []
 lock = threading.Lock()
@@ -36,6 +37,8 @@ def sample(found):
         payload=hexadecimal(found.payload),
         attachment=hexadecimal(found.attachment),
         congestion=str(found.congestion_control).split(".")[-1],
+        priority=str(found.priority).split(".")[-1],
+        express=found.express,
         encoding=str(found.encoding),
         has_time=found.timestamp is not None,
     )
@@ -99,6 +102,8 @@ def act(do, **more):
         tokens(**more)
     elif do == "subscribe":
         kept.append(session.declare_subscriber(more["key"], sample))
+    elif do == "ignore":
+        kept.append(session.declare_subscriber(more["key"], lambda found: None))
     elif do == "put":
         bare = {} if more.get("attachment") == "none" else dict(attachment=bytes.fromhex(more["attachment"]) if "attachment" in more else attachment(more["number"]))
         session.put(more["key"], bytes.fromhex(more["payload"]), **bare)

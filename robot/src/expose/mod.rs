@@ -130,7 +130,7 @@ impl RobotFile {
         core: &CoreHandle,
         status: &BridgeStatus,
     ) -> Result<Vec<Exposure>> {
-        let entries = Self::parse_entries(text, &self.catalog.interfaces)?;
+        let entries = Self::parse_entries(text, &self.catalog.interfaces, self.expose.features.engine)?;
         let topics = core.topics().wait(PATIENCE).ok_or_else(|| {
             self.source
                 .error(1, "the core does not answer: it has stopped or is held, or a module does not return")
@@ -163,17 +163,13 @@ impl RobotFile {
 
     /// What comes in from one network goes out to another only if the file says so.
     fn refuse_unmeant_relays(&self, found: &[(usize, Exposure)]) -> Result<()> {
-        let network = |exposure: &Exposure| match &exposure.network {
-            None => "the robot's own network".to_owned(),
-            Some(name) => format!("network \"{name}\""),
-        };
         for (line, out) in found.iter().filter(|(_, exposure)| !exposure.relays) {
             if let Some((_, other)) = found.iter().find(|(_, other)| out.relays_from(other)) {
                 let problem = format!(
                     "\"{}\" comes in from {} and would go out to {}: add relay = true here if that is meant",
                     out.topic,
-                    network(other),
-                    network(out)
+                    network_name(other.network.as_deref()),
+                    network_name(out.network.as_deref())
                 );
                 return Err(self.source.error(*line, problem));
             }
@@ -365,6 +361,7 @@ impl<'a> Selection<'a> {
             direction: entry.direction,
             qos: entry.qos,
             limits: entry.limits,
+            send: entry.send,
             node,
             network: entry.network.clone(),
             relays: entry.relays,
@@ -387,6 +384,10 @@ fn way(direction: Direction) -> &'static str {
         Direction::Out => "that a module publishes",
         Direction::In => "that modules receive and none publishes",
     }
+}
+
+pub(super) fn network_name(network: Option<&str>) -> String {
+    network.map_or_else(|| "the robot's own network".to_owned(), |name| format!("network \"{name}\""))
 }
 
 pub(super) fn canonical(name: &str) -> &str {

@@ -296,8 +296,10 @@ fn a_network_that_cannot_be_joined_is_refused_with_the_line() {
         ("domain = 233", "from 0 to 232"),
         ("domian = 1", "did you mean \"domain\"?"),
         ("engine = \"zenho\"", "\"zenho\" is no engine"),
-        ("connect = \"tcp/base:7447\"", "\"connect\" needs engine = \"zenoh\""),
-        ("services = [\"stand_up\"]", "services"),
+        ("connect = \"tcp/base:7447\"", "\"connect\" needs a network with engine = \"zenoh\""),
+        ("out = [{ topic = \"joint_states\", priority = \"data\" }]", "\"priority\" needs a network with"),
+        ("parameters = [\"*\"]", "expected true or false"),
+        ("lifecycle = [\"motion\"]", "has no \"lifecycle\""),
     ] {
         let text = problem(&format!("[networks.fleet]\n{network}"));
         assert!(text.starts_with("robot.toml:12: ") && text.contains(words), "{network}: {text}");

@@ -53,6 +53,24 @@ impl Default for NodeFeatures {
     }
 }
 
+/// Takes a value that only networks on Zenoh have.
+pub(super) fn take_of_zenoh<'a>(
+    table: &mut Table<'a>,
+    key: &'static str,
+    engine: Option<Engine>,
+) -> Result<Option<Value<'a>>> {
+    let value = table.take(key);
+    match value {
+        // The engine may not be built in.
+        Some(value) if engine.is_none_or(|engine| engine.to_string() != ZENOH) => {
+            Err(value.error(format!("\"{key}\" needs a network with engine = \"{ZENOH}\"")))
+        }
+        value => Ok(value),
+    }
+}
+
+const ZENOH: &str = "zenoh";
+
 impl NodeFeatures {
     /// Takes the keys of the features out of `[expose]`.
     pub(super) fn take(table: &mut Table<'_>) -> Result<Self> {

@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 
 use downbeat_bags::{FieldRule, FieldRuleError};
 use downbeat_bridge::expose::TopicPattern;
+use downbeat_bridge::middleware::Engine;
 use downbeat_bridge::ros::{RemapRule, RemapRules};
 use downbeat_edge::Interfaces;
 use downbeat_files::toml;
@@ -65,7 +66,7 @@ pub struct RobotFile {
     pub modules: Vec<ModuleEntry>,
     /// What is exposed to ROS 2.
     pub expose: ExposeSection,
-    /// Further networks, to which some of the topics in `expose` belong.
+    /// Further networks, to which some of the entries in `expose` belong.
     pub networks: Vec<NetworkEntry>,
     /// What is recorded, and how.
     pub record: RecordEntry,
@@ -177,9 +178,9 @@ impl RobotFile {
         }
         let expose = root.take("expose").map(|value| expose::expose(value, &catalog.interfaces));
         let mut expose = expose.transpose()?.unwrap_or_default();
-        let networks = root.take("networks").map_or(Ok(Vec::new()), |value| {
-            networks::networks(value, &catalog.interfaces, &mut expose.topics)
-        })?;
+        let networks = root
+            .take("networks")
+            .map_or(Ok(Vec::new()), |value| networks::networks(value, &catalog.interfaces, &mut expose))?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
         let view = root.take("view").map_or(Ok(ViewEntry::default()), view::view)?;
@@ -204,11 +205,15 @@ impl RobotFile {
         Ok((file, parameter_files))
     }
 
-    /// Parses a text that contains only the keys `out` and `in` of `[expose]`.
-    pub(crate) fn parse_entries(text: &str, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
+    /// Parses a text that contains only the keys `out` and `in` of `[expose]`, for a network of this engine.
+    pub(crate) fn parse_entries(
+        text: &str,
+        interfaces: &Interfaces,
+        engine: Option<Engine>,
+    ) -> Result<Vec<ExposeEntry>> {
         let source = Source::new(Path::new("expose"), text.to_owned());
         let document = source.table()?;
-        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()), interfaces)
+        expose::entries(Table::new(&source, "[expose]", 1, document.get_ref()), interfaces, engine)
     }
 
     /// The file's path.

@@ -1,11 +1,12 @@
-//! `[networks.NAME]`: further networks of a robot, each with topics of its own selection.
+//! `[networks.NAME]`: further networks of a robot, each with its own selection.
 
 use std::path::PathBuf;
 
 use downbeat_bridge::middleware::{Engine, MAX_DOMAIN_ID, OptionsError, ParticipantOptions};
 use downbeat_edge::Interfaces;
 
-use super::expose::{ExposeEntry, topics};
+use super::expose::{ExposeSection, selection};
+use super::features::take_of_zenoh;
 use super::table::{Table, Value};
 use super::{Result, RobotFile, RobotFileError};
 
@@ -23,6 +24,10 @@ pub struct NetworkEntry {
     pub connect: Option<String>,
     /// With Zenoh: the file with the configuration of the session.
     pub config: Option<PathBuf>,
+    /// Whether the settings that are parameters of the robot's node are so there too.
+    pub parameters: bool,
+    /// Whether the robot's log goes to `/rosout` there too.
+    pub rosout: bool,
 }
 
 impl NetworkEntry {
@@ -53,20 +58,19 @@ impl RobotFile {
     }
 }
 
-/// Reads `[networks]`, and adds the topics of its networks to those of `[expose]`.
+/// Reads `[networks]`, and adds the selections of its networks to that of `[expose]`.
 pub(super) fn networks(
     value: Value<'_>,
     interfaces: &Interfaces,
-    exposed: &mut Vec<ExposeEntry>,
+    exposed: &mut ExposeSection,
 ) -> Result<Vec<NetworkEntry>> {
     let networks = value.table("[networks]")?.take_rest().into_iter();
     let network = |(name, value): (String, Value<'_>)| {
         let mut table = value.table(&format!("[networks.{name}]"))?;
         let entry = network(&mut table, name)?;
-        let mut of_network = topics(&mut table, interfaces)?;
+        let of_network = selection(&mut table, interfaces, entry.engine)?;
         table.finish()?;
-        of_network.iter_mut().for_each(|topic| topic.network = Some(entry.name.clone()));
-        exposed.extend(of_network);
+        exposed.add_network(&entry.name, of_network);
         Ok(entry)
     };
     networks.map(network).collect()
@@ -80,17 +84,18 @@ fn network(table: &mut Table<'_>, name: String) -> Result<NetworkEntry> {
     let domain = table
         .take("domain")
         .map(|value| value.number_in(0..=i64::from(MAX_DOMAIN_ID), "a domain, from 0 to 232"));
-    let mut of_zenoh = |key| {
-        let Some(value) = table.take(key) else { return Ok(None) };
-        match engine.is_some_and(|engine| engine.to_string() == ZENOH) {
-            true => Ok(Some((value.text()?.to_owned(), value.path().to_owned()))),
-            false => Err(value.error(format!("\"{key}\" needs engine = \"{ZENOH}\""))),
-        }
-    };
-    let connect = of_zenoh("connect")?.map(|(endpoint, _)| endpoint);
-    let config = of_zenoh("config")?.map(|(file, robot)| robot.with_file_name(file));
-    Ok(NetworkEntry { line: table.line(), name, engine, domain: domain.transpose()?, connect, config })
+    let connect = take_of_zenoh(table, "connect", engine)?;
+    let config = take_of_zenoh(table, "config", engine)?;
+    let file = |value: Value<'_>| value.text().map(|name| value.path().with_file_name(name));
+    let mut flag = |key| table.take(key).map_or(Ok(false), |value| value.flag());
+    Ok(NetworkEntry {
+        name,
+        engine,
+        domain: domain.transpose()?,
+        connect: connect.map(|value| value.text().map(str::to_owned)).transpose()?,
+        config: config.map(file).transpose()?,
+        parameters: flag("parameters")?,
+        rosout: flag("rosout")?,
+        line: table.line(),
+    })
 }
-
-/// The name of the engine, which may not be built in.
-const ZENOH: &str = "zenoh";

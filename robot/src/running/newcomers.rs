@@ -32,9 +32,9 @@ pub(super) struct Newcomers {
 #[derive(Default)]
 struct Known {
     topics: BTreeSet<(Option<String>, Direction, String, String)>,
-    /// Names in the core and in ROS 2.
-    offered: BTreeSet<(String, String)>,
-    called: BTreeSet<(String, String)>,
+    /// Networks, and names in the core and in ROS 2.
+    offered: BTreeSet<(Option<String>, String, String)>,
+    called: BTreeSet<(Option<String>, String, String)>,
     /// Services whose requests and answers are recorded.
     encoded: BTreeSet<Arc<str>>,
     /// The modules that could not be made so far.
@@ -48,7 +48,9 @@ impl Known {
     fn note(&mut self, all: Exposures) -> Exposures {
         let Exposures { mut topics, mut services, mut calls } = all;
         topics.retain(|exposure| self.topics.insert(key(exposure)));
-        let key = |exposure: &ServiceExposure| (exposure.service.clone(), exposure.ros_service().to_owned());
+        let key = |exposure: &ServiceExposure| {
+            (exposure.network.clone(), exposure.service.clone(), exposure.ros_service().to_owned())
+        };
         services.retain(|exposure| self.offered.insert(key(exposure)));
         calls.retain(|exposure| self.called.insert(key(exposure)));
         Exposures { topics, services, calls }
@@ -172,7 +174,8 @@ impl Newcomers {
         for exposure in &new.services {
             let added = services.add(&self.core, std::slice::from_ref(exposure), &[]);
             if added.is_ok() {
-                tracing::info!("exposed service: {}", exposure.ros_service());
+                let network = exposure.network.iter().map(|name| format!(" on {name}")).collect::<String>();
+                tracing::info!("exposed service{network}: {}", exposure.ros_service());
             }
             self.tell("not exposed", added);
         }

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use downbeat_bridge::clock::{self, NodeClock, SimTime};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::expose::{
-    Bridge, EndpointReport, ExposedServices, ParameterExposure, ParameterServer, ParameterServices,
+    Bridge, EndpointReport, ExposedServices, NetworkNodes, ParameterExposure, ParameterServer,
+    ParameterServices, ServiceReport,
 };
 use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat_bridge::middleware::{Direction, ParticipantOptions};
@@ -15,7 +16,7 @@ use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout,
 
 use super::{LogTail, StartError};
 use crate::inspect::{ClaimError, NodeClaim, SocketDirectory};
-use crate::{ClockChoice, Robot, RobotFile};
+use crate::{ClockChoice, NetworkEntry, Robot, RobotFile};
 
 /// The log of a program, as the node of a robot needs it.
 #[derive(Clone)]
@@ -39,7 +40,8 @@ pub struct RobotNode {
     /// Dropped before the node, so that the last lines are sent.
     _rosout: Option<RosoutPublisher>,
     _logger_services: Option<LoggerServices>,
-    _parameters: ParameterServices,
+    /// Of the node in each network that has them.
+    _parameters: Vec<ParameterServices>,
     _lifecycle: LifecycleNodes,
     _network: Option<NetworkWatch>,
     _furnishing: Furnishing,
@@ -68,12 +70,24 @@ impl RobotNode {
         if let Some(log) = log {
             log.names.set_node(node.name());
         }
-        let rosout = log.map(|log| &log.rosout);
-        let rosout = rosout.filter(|_| features.rosout && !robot.file.is_rosout_disabled);
-        if let (None, Some(log)) = (rosout, log) {
+        let networks = join_networks(&robot.file, options, own_options)?;
+        let in_networks = |has: fn(&NetworkEntry) -> bool| -> Vec<&Node> {
+            let meant = robot.file.networks.iter().filter(|network| has(network));
+            meant.filter_map(|network| networks.get(&network.name)).collect()
+        };
+        let rosout = log.map(|log| &log.rosout).filter(|_| !robot.file.is_rosout_disabled);
+        let own_rosout = rosout.filter(|_| features.rosout);
+        let mut with_rosout = in_networks(|network| network.rosout);
+        if own_rosout.is_some() {
+            with_rosout.insert(0, &node);
+        }
+        let rosout_publisher = match (rosout, with_rosout.split_first()) {
+            (Some(rosout), Some((first, further))) => Some(rosout.publish_between(first, further)?),
+            _ => None,
+        };
+        if let (None, Some(log)) = (&rosout_publisher, log) {
             log.rosout.turn_off();
         }
-        let rosout_publisher = rosout.map(|rosout| rosout.publish(&node)).transpose()?;
         let levels = log.filter(|_| features.logger_service).map(|log| &log.levels);
         let logger_services = levels.map(|levels| levels.serve(&node)).transpose()?;
         if let ClockChoice::Publish(period) = features.clock {
@@ -83,8 +97,11 @@ impl RobotNode {
         let network = network.transpose()?;
         let sim_time = sim_time(robot, clock, &node)?;
         let parameters = ParameterServer::new(&robot.core, sim_time.clone());
-        let of_robot = parameters.serve(&node, robot.parameter_exposure()?)?;
-        let furnishing = furnish(robot, &participant, parameters, rosout.cloned())?;
+        let with_parameters = std::iter::once(&node).chain(in_networks(|network| network.parameters));
+        let exposure = robot.parameter_exposure()?;
+        let of_robot = with_parameters.map(|node| parameters.serve(node, exposure.clone()));
+        let of_robot = of_robot.collect::<Result<_, _>>()?;
+        let furnishing = furnish(robot, &participant, parameters, own_rosout.cloned())?;
         let managed = robot.lifecycle_exposures()?;
         let lifecycle = expose_lifecycle(&robot.core, &participant, &managed)?;
         for (LifecycleExposure { module, .. }, node) in managed.iter().zip(lifecycle.nodes()) {
@@ -93,8 +110,8 @@ impl RobotNode {
             }
             tracing::info!("exposed lifecycle: {}", node.name());
         }
-        let networks = join_networks(&robot.file, options, own_options)?;
-        let bridge = Bridge::start_between(&mut robot.core, &node, networks, &exposed.topics)?;
+        let nodes = NetworkNodes::new(node.clone(), networks);
+        let bridge = Bridge::start(&mut robot.core, nodes.clone(), &exposed.topics)?;
         if let Some(diagnostics) = diagnostics {
             diagnostics.watch_endpoints(bridge.status());
         }
@@ -103,17 +120,17 @@ impl RobotNode {
                 Direction::Out => "to ROS 2",
                 Direction::In => "from ROS 2",
             };
-            let network = endpoint.network.map(|name| format!(" on {name}")).unwrap_or_default();
+            let network = on(endpoint.network);
             tracing::info!("exposed {arrow}{network}: {} [{}]", endpoint.ros_topic, endpoint.type_name);
         }
         let introspection = robot.file.expose.introspection;
         let services =
-            ExposedServices::start(&mut robot.core, &node, &exposed.services, &exposed.calls, introspection)?;
+            ExposedServices::start(&mut robot.core, nodes, &exposed.services, &exposed.calls, introspection)?;
         if let Some(diagnostics) = diagnostics {
             diagnostics.watch_services(services.status());
         }
-        for (name, ..) in services.status().services() {
-            tracing::info!("exposed service: {name}");
+        for ServiceReport { service, network, .. } in services.status().services() {
+            tracing::info!("exposed service{}: {service}", on(network));
         }
         Ok(Self {
             bridge,
@@ -152,6 +169,11 @@ impl RobotNode {
     pub fn domain(&self) -> u16 {
         self.domain
     }
+}
+
+/// The network of an endpoint in a line of the log.
+fn on(network: Option<String>) -> String {
+    network.map(|name| format!(" on {name}")).unwrap_or_default()
 }
 
 fn join(file: &RobotFile, options: &ParticipantOptions) -> Result<Participant, StartError> {

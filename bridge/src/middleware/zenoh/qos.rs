@@ -1,7 +1,9 @@
 //! Quality of service of ROS 2 as tokens announce it, and back.
 
+use crate::middleware::Priority;
 use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
 use downbeat_zenoh::wire::{Period, Qos};
+use downbeat_zenoh::zenoh::qos;
 use std::time::Duration;
 
 /// The samples that a publisher with an unbounded history keeps for late subscriptions.
@@ -57,6 +59,19 @@ pub(super) fn from_token(qos: &Qos) -> QosProfile {
             _ => Liveliness::Automatic,
         },
         liveliness_lease_duration: duration(qos.lease),
+    }
+}
+
+/// The priority of a publisher, which tokens do not announce.
+pub(super) fn to_zenoh(priority: Priority) -> qos::Priority {
+    match priority {
+        Priority::RealTime => qos::Priority::RealTime,
+        Priority::InteractiveHigh => qos::Priority::InteractiveHigh,
+        Priority::InteractiveLow => qos::Priority::InteractiveLow,
+        Priority::DataHigh => qos::Priority::DataHigh,
+        Priority::Data => qos::Priority::Data,
+        Priority::DataLow => qos::Priority::DataLow,
+        Priority::Background => qos::Priority::Background,
     }
 }
 

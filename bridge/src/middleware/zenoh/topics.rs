@@ -2,12 +2,12 @@
 
 use super::domain::{Announcement, Domain, now_ns, of_topic};
 use super::order::{MOST_WRITERS, Order, Taken};
-use super::qos::MOST_KEPT;
+use super::qos::{MOST_KEPT, to_zenoh};
 use super::repair::Gap;
 use crate::middleware::rtps::is_cdr;
 use crate::middleware::{
     Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler, MiddlewareError, Reader, ReaderCounter, Sample,
-    SampleHandler, WriteError, WriteOptions, Writer,
+    SampleHandler, SendOptions, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History, Reliability};
@@ -70,7 +70,9 @@ impl ZenohWriter {
         let reliability = if is_reliable { qos::Reliability::Reliable } else { qos::Reliability::BestEffort };
         let congestion = if must_block { CongestionControl::Block } else { CongestionControl::Drop };
         let publisher = domain.session.declare_publisher(key);
-        let mut publisher = publisher.reliability(reliability).congestion_control(congestion).advanced();
+        let publisher = publisher.reliability(reliability).congestion_control(congestion);
+        let SendOptions { priority, is_express } = endpoint.send;
+        let mut publisher = publisher.priority(to_zenoh(priority)).express(is_express).advanced();
         if endpoint.qos.durability == Durability::TransientLocal {
             let cache = CacheConfig::default().max_samples(kept(endpoint.qos.history));
             publisher = publisher.cache(cache).publisher_detection();

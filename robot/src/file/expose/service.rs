@@ -25,6 +25,8 @@ pub struct ServiceEntry {
     pub service_type: Option<KnownService>,
     /// How long the server may take.
     pub timeout: Duration,
+    /// The network in `[networks]`; `None` for the robot's own.
+    pub network: Option<String>,
 }
 
 /// An action that is exposed to ROS 2 or used in ROS 2.
@@ -39,6 +41,8 @@ pub struct ActionEntry {
     pub action_type: Option<KnownAction>,
     /// How long the server may take to accept or cancel a goal.
     pub timeout: Duration,
+    /// The network in `[networks]`; `None` for the robot's own.
+    pub network: Option<String>,
 }
 
 /// Reads the services under a key, given by name or as a table.
@@ -94,7 +98,7 @@ fn service(value: Value<'_>, interfaces: &Interfaces) -> Result<ServiceEntry> {
         |value: Value<'_>| interfaces.service(value.text()?).map_err(|error| value.error(error.to_string()));
     let entry = entry(value, "service", known)?;
     let Entry { line, name: service, ros_name: ros_service, known: service_type, timeout } = entry;
-    Ok(ServiceEntry { line, service, ros_service, service_type, timeout })
+    Ok(ServiceEntry { line, service, ros_service, service_type, timeout, network: None })
 }
 
 fn action(value: Value<'_>, interfaces: &Interfaces) -> Result<ActionEntry> {
@@ -102,7 +106,7 @@ fn action(value: Value<'_>, interfaces: &Interfaces) -> Result<ActionEntry> {
         |value: Value<'_>| interfaces.action(value.text()?).map_err(|error| value.error(error.to_string()));
     let entry = entry(value, "action", known)?;
     let Entry { line, name: action, ros_name: ros_action, known: action_type, timeout } = entry;
-    Ok(ActionEntry { line, action, ros_action, action_type, timeout })
+    Ok(ActionEntry { line, action, ros_action, action_type, timeout, network: None })
 }
 
 /// The common part of a service and an action.

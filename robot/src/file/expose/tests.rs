@@ -2,6 +2,8 @@
 use std::time::Duration;
 
 use downbeat_bridge::expose::{Limits, OfACycle};
+#[cfg(feature = "zenoh")]
+use downbeat_bridge::middleware::{Priority, SendOptions};
 use downbeat_bridge::ros::{Policy, QosRequest};
 use downbeat_msgs::qos::{Durability, History, Liveliness, QosProfile, Reliability};
 
@@ -9,7 +11,11 @@ use super::*;
 use crate::RobotFile;
 
 fn entries(text: &str) -> Vec<ExposeEntry> {
-    RobotFile::parse_entries(text, &Interfaces::carried()).unwrap_or_else(|error| panic!("{error}"))
+    RobotFile::parse_entries(text, &Interfaces::carried(), None).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn problem(text: &str, engine: Option<Engine>) -> String {
+    RobotFile::parse_entries(text, &Interfaces::carried(), engine).err().unwrap().to_string()
 }
 
 fn qos(direction: &str, qos: &str) -> QosRequest {
@@ -94,16 +100,31 @@ fn errors_contain_the_line() {
         ("{ topic = \"a\", every = 0 }", "greater than 0"),
         ("{ topic = \"a\", latest_only = 1 }", "expected true or false, found 1"),
         ("{ topic = \"a\", latest = true }", "did you mean \"latest_only\"?"),
+        ("{ topic = \"a\", priority = \"data\" }", "\"priority\" needs a network with engine = \"zenoh\""),
+        ("{ topic = \"a\", express = true }", "\"express\" needs a network with engine = \"zenoh\""),
         ("{ topic = \"a/*\", as = \"/b\" }", "a new name has the wildcards"),
         ("{ topic = \"a\", as = \"/b/*\" }", "\"a\" has none for it"),
         ("{ topic = \"a\", except = [\"b\"] }", "\"except\" needs a pattern"),
         ("{ topic = \"a/*\", except = [\"b**\"] }", "pattern \"b**\""),
         ("\"a/b**\"", "pattern \"a/b**\""),
     ] {
-        let problem = RobotFile::parse_entries(&format!("in = []\nout = [{entry}]"), &Interfaces::carried())
-            .err()
-            .unwrap()
-            .to_string();
+        let problem = problem(&format!("in = []\nout = [{entry}]"), None);
         assert!(problem.starts_with("expose:2: ") && problem.contains(expected), "{problem}");
     }
+}
+
+#[cfg(feature = "zenoh")]
+#[test]
+fn topics_on_zenoh_have_a_priority_and_may_be_express() {
+    let zenoh = Some(Engine::Zenoh);
+    for (name, priority) in Priority::ALL {
+        let text = format!("out = [{{ topic = \"a\", priority = \"{name}\", express = true }}, \"b\"]");
+        let entries = RobotFile::parse_entries(&text, &Interfaces::carried(), zenoh).unwrap();
+        assert_eq!(entries[0].send, SendOptions { priority, is_express: true });
+        assert_eq!((entries[1].send, priority.name()), (SendOptions::default(), name));
+    }
+    let unknown = problem("out = [\n{ topic = \"a\", priority = \"real_tim\" }]", zenoh);
+    assert_eq!(unknown, "expose:2: unknown choice \"real_tim\", did you mean \"real_time\"?");
+    let incoming = problem("in = [{ topic = \"a\", priority = \"data\" }]", zenoh);
+    assert!(incoming.contains("has no \"priority\""), "{incoming}");
 }

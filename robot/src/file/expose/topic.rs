@@ -4,12 +4,14 @@ use std::fmt;
 use std::time::Duration;
 
 use downbeat_bridge::expose::{Limits, OfACycle, TopicPattern};
-use downbeat_bridge::middleware::Direction;
+use downbeat_bridge::middleware::{Direction, Engine, Priority, SendOptions};
 use downbeat_edge::{Interfaces, KnownType};
 use downbeat_msgs::definitions::{Kind, TypeName};
 use downbeat_msgs::qos::QosRequest;
 
 use super::{Result, qos};
+use crate::file::choice as named;
+use crate::file::features::take_of_zenoh;
 use crate::file::suggestion;
 use crate::file::table::{Table, Value};
 
@@ -31,6 +33,8 @@ pub struct ExposeEntry {
     pub qos: QosRequest,
     /// Limits on the messages that pass.
     pub limits: Limits,
+    /// How messages that go out go over a link.
+    pub send: SendOptions,
     /// The node that has the endpoint, if it is not the node of the robot: absolute, or relative to the
     /// robot's namespace.
     pub node: Option<String>,
@@ -53,6 +57,7 @@ impl ExposeEntry {
             direction,
             qos: QosRequest::default(),
             limits: Limits::default(),
+            send: SendOptions::default(),
             node: None,
             network: None,
             relays: false,
@@ -83,32 +88,33 @@ impl fmt::Display for TopicChoice {
     }
 }
 
-pub(in crate::file) fn topics(table: &mut Table<'_>, interfaces: &Interfaces) -> Result<Vec<ExposeEntry>> {
+/// Reads the topics of a network of this engine.
+pub(super) fn topics(
+    table: &mut Table<'_>,
+    interfaces: &Interfaces,
+    engine: Option<Engine>,
+) -> Result<Vec<ExposeEntry>> {
     let mut topics = Vec::new();
     for direction in [Direction::Out, Direction::In] {
         for value in table.take(direction.name()).map_or(Ok(Vec::new()), |value| value.list())? {
-            topics.push(entry(value, direction, interfaces)?);
+            topics.push(entry(value, direction, interfaces, engine)?);
         }
     }
     Ok(topics)
 }
 
-fn entry(value: Value<'_>, direction: Direction, interfaces: &Interfaces) -> Result<ExposeEntry> {
+fn entry(
+    value: Value<'_>,
+    direction: Direction,
+    interfaces: &Interfaces,
+    engine: Option<Engine>,
+) -> Result<ExposeEntry> {
     let line = value.line();
-    let (qos, limits) = (QosRequest::default(), Limits::default());
     let Some(mut table) = value.as_table("an exposed topic") else {
         return Ok(ExposeEntry {
             line,
-            topics: choice(value, None)?,
             ros_topic: absolute_pattern(value)?,
-            type_name: None,
-            is_raw: false,
-            direction,
-            qos,
-            limits,
-            node: None,
-            network: None,
-            relays: false,
+            ..ExposeEntry::new(choice(value, None)?, direction)
         });
     };
     let topic = table.require("topic")?;
@@ -136,10 +142,14 @@ fn entry(value: Value<'_>, direction: Direction, interfaces: &Interfaces) -> Res
         type_name,
         is_raw,
         direction,
-        qos: table.take("qos").map_or(Ok(qos), |value| qos::request(value, direction))?,
+        qos: table.take("qos").map_or(Ok(QosRequest::default()), |value| qos::request(value, direction))?,
         limits: limits_of(&mut table)?,
         node: table.take("node").map(|value| value.text().map(str::to_owned)).transpose()?,
         network: None,
+        send: match direction {
+            Direction::Out => send_options(&mut table, engine)?,
+            Direction::In => SendOptions::default(),
+        },
         relays: match direction {
             Direction::Out => table.take("relay").map_or(Ok(false), |value| value.flag())?,
             Direction::In => false,
@@ -202,6 +212,15 @@ fn type_name(value: Value<'_>, wants_raw: bool, interfaces: &Interfaces) -> Resu
     }
     let hint = suggestion(name, interfaces.messages().map(KnownType::name));
     Err(value.error(format!("unknown topic type \"{name}\"{hint}")))
+}
+
+fn send_options(table: &mut Table<'_>, engine: Option<Engine>) -> Result<SendOptions> {
+    let priority = take_of_zenoh(table, "priority", engine)?;
+    let express = take_of_zenoh(table, "express", engine)?;
+    Ok(SendOptions {
+        priority: priority.map_or(Ok(Priority::default()), |value| named(value, &Priority::ALL))?,
+        is_express: express.map_or(Ok(false), |value| value.flag())?,
+    })
 }
 
 fn limits_of(table: &mut Table<'_>) -> Result<Limits> {
