@@ -4,6 +4,9 @@
 use bytes::Bytes;
 use downbeat_bridge::edge::Interfaces;
 use downbeat_bridge::expose::{Exposure, expose};
+mod common;
+
+use common::matrix::{Check, Way, With, check};
 use downbeat_bridge::middleware::zenoh::ZenohParticipant;
 use downbeat_bridge::middleware::{
     Direction, DiscoveryRange, EndpointEvent, ParticipantOptions, Priority, Sample, SendOptions,
@@ -50,6 +53,17 @@ impl Router {
         // Another program may take a free port before the router does.
         let started = (0..5).find_map(|_| Self::start_by(&python, arguments));
         Some(started.expect("a router starts"))
+    }
+
+    /// The same for a check.
+    fn start_for(check: Check) -> Option<(Self, Check)> {
+        match Self::start() {
+            Some(router) => Some((router, check)),
+            None => {
+                check.skipped();
+                None
+            }
+        }
     }
 
     /// `None` if it ended before it was ready.
@@ -197,7 +211,13 @@ fn key_of_service(name: &str) -> String {
 
 #[test]
 fn the_tokens_of_a_node_are_those_of_rmw_zenoh() {
-    let Some(mut router) = Router::start() else { return };
+    let check = check(
+        "Graph",
+        "names, tokens, hashes and QoS of a node, byte for byte",
+        With::EclipseZenoh,
+        Way::Out,
+    );
+    let Some((mut router, _check)) = Router::start_for(check) else { return };
     let participant = router.join();
     let node = participant.create_node(golden()).unwrap();
     let kind = text_type();
@@ -241,7 +261,8 @@ fn the_tokens_of_a_node_are_those_of_rmw_zenoh() {
 
 #[test]
 fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
-    let Some(mut router) = Router::start() else { return };
+    let check = check("Topics", "reliable messages, byte for byte", With::EclipseZenoh, Way::Both);
+    let Some((mut router, _check)) = Router::start_for(check) else { return };
     let session = router.session();
     let participant = Participant::on(Arc::<ZenohParticipant>::clone(&session)).unwrap();
     let node = participant.create_node(golden()).unwrap();
@@ -289,7 +310,8 @@ fn samples_go_both_ways_with_the_attachments_of_rmw_zenoh() {
 
 #[test]
 fn samples_have_the_priority_that_their_topic_is_exposed_with() {
-    let Some(mut router) = Router::start() else { return };
+    let check = check("Quality of service", "the priority of a topic", With::EclipseZenoh, Way::Out);
+    let Some((mut router, _check)) = Router::start_for(check) else { return };
     let node = router.join().create_node(golden()).unwrap();
     let mut core = Core::new();
     let message_type = Interfaces::carried().message(Text::TYPE_NAME).unwrap();
@@ -410,7 +432,8 @@ fn a_link_is_compressed_if_both_sides_say_so() {
 
 #[test]
 fn services_are_called_both_ways() {
-    let Some(mut router) = Router::start() else { return };
+    let check = check("Services", "calls", With::EclipseZenoh, Way::Both);
+    let Some((mut router, _check)) = Router::start_for(check) else { return };
     let participant = router.join();
     let node = participant.create_node(golden()).unwrap();
     let answer = |request: SetBoolRequest| SetBoolResponse { success: request.data, message: "done".into() };
@@ -461,7 +484,8 @@ fn services_are_called_both_ways() {
 
 #[test]
 fn late_subscriptions_get_the_last_samples_both_ways() {
-    let Some(mut router) = Router::start() else { return };
+    let check = check("Topics", "latched messages to late joiners", With::EclipseZenoh, Way::Both);
+    let Some((mut router, _check)) = Router::start_for(check) else { return };
     let participant = router.join();
     let node = participant.create_node(golden()).unwrap();
     let latched =
@@ -490,7 +514,8 @@ fn late_subscriptions_get_the_last_samples_both_ways() {
 
 #[test]
 fn another_definition_of_a_topic_is_reported() {
-    let Some(mut router) = Router::start() else { return };
+    let check = check("Graph", "another definition of a type is reported", With::EclipseZenoh, Way::In);
+    let Some((mut router, _check)) = Router::start_for(check) else { return };
     let participant = router.join();
     let node = participant.create_node(golden()).unwrap();
     let publisher = node.publish("/chatter", &text_type(), QosProfile::DEFAULT).unwrap();

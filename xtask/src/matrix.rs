@@ -50,6 +50,7 @@ fn columns(heading: &str) -> &'static [(&'static str, &'static str)] {
             ("kilted", "rclpy of Kilted"),
             ("cyclonedds", "Cyclone DDS, Python"),
             ("ros2_client", "ros2-client, Rust"),
+            ("eclipse_zenoh", "eclipse-zenoh, Python"),
         ],
     }
 }

@@ -16,6 +16,8 @@ pub enum With {
     Cyclone,
     /// The crate `ros2-client`.
     Ros2Client,
+    /// The Python package `eclipse-zenoh`, with what `rmw_zenoh_cpp` sends.
+    EclipseZenoh,
     /// The recorder of Jazzy, rosbag2: bags that it made.
     Rosbag2,
     /// The Python package `mcap`.
@@ -48,6 +50,7 @@ pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
         With::Kilted => "kilted",
         With::Cyclone => "cyclonedds",
         With::Ros2Client => "ros2_client",
+        With::EclipseZenoh => "eclipse_zenoh",
         With::Rosbag2 => "rosbag2",
         With::Mcap => "mcap",
         With::McapRos2 => "mcap_ros2",
