@@ -32,6 +32,21 @@ pub struct Options {
     /// Measure this network only.
     #[arg(long)]
     only: Option<Network>,
+    /// What is measured.
+    #[arg(long, value_delimiter = ',', default_values = ["trips", "samples", "streams", "pictures"])]
+    parts: Vec<Part>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// 100 bytes there and back.
+    Trips,
+    /// Samples of 100 bytes as fast as they go.
+    Samples,
+    /// Samples of 1 MB as fast as they go.
+    Streams,
+    /// Pictures at 30 Hz.
+    Pictures,
 }
 
 /// Contestants that are compared with one another.
@@ -148,15 +163,19 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let all = <Network as clap::ValueEnum>::value_variants();
     for &network in all.iter().filter(|network| options.only.is_none_or(|only| only == **network)) {
         let contest = Contest::new(network, options)?;
-        println!("\nOn {network:?}:\n");
-        contest.round_trips()?;
-        contest.streams(100, "100 B, one way, all kept", "samples/s", |stream| {
-            stream.samples as f64 / stream.seconds
-        })?;
-        contest.streams(1_000_000, "1 MB, one way, all kept", "MB/s", |stream| {
-            stream.bytes as f64 / stream.seconds / 1e6
-        })?;
-        contest.pictures()?;
+        println!("\nOn {network:?}:");
+        for part in &options.parts {
+            match part {
+                Part::Trips => contest.round_trips()?,
+                Part::Samples => contest.streams(100, "100 B, one way, all kept", "samples/s", |stream| {
+                    stream.samples as f64 / stream.seconds
+                })?,
+                Part::Streams => contest.streams(1_000_000, "1 MB, one way, all kept", "MB/s", |stream| {
+                    stream.bytes as f64 / stream.seconds / 1e6
+                })?,
+                Part::Pictures => contest.pictures()?,
+            }
+        }
     }
     Ok(())
 }
