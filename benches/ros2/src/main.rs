@@ -58,6 +58,10 @@ enum Command {
     #[cfg(feature = "zenoh")]
     #[command(hide = true)]
     FleetSubscriber(fleet::SubscriberOptions),
+    /// A router of Zenoh.
+    #[cfg(feature = "zenoh")]
+    #[command(hide = true)]
+    Router,
     /// Sends hostile datagrams.
     #[command(hide = true)]
     Attacker(hostile::AttackerOptions),
@@ -86,6 +90,8 @@ fn main() -> anyhow::Result<()> {
         Command::Fleet(options) => fleet::run(&options),
         #[cfg(feature = "zenoh")]
         Command::FleetSubscriber(options) => fleet::subscribe(&options),
+        #[cfg(feature = "zenoh")]
+        Command::Router => router::run(),
         Command::Attacker(options) => hostile::attack(&options),
         Command::Wire(options) => wire::run(&options),
         Command::WirePeer(options) => wire::peer(&options),

@@ -46,7 +46,7 @@ enum Setting {
 struct Turn {
     /// Percent of a core.
     load: f64,
-    /// Resident memory; where it is shared with other processes, their share is left out.
+    /// Resident memory.
     megabytes: f64,
     threads: usize,
 }
@@ -121,7 +121,7 @@ fn measure(arguments: &Arguments) -> anyhow::Result<Turn> {
     std::thread::sleep(Duration::from_secs(arguments.seconds));
     let load = 100.0 * (on_processor()? - used) / start.elapsed().as_secs_f64();
     let rollup = std::fs::read_to_string("/proc/self/smaps_rollup")?;
-    let line = rollup.lines().find_map(|line| line.strip_prefix("Pss:")).context("Pss in smaps_rollup")?;
+    let line = rollup.lines().find_map(|line| line.strip_prefix("Rss:")).context("Rss in smaps_rollup")?;
     let kibibytes: u64 = line.trim().trim_end_matches("kB").trim().parse()?;
     let threads = std::fs::read_dir("/proc/self/task")?.count();
     Ok(Turn { load, megabytes: kibibytes as f64 * 1024.0 / 1e6, threads })

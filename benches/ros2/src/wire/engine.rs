@@ -10,7 +10,9 @@ use bytes::Bytes;
 use downbeat_bridge::middleware::{
     Endpoint, Engine, Middleware, ParticipantOptions, Sample, SampleHandler, WriteError, Writer, join,
 };
+use downbeat_msgs::Message;
 use downbeat_msgs::qos::{History, QosProfile};
+use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
 
 use super::{
     End, PATIENCE, PeerOptions, Stream, at_the_pace_of_a_camera, trips, wait_for_the_end, wait_until,
@@ -40,7 +42,10 @@ pub fn run(options: &PeerOptions, engine: Engine) -> anyhow::Result<()> {
 
 fn endpoint(topic: &str, history: History) -> Endpoint {
     let qos = QosProfile { history, ..QosProfile::DEFAULT };
-    Endpoint::new(format!("rt/{topic}"), "std_msgs::msg::dds_::UInt8MultiArray_", qos)
+    Endpoint {
+        type_hash: Some(UInt8MultiArray::TYPE_HASH.to_owned()),
+        ..Endpoint::new(format!("rt/{topic}"), "std_msgs::msg::dds_::UInt8MultiArray_", qos)
+    }
 }
 
 /// A little-endian payload of `size` bytes.
