@@ -368,3 +368,23 @@ fn messages_of_one_network_go_to_another_only_if_that_is_allowed_and_never_back(
     assert_eq!(heard_in_fleet.try_iter().collect::<Vec<_>>(), ["forward"]);
     assert_eq!(heard_in_lab.try_iter().collect::<Vec<_>>(), ["forward"], "once, from its publisher");
 }
+
+#[test]
+fn a_slow_network_delays_no_other() {
+    let networks = TwoNetworks::new();
+    let mut core = Core::new();
+    let inlet = core.inlet::<msg::String>("text").unwrap();
+    let out = || text("text", Direction::Out);
+    let _bridge = networks.start(&mut core, &[in_fleet(out()), out()]).unwrap();
+    let (release, held) = channel::<()>();
+    let blocks = move |_| assert!(held.recv().is_err(), "nothing is sent, only released");
+    let _blocking =
+        networks.fleet.node.subscribe("text", &string(), QosProfile::DEFAULT, Box::new(blocks)).unwrap();
+    let (_in_lab, heard_in_lab) = networks.lab.listen("text");
+    let _running = RunningCore::start(core);
+    for number in ["1", "2", "3"] {
+        inlet.publish(message(number)).unwrap();
+        assert_eq!(heard_in_lab.recv_timeout(Duration::from_secs(30)).unwrap(), number);
+    }
+    drop(release);
+}

@@ -4,26 +4,23 @@
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use downbeat_bridge::middleware::Direction;
 use downbeat_bridge::ros::{NodeName, Participant};
-use downbeat_executor::{Core, Module, Setup, SetupError};
+use downbeat_executor::Core;
 use downbeat_msgs::qos::QosProfile;
 use fuzzing::Random;
 
 use crate::contestant::{Contestant, Kind, Task};
-use crate::payload;
-use crate::peer::{Running, on_this_machine, quantile_us};
+use crate::control_loop::{ControlLoop, Times, cells};
+use crate::peer::{Running, on_this_machine};
 use crate::role::Role;
 
 #[path = "../../../bridge/rtps/tests/golden/capture.rs"]
 mod capture;
 #[path = "../../../bridge/rtps/tests/hostile/mutation.rs"]
 mod mutation;
-
-const PERIOD: Duration = Duration::from_millis(8);
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -47,19 +44,12 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let task = Task { size: 100, window: 1, seconds: 0.0, domain_id: options.domain };
     let participant = Participant::join(&on_this_machine(options.domain)?)?;
     let node = participant.create_node(NodeName::new("/", "downbeat_loop")?)?;
-    let lateness = Arc::<Mutex<Vec<Duration>>>::default();
+    let lateness = Times::default();
     let mut core = Core::new();
-    core.add("loop", Loop { number: 0, due: None, lateness: Arc::clone(&lateness) })?;
+    core.add("loop", ControlLoop::new(&lateness))?;
     let running = Running::start_with(core, &node, &[("ping", Direction::Out)], QosProfile::DEFAULT)?;
-    let of_part = || {
-        lateness.lock().unwrap_or_else(PoisonError::into_inner).clear();
-        std::thread::sleep(part);
-        let mut times = std::mem::take(&mut *lateness.lock().unwrap_or_else(PoisonError::into_inner));
-        times.sort_unstable();
-        times
-    };
     println!("| the loop of 8 ms begins late by | p50 | p99 | max |\n| --- | --- | --- | --- |");
-    print("undisturbed", &of_part());
+    print("undisturbed", &lateness.of(part));
 
     let sink = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
     let attacker = Attacker::start(&[sink.local_addr()?.port()])?;
@@ -68,12 +58,12 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         let mut buffer = [0; 65_536];
         while sink.recv(&mut buffer).is_ok() {}
     });
-    print("a socket that drops them", &of_part());
+    print("a socket that drops them", &lateness.of(part));
     drop(attacker);
 
     let base = 7400 + 250 * options.domain;
     let attacker = Attacker::start(&[base, base + 10, base + 11])?;
-    print("hostile datagrams to the participant", &of_part());
+    print("hostile datagrams to the participant", &lateness.of(part));
     drop(attacker);
 
     let mut counter = Contestant::start(Kind::Rclpy, Role::Count, &task)?;
@@ -87,34 +77,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
 }
 
 fn print(what: &str, times: &[Duration]) {
-    let [p50, p99, max] = [0.5, 0.99, 1.0].map(|part| quantile_us(times, part));
-    println!("| {what} | {p50:.0} µs | {p99:.0} µs | {max:.0} µs |");
-}
-
-/// Records how late each run begins.
-struct Loop {
-    number: u64,
-    due: Option<Instant>,
-    lateness: Arc<Mutex<Vec<Duration>>>,
-}
-
-impl Module for Loop {
-    type Ports = ();
-
-    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
-        let ping = setup.publish("ping")?;
-        setup.every(PERIOD, move |this: &mut Self, ctx| {
-            let now = Instant::now();
-            let due = this.due.unwrap_or(now);
-            // A delay of several periods counts as one late run.
-            let next = due + PERIOD;
-            this.due = Some(if next < now { now + PERIOD } else { next });
-            let late = now.saturating_duration_since(due);
-            this.lateness.lock().unwrap_or_else(PoisonError::into_inner).push(late);
-            this.number += 1;
-            ctx.publish(ping, payload::message(this.number, 100));
-        })
-    }
+    println!("| {what} | {} |", cells(times));
 }
 
 /// A process that sends as fast as it can; killed when dropped.

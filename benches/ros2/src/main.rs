@@ -8,6 +8,9 @@
 mod added_delay;
 mod contest;
 mod contestant;
+mod control_loop;
+#[cfg(feature = "zenoh")]
+mod fleet;
 mod football;
 mod hold;
 mod hostile;
@@ -16,6 +19,8 @@ mod meeting;
 mod payload;
 mod peer;
 mod role;
+#[cfg(feature = "zenoh")]
+mod router;
 mod wire;
 
 use clap::{Parser, Subcommand};
@@ -46,11 +51,22 @@ enum Command {
     Meeting(meeting::Options),
     /// Control loop with a period of 8 ms while hostile datagrams arrive.
     Hostile(hostile::Options),
+    /// Control loop with a period of 8 ms while a camera sends a fleet on Zenoh more than its link takes.
+    #[cfg(feature = "zenoh")]
+    Fleet(fleet::Options),
+    /// A subscriber of the camera of `fleet`.
+    #[cfg(feature = "zenoh")]
+    #[command(hide = true)]
+    FleetSubscriber(fleet::SubscriberOptions),
+    /// A router of Zenoh.
+    #[cfg(feature = "zenoh")]
+    #[command(hide = true)]
+    Router,
     /// Sends hostile datagrams.
     #[command(hide = true)]
     Attacker(hostile::AttackerOptions),
-    /// Round trips and streams of the engine alone, compared with bare UDP, rustdds (with the feature
-    /// `rustdds`) and Cyclone DDS in C.
+    /// Round trips and streams of the engines alone: on DDS compared with bare UDP, rustdds (with the feature
+    /// `rustdds`) and Cyclone DDS in C; on Zenoh (with the feature `zenoh`) with the bare crate `zenoh`.
     Wire(wire::Options),
     /// One end of a pair of `wire`.
     #[command(hide = true)]
@@ -70,6 +86,12 @@ fn main() -> anyhow::Result<()> {
         Command::Hold(options) => hold::run(&options),
         Command::Meeting(options) => meeting::run(&options),
         Command::Hostile(options) => hostile::run(&options),
+        #[cfg(feature = "zenoh")]
+        Command::Fleet(options) => fleet::run(&options),
+        #[cfg(feature = "zenoh")]
+        Command::FleetSubscriber(options) => fleet::subscribe(&options),
+        #[cfg(feature = "zenoh")]
+        Command::Router => router::run(),
         Command::Attacker(options) => hostile::attack(&options),
         Command::Wire(options) => wire::run(&options),
         Command::WirePeer(options) => wire::peer(&options),

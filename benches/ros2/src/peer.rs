@@ -146,6 +146,11 @@ impl Running {
             |&(topic, direction): &_| Exposure { qos: qos.into(), ..Exposure::new(topic, of, direction) };
         let exposures: Vec<_> = topics.iter().map(exposure).collect();
         let status = expose(&mut core, node, &exposures)?;
+        Self::run(core, status)
+    }
+
+    /// Runs a core with its bridge.
+    pub fn run(mut core: Core, status: BridgeStatus) -> anyhow::Result<Self> {
         let handle = core.handle();
         let thread = std::thread::Builder::new().name("core".into());
         let thread = thread.spawn(move || core.run().map_err(|error| anyhow!(error)))?;

@@ -38,7 +38,8 @@ pub struct Bridge {
     clock: Arc<dyn Clock>,
     events: QosEvents,
     endpoints: Arc<Endpoints>,
-    inbox: OutletInbox,
+    /// By network: a slow one delays no other, since each inbox has its own thread.
+    inboxes: Arc<Mutex<BTreeMap<Option<String>, OutletInbox>>>,
     /// The publishers of the bridge. What they send comes from the core, so it does not enter the core again.
     own: Arc<RwLock<BTreeSet<Gid>>>,
     /// Held during a change, so that changes do not overlap.
@@ -66,7 +67,7 @@ impl Bridge {
             events: QosEvents::open(&mut CoreAccess::Idle(core), Arc::clone(&clock))?,
             clock,
             endpoints: Arc::default(),
-            inbox: OutletInbox::new("bridge", Inbox::KeepLast(CAPACITY)),
+            inboxes: Arc::default(),
             own: Arc::default(),
             changes: Arc::default(),
         };
@@ -152,6 +153,15 @@ impl Bridge {
         }
     }
 
+    fn inbox_of(&self, exposure: &Exposure) -> OutletInbox {
+        let new = || {
+            let network = exposure.network.as_ref();
+            let name = network.map_or_else(|| "bridge".to_owned(), |network| format!("bridge to {network}"));
+            OutletInbox::new(&name, Inbox::KeepLast(CAPACITY))
+        };
+        self.inboxes.lock().entry(exposure.network.clone()).or_insert_with(new).clone()
+    }
+
     fn create(
         &self,
         core: &mut CoreAccess<'_>,
@@ -181,7 +191,7 @@ impl Bridge {
                 let weak = Arc::downgrade(&publisher);
                 let traffic = Arc::clone(&traffic);
                 let sink = ToRos { publisher, traffic, limiter, of_a_cycle: limits.of_a_cycle };
-                Held::Out(weak, message_type.outlet(core, topic, &self.inbox, sink)?)
+                Held::Out(weak, message_type.outlet(core, topic, &self.inbox_of(exposure), sink)?)
             }
             Direction::In => {
                 let waiting = match limits.of_a_cycle {

@@ -243,9 +243,9 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ),
     ("downbeat-python", &["downbeat", "downbeat-bags", "downbeat-edge", "downbeat-msgs", "shared-build"]),
     // What builds, tests, measures and demonstrates it.
-    ("benches", &["downbeat", "downbeat-executor"]),
+    ("benches", &["downbeat", "downbeat-executor", "downbeat-zenoh"]),
     ("benches-bags", &["downbeat", "downbeat-bags", "downbeat-executor", "downbeat-msgs"]),
-    ("benches-ros2", &["downbeat-bridge", "downbeat-executor", "downbeat-msgs", "fuzzing"]),
+    ("benches-ros2", &["downbeat-bridge", "downbeat-executor", "downbeat-msgs", "downbeat-zenoh", "fuzzing"]),
     ("camera", &["downbeat"]),
     ("downbeat-library-example", &["downbeat-library", "user-msgs"]),
     ("downbeat-start", &[]),

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::net::{Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use super::{End, PeerOptions, Stream, trips, wait_for_the_end};
+use super::{End, PeerOptions, Stream, at_the_pace_of_a_camera, trips, wait_for_the_end};
 
 /// Size of the datagrams that the engine sends on one host.
 const DATAGRAM: usize = 65_000;
@@ -27,6 +27,7 @@ pub fn run(options: &PeerOptions) -> anyhow::Result<()> {
         End::Echo => echo(&socket),
         End::Ping => ping(&socket, options),
         End::Flood => flood(&socket, options),
+        End::Camera => camera(&socket, options.size),
         End::Count => count(&socket, options.size),
     }
 }
@@ -70,6 +71,18 @@ fn flood(socket: &UdpSocket, options: &PeerOptions) -> anyhow::Result<()> {
     }
     let sent = Stream { bytes, samples, seconds: start.elapsed().as_secs_f64() };
     println!("{}", serde_json::to_string(&sent)?);
+    Ok(())
+}
+
+fn camera(socket: &UdpSocket, size: usize) -> anyhow::Result<()> {
+    let sample = vec![0x5a; size];
+    at_the_pace_of_a_camera(|| {
+        for datagram in sample.chunks(DATAGRAM) {
+            socket.send(datagram)?;
+        }
+        Ok(())
+    })?;
+    println!("{}", serde_json::to_string(&Stream::of_a_camera(size))?);
     Ok(())
 }
 

@@ -4,19 +4,15 @@ use std::process::{Command, Stdio};
 
 use anyhow::Context;
 
-use super::{Options, Trips};
+use super::Trips;
 use crate::contestant::CYCLONE_ON_THIS_MACHINE;
 
-/// Measures round trips of 100 bytes between two processes, one turn per round.
-pub fn round_trips(options: &Options) -> anyhow::Result<Vec<Trips>> {
-    (0..options.rounds).map(|_| turn(options)).collect()
-}
-
-fn turn(options: &Options) -> anyhow::Result<Trips> {
+/// Measures round trips of 100 bytes between two processes.
+pub fn round_trips(seconds: f64, domain: u16) -> anyhow::Result<Trips> {
     let ddsperf = |mode: &[&str]| {
         let mut command = Command::new("ddsperf");
-        let seconds = options.seconds.ceil().max(2.0) + 1.0;
-        command.args(["-i", &options.domain.to_string(), "-D", &seconds.to_string(), "-T", "KS"]);
+        let seconds = seconds.ceil().max(2.0) + 1.0;
+        command.args(["-i", &domain.to_string(), "-D", &seconds.to_string(), "-T", "KS"]);
         command.args(mode).env("CYCLONEDDS_URI", CYCLONE_ON_THIS_MACHINE);
         command
     };

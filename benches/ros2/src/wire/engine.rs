@@ -10,29 +10,42 @@ use bytes::Bytes;
 use downbeat_bridge::middleware::{
     Endpoint, Engine, Middleware, ParticipantOptions, Sample, SampleHandler, WriteError, Writer, join,
 };
+use downbeat_msgs::Message;
 use downbeat_msgs::qos::{History, QosProfile};
+use downbeat_msgs::std_msgs::msg::UInt8MultiArray;
 
-use super::{End, PeerOptions, Stream, trips, wait_for_the_end};
+use super::{
+    End, PATIENCE, PeerOptions, Stream, at_the_pace_of_a_camera, trips, wait_for_the_end, wait_until,
+};
 use crate::peer::on_this_machine;
 
-/// How long the ends may take to discover each other.
-const PATIENCE: Duration = Duration::from_secs(20);
+const DEFAULT: History = QosProfile::DEFAULT.history;
 
 pub fn run(options: &PeerOptions, engine: Engine) -> anyhow::Result<()> {
-    let participant = join(&ParticipantOptions { engine, ..on_this_machine(options.domain)? })?;
+    let joined = ParticipantOptions {
+        engine,
+        #[cfg(feature = "zenoh")]
+        zenoh: crate::router::sessions_of(options.router.as_deref()),
+        ..on_this_machine(options.domain)?
+    };
+    let participant = join(&joined)?;
     println!("0");
     std::io::stdout().flush()?;
     match options.end {
         End::Echo => echo(&*participant),
         End::Ping => ping(&*participant, options),
         End::Flood => flood(&*participant, options),
+        End::Camera => camera(&*participant, options.size),
         End::Count => count(&*participant),
     }
 }
 
-fn endpoint(topic: &str) -> Endpoint {
-    let qos = QosProfile { history: History::KeepAll, ..QosProfile::DEFAULT };
-    Endpoint::new(format!("rt/{topic}"), "std_msgs::msg::dds_::UInt8MultiArray_", qos)
+fn endpoint(topic: &str, history: History) -> Endpoint {
+    let qos = QosProfile { history, ..QosProfile::DEFAULT };
+    Endpoint {
+        type_hash: Some(UInt8MultiArray::TYPE_HASH.to_owned()),
+        ..Endpoint::new(format!("rt/{topic}"), "std_msgs::msg::dds_::UInt8MultiArray_", qos)
+    }
 }
 
 /// A little-endian payload of `size` bytes.
@@ -43,13 +56,13 @@ fn payload(size: usize) -> Bytes {
 }
 
 fn echo(participant: &dyn Middleware) -> anyhow::Result<()> {
-    let writer = participant.create_writer(&endpoint("pong"))?;
+    let writer = participant.create_writer(&endpoint("pong", DEFAULT))?;
     let answer: SampleHandler = Box::new(move |sample: Sample| {
         if let Err(error) = writer.write(sample.cdr) {
             eprintln!("no answer: {error}");
         }
     });
-    let _reader = participant.create_reader(&endpoint("ping"), answer)?;
+    let _reader = participant.create_reader(&endpoint("ping", DEFAULT), answer)?;
     wait_for_the_end()
 }
 
@@ -85,8 +98,8 @@ fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<(
             }
         })
     };
-    let reader = participant.create_reader(&endpoint("pong"), on_answer)?;
-    let writer = participant.create_writer(&endpoint("ping"))?;
+    let reader = participant.create_reader(&endpoint("pong", DEFAULT), on_answer)?;
+    let writer = participant.create_writer(&endpoint("ping", DEFAULT))?;
     let writer = slot.get_or_init(|| writer);
     wait_until("the other end is matched", || writer.matched() == 1 && reader.matched() == 1)?;
     // The other end may not have discovered this one yet.
@@ -104,7 +117,7 @@ fn ping(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<(
 }
 
 fn flood(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<()> {
-    let writer = participant.create_writer(&endpoint("ping"))?;
+    let writer = participant.create_writer(&endpoint("ping", History::KeepAll))?;
     wait_until("the other end is matched", || writer.matched() == 1)?;
     std::thread::sleep(Duration::from_millis(500));
     let payload = payload(options.size);
@@ -127,6 +140,16 @@ fn flood(participant: &dyn Middleware, options: &PeerOptions) -> anyhow::Result<
     Ok(())
 }
 
+fn camera(participant: &dyn Middleware, size: usize) -> anyhow::Result<()> {
+    let writer = participant.create_writer(&endpoint("ping", DEFAULT))?;
+    wait_until("the other end is matched", || writer.matched() == 1)?;
+    std::thread::sleep(Duration::from_millis(500));
+    let picture = payload(size);
+    at_the_pace_of_a_camera(|| Ok(writer.write(picture.clone())?))?;
+    println!("{}", serde_json::to_string(&Stream::of_a_camera(size))?);
+    Ok(())
+}
+
 fn count(participant: &dyn Middleware) -> anyhow::Result<()> {
     struct Counter {
         stream: Stream,
@@ -143,18 +166,9 @@ fn count(participant: &dyn Middleware) -> anyhow::Result<()> {
         counter.stream.samples += 1;
         counter.stream.seconds = (now - first).as_secs_f64();
     });
-    let _reader = participant.create_reader(&endpoint("ping"), on_sample)?;
+    let _reader = participant.create_reader(&endpoint("ping", History::KeepAll), on_sample)?;
     wait_for_the_end()?;
     let stream = counter.lock().unwrap_or_else(PoisonError::into_inner).stream;
     println!("{}", serde_json::to_string(&stream)?);
-    Ok(())
-}
-
-fn wait_until(what: &str, condition: impl Fn() -> bool) -> anyhow::Result<()> {
-    let start = Instant::now();
-    while !condition() {
-        anyhow::ensure!(start.elapsed() < PATIENCE, "gave up waiting until {what}");
-        std::thread::sleep(Duration::from_millis(2));
-    }
     Ok(())
 }

@@ -1,15 +1,19 @@
-//! Measures the engine alone: engine to engine in two processes, without cores or bridge, compared with bare
-//! UDP, rustdds and Cyclone DDS in C.
+//! Measures the engines alone: engine to engine in two processes, without cores or bridge. Each network has a
+//! limit, the first contestant: bare UDP on DDS, the bare crate `zenoh` on Zenoh.
 //!
-//! A contestant answers on the thread that receives, as `ddsperf` does with its listeners.
+//! A contestant answers on the thread that receives, as `ddsperf` does with its listeners. Round trips and
+//! pictures have the default quality of service of ROS 2; streams keep all samples, so that the sender waits
+//! for a slow receiver.
 
 mod bare;
 mod ddsperf;
 mod engine;
+#[cfg(feature = "zenoh")]
+mod zenoh_crate;
 
 use std::io::{BufRead, BufReader, Lines};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -19,24 +23,72 @@ pub struct Options {
     /// How long each contestant sends.
     #[arg(long, default_value_t = 3.0)]
     seconds: f64,
-    /// Number of rounds; the median of the rounds counts.
+    /// Number of rounds, in which the contestants take turns; the median of the rounds counts.
     #[arg(long, default_value_t = 5)]
     rounds: usize,
     /// The ROS domain.
     #[arg(long, default_value_t = 101)]
     domain: u16,
+    /// Measure this network only.
+    #[arg(long)]
+    only: Option<Network>,
+    /// What is measured.
+    #[arg(long, value_delimiter = ',', default_values = ["trips", "samples", "streams", "pictures"])]
+    parts: Vec<Part>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// 100 bytes there and back.
+    Trips,
+    /// Samples of 100 bytes as fast as they go.
+    Samples,
+    /// Samples of 1 MB as fast as they go.
+    Streams,
+    /// Pictures at 30 Hz.
+    Pictures,
+}
+
+/// Contestants that are compared with one another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Network {
+    Dds,
+    #[cfg(feature = "zenoh")]
+    Zenoh,
+}
+
+impl Network {
+    /// The first is the limit.
+    fn stacks(self) -> &'static [Stack] {
+        match self {
+            Self::Dds => &[
+                Stack::Bare,
+                Stack::Rtps,
+                #[cfg(feature = "rustdds")]
+                Stack::Rustdds,
+            ],
+            #[cfg(feature = "zenoh")]
+            Self::Zenoh => &[Stack::ZenohCrate, Stack::Zenoh],
+        }
+    }
 }
 
 /// The software that sends and receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Stack {
-    /// UDP sockets alone: the upper limit.
+    /// UDP sockets alone.
     Bare,
     /// downbeat-rtps.
     Rtps,
     /// The crate rustdds.
     #[cfg(feature = "rustdds")]
     Rustdds,
+    /// The crate zenoh alone.
+    #[cfg(feature = "zenoh")]
+    ZenohCrate,
+    /// The engine on it.
+    #[cfg(feature = "zenoh")]
+    Zenoh,
 }
 
 /// The role of one end.
@@ -48,9 +100,19 @@ enum End {
     Echo,
     /// Sends as fast as it can.
     Flood,
+    /// Sends pictures at the rate of a camera.
+    Camera,
     /// Counts what it receives.
     Count,
 }
+
+/// How long the ends may take to discover each other.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Bytes of a picture: 640 x 480, RGB.
+const PICTURE: usize = 921_600;
+const PICTURES: u64 = 150;
+const PICTURE_PERIOD: Duration = Duration::from_micros(33_333);
 
 #[derive(clap::Args)]
 pub struct PeerOptions {
@@ -67,6 +129,9 @@ pub struct PeerOptions {
     /// The UDP port on which the other end receives; used by bare UDP only.
     #[arg(long, default_value_t = 0)]
     port: u16,
+    /// Where the router listens; used on Zenoh only.
+    #[arg(long)]
+    router: Option<String>,
 }
 
 /// Round trips of one turn.
@@ -85,76 +150,169 @@ struct Stream {
     seconds: f64,
 }
 
+impl Stream {
+    /// What a camera sends.
+    fn of_a_camera(size: usize) -> Self {
+        let seconds = PICTURE_PERIOD.as_secs_f64() * PICTURES as f64;
+        Self { bytes: PICTURES * size as u64, samples: PICTURES, seconds }
+    }
+}
+
 pub fn run(options: &Options) -> anyhow::Result<()> {
     anyhow::ensure!(options.rounds > 0, "--rounds must be at least 1");
-    round_trips(options)?;
-    streams(options, 100, "100 B, one way, reliable", |stream| {
-        format!("{:.0} samples/s", stream.samples as f64 / stream.seconds)
-    })?;
-    streams(options, 1_000_000, "1 MB, one way, reliable", |stream| {
-        format!("{:.0} MB/s", stream.bytes as f64 / stream.seconds / 1e6)
-    })
-}
-
-const STACKS: &[Stack] = &[
-    Stack::Bare,
-    Stack::Rtps,
-    #[cfg(feature = "rustdds")]
-    Stack::Rustdds,
-];
-
-fn round_trips(options: &Options) -> anyhow::Result<()> {
-    println!("| 100 B, there and back | p50 | p99 |\n| --- | --- | --- |");
-    let print = |name: &str, turns: Vec<Trips>| {
-        let figure = |of: fn(&Trips) -> f64| median(turns.iter().map(of));
-        println!(
-            "| {name} | {:.1} µs | {:.1} µs |",
-            figure(|trips| trips.p50_us),
-            figure(|trips| trips.p99_us)
-        );
-    };
-    for &stack in STACKS {
-        let turns = (0..options.rounds).map(|_| {
-            let (echo, port) = Peer::start(stack, End::Echo, 100, 0, options)?;
-            let (mut ping, _) = Peer::start(stack, End::Ping, 100, port, options)?;
-            let trips = ping.outcome()?;
-            echo.end()?;
-            ping.end()?;
-            Ok(trips)
-        });
-        print(&format!("{stack:?}"), turns.collect::<anyhow::Result<_>>()?);
-    }
-    match ddsperf::round_trips(options) {
-        Ok(turns) => print("Cyclone DDS in C", turns),
-        Err(error) => println!("\nCyclone DDS is left out: {error:#}"),
-    }
-    Ok(())
-}
-
-fn streams(
-    options: &Options,
-    size: usize,
-    title: &str,
-    figure: impl Fn(&Stream) -> String,
-) -> anyhow::Result<()> {
-    println!("\n| {title} | received | of what was sent |\n| --- | --- | --- |");
-    for &stack in STACKS {
-        let mut turns = Vec::new();
-        for _ in 0..options.rounds {
-            let (mut count, port) = Peer::start(stack, End::Count, size, 0, options)?;
-            let (mut flood, _) = Peer::start(stack, End::Flood, size, port, options)?;
-            let sent: Stream = flood.outcome()?;
-            flood.end()?;
-            count.close_input();
-            turns.push((count.outcome::<Stream>()?, sent));
-            count.end()?;
+    let all = <Network as clap::ValueEnum>::value_variants();
+    for &network in all.iter().filter(|network| options.only.is_none_or(|only| only == **network)) {
+        let contest = Contest::new(network, options)?;
+        println!("\nOn {network:?}:");
+        for part in &options.parts {
+            match part {
+                Part::Trips => contest.round_trips()?,
+                Part::Samples => contest.streams(100, "100 B, one way, all kept", "samples/s", |stream| {
+                    stream.samples as f64 / stream.seconds
+                })?,
+                Part::Streams => contest.streams(1_000_000, "1 MB, one way, all kept", "MB/s", |stream| {
+                    stream.bytes as f64 / stream.seconds / 1e6
+                })?,
+                Part::Pictures => contest.pictures()?,
+            }
         }
-        turns.sort_by(|(a, _), (b, _)| (a.bytes as f64 / a.seconds).total_cmp(&(b.bytes as f64 / b.seconds)));
-        let (received, sent) = &turns[turns.len() / 2];
-        let share = received.bytes as f64 / sent.bytes.max(1) as f64 * 100.0;
-        println!("| {stack:?} | {} | {share:.1} % |", figure(received));
     }
     Ok(())
+}
+
+/// The contestants of a network, and what they need.
+struct Contest<'a> {
+    network: Network,
+    options: &'a Options,
+    #[cfg(feature = "zenoh")]
+    router: Option<crate::router::LocalRouter>,
+}
+
+impl<'a> Contest<'a> {
+    fn new(network: Network, options: &'a Options) -> anyhow::Result<Self> {
+        Ok(Self {
+            network,
+            options,
+            #[cfg(feature = "zenoh")]
+            router: (network == Network::Zenoh).then(crate::router::LocalRouter::start).transpose()?,
+        })
+    }
+
+    fn router(&self) -> Option<&str> {
+        #[cfg(feature = "zenoh")]
+        return self.router.as_ref().map(|router| router.endpoint.as_str());
+        #[cfg(not(feature = "zenoh"))]
+        None
+    }
+
+    fn round_trips(&self) -> anyhow::Result<()> {
+        let stacks = self.network.stacks();
+        let mut turns = vec![Vec::new(); stacks.len()];
+        let mut cyclone = (self.network == Network::Dds).then(|| Ok(Vec::new()));
+        for _ in 0..self.options.rounds {
+            for (&stack, turns) in stacks.iter().zip(&mut turns) {
+                let (echo, port) = self.start(stack, End::Echo, 100, 0)?;
+                let (mut ping, _) = self.start(stack, End::Ping, 100, port)?;
+                turns.push(ping.outcome::<Trips>()?);
+                echo.end()?;
+                ping.end()?;
+            }
+            if let Some(Ok(turns)) = &mut cyclone {
+                match ddsperf::round_trips(self.options.seconds, self.options.domain) {
+                    Ok(trips) => turns.push(trips),
+                    Err(error) => cyclone = Some(Err(error)),
+                }
+            }
+        }
+        println!(
+            "| 100 B, there and back | p50 | p99 | p50 divided by the first |\n| --- | --- | --- | --- |"
+        );
+        let p50 = |turns: &[Trips]| median(turns.iter().map(|trips| trips.p50_us));
+        let first = p50(&turns[0]);
+        let print = |name: &str, turns: &[Trips]| {
+            let (p50, p99) = (p50(turns), median(turns.iter().map(|trips| trips.p99_us)));
+            println!("| {name} | {p50:.1} µs | {p99:.1} µs | {:.2} |", p50 / first);
+        };
+        for (stack, turns) in stacks.iter().zip(&turns) {
+            print(&format!("{stack:?}"), turns);
+        }
+        match cyclone {
+            None => {}
+            Some(Ok(turns)) => print("Cyclone DDS in C", &turns),
+            Some(Err(error)) => println!("\nCyclone DDS is left out: {error:#}"),
+        }
+        Ok(())
+    }
+
+    fn streams(
+        &self,
+        size: usize,
+        title: &str,
+        unit: &str,
+        figure: impl Fn(&Stream) -> f64,
+    ) -> anyhow::Result<()> {
+        println!("\n| {title} | received | of what was sent | the first divided by it |");
+        println!("| --- | --- | --- | --- |");
+        let turns = self.one_way(End::Flood, size)?;
+        let middle = |turns: &[(Stream, Stream)]| {
+            let mut turns = turns.to_vec();
+            turns.sort_by(|(a, _), (b, _)| figure(a).total_cmp(&figure(b)));
+            turns[turns.len() / 2]
+        };
+        let first = figure(&middle(&turns[0]).0);
+        for (stack, turns) in self.network.stacks().iter().zip(&turns) {
+            let (received, sent) = middle(turns);
+            let share = received.bytes as f64 / sent.bytes.max(1) as f64 * 100.0;
+            let figure = figure(&received);
+            println!("| {stack:?} | {figure:.0} {unit} | {share:.1} % | {:.2} |", first / figure);
+        }
+        Ok(())
+    }
+
+    fn pictures(&self) -> anyhow::Result<()> {
+        println!("\n| {PICTURE} B at 30 Hz | received in the worst round |\n| --- | --- |");
+        let turns = self.one_way(End::Camera, PICTURE)?;
+        for (stack, turns) in self.network.stacks().iter().zip(&turns) {
+            let received = turns.iter().map(|(received, _)| received.samples).min().unwrap_or_default();
+            println!("| {stack:?} | {received} of {PICTURES} |");
+        }
+        Ok(())
+    }
+
+    /// What was received and what was sent, of each contestant and round.
+    fn one_way(&self, sender: End, size: usize) -> anyhow::Result<Vec<Vec<(Stream, Stream)>>> {
+        let stacks = self.network.stacks();
+        let mut turns = vec![Vec::new(); stacks.len()];
+        for _ in 0..self.options.rounds {
+            for (&stack, turns) in stacks.iter().zip(&mut turns) {
+                let (mut count, port) = self.start(stack, End::Count, size, 0)?;
+                let (mut sending, _) = self.start(stack, sender, size, port)?;
+                let sent = sending.outcome()?;
+                sending.end()?;
+                count.close_input();
+                turns.push((count.outcome()?, sent));
+                count.end()?;
+            }
+        }
+        Ok(turns)
+    }
+
+    /// Starts one end and returns it with the UDP port on which it receives.
+    fn start(&self, stack: Stack, end: End, size: usize, port: u16) -> anyhow::Result<(Peer, u16)> {
+        let name = |value: &dyn Fn() -> Option<clap::builder::PossibleValue>| {
+            value().map(|value| value.get_name().to_owned()).unwrap_or_default()
+        };
+        let mut command = Command::new(std::env::current_exe()?);
+        command
+            .args(["wire-peer", "--stack", &name(&|| clap::ValueEnum::to_possible_value(&stack))])
+            .args(["--end", &name(&|| clap::ValueEnum::to_possible_value(&end)), "--size", &size.to_string()])
+            .args(["--seconds", &self.options.seconds.to_string()])
+            .args(["--domain", &self.options.domain.to_string(), "--port", &port.to_string()])
+            .args(self.router().into_iter().flat_map(|router| ["--router", router]));
+        let mut peer = Peer::start(command)?;
+        let port = peer.line()?.parse().context("a port")?;
+        Ok((peer, port))
+    }
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -171,30 +329,11 @@ struct Peer {
 }
 
 impl Peer {
-    /// Starts the process and returns it with the UDP port on which it receives.
-    fn start(
-        stack: Stack,
-        end: End,
-        size: usize,
-        port: u16,
-        options: &Options,
-    ) -> anyhow::Result<(Self, u16)> {
-        let name = |value: &dyn Fn() -> Option<clap::builder::PossibleValue>| {
-            value().map(|value| value.get_name().to_owned()).unwrap_or_default()
-        };
-        let mut process = Command::new(std::env::current_exe()?)
-            .args(["wire-peer", "--stack", &name(&|| clap::ValueEnum::to_possible_value(&stack))])
-            .args(["--end", &name(&|| clap::ValueEnum::to_possible_value(&end)), "--size", &size.to_string()])
-            .args(["--seconds", &options.seconds.to_string(), "--domain", &options.domain.to_string()])
-            .args(["--port", &port.to_string()])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()?;
+    fn start(mut command: Command) -> anyhow::Result<Self> {
+        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         let input = process.stdin.take();
         let lines = BufReader::new(process.stdout.take().context("its output is piped")?).lines();
-        let mut peer = Self { process, input, lines };
-        let port = peer.line()?.parse().context("a port")?;
-        Ok((peer, port))
+        Ok(Self { process, input, lines })
     }
 
     fn line(&mut self) -> anyhow::Result<String> {
@@ -234,12 +373,37 @@ pub fn peer(options: &PeerOptions) -> anyhow::Result<()> {
         Stack::Rtps => engine::run(options, downbeat_bridge::middleware::Engine::Rtps),
         #[cfg(feature = "rustdds")]
         Stack::Rustdds => engine::run(options, downbeat_bridge::middleware::Engine::Rustdds),
+        #[cfg(feature = "zenoh")]
+        Stack::ZenohCrate => zenoh_crate::run(options),
+        #[cfg(feature = "zenoh")]
+        Stack::Zenoh => engine::run(options, downbeat_bridge::middleware::Engine::Zenoh),
     }
 }
 
 /// Waits until the input is closed, which happens when the other end is done.
 fn wait_for_the_end() -> anyhow::Result<()> {
     std::io::copy(&mut std::io::stdin(), &mut std::io::sink())?;
+    Ok(())
+}
+
+fn wait_until(what: &str, condition: impl Fn() -> bool) -> anyhow::Result<()> {
+    let start = Instant::now();
+    while !condition() {
+        anyhow::ensure!(start.elapsed() < PATIENCE, "gave up waiting until {what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Ok(())
+}
+
+/// Calls `send` with the pace of a camera.
+fn at_the_pace_of_a_camera(mut send: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<()> {
+    let start = Instant::now();
+    for number in 0..PICTURES as u32 {
+        std::thread::sleep((start + number * PICTURE_PERIOD).saturating_duration_since(Instant::now()));
+        send()?;
+    }
+    // The last picture is under way.
+    std::thread::sleep(Duration::from_millis(500));
     Ok(())
 }
 

@@ -75,7 +75,7 @@ fn request(domain: &Arc<Domain>, query: Query, key: &str) -> Result<ServiceReque
     };
     let attachment =
         Attachment::parse(&attachment.to_bytes()).ok_or("its attachment is not that of ROS 2")?;
-    let cdr = payload(&received.to_bytes())?;
+    let cdr = payload(received)?;
     let client = Gid(attachment.gid);
     let reply = QueryReply {
         was_client_known: domain.graph.is_known(client),
@@ -214,7 +214,7 @@ impl ServiceClient for ZenohClient {
         let (domain, name) = (Arc::downgrade(&self.domain), self.service.name.clone());
         let take = move |reply: Reply| {
             let received = match reply.result() {
-                Ok(sample) => payload(&sample.payload().to_bytes()),
+                Ok(sample) => payload(sample.payload()),
                 Err(_) => Err("the server answers with an error"),
             };
             match received {

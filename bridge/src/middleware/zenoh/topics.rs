@@ -12,6 +12,7 @@ use crate::middleware::{
 use bytes::Bytes;
 use downbeat_msgs::qos::{Durability, History, Reliability};
 use downbeat_zenoh::wire::{Attachment, EndpointToken, Role, key, keys_of_any_hash};
+use downbeat_zenoh::zenoh::bytes::ZBytes;
 use downbeat_zenoh::zenoh::matching::MatchingStatus;
 use downbeat_zenoh::zenoh::qos::CongestionControl;
 use downbeat_zenoh::zenoh::sample::{Sample as ZenohSample, SampleKind};
@@ -21,6 +22,7 @@ use downbeat_zenoh::zenoh_ext::{
     CacheConfig, HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 use parking_lot::Mutex;
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Weak};
@@ -342,7 +344,7 @@ fn sample(received: &ZenohSample) -> Result<Sample, &'static str> {
     let attachment = received.attachment().ok_or("it has no attachment")?;
     let attachment =
         Attachment::parse(&attachment.to_bytes()).ok_or("its attachment is not that of ROS 2")?;
-    let cdr = payload(&received.payload().to_bytes())?;
+    let cdr = payload(received.payload())?;
     Ok(Sample {
         cdr,
         source_time_ns: Some(attachment.source_time_ns),
@@ -352,9 +354,14 @@ fn sample(received: &ZenohSample) -> Result<Sample, &'static str> {
     })
 }
 
-/// Copies a payload, if it is one of ROS 2.
-pub(super) fn payload(received: &[u8]) -> Result<Bytes, &'static str> {
-    if is_cdr(received) { Ok(Bytes::copy_from_slice(received)) } else { Err("its payload is no CDR") }
+/// Copies a payload out of the memory of the link, if it is one of ROS 2.
+pub(super) fn payload(received: &ZBytes) -> Result<Bytes, &'static str> {
+    let cdr = match received.to_bytes() {
+        Cow::Borrowed(bytes) => Bytes::copy_from_slice(bytes),
+        // Put together from fragments, which was the copy.
+        Cow::Owned(bytes) => Bytes::from(bytes),
+    };
+    if is_cdr(&cdr) { Ok(cdr) } else { Err("its payload is no CDR") }
 }
 
 /// The number of samples of the same writer that are missing before this one.
