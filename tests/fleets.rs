@@ -1,5 +1,5 @@
-//! What `docs/fleets.md` shows of several robots: certificates, access control, two sites. The files are those
-//! of the page, with other addresses.
+//! What `docs/fleets.md` shows of several robots: certificates, access control, two sites. The files are
+//! those of the page, with other addresses.
 #![cfg(feature = "zenoh")]
 #![allow(clippy::unwrap_used, missing_docs)]
 

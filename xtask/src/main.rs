@@ -46,8 +46,8 @@ enum Command {
     /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
     /// simulated networks, 10 million hostile datagrams.
     Wire,
-    /// Fifty robots in a fleet on Zenoh, about a quarter of an hour, as root: three hosts, two routers, 200 joins,
-    /// routers that restart, a cable that is pulled, slow and bad lines. Prints what it measures.
+    /// Fifty robots in a fleet on Zenoh, about a quarter of an hour, as root: three hosts, two routers, 200
+    /// joins, routers that restart, a cable that is pulled, slow and bad lines. Prints what it measures.
     Fleet,
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.

@@ -3,12 +3,11 @@
 //! A subscription of zenoh-ext asks once. After an outage the way to a writer may be there for its samples
 //! before it is there for questions; nobody answers then, and the samples would be lost.
 
-use super::domain::Domain;
-use super::topics::Receiving;
 use crate::middleware::Gid;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, unbounded};
-use downbeat_zenoh::zenoh::Wait;
 use downbeat_zenoh::zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
+use downbeat_zenoh::zenoh::sample::Sample;
+use downbeat_zenoh::zenoh::{Session, Wait};
 use parking_lot::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
@@ -28,9 +27,19 @@ const WAITS: [Duration; 6] = [
 #[derive(Default)]
 pub(super) struct Repairs(OnceLock<Option<Sender<Gap>>>);
 
+/// A subscription that waits for samples.
+pub(super) trait Incomplete: Send + Sync {
+    /// `None` when it has been left.
+    fn session(&self) -> Option<Session>;
+    fn has_gap(&self, writer: Gid) -> bool;
+    fn take_answer(self: Arc<Self>, sample: &Sample);
+    /// Goes on without the samples that a writer does not answer for.
+    fn give_up(&self, writer: Gid);
+}
+
 /// Samples that are missing.
 pub(super) struct Gap {
-    pub(super) of: Weak<Receiving>,
+    pub(super) of: Weak<dyn Incomplete>,
     pub(super) writer: Gid,
     /// Where the writer answers for what it keeps, with the numbers of Zenoh: those that are missing, and the
     /// one after them, by which an answer is recognised.
@@ -85,8 +94,8 @@ fn ask_until_answered(gaps: &Receiver<Gap>) {
 impl Gap {
     /// Asks, or gives up. Returns itself if there is more to do.
     fn is_due(mut self) -> Option<Self> {
-        let receiving = self.of.upgrade()?;
-        if !receiving.has_gap(self.writer) {
+        let of = self.of.upgrade()?;
+        if !of.has_gap(self.writer) {
             return None;
         }
         self.attempts += 1;
@@ -95,20 +104,19 @@ impl Gap {
             self.give_up();
             return None;
         }
-        self.ask(&*receiving.domain()?);
+        self.ask(&of.session()?);
         Some(self)
     }
 
-    fn ask(&self, domain: &Domain) {
+    fn ask(&self, session: &Session) {
         let (of, is_answered) = (Weak::clone(&self.of), Arc::clone(&self.is_answered));
         let take = Mutex::new(move |reply: Reply| {
-            if let (Some(receiving), Ok(sample)) = (of.upgrade(), reply.into_result()) {
-                receiving.take(&sample);
+            if let (Some(of), Ok(sample)) = (of.upgrade(), reply.into_result()) {
+                of.take_answer(&sample);
                 is_answered.store(true, Ordering::Release);
             }
         });
-        let asked = domain
-            .session
+        let asked = session
             .get(&self.question)
             .callback(move |reply| (*take.lock())(reply))
             .consolidation(ConsolidationMode::None)
@@ -121,8 +129,8 @@ impl Gap {
     }
 
     fn give_up(&self) {
-        if let Some(receiving) = self.of.upgrade() {
-            receiving.give_up(self.writer);
+        if let Some(of) = self.of.upgrade() {
+            of.give_up(self.writer);
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::domain::{Announcement, Domain, now_ns, of_topic};
 use super::order::{MOST_WRITERS, Order, Taken};
 use super::qos::{MOST_KEPT, to_zenoh};
-use super::repair::Gap;
+use super::repair::{Gap, Incomplete};
 use crate::middleware::rtps::is_cdr;
 use crate::middleware::{
     Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler, MiddlewareError, Reader, ReaderCounter, Sample,
@@ -16,7 +16,7 @@ use downbeat_zenoh::zenoh::bytes::ZBytes;
 use downbeat_zenoh::zenoh::matching::MatchingStatus;
 use downbeat_zenoh::zenoh::qos::CongestionControl;
 use downbeat_zenoh::zenoh::sample::{Sample as ZenohSample, SampleKind};
-use downbeat_zenoh::zenoh::{Error, Wait, qos};
+use downbeat_zenoh::zenoh::{Error, Session, Wait, qos};
 use downbeat_zenoh::zenoh_ext::{
     AdvancedPublisher, AdvancedPublisherBuilderExt, AdvancedSubscriber, AdvancedSubscriberBuilderExt,
     CacheConfig, HistoryConfig, MissDetectionConfig, RecoveryConfig,
@@ -182,7 +182,7 @@ pub(super) struct ZenohReader {
 }
 
 /// What receives for a reader.
-pub(super) struct Receiving {
+struct Receiving {
     domain: Weak<Domain>,
     topic: String,
     gid: Gid,
@@ -201,7 +201,7 @@ struct Received {
 
 impl Receiving {
     /// Takes a sample as it comes, or the answer to a question.
-    pub(super) fn take(self: &Arc<Self>, received: &ZenohSample) {
+    fn take(self: &Arc<Self>, received: &ZenohSample) {
         let Some(domain) = self.domain.upgrade() else { return };
         let sample = match sample(received) {
             Ok(sample) => sample,
@@ -216,36 +216,14 @@ impl Receiving {
                 let first = number.wrapping_sub(u32::try_from(missing).unwrap_or(number));
                 let (key, session, entity) = (received.key_expr(), id.zid(), id.eid());
                 let question = format!("{key}/@adv/*/{session}/{entity}/**?_sn={first}..{number}");
-                domain.repairs.ask(Gap {
-                    of: Arc::downgrade(self),
-                    writer,
-                    question,
-                    attempts: 0,
-                    is_answered: Arc::default(),
-                });
+                let of = Arc::downgrade(self);
+                domain.repairs.ask(Gap { of, writer, question, attempts: 0, is_answered: Arc::default() });
             }
             self.deliver(&domain, &mut state, writer, taken);
         } else {
             let lost = lost(&mut state.numbers, &sample).unwrap_or(0);
             self.deliver(&domain, &mut state, writer, Taken { ready: vec![sample], lost, gap: None });
         }
-    }
-
-    /// The domain, until it is left.
-    pub(super) fn domain(&self) -> Option<Arc<Domain>> {
-        self.domain.upgrade()
-    }
-
-    pub(super) fn has_gap(&self, writer: Gid) -> bool {
-        self.state.lock().order.has_gap(writer)
-    }
-
-    /// Goes on without the samples that a writer does not answer for.
-    pub(super) fn give_up(&self, writer: Gid) {
-        let Some(domain) = self.domain.upgrade() else { return };
-        let mut state = self.state.lock();
-        let taken = state.order.give_up(writer);
-        self.deliver(&domain, &mut state, writer, taken);
     }
 
     fn deliver(&self, domain: &Domain, state: &mut Received, writer: Gid, taken: Taken) {
@@ -256,6 +234,27 @@ impl Receiving {
         if let Some(on_sample) = state.on_sample.as_mut() {
             taken.ready.into_iter().for_each(on_sample);
         }
+    }
+}
+
+impl Incomplete for Receiving {
+    fn session(&self) -> Option<Session> {
+        self.domain.upgrade().map(|domain| domain.session.clone())
+    }
+
+    fn has_gap(&self, writer: Gid) -> bool {
+        self.state.lock().order.has_gap(writer)
+    }
+
+    fn take_answer(self: Arc<Self>, sample: &ZenohSample) {
+        self.take(sample);
+    }
+
+    fn give_up(&self, writer: Gid) {
+        let Some(domain) = self.domain.upgrade() else { return };
+        let mut state = self.state.lock();
+        let taken = state.order.give_up(writer);
+        self.deliver(&domain, &mut state, writer, taken);
     }
 }
 
