@@ -11,7 +11,7 @@ use crate::middleware::{Direction, EndpointEvent, Gid, Sample};
 use crate::ros::{MessageType, NameError, Node, NodeError, learn};
 use downbeat_executor::{Clock, Core, CoreHandle, Inbox, OutletInbox};
 use parking_lot::{Mutex, RwLock};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 

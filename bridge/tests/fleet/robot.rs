@@ -105,13 +105,13 @@ fn a_robot_runs_until_its_input_ends() {
     core.add("mapper", Mapper { bytes: variable(MAP_BYTES).parse().unwrap(), is_known: false }).unwrap();
     core.add("driver", Driver).unwrap();
     let text = Interfaces::carried().message("std_msgs/msg/String").unwrap();
-    let out = |topic: &str| Exposure::new(topic, text.clone(), Direction::Out);
+    let out = |topic: &str| Exposure::new(topic, text, Direction::Out);
     let exposed = [
         out("odometry"),
         Exposure { qos: latched(EVENTS).into(), ..out("events") },
         Exposure { qos: latched(1).into(), ..out("map") },
         out("told"),
-        Exposure { ros_topic: Some(PLAN.into()), ..Exposure::new("plan", text.clone(), Direction::In) },
+        Exposure { ros_topic: Some(PLAN.into()), ..Exposure::new("plan", text, Direction::In) },
     ];
     expose(&mut core, &node, &exposed).unwrap();
     let identify = ServiceExposure {
@@ -119,6 +119,7 @@ fn a_robot_runs_until_its_input_ends() {
         ros_service: None,
         service_type: Interfaces::carried().service("std_srvs/srv/Trigger").unwrap(),
         timeout: Duration::from_secs(5),
+        network: None,
     };
     expose_services(&mut core, &node, &[identify], &[]).unwrap();
     let _running = RunningCore::start(core);

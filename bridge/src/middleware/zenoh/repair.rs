@@ -84,7 +84,7 @@ fn ask_until_answered(gaps: &Receiver<Gap>) {
         for (due, gap) in std::mem::take(&mut waiting) {
             if due > now {
                 waiting.push((due, gap));
-            } else if let Some(gap) = gap.is_due() {
+            } else if let Some(gap) = gap.ask_again() {
                 waiting.push((now + WAITS[gap.attempts], gap));
             }
         }
@@ -93,7 +93,7 @@ fn ask_until_answered(gaps: &Receiver<Gap>) {
 
 impl Gap {
     /// Asks, or gives up. Returns itself if there is more to do.
-    fn is_due(mut self) -> Option<Self> {
+    fn ask_again(mut self) -> Option<Self> {
         let of = self.of.upgrade()?;
         if !of.has_gap(self.writer) {
             return None;
