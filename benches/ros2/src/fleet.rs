@@ -76,7 +76,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let mut core = Core::new();
     let control_loop = ControlLoop::new(&lateness);
     let on_sample = {
-        let (start, ages) = (control_loop.start(), ages.clone());
+        let (start, ages) = (control_loop.start, ages.clone());
         move |sample: Sample| {
             let number = cdr::from_slice(&sample.cdr).ok().and_then(|message| payload::number(&message));
             if let Some(sent) = number.map(Duration::from_nanos) {
