@@ -8,7 +8,6 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use downbeat_zenoh::zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
 use downbeat_zenoh::zenoh::sample::Sample;
 use downbeat_zenoh::zenoh::{Session, Wait};
-use parking_lot::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
@@ -39,13 +38,38 @@ pub(super) trait Incomplete: Send + Sync {
 
 /// Samples that are missing.
 pub(super) struct Gap {
-    pub(super) of: Weak<dyn Incomplete>,
-    pub(super) writer: Gid,
-    /// Where the writer answers for what it keeps, with the numbers of Zenoh: those that are missing, and the
-    /// one after them, by which an answer is recognised.
-    pub(super) question: String,
-    pub(super) attempts: usize,
-    pub(super) is_answered: Arc<AtomicBool>,
+    of: Weak<dyn Incomplete>,
+    writer: Gid,
+    /// Where the writer answers for what it keeps, from the first one on that is missing, with the numbers of
+    /// Zenoh. An answer has at least the one behind the gap.
+    question: String,
+    attempts: usize,
+    is_answered: Arc<AtomicBool>,
+}
+
+/// Takes what is answered.
+struct Answer {
+    of: Weak<dyn Incomplete>,
+    has_begun: AtomicBool,
+    is_whole: Arc<AtomicBool>,
+}
+
+impl Answer {
+    fn take(&self, reply: Reply) {
+        if let (Some(of), Ok(sample)) = (self.of.upgrade(), reply.into_result()) {
+            of.take_answer(&sample);
+            self.has_begun.store(true, Ordering::Release);
+        }
+    }
+}
+
+/// When nothing follows.
+impl Drop for Answer {
+    fn drop(&mut self) {
+        if *self.has_begun.get_mut() {
+            self.is_whole.store(true, Ordering::Release);
+        }
+    }
 }
 
 impl Repairs {
@@ -92,6 +116,10 @@ fn ask_until_answered(gaps: &Receiver<Gap>) {
 }
 
 impl Gap {
+    pub(super) fn new(of: Weak<dyn Incomplete>, writer: Gid, question: String) -> Self {
+        Self { of, writer, question, attempts: 0, is_answered: Arc::default() }
+    }
+
     /// Asks, or gives up. Returns itself if there is more to do.
     fn ask_again(mut self) -> Option<Self> {
         let of = self.of.upgrade()?;
@@ -109,16 +137,11 @@ impl Gap {
     }
 
     fn ask(&self, session: &Session) {
-        let (of, is_answered) = (Weak::clone(&self.of), Arc::clone(&self.is_answered));
-        let take = Mutex::new(move |reply: Reply| {
-            if let (Some(of), Ok(sample)) = (of.upgrade(), reply.into_result()) {
-                of.take_answer(&sample);
-                is_answered.store(true, Ordering::Release);
-            }
-        });
+        let (of, is_whole) = (Weak::clone(&self.of), Arc::clone(&self.is_answered));
+        let answer = Answer { of, has_begun: AtomicBool::new(false), is_whole };
         let asked = session
             .get(&self.question)
-            .callback(move |reply| (*take.lock())(reply))
+            .callback(move |reply| answer.take(reply))
             .consolidation(ConsolidationMode::None)
             .accept_replies(ReplyKeyExpr::Any)
             .timeout(Duration::from_secs(10))

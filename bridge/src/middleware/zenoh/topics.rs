@@ -211,15 +211,17 @@ impl Receiving {
         let writer = sample.writer;
         if let (true, Some(source)) = (self.is_kept, received.source_info()) {
             let taken = state.order.take(sample);
-            if let Some(missing) = taken.gap {
+            let missing = taken.gap;
+            self.deliver(&domain, &mut state, writer, taken);
+            drop(state);
+            if let Some(missing) = missing {
                 let (id, number) = (source.source_id(), source.source_sn());
                 let first = number.wrapping_sub(u32::try_from(missing).unwrap_or(number));
                 let (key, session, entity) = (received.key_expr(), id.zid(), id.eid());
-                let question = format!("{key}/@adv/*/{session}/{entity}/**?_sn={first}..{number}");
+                let question = format!("{key}/@adv/*/{session}/{entity}/**?_sn={first}..");
                 let of = Arc::downgrade(self);
-                domain.repairs.ask(Gap { of, writer, question, attempts: 0, is_answered: Arc::default() });
+                domain.repairs.ask(Gap::new(of, writer, question));
             }
-            self.deliver(&domain, &mut state, writer, taken);
         } else {
             let lost = lost(&mut state.numbers, &sample).unwrap_or(0);
             self.deliver(&domain, &mut state, writer, Taken { ready: vec![sample], lost, gap: None });
