@@ -8,6 +8,7 @@ mod common;
 use common::program::Program;
 use common::{downbeat, robot_file, wait_until};
 use std::fs::File;
+use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -226,6 +227,55 @@ fn a_robot_is_seen_from_the_other_site() {
     });
     let states = looks(&["topic", "echo", "--engine", "zenoh", "--once", "/site_2/robot_7/joint_states"]);
     assert!(states.contains("head_tilt"), "{states} {}", running.output());
+}
+
+#[test]
+fn a_configuration_that_is_none_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("router.json5");
+    std::fs::write(&file, "{ mode: \"router\", listen: { endpoints: [").unwrap();
+    let named = format!("={}: ", file.display());
+    for (variable, line) in [
+        ("ZENOH_ROUTER_CONFIG_URI", &["router"][..]),
+        ("ZENOH_SESSION_CONFIG_URI", &["topic", "list", "--engine", "zenoh"]),
+    ] {
+        let text = output(downbeat(line).env(variable, &file));
+        assert!(text.contains(&format!("{variable}{named}")), "{text}");
+    }
+}
+
+/// Answers every connection with something that no router of this version says.
+fn stranger() -> u16 {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let port = listener.local_addr().unwrap().port();
+    std::thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            let mut stream = stream;
+            let mut hello = [0; 64];
+            // An acknowledgement with another version in the byte after the header, then nothing.
+            let _ = stream.read(&mut hello);
+            let _ = stream.write_all(&[6, 0, 0x21, 0x7f, 0, 0, 0, 0]);
+        }
+    });
+    port
+}
+
+#[test]
+fn a_robot_goes_on_beside_a_router_of_another_version() {
+    let (port, domain, folder) = (stranger(), free_domain().to_string(), tempfile::tempdir().unwrap());
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let text = output(downbeat(&["topic", "list", "--connect", &endpoint]).env("ROS_DOMAIN_ID", &domain));
+    assert!(text.contains(&format!("no Zenoh router answers at {endpoint}")), "{text}");
+    let fleet = format!(
+        "[networks.fleet]\nengine = \"zenoh\"\nconnect = \"{endpoint}\"\nout = [\"battery_state\"]\n"
+    );
+    let robot = robot_file(folder.path(), |text| format!("{text}\n{fleet}"));
+    let mut command = downbeat(&["run", robot.to_str().unwrap()]);
+    command.env("ROS_DOMAIN_ID", &domain);
+    let running = Program::start(command);
+    running.wait_for_output("no Zenoh router is there");
+    let list = || output(downbeat(&["topic", "list"]).env("ROS_DOMAIN_ID", &domain));
+    wait_until("the robot runs", || list().contains("/battery_state"));
 }
 
 #[test]
