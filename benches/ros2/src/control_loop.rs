@@ -23,6 +23,7 @@ impl ControlLoop {
         Self { start: Instant::now(), due: None, lateness: lateness.clone() }
     }
 
+    #[cfg(feature = "zenoh")]
     pub fn start(&self) -> Instant {
         self.start
     }

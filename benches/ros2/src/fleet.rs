@@ -1,5 +1,5 @@
-//! Runs a control loop at 125 Hz in a robot that is on DDS and, through a second network, in a fleet on Zenoh,
-//! while a camera sends the fleet more than its link takes.
+//! Runs a control loop at 125 Hz in a robot that is on DDS and, through a second network, in a fleet on
+//! Zenoh, while a camera sends the fleet more than its link takes.
 //!
 //! The link is slow because its subscriber is: TCP then takes no more.
 
