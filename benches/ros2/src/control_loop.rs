@@ -13,7 +13,7 @@ pub const PERIOD: Duration = Duration::from_millis(8);
 /// Publishes a message of 100 bytes on `ping` each period, whose number is the time since `start` in
 /// nanoseconds.
 pub struct ControlLoop {
-    pub start: Instant,
+    start: Instant,
     due: Option<Instant>,
     lateness: Times,
 }
@@ -21,6 +21,11 @@ pub struct ControlLoop {
 impl ControlLoop {
     pub fn new(lateness: &Times) -> Self {
         Self { start: Instant::now(), due: None, lateness: lateness.clone() }
+    }
+
+    #[cfg(feature = "zenoh")]
+    pub fn start(&self) -> Instant {
+        self.start
     }
 }
 

@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use downbeat_bridge::edge::Interfaces;
-use downbeat_bridge::expose::{Bridge, Exposure};
+use downbeat_bridge::expose::{Bridge, Exposure, NetworkNodes};
 use downbeat_bridge::middleware::{Direction, Engine, ParticipantOptions, Sample};
 use downbeat_bridge::ros::{MessageType, NodeName, Participant};
 use downbeat_executor::{Core, Module, Setup, SetupError};
@@ -76,7 +76,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
     let mut core = Core::new();
     let control_loop = ControlLoop::new(&lateness);
     let on_sample = {
-        let (start, ages) = (control_loop.start, ages.clone());
+        let (start, ages) = (control_loop.start(), ages.clone());
         move |sample: Sample| {
             let number = cdr::from_slice(&sample.cdr).ok().and_then(|message| payload::number(&message));
             if let Some(sent) = number.map(Duration::from_nanos) {
@@ -92,7 +92,7 @@ pub fn run(options: &Options) -> anyhow::Result<()> {
         Exposure { network: Some(FLEET.to_owned()), ..Exposure::new("camera", of, Direction::Out) },
     ];
     let networks = BTreeMap::from([(FLEET.to_owned(), fleet_node)]);
-    let status = Bridge::start_between(&mut core, &node, networks, &exposures)?.status();
+    let status = Bridge::start(&mut core, NetworkNodes::new(node.clone(), networks), &exposures)?.status();
     let running = Running::run(core, status)?;
     let listener = Participant::join(&on_this_machine(options.domain)?)?;
     let listener = listener.create_node(NodeName::new("/", "listener")?)?;

@@ -129,7 +129,8 @@ pub struct PeerOptions {
     /// The UDP port on which the other end receives; used by bare UDP only.
     #[arg(long, default_value_t = 0)]
     port: u16,
-    /// Where the router listens; used on Zenoh only.
+    /// Where the router of Zenoh listens.
+    #[cfg(feature = "zenoh")]
     #[arg(long)]
     router: Option<String>,
 }
