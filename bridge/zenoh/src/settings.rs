@@ -57,8 +57,9 @@ pub struct Settings {
     /// What to connect to in place of what the file says, such as `tls/robot.local:7447`; the session is then
     /// a client.
     pub connect: Option<String>,
-    /// The router of a peer in place of what the file says: the peer goes on without it, and joins when it
-    /// comes.
+    /// A router elsewhere, in place of what the file says. The session is then a router without a port: it goes
+    /// on alone until the other one comes, and all that the other one reaches see it. A peer would be hidden
+    /// from other peers to which it has no link of its own, and a client would not start.
     pub router: Option<String>,
 }
 
@@ -146,6 +147,8 @@ impl Settings {
         let file = self.session_file.as_deref().map(|path| ("ZENOH_SESSION_CONFIG_URI", path));
         let mut config = self.config(file, SESSION)?;
         if let Some(router) = &self.router {
+            insert(&mut config, "mode", r#""router""#)?;
+            insert(&mut config, "listen/endpoints", "[]")?;
             insert(&mut config, "connect/endpoints", &list(router))?;
         }
         if let Some(connect) = &self.connect {
@@ -261,11 +264,12 @@ mod tests {
     }
 
     #[test]
-    fn a_router_that_is_named_leaves_a_peer_a_peer() {
+    fn a_session_for_a_router_elsewhere_is_a_router_without_a_port() {
         let router = Some("tls/base:7447#a=1;b=2".to_owned());
         let config = Settings { router, ..settings(&[]).unwrap() }.session().unwrap();
         assert_eq!(value(&config, "connect/endpoints"), r#"["tls/base:7447#a=1;b=2"]"#);
-        assert_eq!(value(&config, "mode"), r#""peer""#);
+        assert_eq!(value(&config, "mode"), r#""router""#);
+        assert_eq!(value(&config, "listen/endpoints"), "[]");
     }
 
     #[test]
