@@ -35,5 +35,6 @@ pub fn run() -> anyhow::Result<()> {
 
 /// The defaults of `rmw_zenoh_cpp` with the router at this endpoint.
 pub fn sessions_of(endpoint: Option<&str>) -> Settings {
-    Settings { router: endpoint.map(str::to_owned), ..Settings::default() }
+    let overrides = endpoint.map(|endpoint| format!("connect/endpoints=[{endpoint:?}]"));
+    Settings { overrides, ..Settings::default() }
 }

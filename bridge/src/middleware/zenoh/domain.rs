@@ -9,7 +9,7 @@ use downbeat_zenoh::wire::{Announced, EndpointToken, NodeName, Role, Token, gid}
 use downbeat_zenoh::zenoh::liveliness::LivelinessToken;
 use downbeat_zenoh::zenoh::{Error, Session, Wait};
 use parking_lot::Mutex;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -73,6 +73,12 @@ impl Domain {
 
     pub(super) fn gid(&self) -> Gid {
         participant(&self.id)
+    }
+
+    /// The sessions to which there is a link.
+    pub(super) fn linked_sessions(&self) -> BTreeSet<String> {
+        let info = self.session.info();
+        info.peers_zid().wait().chain(info.routers_zid().wait()).map(|id| id.to_string()).collect()
     }
 
     pub(super) fn add_node(&self, node: &NodeIdentity) -> Result<(), MiddlewareError> {

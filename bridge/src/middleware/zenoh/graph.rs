@@ -48,7 +48,15 @@ pub(super) struct Known {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Difference {
     Missing(String),
-    Gone(Gid),
+    /// Of a session.
+    Gone(Gid, String),
+}
+
+impl Difference {
+    /// Whether it is the end of a token of one of these sessions.
+    pub(super) fn is_of(&self, sessions: &BTreeSet<String>) -> bool {
+        matches!(self, Self::Gone(_, session) if sessions.contains(session))
+    }
 }
 
 /// An endpoint of this participant.
@@ -190,10 +198,13 @@ impl Graph {
                 }
             }
         }
-        let is_remote = |(_, known): &(&Gid, &Known)| known.node.session != state.own_session;
-        let endpoints = state.endpoints.iter().filter(is_remote).map(|(gid, _)| gid);
-        let known = state.nodes.keys().chain(endpoints);
-        differences.extend(known.filter(|gid| !there.contains(gid)).map(|gid| Difference::Gone(*gid)));
+        let endpoints = state.endpoints.iter().map(|(gid, known)| (gid, &known.node.session));
+        let nodes = state.nodes.iter().map(|(gid, node)| (gid, &node.session));
+        for (gid, session) in nodes.chain(endpoints) {
+            if *session != state.own_session && !there.contains(gid) {
+                differences.insert(Difference::Gone(*gid, session.clone()));
+            }
+        }
         differences
     }
 
@@ -202,7 +213,7 @@ impl Graph {
             Difference::Missing(token) => {
                 self.appeared(token);
             }
-            Difference::Gone(gid) => {
+            Difference::Gone(gid, _) => {
                 let mut state = self.state.lock();
                 state.nodes.remove(gid);
                 state.remove(*gid, &self.delivery);

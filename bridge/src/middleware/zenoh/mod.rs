@@ -6,8 +6,8 @@
 //! `rmw_zenoh_cpp`, deadlines, lifespans and manual liveliness are announced and not enforced, and samples
 //! are not acknowledged.
 //!
-//! Handlers of samples run on threads of the session, or on the thread that writes for subscriptions of the
-//! same participant. Only what must not be dropped goes through a thread of this engine (`outbox.rs`).
+//! Handlers of samples run on threads of the session, on the thread that writes for subscriptions of the same
+//! participant, or on that of `repair.rs` for samples that waited for others. Only what must not be dropped goes through a thread of this engine (`outbox.rs`).
 
 mod domain;
 mod graph;
@@ -66,14 +66,14 @@ impl ZenohParticipant {
             );
         }
         let domain = Arc::new(Domain::new(session, domain_id)?);
-        let arrivals = recheck::start(&domain, &options.zenoh)?;
-        let heard = Arc::downgrade(&domain);
+        let arrivals = Arc::new(recheck::start(&domain, &options.zenoh)?);
+        let (heard, arrivals_heard) = (Arc::downgrade(&domain), Arc::clone(&arrivals));
         let hear = move |sample: ZenohSample| {
             let Some(domain) = heard.upgrade() else { return };
             match sample.kind() {
                 SampleKind::Put => {
                     if domain.graph.appeared(sample.key_expr()) {
-                        arrivals.add();
+                        arrivals_heard.add();
                     }
                 }
                 SampleKind::Delete => domain.graph.disappeared(sample.key_expr()),
@@ -85,6 +85,7 @@ impl ZenohParticipant {
         // Only a question says when all that was there before has been told.
         let asked = Asked {
             domain: Arc::downgrade(&domain),
+            arrivals,
             has_heard_all: (check == RouterCheck::Found).then(|| Arc::clone(&has_heard_all)),
         };
         let get = domain.session.liveliness().get(tokens_of(domain_id));
@@ -103,13 +104,16 @@ impl ZenohParticipant {
 /// The question for the tokens that were there before. Dropped when all answers have come.
 struct Asked {
     domain: std::sync::Weak<Domain>,
+    arrivals: Arc<recheck::Arrivals>,
     has_heard_all: Option<Arc<AtomicBool>>,
 }
 
 impl Asked {
     fn take(&self, reply: &Reply) {
         if let (Some(domain), Ok(token)) = (self.domain.upgrade(), reply.result()) {
-            domain.graph.appeared(token.key_expr());
+            if domain.graph.appeared(token.key_expr()) {
+                self.arrivals.add();
+            }
         }
     }
 }

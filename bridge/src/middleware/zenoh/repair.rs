@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
-/// How long to wait before each question. After the last one what is missing is lost.
+/// How long to wait before each question, while nothing comes. After the last one what is missing is lost.
 const WAITS: [Duration; 6] = [
     Duration::from_millis(200),
     Duration::from_millis(500),
@@ -22,6 +22,9 @@ const WAITS: [Duration; 6] = [
     Duration::from_secs(8),
 ];
 
+/// An answer that takes longer is asked for again, from where it ended.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 /// The thread that asks, from the first gap on.
 #[derive(Default)]
 pub(super) struct Repairs(OnceLock<Option<Sender<Gap>>>);
@@ -30,52 +33,73 @@ pub(super) struct Repairs(OnceLock<Option<Sender<Gap>>>);
 pub(super) trait Incomplete: Send + Sync {
     /// `None` when it has been left.
     fn session(&self) -> Option<Session>;
-    fn has_gap(&self, writer: Gid) -> bool;
+    /// The last sample of a writer before those that are missing; `None` when none is.
+    fn last_before_gap(&self, writer: Gid) -> Option<i64>;
     fn take_answer(self: Arc<Self>, sample: &Sample);
-    /// Goes on without the samples that a writer does not answer for.
+    /// Goes on without what is missing: calls the handler of the subscription.
     fn give_up(&self, writer: Gid);
 }
 
-/// Samples that are missing.
+/// Samples of a writer that are missing. There is one of these for a writer of a subscription at a time.
 pub(super) struct Gap {
     of: Weak<dyn Incomplete>,
     writer: Gid,
-    /// Where the writer answers for what it keeps, from the first one on that is missing, with the numbers of
-    /// Zenoh. An answer has at least the one behind the gap.
-    question: String,
+    /// Where the writer answers for what it keeps.
+    source: String,
+    /// What its numbers in Zenoh are ahead of those in its samples; Zenoh's are of 32 bits.
+    ahead: u32,
     attempts: usize,
-    is_answered: Arc<AtomicBool>,
+    asked: Option<Asked>,
 }
 
-/// Takes what is answered.
+/// A question.
+struct Asked {
+    /// The last sample that was there.
+    after: i64,
+    answer: Arc<Answer>,
+}
+
+/// What has become of a question.
+#[derive(Default)]
 struct Answer {
+    is_over: AtomicBool,
+    /// At least what is behind the gap was answered, and nothing is left.
+    is_whole: AtomicBool,
+}
+
+/// Takes what is answered. Dropped when nothing follows.
+struct Answering {
     of: Weak<dyn Incomplete>,
     has_begun: AtomicBool,
-    is_whole: Arc<AtomicBool>,
+    has_failed: AtomicBool,
+    answer: Arc<Answer>,
 }
 
-impl Answer {
+impl Answering {
     fn take(&self, reply: Reply) {
-        if let (Some(of), Ok(sample)) = (self.of.upgrade(), reply.into_result()) {
-            of.take_answer(&sample);
-            self.has_begun.store(true, Ordering::Release);
+        match (self.of.upgrade(), reply.into_result()) {
+            (Some(of), Ok(sample)) => {
+                of.take_answer(&sample);
+                self.has_begun.store(true, Ordering::Release);
+            }
+            (_, Err(_)) => self.has_failed.store(true, Ordering::Release),
+            (None, Ok(_)) => (),
         }
     }
 }
 
-/// When nothing follows.
-impl Drop for Answer {
+impl Drop for Answering {
     fn drop(&mut self) {
-        if *self.has_begun.get_mut() {
-            self.is_whole.store(true, Ordering::Release);
-        }
+        let is_whole = *self.has_begun.get_mut() && !*self.has_failed.get_mut();
+        self.answer.is_whole.store(is_whole, Ordering::Release);
+        self.answer.is_over.store(true, Ordering::Release);
     }
 }
 
 impl Repairs {
     pub(super) fn ask(&self, gap: Gap) {
         let gaps = self.0.get_or_init(|| {
-            // Unbounded: a writer of a subscription has one gap at a time.
+            // Unbounded: a writer of a subscription has one gap at a time, and writers are bounded.
             let (sender, gaps) = unbounded();
             let run = move || ask_until_answered(&gaps);
             let thread = std::thread::Builder::new().name("downbeat-zenoh-repair".into()).spawn(run);
@@ -85,8 +109,8 @@ impl Repairs {
             Some(gaps) => gaps.send(gap).err().map(|error| error.0),
             None => Some(gap),
         };
-        if let Some(gap) = refused {
-            gap.give_up();
+        if let Some(of) = refused.as_ref().and_then(|gap| gap.of.upgrade()) {
+            refused.iter().for_each(|gap| of.give_up(gap.writer));
         }
     }
 }
@@ -101,59 +125,83 @@ fn ask_until_answered(gaps: &Receiver<Gap>) {
         };
         match received {
             Ok(gap) => waiting.push((Instant::now() + WAITS[0], gap)),
-            Err(RecvTimeoutError::Timeout) => (),
-            Err(RecvTimeoutError::Disconnected) => return,
-        }
-        let now = Instant::now();
-        for (due, gap) in std::mem::take(&mut waiting) {
-            if due > now {
-                waiting.push((due, gap));
-            } else if let Some(gap) = gap.ask_again() {
-                waiting.push((now + WAITS[gap.attempts], gap));
+            Err(RecvTimeoutError::Timeout) => {
+                let now = Instant::now();
+                for (due, gap) in std::mem::take(&mut waiting) {
+                    if due > now {
+                        waiting.push((due, gap));
+                    } else if let Some((wait, gap)) = gap.go_on() {
+                        waiting.push((now + wait, gap));
+                    }
+                }
             }
+            Err(RecvTimeoutError::Disconnected) => return,
         }
     }
 }
 
 impl Gap {
-    pub(super) fn new(of: Weak<dyn Incomplete>, writer: Gid, question: String) -> Self {
-        Self { of, writer, question, attempts: 0, is_answered: Arc::default() }
+    /// Of a writer with a sample whose numbers are `number` and, in Zenoh, `number_in_zenoh`.
+    pub(super) fn new(
+        of: Weak<dyn Incomplete>,
+        writer: Gid,
+        source: String,
+        number: i64,
+        number_in_zenoh: u32,
+    ) -> Self {
+        let ahead = number_in_zenoh.wrapping_sub(low_bits(number));
+        Self { of, writer, source, ahead, attempts: 0, asked: None }
     }
 
-    /// Asks, or gives up. Returns itself if there is more to do.
-    fn ask_again(mut self) -> Option<Self> {
+    /// Asks, or gives up. Returns itself, and when to go on, if something is still missing.
+    fn go_on(mut self) -> Option<(Duration, Self)> {
         let of = self.of.upgrade()?;
-        if !of.has_gap(self.writer) {
-            return None;
+        let after = of.last_before_gap(self.writer)?;
+        let asked = self.asked.as_ref();
+        let is_over = asked.is_none_or(|asked| asked.answer.is_over.load(Ordering::Acquire));
+        let is_whole = asked.is_some_and(|asked| asked.answer.is_whole.load(Ordering::Acquire));
+        let has_moved = asked.is_some_and(|asked| asked.after != after);
+        self.attempts = if has_moved { 0 } else { self.attempts + 1 };
+        // What the writer does not keep any more does not come.
+        if (is_whole && !has_moved) || self.attempts >= WAITS.len() {
+            of.give_up(self.writer);
+            of.last_before_gap(self.writer)?;
+            self.attempts = 0;
         }
-        self.attempts += 1;
-        if self.is_answered.load(Ordering::Acquire) || self.attempts >= WAITS.len() {
-            // What the writer does not keep any more does not come.
-            self.give_up();
-            return None;
+        if is_over {
+            self.ask(&of.session()?, after);
+        } else if let Some(asked) = self.asked.as_mut() {
+            asked.after = after;
         }
-        self.ask(&of.session()?);
-        Some(self)
+        Some((WAITS[self.attempts], self))
     }
 
-    fn ask(&self, session: &Session) {
-        let (of, is_whole) = (Weak::clone(&self.of), Arc::clone(&self.is_answered));
-        let answer = Answer { of, has_begun: AtomicBool::new(false), is_whole };
+    fn ask(&mut self, session: &Session, after: i64) {
+        let answer = Arc::<Answer>::default();
+        let answering = Answering {
+            of: Weak::clone(&self.of),
+            has_begun: AtomicBool::new(false),
+            has_failed: AtomicBool::new(false),
+            answer: Arc::clone(&answer),
+        };
+        let first = low_bits(after).wrapping_add(1).wrapping_add(self.ahead);
+        let question = format!("{}?_sn={first}..", self.source);
         let asked = session
-            .get(&self.question)
-            .callback(move |reply| answer.take(reply))
+            .get(&question)
+            .callback(move |reply| answering.take(reply))
             .consolidation(ConsolidationMode::None)
             .accept_replies(ReplyKeyExpr::Any)
-            .timeout(Duration::from_secs(10))
+            .timeout(PATIENCE)
             .wait();
         if let Err(error) = asked {
-            tracing::debug!(%error, question = self.question, "missing samples cannot be asked for");
+            tracing::debug!(%error, question, "missing samples cannot be asked for");
         }
+        self.asked = Some(Asked { after, answer });
     }
+}
 
-    fn give_up(&self) {
-        if let Some(of) = self.of.upgrade() {
-            of.give_up(self.writer);
-        }
-    }
+/// The numbers of samples are of 64 bits.
+fn low_bits(number: i64) -> u32 {
+    let [a, b, c, d, ..] = number.to_le_bytes();
+    u32::from_le_bytes([a, b, c, d])
 }

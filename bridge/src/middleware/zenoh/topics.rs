@@ -208,23 +208,21 @@ impl Receiving {
             Err(reason) => return domain.skipped.count(&self.topic, reason),
         };
         let mut state = self.state.lock();
-        let writer = sample.writer;
+        let (writer, number) = (sample.writer, sample.sequence_number);
         if let (true, Some(source)) = (self.is_kept, received.source_info()) {
             let taken = state.order.take(sample);
-            let missing = taken.gap;
+            let is_gap = taken.is_gap;
             self.deliver(&domain, &mut state, writer, taken);
             drop(state);
-            if let Some(missing) = missing {
-                let (id, number) = (source.source_id(), source.source_sn());
-                let first = number.wrapping_sub(u32::try_from(missing).unwrap_or(number));
-                let (key, session, entity) = (received.key_expr(), id.zid(), id.eid());
-                let question = format!("{key}/@adv/*/{session}/{entity}/**?_sn={first}..");
+            if is_gap {
+                let (key, id) = (received.key_expr(), source.source_id());
+                let answers = format!("{key}/@adv/*/{}/{}/**", id.zid(), id.eid());
                 let of = Arc::downgrade(self);
-                domain.repairs.ask(Gap::new(of, writer, question));
+                domain.repairs.ask(Gap::new(of, writer, answers, number, source.source_sn()));
             }
         } else {
             let lost = lost(&mut state.numbers, &sample).unwrap_or(0);
-            self.deliver(&domain, &mut state, writer, Taken { ready: vec![sample], lost, gap: None });
+            self.deliver(&domain, &mut state, writer, Taken { ready: vec![sample], lost, is_gap: false });
         }
     }
 
@@ -244,8 +242,8 @@ impl Incomplete for Receiving {
         self.domain.upgrade().map(|domain| domain.session.clone())
     }
 
-    fn has_gap(&self, writer: Gid) -> bool {
-        self.state.lock().order.has_gap(writer)
+    fn last_before_gap(&self, writer: Gid) -> Option<i64> {
+        self.state.lock().order.last_before_gap(writer)
     }
 
     fn take_answer(self: Arc<Self>, sample: &ZenohSample) {
@@ -285,7 +283,7 @@ impl ZenohReader {
             state: Mutex::new(Received {
                 on_sample: Some(on_sample),
                 numbers: HashMap::new(),
-                order: Order::default(),
+                order: Order::new(kept(endpoint.qos.history)),
             }),
         });
         let take = {
