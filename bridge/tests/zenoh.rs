@@ -116,7 +116,9 @@ impl Router {
 
     /// Publishes until the router has the sample: the publisher hears of the subscription some time later.
     fn heard(&mut self, cdr: &[u8], mut publish: impl FnMut()) -> Value {
+        let start = Instant::now();
         loop {
+            assert!(start.elapsed() < WATCHDOG, "the router does not hear it");
             publish();
             if let Ok(said) = self.said.recv_timeout(Duration::from_millis(200))
                 && said["kind"] == "sample"
@@ -397,7 +399,9 @@ fn small_messages_of_a_high_priority_pass_a_stream_that_fills_a_slow_link() {
             is_over.store(true, Ordering::Relaxed);
         });
         let mut heard = BTreeSet::new();
+        let start = Instant::now();
         while !heard.contains(&text("last")) {
+            assert!(start.elapsed() < WATCHDOG, "the last one does not arrive");
             ping.publish(text("last").into()).unwrap();
             heard.extend(
                 router.said.recv_timeout(Duration::from_millis(50)).map(|said| unhex(&said["payload"])),
