@@ -70,7 +70,8 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("the layout", tidy::tidy);
     steps.step("clippy", || {
         let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
-        run(command.args(ALL).args(["--features", "downbeat/sqlite", "--", "--deny", "warnings"]))
+        let others = "downbeat/sqlite,benches/zenoh,benches-ros2/zenoh";
+        run(command.args(ALL).args(["--features", others, "--", "--deny", "warnings"]))
     });
     steps.step("messages and robots without optional features", || {
         for package in ["downbeat-msgs", "downbeat"] {
