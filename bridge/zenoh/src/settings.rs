@@ -57,9 +57,9 @@ pub struct Settings {
     /// What to connect to in place of what the file says, such as `tls/robot.local:7447`; the session is then
     /// a client.
     pub connect: Option<String>,
-    /// A router elsewhere, in place of what the file says. The session is then a router without a port: it goes
-    /// on alone until the other one comes, and all that the other one reaches see it. A peer would be hidden
-    /// from other peers to which it has no link of its own, and a client would not start.
+    /// A router elsewhere, in place of what the file says. The session is then a router without a port: it
+    /// goes on alone until the other one comes, and all that the other one reaches see it. A peer would be
+    /// hidden from other peers to which it has no link of its own, and a client would not start.
     pub router: Option<String>,
 }
 

@@ -6,8 +6,9 @@
 //! `rmw_zenoh_cpp`, deadlines, lifespans and manual liveliness are announced and not enforced, and samples
 //! are not acknowledged.
 //!
-//! Handlers of samples run on threads of the session, on the thread that writes for subscriptions of the same
-//! participant, or on that of `repair.rs` for samples that waited for others. Only what must not be dropped goes through a thread of this engine (`outbox.rs`).
+//! Handlers of samples run on threads of the session, on the thread that writes for subscriptions of the
+//! same participant, or on that of `repair.rs` for samples that waited for others. Only what must not be
+//! dropped goes through a thread of this engine (`outbox.rs`).
 
 mod domain;
 mod graph;
