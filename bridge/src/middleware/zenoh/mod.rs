@@ -111,10 +111,10 @@ struct Asked {
 
 impl Asked {
     fn take(&self, reply: &Reply) {
-        if let (Some(domain), Ok(token)) = (self.domain.upgrade(), reply.result()) {
-            if domain.graph.appeared(token.key_expr()) {
-                self.arrivals.add();
-            }
+        if let (Some(domain), Ok(token)) = (self.domain.upgrade(), reply.result())
+            && domain.graph.appeared(token.key_expr())
+        {
+            self.arrivals.add();
         }
     }
 }
