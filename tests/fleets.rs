@@ -148,21 +148,19 @@ fn certificates_and_rules_of_the_page_let_a_robot_do_what_it_may_and_no_more() {
     ] {
         let echo = ["topic", "echo", "--engine", "zenoh", topic, message_type];
         let heard = Program::start(site.command(&echo, &base));
-        let say = |said: &str, config: &Path| {
-            let line = ["topic", "pub", "--engine", "zenoh", "--times", "3", "-w", "0", "-r", "10", topic];
+        let say = |said: &str, wanted: &str, config: &Path| {
+            let line =
+                ["topic", "pub", "--engine", "zenoh", "--times", "20", "-w", wanted, "-r", "10", topic];
             output(site.command(&line, config).args([message_type, said]))
         };
-        wait_until("the base hears itself", || {
-            say(control, &base);
-            heard.output().contains("first")
-        });
+        say(control, "1", &base);
+        wait_until("the base hears itself", || heard.output().contains("first"));
         if topic == "/fleet/plan" {
-            say("{data: no}", &robot);
+            // It is not told that somebody listens, which it could wait for.
+            say("{data: no}", "0", &robot);
         }
-        wait_until("the base hears what comes after", || {
-            say(&control.replace("first", "last"), &base);
-            heard.output().contains("last")
-        });
+        say(&control.replace("first", "last"), "1", &base);
+        wait_until("the base hears what comes after", || heard.output().contains("last"));
         assert!(!heard.output().contains(forbidden), "{}", heard.output());
     }
 }
