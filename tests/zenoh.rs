@@ -36,7 +36,7 @@ fn a_program_without_zenoh_says_how_to_get_it() {
 #[cfg(feature = "zenoh")]
 mod with_zenoh {
     use super::common::program::{Program, Way};
-    use super::common::{downbeat, wait_until};
+    use super::common::{downbeat, recorded_messages, wait_until};
     use super::run;
     use rustix::process::Signal;
     use std::net::TcpListener;
@@ -138,6 +138,16 @@ mod with_zenoh {
         command.env("ROS_DOMAIN_ID", &domain);
         let (is_done, nodes) = run(command);
         assert!(is_done && nodes.contains("/darwin_op"), "{nodes}");
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("bag");
+        let record =
+            ["bag", "record", "--topics", "/joint_states", "--duration", "2s", "--connect", &connect];
+        let mut command = downbeat(&record);
+        let (is_done, text) = run({
+            command.arg("-o").arg(&bag).env("ROS_DOMAIN_ID", &domain);
+            command
+        });
+        assert!(is_done && recorded_messages(&bag, "/joint_states") > 0, "{text}");
         let nobody = downbeat(&["node", "list", "--connect", &format!("tcp/127.0.0.1:{}", free_port())]);
         let (is_done, text) = run(nobody);
         assert!(!is_done && text.contains("no Zenoh router answers at tcp/127.0.0.1:"), "{text}");

@@ -29,8 +29,14 @@ use format::Format;
 const VARIABLE: &str = "DOWNBEAT_LOG";
 
 /// rustdds logs each repair and each refused sample as an error; the bridge reports what matters. Zenoh logs
-/// each failed attempt to connect as a warning.
-const DEFAULT: &str = "info,rustdds=off,zenoh=error";
+/// each failed attempt to connect as a warning, and as an error the end of what it was not told of.
+macro_rules! quiet {
+    () => {
+        "rustdds=off,zenoh=error,zenoh::net::routing::dispatcher=off"
+    };
+}
+
+const DEFAULT: &str = concat!("info,", quiet!());
 
 /// The name of the logger while there is no node.
 const PROGRAM: &str = "downbeat";
@@ -105,7 +111,7 @@ fn filter_of(arguments: &LogArguments) -> Option<String> {
         return None;
     }
     let level = arguments.level.map_or("info", LogLevel::as_filter);
-    let mut filter = format!("{level},rustdds=off,zenoh=error");
+    let mut filter = format!(concat!("{},", quiet!()), level);
     for (logger, level) in &arguments.loggers {
         filter.push_str(&format!(",{}={}", logger.replace('.', "::"), level.as_filter()));
     }
