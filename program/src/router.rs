@@ -23,7 +23,7 @@ pub(crate) fn router() -> anyhow::Result<()> {
     tracing::info!("Zenoh router {} listens on {}", router.id(), router.locators().join(", "));
     if router.has_access_control() {
         tracing::info!(
-            "access control is on: what its rules deny is dropped, and nobody is told; {SHOW_DENIED} logs each decision"
+            "access control is on: what its rules deny is dropped without an error at the sender; {SHOW_DENIED} logs each decision"
         );
     }
     while !stop.is_due() {

@@ -21,7 +21,7 @@ const NUMBER: &str = "DOWNBEAT_FLEET_ROBOT";
 const INCARNATION: &str = "DOWNBEAT_FLEET_INCARNATION";
 const MAP_BYTES: &str = "DOWNBEAT_FLEET_MAP_BYTES";
 
-/// What the fleet is told: `plan`.
+/// The topic with orders for all robots.
 pub const PLAN: &str = "/fleet/plan";
 
 /// For events, and a map: what a robot said last week counts as well.
@@ -71,7 +71,7 @@ impl Module for Mapper {
     }
 }
 
-/// Repeats what it is told, and says that it is there when it is asked.
+/// Publishes each order that it receives on `told`, and answers the service `identify`.
 struct Driver;
 
 impl Module for Driver {

@@ -1,8 +1,8 @@
-//! Compares what is known of the graph with what the router knows, after much of it came.
+//! Compares the known graph with that of the router after many tokens have arrived.
 //!
-//! Zenoh (1.10) sends tokens, and that they are gone, after it has let go of its tables: who joins while
-//! somebody else leaves may be told of a token after its end, and would keep it for as long as its session.
-//! Only a session that joins anew is told all again.
+//! Zenoh (1.10) sends the beginning and the end of tokens after it has released the lock of its tables. A
+//! session that joins while another leaves may therefore receive the end of a token before its beginning, and
+//! would list that token for as long as it lives. A new session receives all tokens again.
 
 use super::domain::Domain;
 use super::graph::MOST_TOKENS;
@@ -24,7 +24,8 @@ const QUIET: Duration = Duration::from_secs(5);
 /// Changes that go on do not put it off for longer.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// After the first time, only when so many tokens have come: few are told one by one.
+/// After the first comparison, the next one waits for so many new tokens: few of them hardly overlap with
+/// others that end.
 const MANY: usize = 32;
 
 /// An answer that takes longer is not waited for.
@@ -122,8 +123,8 @@ impl Recheck {
         Some(self.domain.upgrade()?.session.info().routers_zid().wait().count() > 1)
     }
 
-    /// All tokens of the domain; nothing if that took too long, or nobody may tell. `None` when the domain is
-    /// left.
+    /// Asks the router for all tokens of the domain. The inner `None` means that the answer took too long or
+    /// was empty, the outer one that the domain has been left.
     fn ask(&self) -> Option<Option<BTreeSet<String>>> {
         let tokens = tokens_of(self.domain.upgrade()?.domain_id);
         let Some(session) = downbeat_zenoh::open_onlooker(&self.settings) else { return Some(None) };
@@ -139,7 +140,7 @@ impl Recheck {
     }
 }
 
-/// What is told, which is passed on when all is.
+/// Collects the tokens of an answer, and sends them when the answer is complete.
 struct Telling {
     tokens: Mutex<BTreeSet<String>>,
     all: Sender<BTreeSet<String>>,
