@@ -19,6 +19,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-bags", &["downbeat-msgs"]),
     ("downbeat-rtps", &[]),
     ("downbeat-zenoh", &[]),
+    ("downbeat-security", &["downbeat-rtps"]),
     ("downbeat-edge", &["downbeat-executor", "downbeat-msgs"]),
     (
         "downbeat-bridge",

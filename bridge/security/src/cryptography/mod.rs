@@ -1,0 +1,1 @@
+//! Protection of payloads, submessages and messages by AES-GCM and AES-GMAC.

@@ -1,0 +1,1 @@
+//! The files of an enclave in a keystore of `ros2 security`.

@@ -1,0 +1,1 @@
+//! What the RTPS engine asks.

@@ -1,0 +1,10 @@
+//! DDS Security 1.1 as the nodes of ROS 2 use it (SROS2): who may join a domain, what it may do there, and
+//! how what it sends is protected.
+
+pub mod access;
+pub mod authentication;
+pub mod cryptography;
+pub mod enclave;
+pub mod guard;
+pub mod pki;
+pub mod tokens;

@@ -1,0 +1,1 @@
+//! Certificates, private keys and the authorities that sign them.

@@ -1,0 +1,1 @@
+//! Tokens and the messages that carry them, as CDR.
