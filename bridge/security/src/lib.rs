@@ -5,6 +5,7 @@
 pub mod access;
 pub mod authentication;
 pub mod cryptography;
+pub mod document;
 pub mod enclave;
 pub mod guard;
 pub mod pki;
