@@ -1,1 +1,13 @@
-//! Governance and permissions: signed files that say how a domain is protected and who may do what.
+//! What participants may do, and how a domain is protected: the two signed documents.
+
+mod domains;
+mod governance;
+mod pattern;
+mod permissions;
+pub mod smime;
+mod subject;
+mod time;
+
+pub use domains::Domains;
+pub use governance::{DataProtection, DomainRule, Governance, ProtectionKind, TopicRule};
+pub use permissions::{Action, Decision, Grant, Permissions};
