@@ -4,6 +4,7 @@
 
 pub mod access;
 pub mod authentication;
+mod cdr;
 pub mod cryptography;
 pub mod document;
 pub mod enclave;
