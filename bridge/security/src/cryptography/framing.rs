@@ -18,16 +18,16 @@ pub(super) const SUBMESSAGE_HEADER_LEN: usize = 4;
 const LITTLE_ENDIAN: u8 = 1;
 
 /// The first submessage of some bytes.
-pub(super) struct First<'a> {
-    pub(super) id: u8,
+pub(crate) struct First<'a> {
+    pub(crate) id: u8,
     /// Without its header.
-    pub(super) body: &'a [u8],
+    pub(crate) body: &'a [u8],
     /// What follows the submessage.
-    pub(super) rest: &'a [u8],
+    pub(crate) rest: &'a [u8],
 }
 
 /// Splits the first submessage off; `None` if it is not whole.
-pub(super) fn first(bytes: &[u8]) -> Option<First<'_>> {
+pub(crate) fn first(bytes: &[u8]) -> Option<First<'_>> {
     let ([id, flags, length @ ..], content) = bytes.split_first_chunk::<SUBMESSAGE_HEADER_LEN>()?;
     let length = match flags & LITTLE_ENDIAN {
         0 => u16::from_be_bytes(*length),

@@ -13,7 +13,7 @@
 //! Everything here works on bytes. Nothing is allocated beyond the length of the input.
 
 mod footer;
-mod framing;
+pub(crate) mod framing;
 mod header;
 mod material;
 mod message;
