@@ -11,5 +11,5 @@ pub mod wire;
 
 pub use driver::{
     EndpointEvent, EventHandler, JoinError, MatchHandler, Options, Participant, Range, Reader, SampleHandler,
-    Writer,
+    Security, Writer,
 };

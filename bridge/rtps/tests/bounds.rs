@@ -44,6 +44,7 @@ fn announcement(prefix: GuidPrefix, address: SocketAddrV4) -> Vec<u8> {
         domain_id: None,
         domain_tag: String::new(),
         expects_inline_qos: false,
+        security: None,
         receive_buffer: None,
     }
     .emit(&mut payload);
@@ -176,6 +177,7 @@ fn announce_endpoint(
         multicast: Vec::new(),
         user_data: Vec::new(),
         expects_inline_qos: false,
+        security: None,
     }
     .emit(&mut payload);
     let (reader, writer) = (EntityId::UNKNOWN, EntityId::SEDP_SUBSCRIPTIONS_WRITER);

@@ -80,6 +80,7 @@ fn a_participant_of_fast_dds_is_parsed() {
         domain_id: None,
         domain_tag: String::new(),
         expects_inline_qos: false,
+        security: None,
         receive_buffer: None,
     };
     assert_eq!(participant(&capture::fast_dds(), TALKER), expected);
@@ -103,6 +104,7 @@ fn a_participant_of_cyclone_dds_is_parsed() {
         domain_id: Some(0),
         domain_tag: String::new(),
         expects_inline_qos: false,
+        security: None,
         receive_buffer: None,
     };
     assert_eq!(participant(&capture::cyclone_dds(), PERFORMER), expected);
@@ -121,6 +123,7 @@ fn a_writer_of_fast_dds_is_parsed() {
         user_data: b"typehash=RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18;"
             .to_vec(),
         expects_inline_qos: false,
+        security: None,
     };
     assert_eq!(endpoint(&capture::fast_dds(), EntityId::SEDP_PUBLICATIONS_WRITER, guid), expected);
 }
@@ -150,6 +153,7 @@ fn a_writer_of_cyclone_dds_is_parsed() {
         multicast: Vec::new(),
         user_data: Vec::new(),
         expects_inline_qos: false,
+        security: None,
     };
     assert_eq!(endpoint(&capture::cyclone_dds(), EntityId::SEDP_PUBLICATIONS_WRITER, guid), expected);
 }

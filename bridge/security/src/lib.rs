@@ -5,6 +5,7 @@
 pub mod access;
 mod asn1;
 pub mod authentication;
+mod cdr;
 pub mod cryptography;
 pub mod document;
 pub mod enclave;

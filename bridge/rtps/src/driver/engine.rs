@@ -10,7 +10,8 @@ use super::endpoint::{EndpointEvent, EndpointState, SampleHandler};
 use super::interfaces::Interfaces;
 use super::sockets::{Senders, Sent};
 use crate::protocol::{
-    self, Addresses, CreateError, Destination, EndpointConfig, Event, Now, WriteError, WriteOptions,
+    self, Addresses, CreateError, Destination, EndpointConfig, Event, Now, Report, Severity, WriteError,
+    WriteOptions,
 };
 use crate::wire::{EntityId, Guid, SequenceNumber};
 use bytes::Bytes;
@@ -353,6 +354,7 @@ impl Engine {
                     self.endpoints.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect();
                 endpoints.iter().for_each(|endpoint| endpoint.forget(remote));
             }
+            Event::Security(report) => self.report(&report),
             Event::Warning { fault, from, count } => {
                 tracing::warn!("dropped {fault} from {from} ({count} since the last such message)");
             }
@@ -363,6 +365,13 @@ impl Engine {
             | Event::EndpointFound { .. }
             | Event::EndpointChanged { .. }
             | Event::ParticipantFound { .. } => {}
+        }
+    }
+
+    fn report(&self, report: &Report) {
+        match report.severity {
+            Severity::Info => tracing::info!("{}", report.text),
+            Severity::Warning => tracing::warn!("{}", report.text),
         }
     }
 

@@ -16,7 +16,7 @@ mod static_peers;
 mod thread;
 
 pub use endpoint::{EndpointEvent, EventHandler, MatchHandler, SampleHandler};
-pub use options::{JoinError, Options, Range};
+pub use options::{JoinError, Options, Range, Security};
 
 use crate::protocol::{self, Counters, CreateError, EndpointConfig, WriteError, WriteOptions};
 use crate::wire::{EndpointData, Guid, GuidPrefix, SequenceNumber};
@@ -83,8 +83,15 @@ impl Participant {
         config.lease = options.lease;
         config.announcement_period = options.announcement_period;
         config.receive_buffer = u32::try_from(receivers.buffer).ok().filter(|bytes| *bytes > 0);
-        let prefix = config.prefix;
-        let engine = Engine::new(protocol::Participant::new(config, now()), senders, waker);
+        let participant = match &options.security {
+            None => protocol::Participant::new(config, now()),
+            Some(security) => {
+                let (prefix, guard) = security.guard(config.prefix);
+                protocol::Participant::with_guard(protocol::Config { prefix, ..config }, guard, now())
+            }
+        };
+        let prefix = participant.prefix();
+        let engine = Engine::new(participant, senders, waker);
         let engine = Arc::new(engine);
 
         let (found, looked_up) = mpsc::channel();

@@ -1,6 +1,10 @@
 //! Options and errors of joining a domain.
 
+use crate::protocol::Guard;
+use crate::wire::GuidPrefix;
+use std::fmt;
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
@@ -33,6 +37,33 @@ pub struct Options {
     pub name: String,
     /// User data of the participant; ROS 2 puts the enclave there.
     pub user_data: Vec<u8>,
+    /// How it is protected; `None` for not at all.
+    pub security: Option<Security>,
+}
+
+/// Makes the guard of a participant.
+#[derive(Clone)]
+pub struct Security(Arc<MakeGuard>);
+
+/// Takes the prefix that the participant would have, and returns the one that belongs to its identity.
+type MakeGuard = dyn Fn(GuidPrefix) -> (GuidPrefix, Box<dyn Guard>) + Send + Sync;
+
+impl Security {
+    /// With a function that takes the prefix that the participant would have without security, and returns
+    /// the one that belongs to its identity.
+    pub fn new(make: impl Fn(GuidPrefix) -> (GuidPrefix, Box<dyn Guard>) + Send + Sync + 'static) -> Self {
+        Self(Arc::new(make))
+    }
+
+    pub(super) fn guard(&self, prefix: GuidPrefix) -> (GuidPrefix, Box<dyn Guard>) {
+        (self.0)(prefix)
+    }
+}
+
+impl fmt::Debug for Security {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Security")
+    }
 }
 
 impl Options {
@@ -47,6 +78,7 @@ impl Options {
             announcement_period: Duration::from_secs(3),
             name: String::new(),
             user_data: Vec::new(),
+            security: None,
         }
     }
 }

@@ -12,9 +12,17 @@ pub(crate) struct Account {
 
 impl Account {
     const FACTOR: u64 = 3;
+    /// With the factor: about three times the certificate and the permissions of a robot.
+    const HANDSHAKE: usize = 8 << 10;
 
     pub(crate) fn received(&mut self, bytes: usize) {
         self.received = self.received.saturating_add(bytes as u64);
+    }
+
+    /// Permits one handshake, whose messages with certificates and permissions are larger than what was
+    /// received. The guard limits how many handshakes begin.
+    pub(crate) fn permit_handshake(&mut self) {
+        self.received(Self::HANDSHAKE);
     }
 
     pub(crate) fn sent(&mut self, bytes: usize) {

@@ -3,7 +3,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::{
-    Event, Fault, LivelinessChange, Now, Participant, Received, Sample, WriterEvent, guard, peers::Peer,
+    Channel, Event, Fault, LivelinessChange, Now, Participant, Received, Sample, WriterEvent, peers::Peer,
 };
 use crate::wire::{
     EntityId, Guid, GuidPrefix, Header, Malformed, StatusInfo, Submessage, Submessages, Timestamp, parse,
@@ -44,13 +44,18 @@ impl Participant {
         let Some(guard) = self.guard.as_deref_mut() else {
             return self.dispatch(now, origin, header, submessages);
         };
-        let Some(plain) = guard::decode(guard, header.prefix, bytes) else {
-            return self.fault(now, Fault::Rejected, from);
-        };
-        match parse(&plain) {
-            Ok((_, submessages)) => self.dispatch(now, origin, header, submessages),
-            Err(_) => self.fault(now, Fault::Malformed, from),
+        let mut plain = std::mem::take(&mut self.plain);
+        plain.clear();
+        if guard.decode(now, header.prefix, bytes, &mut plain) {
+            match parse(&plain) {
+                Ok((_, submessages)) => self.dispatch(now, origin, header, submessages),
+                Err(_) => self.fault(now, Fault::Malformed, from),
+            }
+        } else {
+            self.fault(now, Fault::Rejected, from);
         }
+        self.plain = plain;
+        self.heed_guard(now);
     }
 
     /// Handles a datagram from local endpoints to local endpoints.
@@ -213,7 +218,18 @@ impl Participant {
                 EntityId::SEDP_PUBLICATIONS_READER | EntityId::SEDP_SUBSCRIPTIONS_READER => {
                     self.hear_of_endpoint(now, reader, &sample);
                 }
-                EntityId::WLP_READER => self.hear_assertion(now, &sample),
+                EntityId::SEDP_PUBLICATIONS_SECURE_READER | EntityId::SEDP_SUBSCRIPTIONS_SECURE_READER => {
+                    self.hear_of_endpoint(now, reader, &sample);
+                }
+                EntityId::WLP_READER | EntityId::WLP_SECURE_READER => {
+                    self.hear_assertion(now, reader, &sample);
+                }
+                EntityId::SPDP_SECURE_READER => self.hear_of_change(now, &sample),
+                EntityId::STATELESS_READER | EntityId::VOLATILE_READER => {
+                    if let Some(channel) = Channel::of_reader(reader) {
+                        self.hear_guard(now, channel, &sample);
+                    }
+                }
                 _ => self.take_sample(reader, sample),
             },
             _ if reader.is_builtin() => {}
@@ -234,15 +250,11 @@ impl Participant {
         }
     }
 
-    fn take_sample(&mut self, reader: EntityId, mut sample: Sample) {
+    fn take_sample(&mut self, reader: EntityId, sample: Sample) {
         // Without keys there is nothing to dispose: such a sample only announces the end of its writer, which
         // discovery reports as well.
         if sample.is_key || sample.inline_qos.status.is_some_and(StatusInfo::is_removal) {
             return;
-        }
-        if let Some(guard) = self.guard.as_deref_mut() {
-            let Some(payload) = guard.decode_payload(sample.writer, sample.payload) else { return };
-            sample.payload = payload;
         }
         self.events.push_back(Event::Sample { reader, sample });
     }

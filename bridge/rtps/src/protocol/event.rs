@@ -3,7 +3,7 @@
 use std::net::SocketAddrV4;
 use std::sync::Arc;
 
-use super::{Fault, Sample};
+use super::{Fault, Report, Sample};
 use crate::{
     qos::Policy,
     wire::{EntityId, Guid, GuidPrefix},
@@ -102,6 +102,8 @@ pub enum Event {
         remote: GuidPrefix,
         reason: Departure,
     },
+    /// The guard reports something to the user.
+    Security(Report),
     /// Invalid input was received `count` times since the last event of this kind, which is reported at most
     /// once a minute.
     Warning {

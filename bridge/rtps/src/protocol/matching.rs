@@ -62,7 +62,7 @@ impl Participant {
     }
 
     fn consider(&mut self, now: Now, local: EntityId, remote: Guid) {
-        let verdict = self.verdict(local, remote);
+        let verdict = self.verdict(now, local, remote);
         let is_matched = self.locals.matched(local).is_some_and(|matched| matched.contains(&remote));
         match verdict {
             // Also if it is already matched: the policies may have changed.
@@ -102,7 +102,7 @@ impl Participant {
         }
     }
 
-    fn verdict(&mut self, local: EntityId, remote: Guid) -> Option<Verdict> {
+    fn verdict(&mut self, now: Now, local: EntityId, remote: Guid) -> Option<Verdict> {
         let ours = self.locals.data(local)?;
         if remote.prefix == self.config.prefix {
             return Some(judge(ours, self.locals.data(remote.entity)?));
@@ -115,7 +115,7 @@ impl Participant {
             && self
                 .guard
                 .as_deref_mut()
-                .is_none_or(|guard| guard.admit_endpoint(ours, theirs) == Admission::Admit);
+                .is_none_or(|guard| guard.admit_endpoint(now, ours, theirs) == Admission::Admit);
         Some(if verdict == Verdict::Match && !is_admitted { Verdict::Apart } else { verdict })
     }
 

@@ -9,10 +9,10 @@ use std::{
 use bytes::Bytes;
 
 use super::{
-    Addresses, Config, Counters, Destination, EndpointConfig, Event, Fault, Guard, Limits, LinkId,
-    LinkOptions, Links, Now, Reader, ReaderConfig, Received, WriteOptions, Writer, WriterConfig,
+    Addresses, Channel, Config, Counters, Denial, Destination, EndpointConfig, Event, Fault, Guard, Limits,
+    LinkId, LinkOptions, Links, Now, Reader, ReaderConfig, Received, WriteOptions, Writer, WriterConfig,
     counters::Warnings,
-    discovery::{Announced, Announcer},
+    discovery::{Announced, Announcer, BUILTIN, BUILTIN_OF_SECURITY, Builtin},
     links::OWN_HOST_DATAGRAM,
     locals::Locals,
     peers::Peers,
@@ -31,7 +31,7 @@ const OWN_FRAGMENT: u16 = 60_000;
 const SUSPENSION: Duration = Duration::from_secs(2);
 
 /// The resolution of timers.
-const SHORTEST_TIMEOUT: Duration = Duration::from_micros(50);
+pub(super) const SHORTEST_TIMEOUT: Duration = Duration::from_micros(50);
 
 /// Error of a write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -40,15 +40,15 @@ pub enum WriteError {
     UnknownWriter,
     #[error("too many samples of the writer wait to be sent or acknowledged")]
     WindowFull,
-    #[error("security refuses the sample")]
-    Rejected,
 }
 
 /// Error while creating an endpoint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CreateError {
     #[error("no identities are left for endpoints of this participant")]
     TooMany,
+    #[error(transparent)]
+    Denied(#[from] Denial),
     #[error(
         "the name of the topic or type, or the user data, is longer than participants of this engine accept"
     )]
@@ -65,6 +65,7 @@ pub(super) enum Timer {
     Audit(GuidPrefix),
     /// Until it passes, nothing is sent to a participant whose port was closed.
     Closed(GuidPrefix),
+    Guard,
     Endpoint(EntityId),
 }
 
@@ -89,6 +90,8 @@ pub struct Participant {
     pub(super) counters: Counters,
     pub(super) warnings: Warnings,
     pub(super) guard: Option<Box<dyn Guard>>,
+    /// The plain form of a received message, kept to reuse its allocation.
+    pub(super) plain: Vec<u8>,
     /// No lease ends before this time: after a suspension the announcements of all others have yet to arrive.
     pub(super) grace_until: Instant,
     latest_call: Instant,
@@ -99,6 +102,16 @@ pub struct Participant {
 
 impl Participant {
     pub fn new(config: Config, now: Now) -> Self {
+        Self::create(config, None, now)
+    }
+
+    /// Creates a participant whose messages and matches `guard` protects. The prefix in `config` is the one
+    /// that belongs to its identity.
+    pub fn with_guard(config: Config, guard: Box<dyn Guard>, now: Now) -> Self {
+        Self::create(config, Some(guard), now)
+    }
+
+    fn create(config: Config, mut guard: Option<Box<dyn Guard>>, now: Now) -> Self {
         let mut links = Links::new();
         let own = links.open(LinkOptions {
             destination: Destination::Own,
@@ -113,13 +126,14 @@ impl Participant {
             links,
             own,
             timers: Timers::new(),
-            announcer: Announcer::new(&config, now),
+            announcer: Announcer::new(&config, guard.as_deref_mut(), now),
             announced: Announced::default(),
             liveliness_period: None,
             events: VecDeque::new(),
             counters: Counters::default(),
             warnings: Warnings::default(),
-            guard: None,
+            guard,
+            plain: Vec::new(),
             grace_until: now.steady,
             latest_call: now.steady,
             latest_key: 0,
@@ -127,13 +141,9 @@ impl Participant {
             config,
         };
         participant.create_builtin_endpoints();
+        participant.announce_protected(now);
         participant.timers.set(Timer::Announcement, participant.announcer.next());
         participant
-    }
-
-    /// Creates a participant whose messages and matches `guard` protects.
-    pub fn with_guard(config: Config, guard: Box<dyn Guard>, now: Now) -> Self {
-        Self { guard: Some(guard), ..Self::new(config, now) }
     }
 
     pub fn guid(&self) -> Guid {
@@ -155,6 +165,11 @@ impl Participant {
                 Timer::Doubt(prefix) => self.resolve_doubt(now, prefix),
                 Timer::Audit(prefix) => self.audit(now, prefix),
                 Timer::Closed(prefix) => self.reopen(prefix),
+                Timer::Guard => {
+                    if let Some(guard) = self.guard.as_deref_mut() {
+                        guard.handle_timeout(now);
+                    }
+                }
                 Timer::Endpoint(id) if self.locals.writers.contains_key(&id) => {
                     self.with_writer(now, id, |writer, links| writer.handle_timeout(now, links));
                 }
@@ -165,6 +180,7 @@ impl Participant {
                 }
             }
         }
+        self.heed_guard(now);
     }
 
     /// The next time at which [`Participant::handle_timeout`] has something to do.
@@ -191,7 +207,7 @@ impl Participant {
     pub fn create_writer(&mut self, now: Now, config: EndpointConfig) -> Result<EntityId, CreateError> {
         self.note_time(now);
         let id = EntityId::user_writer(self.next_key()?);
-        let data = self.announceable(id, &config)?;
+        let data = self.announceable(now, id, &config)?;
         let writer = Writer::new(WriterConfig {
             guid: data.guid,
             qos: config.qos,
@@ -207,7 +223,7 @@ impl Participant {
     pub fn create_reader(&mut self, now: Now, config: EndpointConfig) -> Result<EntityId, CreateError> {
         self.note_time(now);
         let id = EntityId::user_reader(self.next_key()?);
-        let data = self.announceable(id, &config)?;
+        let data = self.announceable(now, id, &config)?;
         let reader = Reader::new(self.reader_config(data.guid, config.qos));
         self.locals.add_reader(data, reader);
         self.introduce(now, id);
@@ -219,6 +235,7 @@ impl Participant {
         self.announce_endpoint(now, id);
         self.match_local(now, id);
         self.plan_liveliness(now);
+        self.heed_guard(now);
     }
 
     /// Removes an endpoint and announces the removal. Returns whether it existed.
@@ -230,9 +247,12 @@ impl Participant {
         self.unmatch_local(now, id);
         self.links.forget_endpoint(id);
         self.timers.set(Timer::Endpoint(id), None);
-        self.locals.remove(id);
         self.dispose_endpoint(now, id);
+        self.locals.remove(id);
         self.plan_liveliness(now);
+        if let Some(guard) = self.guard.as_deref_mut() {
+            guard.forget_endpoint(Guid::new(self.config.prefix, id));
+        }
         true
     }
 
@@ -248,12 +268,6 @@ impl Participant {
         if id.is_builtin() {
             return Err(WriteError::UnknownWriter);
         }
-        let payload = match &mut self.guard {
-            None => payload,
-            Some(guard) => guard
-                .encode_payload(Guid::new(self.config.prefix, id), payload)
-                .ok_or(WriteError::Rejected)?,
-        };
         self.with_writer(now, id, |writer, links| writer.write(now, payload, options, links))
             .ok_or(WriteError::UnknownWriter)?
             .map_err(|_| {
@@ -285,6 +299,7 @@ impl Participant {
     /// [`Participant::poll_transmit`] until it returns `None`.
     pub fn leave(&mut self, now: Now) {
         self.note_time(now);
+        self.announce_departure(now);
         self.announcer.leave(&self.config.addresses, &self.peers);
         self.timers = Timers::new();
     }
@@ -293,6 +308,7 @@ impl Participant {
     pub fn reconsider(&mut self, now: Now, prefix: GuidPrefix) {
         self.note_time(now);
         self.admit(now, prefix);
+        self.heed_guard(now);
     }
 
     /// Returns the endpoints that a local endpoint is matched with.
@@ -346,28 +362,39 @@ impl Participant {
             history,
             ..Qos::writer_default()
         };
-        for (writer, reader, history) in [
-            (EntityId::SEDP_PUBLICATIONS_WRITER, EntityId::SEDP_PUBLICATIONS_READER, History::KeepAll),
-            (EntityId::SEDP_SUBSCRIPTIONS_WRITER, EntityId::SEDP_SUBSCRIPTIONS_READER, History::KeepAll),
-            (EntityId::WLP_WRITER, EntityId::WLP_READER, History::KeepLast(1)),
-        ] {
-            let config = EndpointConfig::new("", "", qos(history));
+        let volatile = |reliability| Qos { reliability, history: History::KeepAll, ..Qos::writer_default() };
+        let announcing = |builtin: &Builtin| (builtin.writer, builtin.reader, qos(builtin.history()));
+        let channels = [
+            (Channel::Stateless, volatile(Reliability::BestEffort)),
+            (Channel::Volatile, volatile(Reliability::Reliable)),
+        ];
+        let channels = channels.map(|(channel, qos)| (channel.ends().0, channel.ends().1, qos));
+        let is_guarded = self.guard.is_some();
+        let plain = BUILTIN.iter().map(announcing);
+        let secure = BUILTIN_OF_SECURITY.iter().map(announcing).chain(channels).filter(|_| is_guarded);
+        for (writer, reader, qos) in plain.chain(secure) {
+            let config = EndpointConfig::new("", "", qos.clone());
             let guid = Guid::new(prefix, writer);
             // Announcements are never refused, however slow the other participants are.
-            let config_of_writer = WriterConfig {
-                guid,
-                qos: qos(history),
-                send_window: usize::MAX,
-                send_window_bytes: u64::MAX,
-            };
+            let config_of_writer =
+                WriterConfig { guid, qos: qos.clone(), send_window: usize::MAX, send_window_bytes: u64::MAX };
             self.locals.add_writer(self.endpoint_data(writer, &config), Writer::new(config_of_writer));
-            let config_of_reader = self.reader_config(Guid::new(prefix, reader), qos(History::KeepAll));
+            let config_of_reader =
+                self.reader_config(Guid::new(prefix, reader), Qos { history: History::KeepAll, ..qos });
             self.locals.add_reader(self.endpoint_data(reader, &config), Reader::new(config_of_reader));
         }
     }
 
-    fn announceable(&self, id: EntityId, config: &EndpointConfig) -> Result<EndpointData, CreateError> {
-        let data = self.endpoint_data(id, config);
+    fn announceable(
+        &mut self,
+        now: Now,
+        id: EntityId,
+        config: &EndpointConfig,
+    ) -> Result<EndpointData, CreateError> {
+        let mut data = self.endpoint_data(id, config);
+        if let Some(guard) = self.guard.as_deref_mut() {
+            guard.complete_endpoint(now, &mut data)?;
+        }
         let mut payload = Vec::new();
         data.emit(&mut payload);
         if EndpointData::parse(&payload).is_err() { Err(CreateError::Overlong) } else { Ok(data) }
@@ -383,6 +410,7 @@ impl Participant {
             multicast: Vec::new(),
             user_data: config.user_data.to_vec(),
             expects_inline_qos: false,
+            security: None,
         }
     }
 

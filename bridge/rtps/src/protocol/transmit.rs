@@ -1,6 +1,6 @@
 //! Packing of waiting submessages into datagrams.
 
-use super::{Destination, Emitted, LinkId, Now, Participant, guard};
+use super::{Destination, Emitted, LinkId, Now, Participant, Room};
 use crate::wire::{EntityId, GuidPrefix, Header, MessageBuilder};
 
 /// A datagram with less room than this is not started: an acknowledgement with its header has this size.
@@ -43,8 +43,9 @@ impl Participant {
         let known = self.peers.get(peer);
         let (allowance, is_closed) =
             known.map_or((usize::MAX, false), |peer| (peer.account.allowance(), peer.is_closed));
-        let room = self.guard.as_deref().map_or(0, |guard| guard.room());
-        let max_len = self.links.max_datagram(link).min(allowance).saturating_sub(room);
+        let is_own = self.links.destination(link) == Some(Destination::Own);
+        let room = self.guard.as_deref().filter(|_| !is_own).map_or(Room::default(), |guard| guard.room());
+        let max_len = self.links.max_datagram(link).min(allowance).saturating_sub(room.message);
         let is_limited = allowance <= self.links.max_datagram(link);
         datagram.clear();
         if is_limited && max_len < SMALLEST || is_closed {
@@ -54,8 +55,17 @@ impl Participant {
             return false;
         }
         let mut builder = MessageBuilder::new(datagram, max_len, Header::ours(self.config.prefix));
+        builder.reserve(room.submessage);
         let offset = self.links.offset(link);
+        let mut establishes_protection = None;
         while let Some(id) = self.links.pop(link) {
+            // With a guard, what establishes protection is sent in datagrams of its own.
+            let kind = self.guard.is_some() && id.establishes_protection();
+            if *establishes_protection.get_or_insert(kind) != kind && !builder.is_empty() {
+                self.links.put_back(link, id, Emitted::More);
+                break;
+            }
+            establishes_protection = Some(kind);
             builder.shift_numbers(if id.is_builtin() { offset } else { 0 });
             let emitted = if let Some(local) = self.locals.writers.get_mut(&id) {
                 let emitted = local.machine.emit(now, link, &mut self.links, &mut builder);
@@ -85,7 +95,7 @@ impl Participant {
     /// Protects and counts a complete datagram. Returns whether it may be sent.
     pub(super) fn seal(&mut self, peer: GuidPrefix, datagram: &mut Vec<u8>) -> bool {
         if let Some(guard) = self.guard.as_deref_mut()
-            && !guard::encode(guard, peer, datagram)
+            && !guard.encode(peer, datagram)
         {
             return false;
         }

@@ -86,7 +86,7 @@ impl Participant {
     }
 
     /// Lifts the limits of a participant whose address is validated.
-    fn validate(&mut self, now: Now, prefix: GuidPrefix) {
+    pub(super) fn validate(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.account.answered();
         let links: Vec<_> = peer.links.iter().map(|(_, link)| *link).collect();

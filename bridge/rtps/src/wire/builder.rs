@@ -15,6 +15,8 @@ pub struct MessageBuilder<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
     max_len: usize,
+    /// Bytes by which each submessage will grow.
+    growth: usize,
     /// Added to the numbers of samples.
     offset: i64,
     order: ByteOrder,
@@ -59,6 +61,7 @@ impl<'a> MessageBuilder<'a> {
             out,
             start,
             max_len,
+            growth: 0,
             offset: 0,
             order: ByteOrder::Little,
             destination: Announced::new(GuidPrefix::UNKNOWN),
@@ -84,7 +87,12 @@ impl<'a> MessageBuilder<'a> {
             Some(_) => SUBMESSAGE_HEADER_LEN + 8,
             None => SUBMESSAGE_HEADER_LEN,
         };
-        self.max_len.saturating_sub(self.len() + destination + timestamp)
+        self.max_len.saturating_sub(self.len() + destination + timestamp + self.growth)
+    }
+
+    /// Leaves room in the message for each submessage to grow by `growth` bytes.
+    pub(crate) fn reserve(&mut self, growth: usize) {
+        self.growth = growth;
     }
 
     /// Sets what is added to the numbers of samples in the following submessages of writers.
@@ -224,7 +232,8 @@ impl<'a> MessageBuilder<'a> {
     fn submessage(&mut self, id: u8, flags: u8, body: impl FnOnce(&mut Encoder<'_>)) -> bool {
         let before = self.out.len();
         let is_complete = self.write_news() && self.write_submessage(id, flags, body);
-        if is_complete && self.len() <= self.max_len {
+        if is_complete && self.len() + self.growth <= self.max_len {
+            self.max_len -= self.growth;
             self.destination.written = self.destination.wanted;
             self.timestamp.written = self.timestamp.wanted;
             true

@@ -9,7 +9,7 @@ use super::time::{read_duration, write_duration};
 use super::values::{
     read_bool, read_locator, read_octets, read_string, write_locators, write_octets, write_string,
 };
-use super::{Guid, Malformed};
+use super::{Guid, Malformed, SecurityAttributes};
 use crate::qos::{
     AccessScope, DestinationOrder, Durability, History, Liveliness, Ownership, Presentation, Qos,
     Reliability, Representation,
@@ -33,6 +33,8 @@ pub struct EndpointData {
     /// In ROS 2 `typehash=RIHS01_…;`. At most 1024 bytes are kept.
     pub user_data: Vec<u8>,
     pub expects_inline_qos: bool,
+    /// How it is protected; `None` if it announces nothing about it.
+    pub security: Option<SecurityAttributes>,
 }
 
 /// Longest name of a topic or a type, in bytes. Fast DDS cannot hold more than 255, and rmw refuses longer
@@ -67,6 +69,7 @@ impl EndpointData {
             multicast: Vec::new(),
             user_data: Vec::new(),
             expects_inline_qos: false,
+            security: None,
         };
         for parameter in list.iter() {
             match parameter.id {
@@ -77,6 +80,9 @@ impl EndpointData {
                 pid::MULTICAST_LOCATOR => parameter.get(|value| read_locator(value, &mut data.multicast))?,
                 pid::USER_DATA => data.user_data = parameter.get(read_octets)?,
                 pid::EXPECTS_INLINE_QOS => data.expects_inline_qos = parameter.get(read_bool)?,
+                pid::ENDPOINT_SECURITY_INFO => {
+                    data.security = Some(parameter.get(SecurityAttributes::read)?);
+                }
                 _ => read_policy(parameter, &mut data.qos)?,
             }
         }
@@ -113,6 +119,9 @@ impl EndpointData {
             write_policies(out, &self.qos);
             if !self.user_data.is_empty() {
                 write_parameter(out, pid::USER_DATA, |out| write_octets(&self.user_data, out));
+            }
+            if let Some(security) = self.security {
+                write_parameter(out, pid::ENDPOINT_SECURITY_INFO, |out| security.write(out));
             }
         });
     }
@@ -281,6 +290,7 @@ mod tests {
             multicast: vec![SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 2), 7401)],
             user_data: b"typehash=RIHS01_00;".to_vec(),
             expects_inline_qos: true,
+            security: None,
         }
     }
 

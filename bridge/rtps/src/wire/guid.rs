@@ -65,6 +65,23 @@ impl EntityId {
     pub const WLP_WRITER: Self = Self([0x00, 0x02, 0x00, 0xc2]);
     /// Receives assertions of liveliness.
     pub const WLP_READER: Self = Self([0x00, 0x02, 0x00, 0xc7]);
+    /// The same for topics whose discovery is protected (DDS Security 1.1, section 7.4.7.1).
+    pub const SEDP_PUBLICATIONS_SECURE_WRITER: Self = Self([0xff, 0x00, 0x03, 0xc2]);
+    pub const SEDP_PUBLICATIONS_SECURE_READER: Self = Self([0xff, 0x00, 0x03, 0xc7]);
+    pub const SEDP_SUBSCRIPTIONS_SECURE_WRITER: Self = Self([0xff, 0x00, 0x04, 0xc2]);
+    pub const SEDP_SUBSCRIPTIONS_SECURE_READER: Self = Self([0xff, 0x00, 0x04, 0xc7]);
+    /// The same for topics whose liveliness is protected.
+    pub const WLP_SECURE_WRITER: Self = Self([0xff, 0x02, 0x00, 0xc2]);
+    pub const WLP_SECURE_READER: Self = Self([0xff, 0x02, 0x00, 0xc7]);
+    /// Announces changes of an authenticated participant.
+    pub const SPDP_SECURE_WRITER: Self = Self([0xff, 0x01, 0x01, 0xc2]);
+    pub const SPDP_SECURE_READER: Self = Self([0xff, 0x01, 0x01, 0xc7]);
+    /// Carries handshakes, in clear.
+    pub const STATELESS_WRITER: Self = Self([0x00, 0x02, 0x01, 0xc3]);
+    pub const STATELESS_READER: Self = Self([0x00, 0x02, 0x01, 0xc4]);
+    /// Carries keys, protected by the secret of the handshake.
+    pub const VOLATILE_WRITER: Self = Self([0xff, 0x02, 0x02, 0xc3]);
+    pub const VOLATILE_READER: Self = Self([0xff, 0x02, 0x02, 0xc4]);
 
     /// A user-defined writer without key, the only kind in ROS 2. Only the low 24 bits of `key` are used.
     pub const fn user_writer(key: u32) -> Self {
@@ -84,6 +101,19 @@ impl EntityId {
     /// Returns whether the specification defines this endpoint.
     pub const fn is_builtin(self) -> bool {
         self.0[3] & 0xc0 == 0xc0
+    }
+
+    /// Returns whether its messages establish protection, so that they are never in protected messages.
+    pub const fn establishes_protection(self) -> bool {
+        matches!(
+            self,
+            Self::SPDP_WRITER
+                | Self::SPDP_READER
+                | Self::STATELESS_WRITER
+                | Self::STATELESS_READER
+                | Self::VOLATILE_WRITER
+                | Self::VOLATILE_READER
+        )
     }
 
     /// Returns whether this is a writer, keyed or not, builtin or user-defined.

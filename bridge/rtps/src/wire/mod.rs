@@ -31,7 +31,7 @@ pub use message::{
     Submessages, parse,
 };
 pub use number::{FragmentSet, Number, NumberSet, SequenceNumber, SequenceNumberSet};
-pub use participant_data::{BuiltinEndpoints, ParticipantData};
+pub use participant_data::{BuiltinEndpoints, ParticipantData, ParticipantSecurity, SecurityAttributes};
 pub use participant_message::ParticipantMessage;
 pub use payload::Payload;
 pub use time::Timestamp;

@@ -40,6 +40,11 @@ pub(super) mod pid {
     pub(in crate::wire) const STATUS_INFO: u16 = 0x0071;
     pub(in crate::wire) const DATA_REPRESENTATION: u16 = 0x0073;
     pub(in crate::wire) const RELATED_SAMPLE_IDENTITY: u16 = 0x0083;
+    /// From here on: DDS Security 1.1, section 7.4.1.3.
+    pub(in crate::wire) const IDENTITY_TOKEN: u16 = 0x1001;
+    pub(in crate::wire) const PERMISSIONS_TOKEN: u16 = 0x1002;
+    pub(in crate::wire) const ENDPOINT_SECURITY_INFO: u16 = 0x1004;
+    pub(in crate::wire) const PARTICIPANT_SECURITY_INFO: u16 = 0x1005;
     pub(in crate::wire) const DOMAIN_TAG: u16 = 0x4014;
     /// Used by Fast DDS and RTI Connext before the standard assigned 0x0083.
     pub(in crate::wire) const LEGACY_RELATED_SAMPLE_IDENTITY: u16 = 0x800f;
@@ -109,6 +114,16 @@ impl<'a> Parameter<'a> {
     /// Reads the value with `read`, which returns `None` if it is invalid.
     pub(super) fn get<T>(mut self, read: impl FnOnce(&mut Cursor<'a>) -> Option<T>) -> Result<T, Malformed> {
         read(&mut self.value).ok_or(Malformed::Parameter(self.id))
+    }
+
+    /// The order of the bytes of its numbers.
+    pub(super) fn order(&self) -> ByteOrder {
+        self.value.order()
+    }
+
+    /// The whole value, uninterpreted.
+    pub(super) fn bytes(self) -> &'a [u8] {
+        self.value.rest()
     }
 
     /// Skips an unknown parameter.

@@ -3,7 +3,7 @@
 use std::net::SocketAddrV4;
 use std::time::Duration;
 
-use super::bytes::ByteOrder;
+use super::bytes::{ByteOrder, Cursor, Encoder};
 use super::parameters::{ParameterList, pid, write_parameter, write_payload};
 use super::time::{read_duration, write_duration};
 use super::values::{
@@ -24,8 +24,22 @@ impl BuiltinEndpoints {
     pub const SEDP_SUBSCRIPTIONS_READER: u32 = 1 << 5;
     pub const WLP_WRITER: u32 = 1 << 10;
     pub const WLP_READER: u32 = 1 << 11;
-    /// All of the above, which are those that ROS 2 uses.
+    pub const SEDP_PUBLICATIONS_SECURE_WRITER: u32 = 1 << 16;
+    pub const SEDP_PUBLICATIONS_SECURE_READER: u32 = 1 << 17;
+    pub const SEDP_SUBSCRIPTIONS_SECURE_WRITER: u32 = 1 << 18;
+    pub const SEDP_SUBSCRIPTIONS_SECURE_READER: u32 = 1 << 19;
+    pub const WLP_SECURE_WRITER: u32 = 1 << 20;
+    pub const WLP_SECURE_READER: u32 = 1 << 21;
+    pub const STATELESS_WRITER: u32 = 1 << 22;
+    pub const STATELESS_READER: u32 = 1 << 23;
+    pub const VOLATILE_WRITER: u32 = 1 << 24;
+    pub const VOLATILE_READER: u32 = 1 << 25;
+    pub const SPDP_SECURE_WRITER: u32 = 1 << 26;
+    pub const SPDP_SECURE_READER: u32 = 1 << 27;
+    /// Those that ROS 2 uses without security.
     pub const OURS: Self = Self(0xc3f);
+    /// Those that DDS Security adds.
+    pub const OF_SECURITY: u32 = 0xfff << 16;
 
     /// Returns whether all of `bits` are set.
     pub fn has(self, bits: u32) -> bool {
@@ -65,6 +79,43 @@ pub struct ParticipantData {
     /// Size of its receive buffer for user data, in bytes. Only participants of [`VendorId::OURS`] announce
     /// it.
     pub receive_buffer: Option<u32>,
+    /// What it announces with DDS Security; `None` without.
+    pub security: Option<ParticipantSecurity>,
+}
+
+/// What a participant announces with DDS Security (DDS Security 1.1, section 7.4.1.4).
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ParticipantSecurity {
+    /// The CDR of its tokens in the byte order of the announcement, which is little-endian for own data.
+    /// Empty if they are not announced.
+    pub identity_token: Vec<u8>,
+    pub permissions_token: Vec<u8>,
+    /// Whether the tokens are big-endian.
+    pub is_big_endian: bool,
+    pub attributes: SecurityAttributes,
+}
+
+/// How a participant or an endpoint is protected: the bits of the specification, and those of the builtin
+/// plug-ins (DDS Security 1.1, sections 7.4.1.4.1, 7.4.1.5.1 and 9.4.2). Zero without the highest bit means
+/// that nothing is announced.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct SecurityAttributes {
+    pub mask: u32,
+    pub plugin_mask: u32,
+}
+
+impl SecurityAttributes {
+    /// Set in each mask that is announced.
+    pub const IS_VALID: u32 = 1 << 31;
+
+    pub(super) fn read(value: &mut Cursor<'_>) -> Option<Self> {
+        Some(Self { mask: value.u32().ok()?, plugin_mask: value.u32().ok()? })
+    }
+
+    pub(super) fn write(self, out: &mut Encoder<'_>) {
+        out.u32(self.mask);
+        out.u32(self.plugin_mask);
+    }
 }
 
 /// The lease of a participant that announces none (section 9.6.3.2).
@@ -89,8 +140,10 @@ impl ParticipantData {
             domain_tag: String::new(),
             expects_inline_qos: false,
             receive_buffer: None,
+            security: None,
         };
         let mut guid = None;
+        let mut security = ParticipantSecurity::default();
         for parameter in ParameterList::from_payload(payload)?.iter() {
             match parameter.id {
                 pid::PARTICIPANT_GUID => guid = Some(parameter.get(|value| value.array().ok())?),
@@ -117,6 +170,14 @@ impl ParticipantData {
                 pid::DOMAIN_ID => data.domain_id = Some(parameter.get(|value| value.u32().ok())?),
                 pid::DOMAIN_TAG => data.domain_tag = parameter.get(|value| read_string(value, MAX_TEXT))?,
                 pid::EXPECTS_INLINE_QOS => data.expects_inline_qos = parameter.get(read_bool)?,
+                pid::IDENTITY_TOKEN => {
+                    security.is_big_endian = parameter.order() == ByteOrder::Big;
+                    security.identity_token = parameter.bytes().to_vec();
+                }
+                pid::PERMISSIONS_TOKEN => security.permissions_token = parameter.bytes().to_vec(),
+                pid::PARTICIPANT_SECURITY_INFO => {
+                    security.attributes = parameter.get(SecurityAttributes::read)?;
+                }
                 // Other vendors may use the id for something else, so an unexpected value is not an error.
                 pid::OUR_RECEIVE_BUFFER => {
                     data.receive_buffer = parameter.get(|value| value.u32().ok()).ok();
@@ -130,6 +191,7 @@ impl ParticipantData {
             return Err(Malformed::Parameter(pid::PARTICIPANT_GUID));
         }
         data.prefix = guid.prefix;
+        data.security = (security != ParticipantSecurity::default()).then_some(security);
         Ok(data)
     }
 
@@ -139,6 +201,14 @@ impl ParticipantData {
     /// Panics if a text or the user data is longer than 64 kB.
     pub fn emit(&self, out: &mut Vec<u8>) {
         self.emit_in(ByteOrder::Little, out);
+    }
+
+    /// Appends the same in big-endian order, as handshakes contain it. The tokens have to be big-endian.
+    ///
+    /// # Panics
+    /// As [`ParticipantData::emit`].
+    pub fn emit_big_endian(&self, out: &mut Vec<u8>) {
+        self.emit_in(ByteOrder::Big, out);
     }
 
     fn emit_in(&self, order: ByteOrder, out: &mut Vec<u8>) {
@@ -171,6 +241,11 @@ impl ParticipantData {
             if let Some(receive_buffer) = self.receive_buffer {
                 write_parameter(out, pid::OUR_RECEIVE_BUFFER, |out| out.u32(receive_buffer));
             }
+            if let Some(security) = &self.security {
+                write_parameter(out, pid::IDENTITY_TOKEN, |out| out.bytes(&security.identity_token));
+                write_parameter(out, pid::PERMISSIONS_TOKEN, |out| out.bytes(&security.permissions_token));
+                write_parameter(out, pid::PARTICIPANT_SECURITY_INFO, |out| security.attributes.write(out));
+            }
         });
     }
 }
@@ -180,7 +255,6 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
-    use crate::wire::bytes::Encoder;
     use std::net::Ipv4Addr;
 
     fn data() -> ParticipantData {
@@ -201,6 +275,12 @@ mod tests {
             domain_tag: "tag".to_owned(),
             expects_inline_qos: true,
             receive_buffer: Some(4 << 20),
+            security: Some(ParticipantSecurity {
+                identity_token: vec![1; 24],
+                permissions_token: vec![2; 12],
+                is_big_endian: false,
+                attributes: SecurityAttributes { mask: SecurityAttributes::IS_VALID | 7, plugin_mask: 6 },
+            }),
         }
     }
 
@@ -219,8 +299,10 @@ mod tests {
     fn all_data_round_trips_in_both_byte_orders() {
         for order in [ByteOrder::Big, ByteOrder::Little] {
             let mut payload = Vec::new();
-            data().emit_in(order, &mut payload);
-            assert_eq!(ParticipantData::parse(&payload), Ok(data()));
+            let mut data = data();
+            data.security.as_mut().unwrap().is_big_endian = order == ByteOrder::Big;
+            data.emit_in(order, &mut payload);
+            assert_eq!(ParticipantData::parse(&payload), Ok(data));
         }
     }
 

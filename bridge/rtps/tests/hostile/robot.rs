@@ -201,6 +201,7 @@ pub fn participant_data(prefix: GuidPrefix) -> ParticipantData {
         domain_id: None,
         domain_tag: String::new(),
         expects_inline_qos: false,
+        security: None,
         receive_buffer: None,
     }
 }
@@ -222,6 +223,7 @@ pub fn endpoint_data(guid: Guid, topic: &str) -> EndpointData {
         multicast: Vec::new(),
         user_data: Vec::new(),
         expects_inline_qos: false,
+        security: None,
     }
 }
 

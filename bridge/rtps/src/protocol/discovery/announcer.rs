@@ -7,7 +7,7 @@ use std::{
 };
 
 use crate::{
-    protocol::{Addresses, Config, Now, peers::Peers},
+    protocol::{Addresses, Config, Guard, Now, peers::Peers},
     wire::{
         BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, Header, InlineQos, MessageBuilder,
         ParticipantData, Payload, SequenceNumber, Timestamp, VendorId,
@@ -53,10 +53,10 @@ pub(crate) struct Announcer {
 }
 
 impl Announcer {
-    pub(crate) fn new(config: &Config, now: Now) -> Self {
+    pub(crate) fn new(config: &Config, guard: Option<&mut (dyn Guard + 'static)>, now: Now) -> Self {
         let is_heard = !config.addresses.announce_to.is_empty();
         Self {
-            payload: payload(config),
+            payload: payload(config, guard),
             number: SequenceNumber::FIRST,
             first: FIRST,
             next: is_heard.then_some(now.steady),
@@ -67,6 +67,11 @@ impl Announcer {
 
     pub(crate) fn next(&self) -> Option<Instant> {
         self.next
+    }
+
+    /// What is announced about this participant.
+    pub(super) fn payload(&self) -> &[u8] {
+        &self.payload
     }
 
     pub(crate) fn is_leaving(&self) -> bool {
@@ -112,8 +117,13 @@ impl Announcer {
     }
 
     /// Starts to announce changed addresses.
-    pub(super) fn start_anew(&mut self, config: &Config, now: Now) {
-        self.payload = payload(config);
+    pub(super) fn start_anew(
+        &mut self,
+        config: &Config,
+        guard: Option<&mut (dyn Guard + 'static)>,
+        now: Now,
+    ) {
+        self.payload = payload(config, guard);
         self.number = self.number.next();
         self.next = (!config.addresses.announce_to.is_empty()).then_some(now.steady);
         self.hurry(now);
@@ -166,10 +176,10 @@ impl Announcer {
     }
 }
 
-fn payload(config: &Config) -> Vec<u8> {
+fn payload(config: &Config, guard: Option<&mut (dyn Guard + 'static)>) -> Vec<u8> {
     let addresses = &config.addresses;
     let mut payload = Vec::new();
-    ParticipantData {
+    let mut data = ParticipantData {
         prefix: config.prefix,
         version: Header::ours(config.prefix).version,
         vendor: VendorId::OURS,
@@ -185,7 +195,11 @@ fn payload(config: &Config) -> Vec<u8> {
         domain_tag: String::new(),
         expects_inline_qos: false,
         receive_buffer: config.receive_buffer,
+        security: None,
+    };
+    if let Some(guard) = guard {
+        guard.complete_participant(&mut data);
     }
-    .emit(&mut payload);
+    data.emit(&mut payload);
     payload
 }

@@ -1,9 +1,11 @@
 //! Announcement of this participant (SPDP, section 8.5.3).
 
+use bytes::Bytes;
+
 use super::announcer::Announcement;
 use crate::{
     protocol::{Destination, Now, Participant, participant::Timer},
-    wire::GuidPrefix,
+    wire::{EntityId, Guid, GuidPrefix, InlineQos},
 };
 
 impl Participant {
@@ -46,8 +48,29 @@ impl Participant {
 
     /// Announces changed addresses.
     pub(in crate::protocol) fn announce_anew(&mut self, now: Now) {
-        self.announcer.start_anew(&self.config, now);
+        self.announcer.start_anew(&self.config, self.guard.as_deref_mut(), now);
         self.timers.set(Timer::Announcement, self.announcer.next());
+        self.announce_protected(now);
+    }
+
+    /// Announces this participant, as it is now, to those that have authenticated it.
+    pub(in crate::protocol) fn announce_protected(&mut self, now: Now) {
+        if self.guard.is_none() {
+            return;
+        }
+        let payload = Bytes::copy_from_slice(self.announcer.payload());
+        let key_hash = Some(Guid::new(self.config.prefix, EntityId::PARTICIPANT).to_bytes());
+        let inline_qos = InlineQos { key_hash, ..InlineQos::default() };
+        self.write_builtin(now, EntityId::SPDP_SECURE_WRITER, payload, inline_qos);
+    }
+
+    /// Announces the departure to those that have authenticated this participant, and do not believe it in
+    /// clear.
+    pub(in crate::protocol) fn announce_departure(&mut self, now: Now) {
+        if self.guard.is_some() {
+            let inline_qos = InlineQos::removal(Guid::new(self.config.prefix, EntityId::PARTICIPANT));
+            self.write_builtin(now, EntityId::SPDP_SECURE_WRITER, Bytes::new(), inline_qos);
+        }
     }
 
     /// The next waiting announcement.

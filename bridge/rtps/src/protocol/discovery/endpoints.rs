@@ -21,11 +21,20 @@ const AUDIT_DELAY: Duration = Duration::from_millis(100);
 const AUDIT_PERIOD: Duration = Duration::from_secs(1);
 
 /// The builtin writer that announces an endpoint.
-fn announcing_writer(id: EntityId) -> EntityId {
-    if id.is_writer() { EntityId::SEDP_PUBLICATIONS_WRITER } else { EntityId::SEDP_SUBSCRIPTIONS_WRITER }
+fn announcing_writer(id: EntityId, is_protected: bool) -> EntityId {
+    match (id.is_writer(), is_protected) {
+        (true, false) => EntityId::SEDP_PUBLICATIONS_WRITER,
+        (false, false) => EntityId::SEDP_SUBSCRIPTIONS_WRITER,
+        (true, true) => EntityId::SEDP_PUBLICATIONS_SECURE_WRITER,
+        (false, true) => EntityId::SEDP_SUBSCRIPTIONS_SECURE_WRITER,
+    }
 }
 
 impl Participant {
+    fn is_discovery_protected(&self, topic: &str) -> bool {
+        self.guard.as_deref().is_some_and(|guard| guard.protection_of(topic).discovery)
+    }
+
     /// Announces a local endpoint.
     pub(in crate::protocol) fn announce_endpoint(&mut self, now: Now, id: EntityId) {
         let Some(data) = self.locals.data(id) else { return };
@@ -33,14 +42,16 @@ impl Participant {
         data.emit(&mut payload);
         let key_hash = Some(data.guid.to_bytes());
         let inline_qos = InlineQos { key_hash, ..InlineQos::default() };
-        if let Some(number) = self.write_builtin(now, announcing_writer(id), payload.into(), inline_qos) {
+        let announcing = announcing_writer(id, self.is_discovery_protected(&data.topic));
+        if let Some(number) = self.write_builtin(now, announcing, payload.into(), inline_qos) {
             self.announced.note(id, number);
         }
     }
 
-    /// Announces the removal of a local endpoint.
+    /// Announces the removal of a local endpoint, which is about to be removed.
     pub(in crate::protocol) fn dispose_endpoint(&mut self, now: Now, id: EntityId) {
-        let announcing = announcing_writer(id);
+        let Some(data) = self.locals.data(id) else { return };
+        let announcing = announcing_writer(id, self.is_discovery_protected(&data.topic));
         if let Some(number) = self.announced.remove(id)
             && let Some(local) = self.locals.writers.get_mut(&announcing)
         {
@@ -85,6 +96,9 @@ impl Participant {
         let is_removal = sample.inline_qos.status.is_some_and(StatusInfo::is_removal);
         if is_removal {
             match sample.inline_qos.removed(payload) {
+                Some(guid) if !self.may_announce(reader, guid, None) => {
+                    self.fault(now, Fault::Rejected, from);
+                }
                 Some(guid) if guid.prefix == sample.writer.prefix => {
                     self.remove_remote(now, guid);
                     self.plan_audit(now, guid.prefix);
@@ -98,15 +112,32 @@ impl Participant {
             Ok(data) => data,
             Err(_) => return self.fault(now, Fault::MalformedDiscovery, from),
         };
-        let announces_writers = reader == EntityId::SEDP_PUBLICATIONS_READER;
+        let announces_writers =
+            matches!(reader, EntityId::SEDP_PUBLICATIONS_READER | EntityId::SEDP_PUBLICATIONS_SECURE_READER);
         let entity = data.guid.entity;
         if data.guid.prefix != sample.writer.prefix || entity.is_builtin() {
             self.fault(now, Fault::ForeignEndpoint, from);
         } else if entity.is_writer() != announces_writers || entity.is_reader() == announces_writers {
             self.fault(now, Fault::MalformedDiscovery, from);
+        } else if !self.may_announce(reader, data.guid, Some(&data.topic)) {
+            self.fault(now, Fault::Rejected, from);
         } else {
             self.note_remote(now, data, from);
         }
+    }
+
+    /// Whether an endpoint may be announced to that reader: to the protected one if and only if the discovery
+    /// of its topic, announced and known, is protected.
+    fn may_announce(&self, reader: EntityId, guid: Guid, topic: Option<&str>) -> bool {
+        if self.guard.is_none() {
+            return true;
+        }
+        let is_protected = matches!(
+            reader,
+            EntityId::SEDP_PUBLICATIONS_SECURE_READER | EntityId::SEDP_SUBSCRIPTIONS_SECURE_READER
+        );
+        let known = self.peers.endpoint(guid).map(|remote| remote.data.topic.as_str());
+        topic.into_iter().chain(known).all(|topic| self.is_discovery_protected(topic) == is_protected)
     }
 
     fn note_remote(&mut self, now: Now, data: EndpointData, from: SocketAddrV4) {
@@ -152,6 +183,8 @@ impl Participant {
         for (writer, reader) in [
             (EntityId::SEDP_PUBLICATIONS_WRITER, EntityId::SEDP_PUBLICATIONS_READER),
             (EntityId::SEDP_SUBSCRIPTIONS_WRITER, EntityId::SEDP_SUBSCRIPTIONS_READER),
+            (EntityId::SEDP_PUBLICATIONS_SECURE_WRITER, EntityId::SEDP_PUBLICATIONS_SECURE_READER),
+            (EntityId::SEDP_SUBSCRIPTIONS_SECURE_WRITER, EntityId::SEDP_SUBSCRIPTIONS_SECURE_READER),
         ] {
             self.with_reader(now, reader, |reader, _, links| {
                 reader.start_over(now, Guid::new(prefix, writer), links);
@@ -166,6 +199,9 @@ impl Participant {
             self.unmatch(now, local, guid);
         }
         let Some(remote) = self.peers.forget_endpoint(guid) else { return };
+        if let Some(guard) = self.guard.as_deref_mut() {
+            guard.forget_endpoint(guid);
+        }
         for local in self.locals.on_topic(&remote.data.topic) {
             if let Some(refused) = self.locals.refused_mut(local) {
                 refused.remove(&guid);

@@ -4,10 +4,12 @@
 
 use std::time::Duration;
 
+use bytes::Bytes;
+
 use crate::{
     protocol::{Now, Participant, Sample, participant::Timer},
     qos::Liveliness as Kind,
-    wire::{EntityId, Guid, GuidPrefix, InlineQos, ParticipantMessage},
+    wire::{EndpointData, EntityId, Guid, GuidPrefix, InlineQos, ParticipantMessage},
 };
 
 /// Number of assertions in the shortest lease, so that one may be late.
@@ -49,39 +51,58 @@ impl Participant {
     fn assert_writers(&mut self, now: Now, kind: u32) {
         let mut payload = Vec::new();
         ParticipantMessage { prefix: self.config.prefix, kind }.emit(&mut payload);
-        self.write_builtin(now, EntityId::WLP_WRITER, payload.into(), InlineQos::default());
-        self.assert_writers_of(now, self.config.prefix, kind);
+        let payload = Bytes::from(payload);
+        for (is_protected, writer) in [(false, EntityId::WLP_WRITER), (true, EntityId::WLP_SECURE_WRITER)] {
+            if is_protected && self.guard.is_none() {
+                continue;
+            }
+            let writers: Vec<Guid> = self.asserted_by(self.config.prefix, kind, is_protected);
+            // Without a guard also if there are none, as a sign of life.
+            if !writers.is_empty() || self.guard.is_none() {
+                self.write_builtin(now, writer, payload.clone(), InlineQos::default());
+            }
+            self.assert_these(now, writers);
+        }
     }
 
     /// Handles an assertion of another participant.
-    pub(in crate::protocol) fn hear_assertion(&mut self, now: Now, sample: &Sample) {
+    pub(in crate::protocol) fn hear_assertion(&mut self, now: Now, reader: EntityId, sample: &Sample) {
         // Other messages belong to other protocols on the same topic, such as those of DDS Security.
         if let Ok(message) = ParticipantMessage::parse(&sample.payload)
             && message.prefix == sample.writer.prefix
         {
-            self.assert_writers_of(now, message.prefix, message.kind);
+            let is_protected = reader == EntityId::WLP_SECURE_READER;
+            let writers = self.asserted_by(message.prefix, message.kind, is_protected);
+            self.assert_these(now, writers);
         }
     }
 
-    fn assert_writers_of(&mut self, now: Now, prefix: GuidPrefix, kind: u32) {
+    /// The writers of a participant that an assertion concerns: a protected one those of topics whose
+    /// liveliness is protected.
+    fn asserted_by(&self, prefix: GuidPrefix, kind: u32, is_protected: bool) -> Vec<Guid> {
         let asserted = match kind {
             ParticipantMessage::AUTOMATIC => Kind::Automatic,
             ParticipantMessage::MANUAL => Kind::ManualByParticipant,
-            _ => return,
+            _ => return Vec::new(),
         };
-        let is_asserted = |qos: &crate::qos::Qos| qos.liveliness == asserted && qos.lease.is_some();
-        let writers: Vec<Guid> = if prefix == self.config.prefix {
-            let own = self.locals.writers.values().filter(|local| is_asserted(&local.data.qos));
-            own.map(|local| local.data.guid).collect()
-        } else {
-            let Some(peer) = self.peers.get(prefix) else { return };
-            let theirs = peer.endpoints.values().filter(|remote| {
-                remote.data.guid.entity.is_writer()
-                    && !remote.matched.is_empty()
-                    && is_asserted(&remote.data.qos)
-            });
-            theirs.map(|remote| remote.data.guid).collect()
+        let guard = self.guard.as_deref();
+        let is_asserted = |data: &EndpointData| {
+            data.qos.liveliness == asserted
+                && data.qos.lease.is_some()
+                && guard.is_some_and(|guard| guard.protection_of(&data.topic).liveliness) == is_protected
         };
+        if prefix == self.config.prefix {
+            let own = self.locals.writers.values().filter(|local| is_asserted(&local.data));
+            return own.map(|local| local.data.guid).collect();
+        }
+        let remotes = self.peers.get(prefix).into_iter().flat_map(|peer| peer.endpoints.values());
+        let theirs = remotes.filter(|remote| {
+            remote.data.guid.entity.is_writer() && !remote.matched.is_empty() && is_asserted(&remote.data)
+        });
+        theirs.map(|remote| remote.data.guid).collect()
+    }
+
+    fn assert_these(&mut self, now: Now, writers: Vec<Guid>) {
         for writer in writers {
             for reader in self.locals.readers_of(writer).to_vec() {
                 self.with_reader(now, reader, |reader, received, _| {

@@ -6,9 +6,11 @@
 mod announced;
 mod announcer;
 mod announcing;
+mod builtin;
 mod endpoints;
 mod liveliness;
 mod participants;
 
 pub(super) use announced::Announced;
 pub(super) use announcer::Announcer;
+pub(super) use builtin::{BUILTIN, BUILTIN_OF_SECURITY, Builtin};

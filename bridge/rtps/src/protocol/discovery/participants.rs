@@ -5,14 +5,19 @@ use std::{
     time::Duration,
 };
 
+use super::{
+    BUILTIN, BUILTIN_OF_SECURITY, Builtin,
+    builtin::{self},
+};
 use crate::{
     protocol::{
-        Admission, Departure, Destination, Event, Fault, MatchedReader, MatchedWriter, Now, Participant,
+        Admission, Channel, Departure, Destination, Event, Fault, MatchedReader, MatchedWriter, Now,
+        Participant, Sample,
         account::Account,
         participant::Timer,
         peers::{Change, Doubtful, Peer},
     },
-    wire::{BuiltinEndpoints, Data, EntityId, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo},
+    wire::{Data, Guid, GuidPrefix, ParticipantData, Payload, StatusInfo},
 };
 
 /// Lease of a participant that announces none (section 9.6.4.2, as interpreted by Cyclone DDS).
@@ -28,23 +33,6 @@ const ANSWER: Duration = Duration::from_millis(100);
 /// A participant that is still there answers more than once; one answer may have been on its way when the
 /// participant left.
 const ANSWERS: u32 = 1;
-
-/// Builtin endpoints: the writer, the reader, and the bits by which a participant announces them.
-const BUILTIN: [(EntityId, EntityId, u32, u32); 3] = [
-    (
-        EntityId::SEDP_PUBLICATIONS_WRITER,
-        EntityId::SEDP_PUBLICATIONS_READER,
-        BuiltinEndpoints::SEDP_PUBLICATIONS_WRITER,
-        BuiltinEndpoints::SEDP_PUBLICATIONS_READER,
-    ),
-    (
-        EntityId::SEDP_SUBSCRIPTIONS_WRITER,
-        EntityId::SEDP_SUBSCRIPTIONS_READER,
-        BuiltinEndpoints::SEDP_SUBSCRIPTIONS_WRITER,
-        BuiltinEndpoints::SEDP_SUBSCRIPTIONS_READER,
-    ),
-    (EntityId::WLP_WRITER, EntityId::WLP_READER, BuiltinEndpoints::WLP_WRITER, BuiltinEndpoints::WLP_READER),
-];
 
 impl Participant {
     /// Handles the announcement of a participant.
@@ -85,6 +73,27 @@ impl Participant {
         }
     }
 
+    /// Handles what an authenticated participant announces with protection: changed data, or its departure.
+    pub(in crate::protocol) fn hear_of_change(&mut self, now: Now, sample: &Sample) {
+        let prefix = sample.writer.prefix;
+        let Some(peer) = self.peers.get(prefix) else { return };
+        let (source, from) = (peer.source, SocketAddrV4::new(peer.source, 0));
+        if sample.inline_qos.status.is_some_and(StatusInfo::is_removal) {
+            return self.remove_peer(now, prefix, Departure::Disposed);
+        }
+        match ParticipantData::parse(&sample.payload) {
+            // The guard knows what it announced in clear about its protection.
+            Ok(data) if data.prefix == prefix => {
+                let data = ParticipantData { security: peer.data.security.clone(), ..data };
+                if peer.data != data {
+                    self.relocate(now, prefix, data, source, sample.payload.len());
+                }
+            }
+            Ok(_) => self.fault(now, Fault::ForeignEndpoint, from),
+            Err(_) => self.fault(now, Fault::MalformedDiscovery, from),
+        }
+    }
+
     /// Handles the farewell of a participant.
     fn hear_farewell(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
@@ -104,7 +113,7 @@ impl Participant {
         }
         peer.doubtful = Some(Doubtful { change, asked: now.steady, answers });
         self.timers.set(Timer::Doubt(prefix), Some(now.steady + ANSWER));
-        for (writer, reader, ..) in BUILTIN {
+        for Builtin { writer, reader, .. } in builtin::all() {
             let guid = Guid::new(prefix, reader);
             self.with_writer(now, writer, |writer, links| writer.ask(now, guid, links));
         }
@@ -137,7 +146,7 @@ impl Participant {
             self.remove_peer(now, expendable, Departure::Crowded);
         }
         let admission = match self.guard.as_deref_mut() {
-            Some(guard) => guard.admit_participant(&data),
+            Some(guard) => guard.admit_participant(now, &data),
             None => Admission::Admit,
         };
         if admission == Admission::Refuse {
@@ -145,6 +154,9 @@ impl Participant {
         }
         let mut account = Account::default();
         account.received(length);
+        if admission == Admission::Wait {
+            account.permit_handshake();
+        }
         let mut peer = Peer {
             source: *from.ip(),
             host: *route.metatraffic.ip(),
@@ -173,6 +185,7 @@ impl Participant {
         self.events.push_back(Event::ParticipantFound { remote: prefix });
         self.arm_lease(now, prefix);
         self.announce_to(now, prefix);
+        self.open_channel(now, Channel::Stateless, prefix);
         if admission == Admission::Admit {
             self.let_in(now, prefix);
         }
@@ -184,7 +197,7 @@ impl Participant {
         let was = peer.admission;
         let guids: Vec<_> = peer.endpoints.values().map(|remote| remote.data.guid).collect();
         let admission = match self.guard.as_deref_mut() {
-            Some(guard) => guard.admit_participant(&peer.data),
+            Some(guard) => guard.admit_participant(now, &peer.data),
             None => Admission::Admit,
         };
         match admission {
@@ -202,7 +215,14 @@ impl Participant {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.admission = Admission::Admit;
         let (link, theirs, vendor) = (peer.metatraffic, peer.data.builtin_endpoints, peer.data.vendor);
-        for (writer, reader, writer_bit, reader_bit) in BUILTIN {
+        let is_authenticated = self.is_authenticated(prefix);
+        if is_authenticated {
+            // The handshake proves that it receives at its address.
+            self.validate(now, prefix);
+            self.open_channel(now, Channel::Volatile, prefix);
+        }
+        let secure = BUILTIN_OF_SECURITY.into_iter().filter(|_| is_authenticated);
+        for Builtin { writer, reader, writer_bit, reader_bit } in BUILTIN.into_iter().chain(secure) {
             if theirs.has(writer_bit) {
                 let guid = Guid::new(prefix, writer);
                 self.locals.note_source(reader, guid);
@@ -230,7 +250,19 @@ impl Participant {
 
     fn refresh_peer(&mut self, now: Now, from: SocketAddrV4, length: usize, data: ParticipantData) {
         let prefix = data.prefix;
+        let is_protected = self.hears_only_protected(prefix);
         let Some(peer) = self.peers.get_mut(prefix) else { return };
+        let data = if is_protected {
+            // Only its addresses may change without protection, if it no longer answers at the old ones.
+            let addresses = data;
+            ParticipantData {
+                metatraffic_unicast: addresses.metatraffic_unicast,
+                default_unicast: addresses.default_unicast,
+                ..peer.data.clone()
+            }
+        } else {
+            data
+        };
         let is_news = peer.data != data;
         let is_known = peer.account.is_known();
         let is_repeated = now.steady.saturating_duration_since(peer.announced) >= REPEATED;
@@ -281,7 +313,7 @@ impl Participant {
         }
         self.choose_numbers(prefix, metatraffic);
         self.announce_to(now, prefix);
-        for (writer, reader, ..) in BUILTIN {
+        for Builtin { writer, reader, .. } in builtin::all() {
             let guid = Guid::new(prefix, reader);
             self.with_writer(now, writer, |writer, links| writer.unmatch_reader(now, guid, links));
         }
@@ -320,7 +352,8 @@ impl Participant {
         let Some(peer) = self.peers.get(prefix) else { return };
         let guids: Vec<_> = peer.endpoints.values().map(|remote| remote.data.guid).collect();
         guids.into_iter().for_each(|guid| self.remove_remote(now, guid));
-        for (writer, reader, ..) in BUILTIN {
+        self.close_channels(now, prefix);
+        for Builtin { writer, reader, .. } in builtin::all() {
             let guid = Guid::new(prefix, writer);
             self.locals.forget_source(reader, guid);
             self.with_reader(now, reader, |reader, _, _| reader.unmatch_writer(guid));
@@ -334,6 +367,9 @@ impl Participant {
         }
         for (_, link) in self.peers.remove(prefix).into_iter().flat_map(|peer| peer.links) {
             self.links.close(link);
+        }
+        if let Some(guard) = self.guard.as_deref_mut() {
+            guard.forget_participant(prefix);
         }
         self.events.push_back(Event::ParticipantLeft { remote: prefix, reason });
     }

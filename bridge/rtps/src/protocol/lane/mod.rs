@@ -291,7 +291,8 @@ impl Lane {
         builder: &mut MessageBuilder<'_>,
     ) -> Emitted {
         builder.info_destination(links.peer(self.link));
-        if links.is_restricted(self.link) {
+        // A handshake proves the address as well.
+        if links.is_restricted(self.link) && sending.writer != EntityId::STATELESS_WRITER {
             let wishes =
                 self.heartbeat > HeartbeatWish::None || self.readers.iter().any(|reader| reader.heartbeat);
             let is_due = wishes && sending.writer.is_builtin();
