@@ -61,9 +61,7 @@ const CHECK_PERIOD: Duration = Duration::from_secs(60);
 /// The guard of a participant with the identity of an enclave.
 pub struct SecurityGuard {
     prefix: GuidPrefix,
-    identity: Identity,
-    permissions_ca: Certificate,
-    policy: Policy,
+    credentials: Arc<Credentials>,
     keys: OwnKeys,
     /// The own announcement as handshakes contain it.
     participant_data: Vec<u8>,
@@ -89,29 +87,33 @@ struct Remote {
     session: Option<Box<Session>>,
 }
 
-impl SecurityGuard {
-    /// The guard of a participant that would have the prefix `candidate`, in a domain that the governance of
-    /// the enclave has a rule for. [`Self::prefix`] is the one that it has to have.
+/// What an enclave says about one domain: who this participant is, and which rules apply.
+pub struct Credentials {
+    identity: Identity,
+    permissions_ca: Certificate,
+    policy: Policy,
+}
+
+impl Credentials {
+    /// The credentials of an enclave for a domain.
     ///
     /// # Errors
-    /// Returns a sentence if the domain is not allowed.
-    pub fn new(
-        enclave: &Enclave,
-        domain_id: u32,
-        candidate: GuidPrefix,
-        random: Random,
-    ) -> Result<Self, Denial> {
+    /// Returns a sentence if the enclave does not allow the domain.
+    pub fn new(enclave: &Enclave, domain_id: u32) -> Result<Self, Denial> {
         let rule = enclave.for_domain(domain_id).map_err(|error| Denial(error.to_string()))?.clone();
         let subject = enclave.certificate.subject();
         let grant = enclave.permissions.grant(subject).cloned().ok_or_else(|| {
             Denial(format!("the permissions have no grant for {subject:?}, the subject of the certificate"))
         })?;
         if rule.join_access_control && !grant.may_join(domain_id) {
-            return Err(Denial(format!("the permissions of {subject:?} allow nothing in domain {domain_id}")));
+            return Err(Denial(format!(
+                "the permissions of {subject:?} allow nothing in domain {domain_id}: set ROS_DOMAIN_ID to a domain that they \
+                 name, or sign new ones"
+            )));
         }
         let kinds = [rule.rtps, rule.discovery, rule.liveliness];
-        let kinds = kinds.into_iter().chain(rule.topics.iter().map(|topic| topic.metadata));
-        if kinds.into_iter().any(|kind| kind.has_origin()) {
+        let mut kinds = kinds.into_iter().chain(rule.topics.iter().map(|topic| topic.metadata));
+        if kinds.any(|kind| kind.has_origin()) {
             return Err(Denial(
                 "the governance asks for origin authentication, which is not supported: use SIGN or ENCRYPT"
                     .to_owned(),
@@ -124,17 +126,29 @@ impl SecurityGuard {
             permissions_document: enclave.permissions_document.clone(),
         };
         let policy = Policy { domain_id, rule, grant };
+        Ok(Self { identity, permissions_ca: enclave.permissions_ca.clone(), policy })
+    }
+
+    /// The subject of the certificate.
+    pub fn subject(&self) -> &str {
+        self.identity.certificate.subject()
+    }
+}
+
+impl SecurityGuard {
+    /// The guard of a participant that would have the prefix `candidate` without security. [`Self::prefix`] is
+    /// the one that it has to have.
+    pub fn new(credentials: Arc<Credentials>, candidate: GuidPrefix, random: Random, status: Status) -> Self {
+        let policy = &credentials.policy;
         let mut keys = OwnKeys::new(policy::transform(policy.rule.rtps), random);
         for (writer, reader, ..) in SECURE_BUILTIN {
             for entity in [writer, reader] {
                 keys.add(entity, policy.builtin_protection(entity));
             }
         }
-        Ok(Self {
-            prefix: derive_prefix(&identity.certificate, candidate),
-            identity,
-            permissions_ca: enclave.permissions_ca.clone(),
-            policy,
+        Self {
+            prefix: derive_prefix(&credentials.identity.certificate, candidate),
+            credentials,
             keys,
             participant_data: Vec::new(),
             remotes: BTreeMap::new(),
@@ -146,18 +160,13 @@ impl SecurityGuard {
             reconsidered: BTreeSet::new(),
             checks_at: None,
             reports: Reports::default(),
-            status: Status::default(),
-        })
+            status,
+        }
     }
 
     /// The prefix that belongs to the identity.
     pub fn prefix(&self) -> GuidPrefix {
         self.prefix
-    }
-
-    /// What happens, for tools.
-    pub fn status(&self) -> Status {
-        self.status.clone()
     }
 
     /// Reports that somebody or something is refused.
@@ -176,7 +185,7 @@ impl SecurityGuard {
     fn meet(&mut self, now: Now, remote: &ParticipantData) -> Admission {
         let Some(security) = remote.security.as_ref().filter(|security| !security.identity_token.is_empty())
         else {
-            if self.policy.rule.allow_unauthenticated {
+            if self.credentials.policy.rule.allow_unauthenticated {
                 return Admission::Admit;
             }
             let reason = format!(
@@ -187,15 +196,15 @@ impl SecurityGuard {
             self.refuse(now, remote.prefix, reason);
             return Admission::Refuse;
         };
-        if policy::contradicts(self.policy.attributes(), security.attributes) {
+        if policy::contradicts(self.credentials.policy.attributes(), security.attributes) {
             let reason = format!(
                 "{} is ignored: its governance protects the domain in another way (attributes {:#010x} {:#010x} \
                  instead of {:#010x} {:#010x}); all keystores of a domain need the same governance",
                 described(remote),
                 security.attributes.mask,
                 security.attributes.plugin_mask,
-                self.policy.attributes().mask,
-                self.policy.attributes().plugin_mask,
+                self.credentials.policy.attributes().mask,
+                self.credentials.policy.attributes().plugin_mask,
             );
             self.refuse(now, remote.prefix, reason);
             return Admission::Refuse;
@@ -241,7 +250,7 @@ impl SecurityGuard {
     ) {
         let Some(remote) = self.remotes.get_mut(&prefix) else { return };
         let mut context = Context {
-            identity: &self.identity,
+            identity: &self.credentials.identity,
             participant_data: &self.participant_data,
             random: &mut **self.keys.random(),
             last_number: &mut self.last_number,
@@ -305,7 +314,7 @@ impl SecurityGuard {
 
     /// The grant of a participant in its permissions, which have to be signed and valid.
     fn permissions_of(&self, now: Now, remote: &RemoteIdentity) -> Result<Grant, String> {
-        let document = smime::verify(&remote.permissions_document, &self.permissions_ca);
+        let document = smime::verify(&remote.permissions_document, &self.credentials.permissions_ca);
         let document = document.map_err(|error| format!("its permissions are not accepted: {error}"))?;
         let text = String::from_utf8(document).map_err(|_| "its permissions are no text".to_owned())?;
         let permissions = Permissions::parse(&text).map_err(|error| format!("its permissions: {error}"))?;
@@ -315,8 +324,8 @@ impl SecurityGuard {
         }
         let grant = permissions.valid_grant(subject, time(now));
         let grant = grant.ok_or("its permissions are not valid now: sign new ones, or set the clock")?;
-        if self.policy.rule.join_access_control && !grant.may_join(self.policy.domain_id) {
-            return Err(format!("its permissions allow nothing in domain {}", self.policy.domain_id));
+        if self.credentials.policy.rule.join_access_control && !grant.may_join(self.credentials.policy.domain_id) {
+            return Err(format!("its permissions allow nothing in domain {}", self.credentials.policy.domain_id));
         }
         Ok(grant.clone())
     }
@@ -395,7 +404,7 @@ impl SecurityGuard {
         let mut ended = Vec::new();
         for (prefix, remote) in &self.remotes {
             let Some(session) = &remote.session else { continue };
-            if let Err(distrust) = self.identity.authority.check(&session.certificate, time(now)) {
+            if let Err(distrust) = self.credentials.identity.authority.check(&session.certificate, time(now)) {
                 ended.push((*prefix, distrust.to_string()));
             } else if !session.grant.valid(time(now)) {
                 let subject = session.certificate.subject();
@@ -418,7 +427,7 @@ impl SecurityGuard {
     ) -> Option<String> {
         let subject = session.certificate.subject();
         let verb = if remote.guid.entity.is_writer() { "publish" } else { "subscribe to" };
-        let decision = self.policy.decide(&session.grant, rule, remote);
+        let decision = self.credentials.policy.decide(&session.grant, rule, remote);
         if !decision.is_allowed {
             return Some(format!("{subject} may not {verb} {}: {}", remote.topic, decision.rule));
         }
@@ -442,14 +451,14 @@ impl Guard for SecurityGuard {
         let token = |order| {
             let mut identity_token_bytes = Vec::new();
             let mut permissions_token_bytes = Vec::new();
-            let authority = self.identity.authority.certificate();
-            identity_token(&self.identity.certificate, authority).emit(&mut identity_token_bytes, order);
+            let authority = self.credentials.identity.authority.certificate();
+            identity_token(&self.credentials.identity.certificate, authority).emit(&mut identity_token_bytes, order);
             permissions_token().emit(&mut permissions_token_bytes, order);
             ParticipantSecurity {
                 identity_token: identity_token_bytes,
                 permissions_token: permissions_token_bytes,
                 is_big_endian: order == ByteOrder::Big,
-                attributes: self.policy.attributes(),
+                attributes: self.credentials.policy.attributes(),
             }
         };
         let mut data = ParticipantData { security: Some(token(ByteOrder::Big)), ..own.clone() };
@@ -462,18 +471,18 @@ impl Guard for SecurityGuard {
     }
 
     fn complete_endpoint(&mut self, _: Now, own: &mut EndpointData) -> Result<(), Denial> {
-        let Some(rule) = self.policy.topic(&own.topic) else {
+        let Some(rule) = self.credentials.policy.topic(&own.topic) else {
             return Err(Denial(format!(
                 "the governance has no rule for topic {:?}: add one, such as for \"*\"",
                 own.topic
             )));
         };
-        let decision = self.policy.decide(&self.policy.grant, rule, own);
+        let decision = self.credentials.policy.decide(&self.credentials.policy.grant, rule, own);
         if !decision.is_allowed {
             let verb = if own.guid.entity.is_writer() { "publish" } else { "subscribe to" };
             return Err(Denial(format!(
                 "the permissions of {} do not allow it to {verb} {:?}: {}",
-                self.identity.certificate.subject(),
+                self.credentials.identity.certificate.subject(),
                 own.topic,
                 decision.rule
             )));
@@ -500,12 +509,12 @@ impl Guard for SecurityGuard {
 
     fn admit_endpoint(&mut self, now: Now, local: &EndpointData, remote: &EndpointData) -> Admission {
         let (ours, theirs) = (local.guid.entity, remote.guid.entity);
-        let Some(rule) = self.policy.topic(&local.topic) else { return Admission::Refuse };
+        let Some(rule) = self.credentials.policy.topic(&local.topic) else { return Admission::Refuse };
         let protection = Policy::protection(rule);
         let prefix = remote.guid.prefix;
         let Some(session) = self.remotes.get(&prefix).and_then(|remote| remote.session.as_ref()) else {
             let is_open = !rule.read && !rule.write && !protection.is_any() && !rule.discovery;
-            return if self.policy.rule.allow_unauthenticated && is_open {
+            return if self.credentials.policy.rule.allow_unauthenticated && is_open {
                 Admission::Admit
             } else {
                 Admission::Refuse
@@ -531,7 +540,7 @@ impl Guard for SecurityGuard {
     }
 
     fn protection_of(&self, topic: &str) -> TopicProtection {
-        let rule = self.policy.topic(topic);
+        let rule = self.credentials.policy.topic(topic);
         TopicProtection {
             // What has no rule is not announced at all.
             discovery: rule.is_none_or(|rule| rule.discovery),
@@ -605,12 +614,12 @@ impl Guard for SecurityGuard {
 
     fn encode(&mut self, to: GuidPrefix, datagram: &mut Vec<u8>) -> bool {
         let session = self.remotes.get_mut(&to).and_then(|remote| remote.session.as_deref_mut());
-        transform::seal(datagram, &mut self.keys, &self.policy, session).is_some()
+        transform::seal(datagram, &mut self.keys, &self.credentials.policy, session).is_some()
     }
 
     fn decode(&mut self, now: Now, from: GuidPrefix, datagram: &[u8], out: &mut Vec<u8>) -> bool {
         let session = self.remotes.get_mut(&from).and_then(|remote| remote.session.as_deref_mut());
-        let opened = transform::open(datagram, &self.policy, session, out);
+        let opened = transform::open(datagram, &self.credentials.policy, session, out);
         // While participants meet, messages arrive before the keys that open them.
         let Some(disbelief) = opened.dropped.filter(|dropped| *dropped != Disbelief::NoKey) else {
             return true;
