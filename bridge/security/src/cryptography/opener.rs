@@ -98,9 +98,9 @@ impl Session {
             return Ok(());
         }
         let start = out.len();
-        out.resize(start + data.len(), 0);
-        let plain = out.get_mut(start..).unwrap_or_default();
-        self.cipher.decrypt(&header.iv, data, &footer.common, plain).map_err(|_| {
+        out.extend_from_slice(data);
+        let data = out.get_mut(start..).unwrap_or_default();
+        self.cipher.decrypt(&header.iv, data, &footer.common).map_err(|_| {
             out.truncate(start);
             OpenError::Forged
         })

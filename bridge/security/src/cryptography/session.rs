@@ -1,6 +1,5 @@
 //! AES in Galois/counter mode with the keys of sessions (sections 9.5.3.3.1 to 9.5.3.3.3).
 
-use aes_gcm::aead::inout::InOutBuf;
 use aes_gcm::{AeadInOut, Aes128Gcm, Aes256Gcm, KeyInit};
 
 use super::material::{KeyMaterial, MAX_KEY_LEN, ReceiverKey, TransformKind, hmac_sha256};
@@ -57,20 +56,19 @@ impl SessionCipher {
         self.seal(iv, data, &mut [])
     }
 
-    /// Decrypts `data` into `out`, which has the same length and is unchanged if the MAC does not match.
+    /// Decrypts in place; `data` is unchanged if the MAC does not match.
     pub(super) fn decrypt(
         &self,
         iv: &InitializationVector,
-        data: &[u8],
+        data: &mut [u8],
         mac: &Mac,
-        out: &mut [u8],
     ) -> Result<(), Failed> {
-        self.open(iv, &[], InOutBuf::new(data, out).map_err(|_| Failed)?, mac)
+        self.open(iv, &[], data, mac)
     }
 
     /// Checks the MAC of readable data, in a time that does not depend on where it differs.
     pub(super) fn verify(&self, iv: &InitializationVector, data: &[u8], mac: &Mac) -> Result<(), Failed> {
-        self.open(iv, data, (&mut [][..]).into(), mac)
+        self.open(iv, data, &mut [], mac)
     }
 
     fn seal(&self, iv: &InitializationVector, readable: &[u8], data: &mut [u8]) -> Result<Mac, Failed> {
@@ -86,12 +84,16 @@ impl SessionCipher {
         &self,
         iv: &InitializationVector,
         readable: &[u8],
-        data: InOutBuf<'_, '_, u8>,
+        data: &mut [u8],
         mac: &Mac,
     ) -> Result<(), Failed> {
         match self {
-            Self::Aes128(cipher) => cipher.decrypt_inout_detached(iv.into(), readable, data, mac.into()),
-            Self::Aes256(cipher) => cipher.decrypt_inout_detached(iv.into(), readable, data, mac.into()),
+            Self::Aes128(cipher) => {
+                cipher.decrypt_inout_detached(iv.into(), readable, data.into(), mac.into())
+            }
+            Self::Aes256(cipher) => {
+                cipher.decrypt_inout_detached(iv.into(), readable, data.into(), mac.into())
+            }
         }
         .map_err(|_| Failed)
     }
