@@ -3,6 +3,9 @@
 
 mod common;
 
+#[allow(unused_imports)] // by `common`
+use common::no_guard as guard;
+
 use std::{ops::Range, time::Duration};
 
 use common::{DELAY, Fate, Network, reliable};

@@ -2,6 +2,9 @@
 
 mod common;
 
+#[allow(unused_imports)] // by `common`
+use common::no_guard as guard;
+
 use std::{
     cell::Cell,
     net::{Ipv4Addr, SocketAddrV4},

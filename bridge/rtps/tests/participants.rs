@@ -2,6 +2,9 @@
 
 mod common;
 
+#[allow(unused_imports)] // by `common`
+use common::no_guard as guard;
+
 use std::time::Duration;
 
 use common::{Network, best_effort, endpoint, latched, payload, reliable};

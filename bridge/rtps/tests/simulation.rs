@@ -7,6 +7,9 @@
 
 mod common;
 
+#[allow(unused_imports)] // by `common`
+use common::no_guard as guard;
+
 use std::{cell::Cell, collections::BTreeMap, rc::Rc, time::Duration};
 
 use bytes::Bytes;

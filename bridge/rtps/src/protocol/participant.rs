@@ -10,7 +10,7 @@ use bytes::Bytes;
 
 use super::{
     Addresses, Channel, Config, Counters, Denial, Destination, EndpointConfig, Event, Fault, Guard, Limits,
-    LinkId, LinkOptions, Links, Now, Reader, ReaderConfig, Received, WriteOptions, Writer, WriterConfig,
+    LinkId, LinkOptions, Links, Now, Reader, ReaderConfig, Received, Room, WriteOptions, Writer, WriterConfig,
     counters::Warnings,
     discovery::{Announced, Announcer, BUILTIN, BUILTIN_OF_SECURITY, Builtin},
     links::OWN_HOST_DATAGRAM,
@@ -25,6 +25,9 @@ use crate::{
 
 /// Payload of a fragment to local endpoints, where nothing is lost.
 const OWN_FRAGMENT: u16 = 60_000;
+
+/// The least payload of a fragment, however much its protection takes.
+const SMALLEST_FRAGMENT: u16 = 512;
 
 /// A longer time than this without a call means that the process was suspended, because announcements cause
 /// more frequent calls.
@@ -111,7 +114,13 @@ impl Participant {
         Self::create(config, Some(guard), now)
     }
 
-    fn create(config: Config, mut guard: Option<Box<dyn Guard>>, now: Now) -> Self {
+    fn create(mut config: Config, mut guard: Option<Box<dyn Guard>>, now: Now) -> Self {
+        if let Some(guard) = &guard {
+            // A protected fragment has to fit into the same frame.
+            let Room { message, submessage } = guard.room();
+            let growth = u16::try_from(message + submessage).unwrap_or(u16::MAX);
+            config.fragment_size = config.fragment_size.saturating_sub(growth).max(SMALLEST_FRAGMENT);
+        }
         let mut links = Links::new();
         let own = links.open(LinkOptions {
             destination: Destination::Own,

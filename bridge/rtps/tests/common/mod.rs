@@ -11,7 +11,7 @@ use std::{
 use bytes::Bytes;
 use downbeat_rtps::{
     protocol::{
-        Addresses, Config, Destination, EndpointConfig, Event, Interface, Now, Participant, WriteOptions,
+        Addresses, Config, Destination, EndpointConfig, Event, Guard, Interface, Now, Participant, WriteOptions,
     },
     qos::{Durability, History, Qos, Reliability},
     wire::{EntityId, Guid, GuidPrefix, SequenceNumber, Submessage, parse},
@@ -83,8 +83,8 @@ pub struct Network {
     launched: u64,
 }
 
-/// 2026-01-01.
-const WALL_START_NS: i64 = 1_767_225_600_000_000_000;
+/// 2027-01-15.
+const WALL_START_NS: i64 = 1_800_000_000_000_000_000;
 
 impl Network {
     pub fn new(nodes: u8) -> Self {
@@ -118,7 +118,12 @@ impl Network {
         let mut config = Config::new(unique, 0, addresses(address));
         config.secret = self.nodes.len() as u64;
         change(&mut config);
-        let participant = Participant::new(config, self.now());
+        let participant = match crate::guard(&config) {
+            None => Participant::new(config, self.now()),
+            Some((prefix, guard)) => {
+                Participant::with_guard(Config { prefix, ..config }, guard, self.now())
+            }
+        };
         let next_timeout = participant.next_timeout();
         self.nodes.push(Node {
             participant,
@@ -262,6 +267,12 @@ impl Network {
     pub fn guid(&self, node: usize, entity: EntityId) -> Guid {
         Guid::new(self.nodes[node].participant.prefix(), entity)
     }
+}
+
+/// The guard of each participant, and the prefix that belongs to it: none. Test programs name the function
+/// that says it `guard`.
+pub fn no_guard(_: &Config) -> Option<(GuidPrefix, Box<dyn Guard>)> {
+    None
 }
 
 pub fn addresses(address: Ipv4Addr) -> Addresses {

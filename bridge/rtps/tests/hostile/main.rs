@@ -8,6 +8,8 @@ mod attacks;
 mod capture;
 #[path = "../common/mod.rs"]
 mod common;
+#[allow(unused_imports)] // by `common`
+use common::no_guard as guard;
 mod conversations;
 mod forged;
 mod mutation;
