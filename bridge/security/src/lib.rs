@@ -11,4 +11,5 @@ pub mod document;
 pub mod enclave;
 pub mod guard;
 pub mod pki;
+pub mod policy;
 pub mod tokens;

@@ -6,7 +6,7 @@ mod pattern;
 mod permissions;
 pub mod smime;
 mod subject;
-mod time;
+pub(crate) mod time;
 
 pub use domains::Domains;
 pub use governance::{DataProtection, DomainRule, Governance, ProtectionKind, TopicRule};
