@@ -5,7 +5,7 @@ use super::*;
 use crate::enclave::Enclave;
 use crate::pki::openssl::Folder;
 
-const OF_SROS2: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/keystore_of_sros2");
+const OF_SROS2: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/keystores/talker_listener");
 
 /// Within the validity of the keystore of sros2.
 fn now() -> SystemTime {
@@ -119,7 +119,7 @@ fn enclaves_are_listed_and_can_be_used() {
 }
 
 #[test]
-fn an_enclave_of_a_keystore_of_sros2_is_trusted_by_its_others() {
+fn an_enclave_in_a_keystore_of_sros2_is_trusted_by_its_others() {
     let folder = tempfile::tempdir().unwrap();
     let keys = ["public", "private"].map(|part| folder.path().join(part));
     keys.iter().for_each(|part| fs::create_dir(part).unwrap());

@@ -177,7 +177,7 @@ mod tests {
     #[test]
     fn the_policy_for_everything_is_that_of_sros2() {
         let expected = include_str!(
-            "../../tests/data/keystore_of_sros2/enclaves/talker_listener/listener/permissions.xml"
+            "../../tests/data/keystores/talker_listener/enclaves/talker_listener/listener/permissions.xml"
         );
         let path = "/talker_listener/listener";
         assert_eq!(Policy::everything(path).permissions(path, 0, validity()).unwrap(), expected);
