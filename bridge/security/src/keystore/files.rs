@@ -48,6 +48,10 @@ pub(super) fn link(path: &Path, target: &Path) -> Result<(), KeystoreError> {
     linked.map_err(failed("link", path))
 }
 
+pub(super) fn read_text(path: &Path) -> Result<Vec<u8>, KeystoreError> {
+    fs::read(path).map_err(failed("read", path))
+}
+
 pub(super) fn read_certificate(path: &Path) -> Result<Certificate, KeystoreError> {
     read(path, Certificate::from_pem)
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime};
 use der::oid::ObjectIdentifier;
 use der::pem::{LineEnding, encode_string};
 
-use crate::asn1::{self, ECDSA_WITH_SHA256, INTEGER, OCTET_STRING, SET};
+use crate::asn1::{self, CONTEXT_0, ECDSA_WITH_SHA256, INTEGER, OCTET_STRING, SET};
 use crate::pki::{Certificate, PkiError, PrivateKey};
 
 const COMMON_NAME: ObjectIdentifier = ObjectIdentifier::new_unwrap("2.5.4.3");
@@ -13,7 +13,6 @@ const BASIC_CONSTRAINTS: ObjectIdentifier = ObjectIdentifier::new_unwrap("2.5.29
 const BOOLEAN: u8 = 0x01;
 const BIT_STRING: u8 = 0x03;
 const UTF8_STRING: u8 = 0x0c;
-const CONTEXT_0: u8 = 0xa0;
 const CONTEXT_3: u8 = 0xa3;
 
 const DAY: Duration = Duration::from_secs(24 * 3600);
@@ -57,7 +56,7 @@ pub(super) fn certificate(
     ]);
     let signature = asn1::element(BIT_STRING, &[&[0], &signer.sign(&content)]);
     let der = asn1::sequence(&[&content, &algorithm, &signature]);
-    let pem = encode_string("CERTIFICATE", LineEnding::LF, &der).unwrap_or_default();
+    let pem = encode_string("CERTIFICATE", LineEnding::LF, &der).expect("a certificate is short");
     Certificate::from_pem(pem.as_bytes())
 }
 

@@ -53,15 +53,17 @@ const REQUIRED: [&str; 5] = [
     "public/identity_ca.cert.pem",
     "private/permissions_ca.key.pem",
     "private/identity_ca.key.pem",
-    "enclaves/governance.p7s",
+    SIGNED_GOVERNANCE,
 ];
+const SIGNED_GOVERNANCE: &str = "enclaves/governance.p7s";
 
 impl Keystore {
-    /// Makes a keystore with a new authority, and a governance that encrypts everything in a domain. `random`
-    /// must fill as a cryptographic generator does.
+    /// Makes a keystore with a new authority, and a governance that encrypts everything in a domain. If the
+    /// folder holds certificates and keys of authorities or a `governance.xml` already, they are used.
+    /// `random` must fill as a cryptographic generator does.
     ///
     /// # Errors
-    /// If it is there already, or a file cannot be written. No file is overwritten.
+    /// If it is there already, or a file cannot be written. No key is overwritten.
     pub fn create(
         path: &Path,
         domain_id: u32,
@@ -75,20 +77,17 @@ impl Keystore {
         for folder in ["public", "private", "enclaves"] {
             files::make_folder(&path.join(folder))?;
         }
-        let key = PrivateKey::generate(random);
-        let certificate_path = path.join("public/ca.cert.pem");
-        let certificate = issue::certificate(AUTHORITY, &key, &Issuer::Itself, now, random)
-            .map_err(|source| KeystoreError::Pki { path: certificate_path.clone(), source })?;
-        files::write_key(&path.join("private/ca.key.pem"), &key)?;
-        files::write_new(&certificate_path, certificate.pem())?;
-        for kind in ["identity_ca", "permissions_ca"] {
-            files::link(&path.join(format!("public/{kind}.cert.pem")), Path::new("ca.cert.pem"))?;
-            files::link(&path.join(format!("private/{kind}.key.pem")), Path::new("ca.key.pem"))?;
+        if keystore.missing().is_some_and(|missing| missing != SIGNED_GOVERNANCE) {
+            keystore.create_authority(now, random)?;
         }
-        let governance = GOVERNANCE.replace("<id>0</id>", &format!("<id>{domain_id}</id>"));
-        files::write_new(&path.join("enclaves/governance.xml"), governance.as_bytes())?;
-        let signed = smime::sign(governance.as_bytes(), &certificate, &key, now);
-        files::write_new(&path.join("enclaves/governance.p7s"), &signed)?;
+        let text_path = path.join("enclaves/governance.xml");
+        if !text_path.exists() {
+            let text = GOVERNANCE.replace("<id>0</id>", &format!("<id>{domain_id}</id>"));
+            files::write(&text_path, text.as_bytes())?;
+        }
+        let (ca, ca_key) = keystore.authority("permissions_ca")?;
+        let signed = smime::sign(&files::read_text(&text_path)?, &ca, &ca_key, now);
+        files::write(&path.join(SIGNED_GOVERNANCE), &signed)?;
         Ok(keystore)
     }
 
@@ -191,6 +190,25 @@ impl Keystore {
             Some(problem) => Err(KeystoreError::Name { name: name.to_owned(), problem }),
             None => Ok(self.path.join("enclaves").join(name.trim_start_matches('/'))),
         }
+    }
+
+    /// Makes an authority for both purposes.
+    fn create_authority(
+        &self,
+        now: SystemTime,
+        random: &mut dyn FnMut(&mut [u8]),
+    ) -> Result<(), KeystoreError> {
+        let key = PrivateKey::generate(random);
+        let path = self.path.join("public/ca.cert.pem");
+        let certificate = issue::certificate(AUTHORITY, &key, &Issuer::Itself, now, random)
+            .map_err(|source| KeystoreError::Pki { path: path.clone(), source })?;
+        files::write_key(&self.path.join("private/ca.key.pem"), &key)?;
+        files::write_new(&path, certificate.pem())?;
+        for kind in ["identity_ca", "permissions_ca"] {
+            files::link(&self.path.join(format!("public/{kind}.cert.pem")), Path::new("ca.cert.pem"))?;
+            files::link(&self.path.join(format!("private/{kind}.key.pem")), Path::new("ca.key.pem"))?;
+        }
+        Ok(())
     }
 
     fn authority(&self, kind: &str) -> Result<(Certificate, PrivateKey), KeystoreError> {

@@ -181,12 +181,22 @@ fn what_is_there_is_not_overwritten_and_what_is_none_not_opened() {
     let twice = Keystore::create(folder.path(), 0, now(), &mut random(2)).unwrap_err();
     assert!(matches!(twice, KeystoreError::Exists { .. }), "{twice}");
     let key = fs::read(folder.path().join("private/ca.key.pem")).unwrap();
-    fs::remove_file(folder.path().join("enclaves/governance.p7s")).unwrap();
+    fs::remove_file(folder.path().join("public/identity_ca.cert.pem")).unwrap();
     let damaged = Keystore::create(folder.path(), 0, now(), &mut random(2)).unwrap_err();
     assert!(matches!(damaged, KeystoreError::File { attempt: "write", .. }), "{damaged}");
     assert_eq!(fs::read(folder.path().join("private/ca.key.pem")).unwrap(), key);
     let name = keystore.create_enclave("../escape", 0, now(), &mut random(2)).unwrap_err();
     assert!(matches!(name, KeystoreError::Name { .. }), "{name}");
+}
+
+#[test]
+fn an_authority_and_a_governance_that_are_there_are_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let keystore = create(folder.path(), 3);
+    let talker = keystore.folder("/talker_listener/talker").unwrap();
+    fs::remove_file(folder.path().join(SIGNED_GOVERNANCE)).unwrap();
+    Keystore::create(folder.path(), 0, now(), &mut random(2)).unwrap();
+    assert!(Enclave::load(&talker, now()).unwrap().for_domain(3).is_ok());
 }
 
 #[test]

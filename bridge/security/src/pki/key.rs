@@ -56,12 +56,12 @@ impl PrivateKey {
 
     /// Writes the key as PKCS#8, without a password.
     pub fn to_pem(&self) -> Zeroizing<String> {
-        self.0.to_pkcs8_pem(LineEnding::LF).unwrap_or_default()
+        self.0.to_pkcs8_pem(LineEnding::LF).expect("a key of this size is encoded")
     }
 
     /// The public key as certificates hold it.
     pub(crate) fn public_der(&self) -> Vec<u8> {
-        self.0.verifying_key().to_public_key_der().map(der::Document::into_vec).unwrap_or_default()
+        self.0.verifying_key().to_public_key_der().expect("a key of this size is encoded").into_vec()
     }
 
     /// Signs with ECDSA and SHA-256 (deterministic, RFC 6979) and returns the ASN.1 sequence of the two

@@ -91,13 +91,13 @@ impl Policy {
     /// If the text is not a policy of version 0.2.0 as SROS2's schema has it, or includes other files.
     pub fn parse(xml: &str) -> Result<Self, DocumentError> {
         document::read(xml, "policy", |policy| {
-            policy.expect_attributes(&["version"])?;
+            let children = policy.children_with(&["version"], &["enclaves"])?;
             let version = policy.required("version")?;
             if version != VERSION {
                 let (found, of) = (version.to_owned(), "version".to_owned());
                 return Err(policy.error(Problem::Value { found, of, expected: VERSION }));
             }
-            let enclaves = policy.children(&["enclaves"])?.one("enclaves")?.children(&["enclave"])?;
+            let enclaves = children.one("enclaves")?.children(&["enclave"])?;
             let enclaves = enclaves.some("enclave")?.iter().map(|enclave| Enclave::read(*enclave));
             enclaves.collect::<Result<_, _>>().map(|enclaves| Self { enclaves })
         })
@@ -123,8 +123,7 @@ impl Policy {
 
 impl Enclave {
     fn read(element: Element) -> Result<Self, DocumentError> {
-        element.expect_attributes(&["path"])?;
-        let profiles = element.children(&["profiles"])?;
+        let profiles = element.children_with(&["path"], &["profiles"])?;
         let profiles = profiles.some("profiles")?.iter().map(|profiles| Profiles::read(*profiles));
         Ok(Self { path: element.required("path")?.to_owned(), profiles: profiles.collect::<Result<_, _>>()? })
     }
@@ -132,8 +131,7 @@ impl Enclave {
 
 impl Profiles {
     fn read(element: Element) -> Result<Self, DocumentError> {
-        element.expect_attributes(&["type"])?;
-        let children = element.children(&["profile", "metadata"])?;
+        let children = element.children_with(&["type"], &["profile", "metadata"])?;
         children.optional("metadata")?;
         let nodes: Vec<Profile> = children
             .iter()
@@ -149,9 +147,8 @@ impl Profiles {
 
 impl Profile {
     fn read(element: Element) -> Result<Self, DocumentError> {
-        element.expect_attributes(&["ns", "node"])?;
         let known = Kind::ALL.map(|kind| kind.elements().0);
-        let rules = element.children(&known)?;
+        let rules = element.children_with(&["ns", "node"], &known)?;
         Ok(Self {
             namespace: element.required("ns")?.to_owned(),
             node: element.required("node")?.to_owned(),
@@ -169,7 +166,6 @@ impl Rule {
 
     fn read_as(kind: Kind, element: Element) -> Result<Self, DocumentError> {
         let verbs = kind.verbs();
-        element.expect_attributes(&verbs)?;
         let qualifier = |verb| match element.attribute(verb) {
             None => Ok(None),
             Some("ALLOW") => Ok(Some(Qualifier::Allow)),
@@ -181,7 +177,7 @@ impl Rule {
         };
         let [first, second] = verbs;
         let name = kind.elements().1;
-        let names = element.children(&[name])?;
+        let names = element.children_with(&verbs, &[name])?;
         let names = names.some(name)?.iter().map(|name| name.text());
         Ok(Self {
             kind,
