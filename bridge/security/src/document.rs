@@ -133,8 +133,18 @@ impl<'a> Element<'a> {
         })
     }
 
-    /// The children, each of which has one of the names.
+    /// The children, each of which has one of the names, of an element without attributes.
     pub fn children(self, known: &[&'static str]) -> Result<Children<'a>, DocumentError> {
+        self.children_with(&[], known)
+    }
+
+    /// The children, each of which has one of the names, of an element with no other attributes than these.
+    pub fn children_with(
+        self,
+        attributes: &[&str],
+        known: &[&'static str],
+    ) -> Result<Children<'a>, DocumentError> {
+        self.expect_attributes(attributes)?;
         let mut elements = Vec::new();
         for node in self.0.children() {
             if node.is_element() {
@@ -162,7 +172,7 @@ impl<'a> Element<'a> {
     }
 
     /// Refuses attributes other than these; those of a namespace (schema locations) say nothing here.
-    pub fn expect_attributes(self, known: &[&str]) -> Result<(), DocumentError> {
+    fn expect_attributes(self, known: &[&str]) -> Result<(), DocumentError> {
         let is_unknown = |name: &str| !known.contains(&name);
         let mut plain = self.0.attributes().filter(|attribute| attribute.namespace().is_none());
         plain.find(|attribute| is_unknown(attribute.name())).map_or(Ok(()), |attribute| {
@@ -241,6 +251,8 @@ mod tests {
         assert_eq!(error.to_string(), "line 2: <b> is unknown in <item>, which takes text only");
         let error = texts("<list>\n  <item kind='c'>a</item>\n</list>").unwrap_err();
         assert_eq!(error.to_string(), "line 2: attribute \"kind\" is unknown in <item>");
+        let error = texts("<list kind='c'><item>a</item></list>").unwrap_err();
+        assert_eq!(error.to_string(), "line 1: attribute \"kind\" is unknown in <list>");
         assert_eq!(texts("<list>a</list>").unwrap_err().problem, Problem::Text("list".to_owned()));
         assert!(matches!(texts("<lists/>").unwrap_err().problem, Problem::Root(..)));
     }

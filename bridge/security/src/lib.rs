@@ -10,5 +10,7 @@ pub mod cryptography;
 pub mod document;
 pub mod enclave;
 pub mod guard;
+pub mod keystore;
 pub mod pki;
+pub mod policy;
 pub mod tokens;

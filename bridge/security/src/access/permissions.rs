@@ -138,9 +138,8 @@ impl Grant {
     }
 
     fn read(element: Element) -> Result<Self, DocumentError> {
-        element.expect_attributes(&["name"])?;
-        let children =
-            element.children(&["subject_name", "validity", "allow_rule", "deny_rule", "default"])?;
+        let children = element
+            .children_with(&["name"], &["subject_name", "validity", "allow_rule", "deny_rule", "default"])?;
         let subject = children.one("subject_name")?;
         let is_rule = |child: &Element| child.name().ends_with("_rule");
         let rules: Vec<Rule> = children.iter().filter(is_rule).map(Rule::read).collect::<Result<_, _>>()?;

@@ -5,6 +5,7 @@ use std::time::SystemTime;
 use downbeat_rtps::wire::GuidPrefix;
 use sha2::{Digest, Sha256};
 
+use super::agreement::Method;
 use super::fields::Fields;
 use super::guid::{is_derived, prefix_in};
 use super::identity::{Identity, RemoteIdentity, SIGNATURE_ALGORITHM};
@@ -13,22 +14,20 @@ use crate::cdr::{ByteOrder, Writer};
 use crate::pki::Certificate;
 use crate::tokens::write_binary;
 
-const KEY_AGREEMENT: &str = "ECDH+prime256v1-CEUM";
-
 /// The names and values in the order in which they are hashed.
 pub(super) struct Credentials<Value>(pub(super) [(&'static str, Value); 5]);
 
 const NAMES: [&str; 5] = ["c.id", "c.perm", "c.pdata", "c.dsign_algo", "c.kagree_algo"];
 
 impl<'a> Credentials<&'a [u8]> {
-    pub(super) fn own(identity: &'a Identity, participant_data: &'a [u8]) -> Self {
+    pub(super) fn own(identity: &'a Identity, participant_data: &'a [u8], method: Method) -> Self {
         let [id, permissions, data, signature_algorithm, key_agreement] = NAMES;
         Self([
             (id, identity.certificate.pem()),
             (permissions, &identity.permissions_document),
             (data, participant_data),
             (signature_algorithm, SIGNATURE_ALGORITHM.as_bytes()),
-            (key_agreement, KEY_AGREEMENT.as_bytes()),
+            (key_agreement, method.name().as_bytes()),
         ])
     }
 
@@ -40,6 +39,13 @@ impl<'a> Credentials<&'a [u8]> {
         Ok(Self(read))
     }
 
+    /// The method by which the participant wants to agree on a key.
+    pub(super) fn method(&self) -> Result<Method, Refusal> {
+        let [.., (_, name)] = self.0;
+        let name = without_terminator(name);
+        Method::from_name(name).ok_or_else(|| Refusal::KeyAgreement { found: shown(name) })
+    }
+
     /// Checks what a participant with the GUID prefix `remote` has sent, except that it has the private key.
     /// The cheap checks come first.
     pub(super) fn check(
@@ -48,13 +54,9 @@ impl<'a> Credentials<&'a [u8]> {
         identity: &Identity,
         time: SystemTime,
     ) -> Result<RemoteIdentity, Refusal> {
-        let Self([(_, id), (_, permissions), (_, data), (_, signature_algorithm), (_, key_agreement)]) =
-            *self;
+        let Self([(_, id), (_, permissions), (_, data), (_, signature_algorithm), _]) = *self;
         if without_terminator(signature_algorithm) != SIGNATURE_ALGORITHM.as_bytes() {
             return Err(Refusal::SignatureAlgorithm { found: shown(signature_algorithm) });
-        }
-        if without_terminator(key_agreement) != KEY_AGREEMENT.as_bytes() {
-            return Err(Refusal::KeyAgreement { found: shown(key_agreement) });
         }
         let permissions = without_terminator(permissions);
         if permissions.is_empty() {

@@ -4,11 +4,11 @@ use std::time::Instant;
 
 use downbeat_rtps::wire::Guid;
 
-use super::agreement::{EphemeralKey, Point};
+use super::agreement::{EphemeralKey, Method};
 use super::context::{Context, GIVE_UP, Output, Peers, unexpected};
 use super::credentials::Credentials;
 use super::identity::SharedSecret;
-use super::messages::{Challenge, Hash, REPLY, Reply, Request, emit_final};
+use super::messages::{Exchange, REPLY, Reply, Request, emit_final};
 use super::refusal::Refusal;
 use super::resend::Resend;
 use crate::tokens::{GenericMessage, Token};
@@ -30,11 +30,9 @@ enum State {
 
 /// A request was sent.
 struct Waiting {
+    request: Token,
     message: GenericMessage,
-    hash1: Hash,
-    dh1: Point,
     key: EphemeralKey,
-    challenge1: Challenge,
     resend: Resend,
     gives_up: Instant,
     refusal: Option<Refusal>,
@@ -110,18 +108,17 @@ impl Initiator {
 
 impl Waiting {
     fn begin(peers: Peers, context: &mut Context<'_>) -> Self {
-        let key = EphemeralKey::generate(context.random);
+        let method = Method::Ecdh;
+        let key = EphemeralKey::generate(method, context.random);
         let mut challenge1 = [0; 32];
         (context.random)(&mut challenge1);
-        let credentials = Credentials::own(context.identity, context.participant_data);
+        let credentials = Credentials::own(context.identity, context.participant_data, method);
         let (hash1, dh1) = (credentials.hash(), key.public());
-        let request = Request { credentials, hash1, dh1, challenge1 }.emit();
+        let request = Request { credentials, method, hash1, dh1, challenge1 }.emit();
         Self {
-            message: peers.message(request, None, context),
-            hash1,
-            dh1,
+            message: peers.message(request.clone(), None, context),
+            request,
             key,
-            challenge1,
             resend: Resend::new(context.now),
             gives_up: context.now + GIVE_UP,
             refusal: None,
@@ -135,15 +132,15 @@ impl Waiting {
         token: &Token,
         context: &mut Context<'_>,
     ) -> Result<(GenericMessage, Output), Refusal> {
-        let reply = Reply::parse(token, self.hash1, self.dh1, self.challenge1)?;
+        let reply = Reply::parse(token, &Request::parse(&self.request)?)?;
         let remote = reply.credentials.check(peers.remote.prefix, context.identity, context.time)?;
         reply.verify(&remote)?;
         let exchange = &reply.exchange;
         let secret = self.key.agree(&exchange.dh2).ok_or(Refusal::PublicKey { field: "dh2" })?;
         let last = emit_final(exchange, context.identity);
         let last = peers.message(last, Some(source), context);
-        let Self { challenge1, .. } = *self;
-        let secret = SharedSecret { challenge1, challenge2: exchange.challenge2, secret };
+        let Exchange { challenge1, challenge2, .. } = *exchange;
+        let secret = SharedSecret { challenge1, challenge2, secret };
         Ok((last, Output::Done { remote: Box::new(remote), secret }))
     }
 }

@@ -1,6 +1,6 @@
 //! The tokens of the three messages of a handshake (section 9.3.2.5).
 
-use super::agreement::Point;
+use super::agreement::Method;
 use super::credentials::Credentials;
 use super::fields::Fields;
 use super::identity::{Identity, RemoteIdentity};
@@ -21,8 +21,8 @@ pub(super) type Challenge = [u8; 32];
 pub(super) struct Exchange {
     pub(super) hash1: Hash,
     pub(super) hash2: Hash,
-    pub(super) dh1: Point,
-    pub(super) dh2: Point,
+    pub(super) dh1: Vec<u8>,
+    pub(super) dh2: Vec<u8>,
     pub(super) challenge1: Challenge,
     pub(super) challenge2: Challenge,
 }
@@ -67,8 +67,9 @@ fn token(class_id: &str, properties: &[(&str, &[u8])]) -> Token {
 /// The first message. Nothing in it is proven.
 pub(super) struct Request<'a> {
     pub(super) credentials: Credentials<&'a [u8]>,
+    pub(super) method: Method,
     pub(super) hash1: Hash,
-    pub(super) dh1: Point,
+    pub(super) dh1: Vec<u8>,
     pub(super) challenge1: Challenge,
 }
 
@@ -81,10 +82,11 @@ impl<'a> Request<'a> {
     pub(super) fn parse(token: &'a Token) -> Result<Self, Refusal> {
         let fields = Fields::new(token)?;
         let credentials = Credentials::read(fields)?;
-        let (dh1, challenge1) = (fields.array("dh1")?, fields.array("challenge1")?);
+        let (dh1, challenge1) = (fields.get("dh1")?.to_vec(), fields.array("challenge1")?);
+        let method = credentials.method()?;
         let hash1 = credentials.hash();
         fields.check_optional("hash_c1", &hash1)?;
-        Ok(Self { credentials, hash1, dh1, challenge1 })
+        Ok(Self { credentials, method, hash1, dh1, challenge1 })
     }
 }
 
@@ -116,19 +118,19 @@ impl<'a> Reply<'a> {
         token(REPLY, &[&self.credentials.0[..], &own].concat())
     }
 
-    /// Reads the reply to the request that has `hash1`, `dh1` and `challenge1`.
-    pub(super) fn parse(
-        token: &'a Token,
-        hash1: Hash,
-        dh1: Point,
-        challenge1: Challenge,
-    ) -> Result<Self, Refusal> {
+    /// Reads the reply to `request`.
+    pub(super) fn parse(token: &'a Token, request: &Request<'_>) -> Result<Self, Refusal> {
+        let Request { method, hash1, challenge1, .. } = *request;
+        let dh1 = request.dh1.clone();
         let fields = Fields::new(token)?;
         fields.check("challenge1", &challenge1)?;
         fields.check_optional("hash_c1", &hash1)?;
         fields.check_optional("dh1", &dh1)?;
         let credentials = Credentials::read(fields)?;
-        let (dh2, challenge2) = (fields.array("dh2")?, fields.array("challenge2")?);
+        if credentials.method()? != method {
+            return Err(Refusal::Mismatch { field: "c.kagree_algo" });
+        }
+        let (dh2, challenge2) = (fields.get("dh2")?.to_vec(), fields.array("challenge2")?);
         let signature = fields.get("signature")?.to_vec();
         let hash2 = credentials.hash();
         fields.check_optional("hash_c2", &hash2)?;

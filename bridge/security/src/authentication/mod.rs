@@ -20,6 +20,7 @@ mod handshake;
 mod identity;
 mod initiator;
 mod messages;
+mod modp;
 mod refusal;
 mod replier;
 mod resend;

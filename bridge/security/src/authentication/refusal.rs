@@ -22,10 +22,7 @@ pub enum Refusal {
     Mismatch { field: &'static str },
     #[error("the participant signs with {found}, but only ECDSA-SHA256 is supported")]
     SignatureAlgorithm { found: String },
-    #[error(
-        "the participant wants to agree on keys by {found}, but only ECDH+prime256v1-CEUM is supported; set that \
-         in its configuration, or give it a P-256 key"
-    )]
+    #[error("the participant wants to agree on a key by {found}, which is not supported")]
     KeyAgreement { found: String },
     #[error("the participant has sent no permissions document")]
     Permissions,
@@ -39,7 +36,7 @@ pub enum Refusal {
     Distrust(#[from] Distrust),
     #[error("the GUID {prefix} does not belong to the certificate of \"{subject}\"")]
     Subject { prefix: GuidPrefix, subject: String },
-    #[error("{field} of the handshake message is not a point of the curve P-256")]
+    #[error("{field} of the handshake message is not a valid public key")]
     PublicKey { field: &'static str },
     #[error("the signature is wrong: the sender does not have the private key of \"{subject}\"")]
     Signature { subject: String },

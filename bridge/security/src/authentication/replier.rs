@@ -140,13 +140,13 @@ impl Pending {
         context: &mut Context<'_>,
     ) -> Result<Self, Refusal> {
         let remote = request.credentials.check(peers.remote.prefix, context.identity, context.time)?;
-        let key = EphemeralKey::generate(context.random);
+        let key = EphemeralKey::generate(request.method, context.random);
         let secret = key.agree(&request.dh1).ok_or(Refusal::PublicKey { field: "dh1" })?;
         let mut challenge2 = [0; 32];
         (context.random)(&mut challenge2);
-        let credentials = Credentials::own(context.identity, context.participant_data);
-        let Request { hash1, dh1, challenge1, .. } = *request;
-        let hash2 = credentials.hash();
+        let credentials = Credentials::own(context.identity, context.participant_data, request.method);
+        let Request { hash1, challenge1, .. } = *request;
+        let (dh1, hash2) = (request.dh1.clone(), credentials.hash());
         let exchange = Exchange { hash1, hash2, dh1, dh2: key.public(), challenge1, challenge2 };
         let reply = Reply::sign(credentials, exchange, context.identity);
         let message = peers.message(reply.emit(), Some(source), context);

@@ -5,7 +5,7 @@ use super::*;
 use crate::access::{Action, ProtectionKind};
 use crate::pki::openssl::{Folder, Subject};
 
-const KEYSTORE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/keystore_of_sros2");
+const KEYSTORE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/keystores/talker_listener");
 
 /// In the first year of the keystore.
 fn now() -> SystemTime {

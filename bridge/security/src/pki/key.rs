@@ -6,7 +6,8 @@ use der::Decode;
 use p256::SecretKey;
 use p256::ecdsa::signature::Signer;
 use p256::ecdsa::{DerSignature, SigningKey};
-use p256::pkcs8::PrivateKeyInfoRef;
+use p256::pkcs8::{EncodePrivateKey, EncodePublicKey, LineEnding, PrivateKeyInfoRef};
+use zeroize::Zeroizing;
 
 use super::certificate::check_key_algorithm;
 use super::{Certificate, PkiError, pem};
@@ -39,6 +40,28 @@ impl PrivateKey {
             _ => return Err(PkiError::NotP256 { found: "RSA".into() }),
         };
         Ok(Self(SigningKey::from(secret)))
+    }
+
+    /// Makes a key of random numbers, which `random` must fill as a cryptographic generator does.
+    pub fn generate(random: &mut dyn FnMut(&mut [u8])) -> Self {
+        let mut bytes = Zeroizing::new([0; 32]);
+        loop {
+            random(bytes.as_mut_slice());
+            // Almost all numbers of this length are keys.
+            if let Ok(secret) = SecretKey::from_slice(bytes.as_slice()) {
+                return Self(SigningKey::from(secret));
+            }
+        }
+    }
+
+    /// Writes the key as PKCS#8, without a password.
+    pub fn to_pem(&self) -> Zeroizing<String> {
+        self.0.to_pkcs8_pem(LineEnding::LF).expect("a key of this size is encoded")
+    }
+
+    /// The public key as certificates hold it.
+    pub(crate) fn public_der(&self) -> Vec<u8> {
+        self.0.verifying_key().to_public_key_der().expect("a key of this size is encoded").into_vec()
     }
 
     /// Signs with ECDSA and SHA-256 (deterministic, RFC 6979) and returns the ASN.1 sequence of the two
@@ -87,6 +110,26 @@ mod tests {
         theirs[10] ^= 1;
         assert!(!certificate.verify(b"robot", &theirs));
         assert!(!certificate.verify(b"robot", b""));
+    }
+
+    #[test]
+    fn a_key_that_is_made_here_is_written_as_openssl_writes_it() {
+        let Some(folder) = Folder::new() else { return };
+        let mut random = fuzzing::Random::new(1);
+        let key = PrivateKey::generate(&mut |bytes| bytes.fill_with(|| random.bits() as u8));
+        folder.write("own.key", key.to_pem().as_bytes());
+        let written = folder.run(&["pkcs8", "-topk8", "-nocrypt", "-in", "own.key"]);
+        assert_eq!(String::from_utf8(written).unwrap(), *key.to_pem());
+        assert_eq!(PrivateKey::from_pem(key.to_pem().as_bytes()).unwrap().sign(b"a"), key.sign(b"a"));
+        let public = folder.run(&["pkey", "-in", "own.key", "-pubout", "-outform", "der"]);
+        assert_eq!(public, key.public_der());
+    }
+
+    #[test]
+    fn numbers_that_are_no_key_are_drawn_again() {
+        let mut draws = [[0xff; 32], [0; 32], [7; 32]].into_iter();
+        PrivateKey::generate(&mut |bytes| bytes.copy_from_slice(&draws.next().unwrap()));
+        assert_eq!(draws.next(), None);
     }
 
     #[test]

@@ -104,14 +104,14 @@ fn wrong_requests_are_refused_for_the_right_reason() {
             "another key agreement",
             |message| {
                 remove(message, "hash_c1");
-                *value(message, "c.kagree_algo") = b"DH+MODP-2048-256".to_vec();
+                *value(message, "c.kagree_algo") = b"ECDH+secp384r1".to_vec();
             },
-            Refusal::KeyAgreement { found: "DH+MODP-2048-256".into() },
+            Refusal::KeyAgreement { found: "ECDH+secp384r1".into() },
         ),
         (
             "a key of another kind",
             |message| value(message, "dh1").push(0),
-            Refusal::Length { field: "dh1", found: 66, expected: 65 },
+            Refusal::PublicKey { field: "dh1" },
         ),
         (
             "a key beside the curve",

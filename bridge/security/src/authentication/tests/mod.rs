@@ -9,6 +9,7 @@ macro_rules! data {
 
 mod attacks;
 mod conversations;
+mod recorded;
 
 use std::sync::LazyLock;
 use std::time::{Duration, Instant, SystemTime};
