@@ -6,6 +6,7 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
+use downbeat_bridge::middleware::ParticipantOptions;
 use downbeat_bridge::ros::{ParameterRule, RemapRule, RemapRules};
 
 use downbeat_msgs::definitions::suggestion;
@@ -160,12 +161,18 @@ impl RosArgs {
 
     /// Logs a warning for each argument that has no effect.
     pub fn warn_about_what_is_ignored(&self) {
-        if let Some(enclave) = self.enclave.as_deref().filter(|enclave| *enclave != "/") {
-            tracing::warn!("--enclave {enclave} changes nothing: the DDS engine has no security");
-        }
         if let Some(value) = &self.log.config_file {
             tracing::warn!("--log-config-file {value} changes nothing: no such library writes the log file");
         }
+    }
+
+    /// Returns options with the enclave of the command line.
+    #[must_use]
+    pub fn with_enclave(&self, mut options: ParticipantOptions) -> ParticipantOptions {
+        if let (Some(security), Some(enclave)) = (&mut options.security, &self.enclave) {
+            security.enclave.clone_from(enclave);
+        }
+        options
     }
 
     /// Returns the remapping rules for a participant.

@@ -1,5 +1,5 @@
-//! Strict reading of the XML documents of DDS Security and SROS2: an element or attribute that is not known is
-//! an error, because a rule that is silently ignored opens a door.
+//! Strict reading of the XML documents of DDS Security and SROS2: an element or attribute that is not known
+//! is an error, because a rule that is silently ignored opens a door.
 
 use roxmltree::{Document, Node, ParsingOptions};
 

@@ -3,6 +3,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod access;
+mod asn1;
 pub mod authentication;
 mod cdr;
 pub mod cryptography;

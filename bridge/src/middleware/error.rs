@@ -24,6 +24,12 @@ pub enum MiddlewareError {
         /// What Zenoh said.
         reason: String,
     },
+    /// The participant cannot be protected as it must be.
+    #[error("security: {reason}")]
+    Security {
+        /// Why, and what to do.
+        reason: String,
+    },
     /// The engine refused an endpoint.
     #[error("creating a {endpoint} on topic {topic_name:?} (type {type_name}) failed: {reason}")]
     Endpoint {

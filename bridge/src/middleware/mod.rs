@@ -22,6 +22,7 @@ mod endpoint;
 mod error;
 mod event;
 mod options;
+mod security;
 mod service;
 
 pub use endpoint::{
@@ -31,6 +32,7 @@ pub use endpoint::{
 pub use error::{MiddlewareError, WriteError};
 pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};
 pub use options::{DiscoveryRange, Engine, MAX_DOMAIN_ID, OptionsError, ParticipantOptions};
+pub use security::SecurityOptions;
 
 pub use service::{
     ServiceClient, ServiceEndpoint, ServiceReply, ServiceRequest, ServiceRequestHandler, ServiceServer,
@@ -97,9 +99,41 @@ pub trait Middleware: Send + Sync {
         None
     }
 
+    /// The vendor of the implementation of a participant or endpoint. In a protected domain its identity does
+    /// not tell.
+    fn vendor_of(&self, peer: Gid) -> [u8; 2] {
+        peer.vendor()
+    }
+
+    /// The subject of the certificate of a participant that has proven its identity, such as `CN=/robot`.
+    /// `None` without security.
+    fn subject_of(&self, _participant: Gid) -> Option<String> {
+        None
+    }
+
+    /// The state of security. `None` without it.
+    fn security(&self) -> Option<SecurityState> {
+        None
+    }
+
     /// Leaves the domain at once, for a process that is about to end without dropping it. Without an effect
     /// in engines that cannot, whose peers then wait for the lease to expire.
     fn leave(&self) {}
+}
+
+/// The state of security of a participant.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SecurityState {
+    /// The subject of its certificate.
+    pub subject: String,
+    /// The number of other participants that have proven their identity.
+    pub authenticated: usize,
+    /// How often somebody was refused, and the latest reasons.
+    pub refused: u64,
+    /// The latest reasons, each a sentence.
+    pub refusals: Vec<String>,
+    /// What should be mended soon, such as a certificate that expires.
+    pub warnings: Vec<String>,
 }
 
 /// The nodes of an engine that announces them itself. Their endpoints name them in [`Endpoint::node`], and

@@ -1,5 +1,6 @@
 //! Which engine to use, which domain to join and how far to look, as ROS 2 environment variables say it.
 
+use super::SecurityOptions;
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
@@ -87,12 +88,6 @@ impl FromStr for Engine {
 /// A variable of the environment has an invalid value.
 #[derive(Debug, Error, PartialEq, Eq)]
 pub enum OptionsError {
-    /// Security is to be enforced, and the engine has none.
-    #[error(
-        "ROS_SECURITY_STRATEGY=Enforce cannot be honoured: the DDS engine has no security. Set ROS_SECURITY_STRATEGY=Permissive \
-         to join without it, or unset ROS_SECURITY_ENABLE"
-    )]
-    Security,
     /// `ROS_DOMAIN_ID` is not a domain.
     #[error("ROS_DOMAIN_ID={found:?} is not a domain: expected a whole number from 0 to 232")]
     DomainId {
@@ -143,8 +138,10 @@ pub struct ParticipantOptions {
     pub discovery_range: DiscoveryRange,
     /// `ROS_STATIC_PEERS`: hosts to announce to besides, by address or name.
     pub static_peers: Vec<String>,
-    /// `ROS_SECURITY_ENABLE`, which the engine cannot honour: it logs a warning.
-    pub wants_security: bool,
+    /// How the participant is to be protected, with `ROS_SECURITY_ENABLE=true`.
+    pub security: Option<SecurityOptions>,
+    /// Values of variables that have no effect, although somebody wanted something with them: sentences.
+    pub ignored: Vec<String>,
     /// The engine.
     pub engine: Engine,
     /// How long others keep this participant after they last heard of it.
@@ -165,7 +162,8 @@ impl ParticipantOptions {
             domain_id,
             discovery_range: DiscoveryRange::Subnet,
             static_peers: Vec::new(),
-            wants_security: false,
+            security: None,
+            ignored: Vec::new(),
             engine: Engine::default(),
             lease: Self::LEASE,
             #[cfg(feature = "zenoh")]
@@ -218,17 +216,14 @@ impl ParticipantOptions {
                 peers.split(';').map(|peer| peer.trim().to_owned()).filter(|p| !p.is_empty()).collect()
             })
             .unwrap_or_default();
-        // The values that rcl of Jazzy compares with (`rcl/src/security.c`).
-        let wants_security = lookup("ROS_SECURITY_ENABLE").is_some_and(|value| value == "true");
-        if wants_security && lookup("ROS_SECURITY_STRATEGY").is_some_and(|value| value == "Enforce") {
-            return Err(OptionsError::Security);
-        }
+        let (security, ignored) = SecurityOptions::from_variables(lookup);
         let engine = lookup("RMW_IMPLEMENTATION")
             .map_or(Ok(Engine::default()), |found| Engine::of_rmw(found.trim()))?;
         Ok(Self {
             discovery_range,
             static_peers,
-            wants_security,
+            security,
+            ignored,
             engine,
             #[cfg(feature = "zenoh")]
             zenoh: downbeat_zenoh::Settings::from_variables(lookup)?,
@@ -240,24 +235,15 @@ impl ParticipantOptions {
     /// alternative.
     #[must_use]
     pub fn not_honoured(&self) -> Vec<String> {
-        let mut sentences = Vec::new();
+        let mut sentences = self.ignored.clone();
         #[cfg(feature = "zenoh")]
         if self.engine == Engine::Zenoh {
-            if self.wants_security {
-                let text = "ROS_SECURITY_ENABLE=true: on Zenoh security is configured by ZENOH_SESSION_CONFIG_URI, not by keystores";
-                sentences.push(text.to_owned());
-            }
             if !self.static_peers.is_empty() {
                 let text =
                     "ROS_STATIC_PEERS has no effect on Zenoh: set connect/endpoints by ZENOH_CONFIG_OVERRIDE";
                 sentences.push(text.to_owned());
             }
             return sentences;
-        }
-        if self.wants_security {
-            let text = "ROS_SECURITY_ENABLE=true: the DDS engine has no security, this node joins without it. Unset it, or set \
-                        ROS_SECURITY_STRATEGY=Enforce to have such a node not start";
-            sentences.push(text.to_owned());
         }
         let peers = self.static_peers.join(";");
         match self.discovery_range {
@@ -355,15 +341,6 @@ mod tests {
     }
 
     #[test]
-    fn security_is_refused_where_it_is_enforced_and_noted_where_it_is_not() {
-        let enabled = ("ROS_SECURITY_ENABLE", "true");
-        assert!(options(&[enabled]).unwrap().wants_security);
-        assert!(!options(&[("ROS_SECURITY_ENABLE", "false")]).unwrap().wants_security);
-        let error = options(&[enabled, ("ROS_SECURITY_STRATEGY", "Enforce")]).unwrap_err();
-        assert!(error.to_string().contains("Permissive"), "{error}");
-    }
-
-    #[test]
     fn what_cannot_be_honoured_is_told_with_what_to_do() {
         let warnings = |variables: &[_]| options(variables).unwrap().not_honoured().join("\n");
         let peers = ("ROS_STATIC_PEERS", "10.0.0.7");
@@ -374,7 +351,7 @@ mod tests {
             let text = warnings(&[peers, range(value)]);
             assert!(text.contains("10.0.0.7") && text.contains(value) && text.contains("SUBNET"), "{text}");
         }
-        assert!(warnings(&[("ROS_SECURITY_ENABLE", "true")]).contains("Enforce"));
+        assert!(warnings(&[("ROS_SECURITY_ENABLE", "True")]).contains("ROS_SECURITY_ENABLE=true"));
         assert_eq!(warnings(&[peers, ("ROS_LOCALHOST_ONLY", "1")]), "", "as in rcl they are not there then");
     }
 

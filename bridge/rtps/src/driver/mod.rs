@@ -19,7 +19,7 @@ pub use endpoint::{EndpointEvent, EventHandler, MatchHandler, SampleHandler};
 pub use options::{JoinError, Options, Range, Security};
 
 use crate::protocol::{self, Counters, CreateError, EndpointConfig, WriteError, WriteOptions};
-use crate::wire::{EndpointData, Guid, GuidPrefix, SequenceNumber};
+use crate::wire::{EndpointData, Guid, GuidPrefix, SequenceNumber, VendorId};
 use bytes::Bytes;
 use endpoint::EndpointState;
 use engine::{Engine, now};
@@ -169,6 +169,12 @@ impl Participant {
     #[must_use]
     pub fn remote_participants(&self) -> Vec<GuidPrefix> {
         self.engine.lock().participant.remote_participants().map(|data| data.prefix).collect()
+    }
+
+    /// The vendor that a participant has announced; `None` if it is not known.
+    #[must_use]
+    pub fn vendor_of(&self, participant: GuidPrefix) -> Option<VendorId> {
+        self.engine.lock().participant.remote_participant(participant).map(|data| data.vendor)
     }
 
     /// Leaves the domain at once: its endpoints no longer send or receive. For a process that is about to end

@@ -325,6 +325,10 @@ impl Participant {
         self.peers.endpoint(guid).map(|remote| &remote.data)
     }
 
+    pub fn remote_participant(&self, prefix: GuidPrefix) -> Option<&ParticipantData> {
+        self.peers.get(prefix).map(|peer| &peer.data)
+    }
+
     pub fn remote_participants(&self) -> impl Iterator<Item = &ParticipantData> {
         self.peers.iter().map(|(_, peer)| &peer.data)
     }

@@ -12,6 +12,7 @@
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/log/Log.hpp>
+#include <fastdds/dds/log/StdoutErrConsumer.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
@@ -210,6 +211,14 @@ void send(Command& command, int64_t tick) {
     }
 }
 
+void log_to_standard_error() {
+    auto consumer = std::make_unique<fast::StdoutErrConsumer>();
+    consumer->stderr_threshold(fast::Log::Info);
+    fast::Log::ClearConsumers();
+    fast::Log::RegisterConsumer(std::move(consumer));
+    fast::Log::SetVerbosity(fast::Log::Warning);
+}
+
 std::vector<Command> parse(int count, char** arguments) {
     std::vector<Command> commands;
     for (int at = 3; at < count;) {
@@ -233,7 +242,7 @@ int main(int count, char** arguments) try {
                   << " DOMAIN_ID ENCLAVE (publish TOPIC TEXT|subscribe TOPIC|serve SERVICE|call SERVICE DATA)..." << std::endl;
         return 2;
     }
-    if (getenv("PEER_TRACE") != nullptr) fast::Log::SetVerbosity(fast::Log::Info);
+    log_to_standard_error();
     Peer peer(static_cast<uint32_t>(std::stoul(arguments[1])), arguments[2]);
     for (auto& command : commands) peer.start(command);
     std::cout << "ready" << std::endl;

@@ -119,8 +119,8 @@ impl Governance {
     /// Parses the XML of a governance document.
     ///
     /// # Errors
-    /// If the text is not a document as the OMG's schema has it, except that the order of elements within a rule is
-    /// free.
+    /// If the text is not a document as the OMG's schema has it, except that the order of elements within a
+    /// rule is free.
     pub fn parse(xml: &str) -> Result<Self, DocumentError> {
         document::read(xml, "dds", |dds| {
             let rules = dds.children(&["domain_access_rules"])?.one("domain_access_rules")?;

@@ -75,8 +75,8 @@ fn set(pattern: &str, character: char) -> Option<(bool, &str)> {
     }
 }
 
-/// Whether every partition that `partition` may stand for matches `pattern`. A partition of an endpoint may be
-/// a pattern itself.
+/// Whether every partition that `partition` may stand for matches `pattern`. A partition of an endpoint may
+/// be a pattern itself.
 pub(super) fn contains(pattern: &str, partition: &str) -> bool {
     // Only a star of the pattern can be what a wildcard of the partition is matched with.
     let is_safe = !is_pattern(partition) || !pattern.contains(['?', '[', '\\']);

@@ -66,8 +66,8 @@ impl Permissions {
     /// Parses the XML of a permissions document.
     ///
     /// # Errors
-    /// If the text is not a document as the OMG's schema has it, except that the order of elements is free where it
-    /// says nothing.
+    /// If the text is not a document as the OMG's schema has it, except that the order of elements is free
+    /// where it says nothing.
     pub fn parse(xml: &str) -> Result<Self, DocumentError> {
         document::read(xml, "dds", |dds| {
             let grants = dds.children(&["permissions"])?.one("permissions")?.children(&["grant"])?;
@@ -110,8 +110,8 @@ impl Grant {
         self.is_allowed_by_default || here.any(|rule| rule.is_allowed)
     }
 
-    /// Whether an endpoint may exist, by the first rule that applies to its domain, topic and partitions. `topic`
-    /// is the name in DDS, such as `rt/chatter`; no partitions is the default partition.
+    /// Whether an endpoint may exist, by the first rule that applies to its domain, topic and partitions.
+    /// `topic` is the name in DDS, such as `rt/chatter`; no partitions is the default partition.
     pub fn decide(&self, action: Action, domain_id: u32, topic: &str, partitions: &[String]) -> Decision {
         let default = [String::new()];
         let partitions = if partitions.is_empty() { &default } else { partitions };
@@ -188,9 +188,9 @@ impl Rule {
 }
 
 impl Criterion {
-    /// The expression of the topic, if topic and partitions match. To be allowed, all partitions must be named; a
-    /// rule that denies one of them denies the endpoint. A rule that names none allows only the default
-    /// partition, but denies every one.
+    /// The expression of the topic, if topic and partitions match. To be allowed, all partitions must be
+    /// named; a rule that denies one of them denies the endpoint. A rule that names none allows only the
+    /// default partition, but denies every one.
     fn applies(&self, is_allowed: bool, topic: &str, partitions: &[String]) -> Option<&str> {
         if self.has_tags {
             return None;

@@ -1,1 +1,656 @@
-//! What the RTPS engine asks.
+//! What the RTPS engine asks: who is admitted, which keys are exchanged, and how messages are protected.
+
+mod flood;
+mod frames;
+mod keys;
+mod policy;
+mod reports;
+mod session;
+mod status;
+mod transform;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use bytes::Bytes;
+use downbeat_rtps::protocol::{
+    Admission, Channel, Demand, Denial, Guard, Now, Report, Room, Severity, TopicProtection,
+};
+use downbeat_rtps::wire::{
+    BuiltinEndpoints, EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, ParticipantSecurity,
+};
+
+pub use keys::Random;
+pub use status::Status;
+
+use crate::access::{Grant, Permissions, TopicRule, smime};
+use crate::authentication::{
+    Context, Handshake, Identity, Output, RemoteIdentity, SharedSecret, derive_prefix, identity_token,
+    permissions_token,
+};
+use crate::cryptography::{KeyMaterial, Sealer};
+use crate::enclave::Enclave;
+use crate::pki::Certificate;
+use crate::tokens::{ByteOrder, GenericMessage, class};
+use flood::Flood;
+use keys::OwnKeys;
+use policy::{Policy, SECURE_BUILTIN};
+use reports::Reports;
+use session::Session;
+use transform::Disbelief;
+
+/// The most participants whose handshakes are in progress.
+const MOST_HANDSHAKES: usize = 128;
+/// Handshake messages handled at once, and the time after which one more is: each costs up to a millisecond.
+const STEPS: u32 = 100;
+const STEP_PERIOD: Duration = Duration::from_millis(10);
+/// Handshakes begun at once, and the time after which one more is.
+const BEGINNINGS: u32 = 64;
+const BEGINNING_PERIOD: Duration = Duration::from_millis(50);
+/// How long a refused participant has to wait before it is asked for its identity again.
+const REFUSED: Duration = Duration::from_secs(30);
+/// The most refused participants that are remembered.
+const MOST_REFUSED: usize = 512;
+/// How often the validity of certificates and permissions is checked.
+const CHECK_PERIOD: Duration = Duration::from_secs(60);
+
+/// The guard of a participant with the identity of an enclave.
+pub struct SecurityGuard {
+    prefix: GuidPrefix,
+    credentials: Arc<Credentials>,
+    keys: OwnKeys,
+    /// The own announcement as handshakes contain it.
+    participant_data: Vec<u8>,
+    remotes: BTreeMap<GuidPrefix, Remote>,
+    /// Until when refused participants wait.
+    refused: BTreeMap<GuidPrefix, Instant>,
+    /// Numbers of the messages over the two channels.
+    last_number: i64,
+    steps: Option<Flood>,
+    beginnings: Option<Flood>,
+    demands: VecDeque<Demand>,
+    /// Participants to be asked about again.
+    reconsidered: BTreeSet<GuidPrefix>,
+    checks_at: Option<Instant>,
+    reports: Reports,
+    status: Status,
+}
+
+/// A participant whose identity is being proven, or is.
+struct Remote {
+    handshake: Handshake,
+    bits: BuiltinEndpoints,
+    session: Option<Box<Session>>,
+}
+
+/// What an enclave says about one domain: who this participant is, and which rules apply.
+pub struct Credentials {
+    identity: Identity,
+    permissions_ca: Certificate,
+    policy: Policy,
+}
+
+impl Credentials {
+    /// The credentials of an enclave for a domain.
+    ///
+    /// # Errors
+    /// Returns a sentence if the enclave does not allow the domain.
+    pub fn new(enclave: &Enclave, domain_id: u32) -> Result<Self, Denial> {
+        let rule = enclave.for_domain(domain_id).map_err(|error| Denial(error.to_string()))?.clone();
+        let subject = enclave.certificate.subject();
+        let grant = enclave.permissions.grant(subject).cloned().ok_or_else(|| {
+            Denial(format!("the permissions have no grant for {subject:?}, the subject of the certificate"))
+        })?;
+        if rule.join_access_control && !grant.may_join(domain_id) {
+            return Err(Denial(format!(
+                "the permissions of {subject:?} allow nothing in domain {domain_id}: set ROS_DOMAIN_ID to a domain that they \
+                 name, or sign new ones"
+            )));
+        }
+        let kinds = [rule.rtps, rule.discovery, rule.liveliness];
+        let mut kinds = kinds.into_iter().chain(rule.topics.iter().map(|topic| topic.metadata));
+        if kinds.any(|kind| kind.has_origin()) {
+            return Err(Denial(
+                "the governance asks for origin authentication, which is not supported: use SIGN or ENCRYPT"
+                    .to_owned(),
+            ));
+        }
+        let identity = Identity {
+            certificate: enclave.certificate.clone(),
+            key: enclave.key.clone(),
+            authority: enclave.authority.clone(),
+            permissions_document: enclave.permissions_document.clone(),
+        };
+        let policy = Policy { domain_id, rule, grant };
+        Ok(Self { identity, permissions_ca: enclave.permissions_ca.clone(), policy })
+    }
+
+    /// The subject of the certificate.
+    pub fn subject(&self) -> &str {
+        self.identity.certificate.subject()
+    }
+}
+
+impl SecurityGuard {
+    /// The guard of a participant that would have the prefix `candidate` without security. [`Self::prefix`] is
+    /// the one that it has to have.
+    pub fn new(credentials: Arc<Credentials>, candidate: GuidPrefix, random: Random, status: Status) -> Self {
+        let policy = &credentials.policy;
+        let mut keys = OwnKeys::new(policy::transform(policy.rule.rtps), random);
+        for (writer, reader, ..) in SECURE_BUILTIN {
+            for entity in [writer, reader] {
+                keys.add(entity, policy.builtin_protection(entity));
+            }
+        }
+        Self {
+            prefix: derive_prefix(&credentials.identity.certificate, candidate),
+            credentials,
+            keys,
+            participant_data: Vec::new(),
+            remotes: BTreeMap::new(),
+            refused: BTreeMap::new(),
+            last_number: 0,
+            steps: None,
+            beginnings: None,
+            demands: VecDeque::new(),
+            reconsidered: BTreeSet::new(),
+            checks_at: None,
+            reports: Reports::default(),
+            status,
+        }
+    }
+
+    /// The prefix that belongs to the identity.
+    pub fn prefix(&self) -> GuidPrefix {
+        self.prefix
+    }
+
+    /// Reports that somebody or something is refused.
+    fn refuse(&mut self, now: Now, remote: GuidPrefix, reason: String) {
+        if let Some(text) = self.reports.tell(now.steady, reason) {
+            self.status.refuse(&text);
+            self.report(Some(remote), text, Severity::Warning);
+        }
+    }
+
+    fn report(&mut self, remote: Option<GuidPrefix>, text: String, severity: Severity) {
+        self.demands.push_back(Demand::Report(Report { remote, text, severity }));
+    }
+
+    /// Whether a new participant may begin to prove its identity.
+    fn meet(&mut self, now: Now, remote: &ParticipantData) -> Admission {
+        let Some(security) = remote.security.as_ref().filter(|security| !security.identity_token.is_empty())
+        else {
+            if self.credentials.policy.rule.allow_unauthenticated {
+                return Admission::Admit;
+            }
+            let reason = format!(
+                "participants without security are ignored, as the governance demands ({}, {})",
+                described(remote),
+                "it announces no certificate"
+            );
+            self.refuse(now, remote.prefix, reason);
+            return Admission::Refuse;
+        };
+        if policy::contradicts(self.credentials.policy.attributes(), security.attributes) {
+            let reason = format!(
+                "{} is ignored: its governance protects the domain in another way (attributes {:#010x} {:#010x} \
+                 instead of {:#010x} {:#010x}); all keystores of a domain need the same governance",
+                described(remote),
+                security.attributes.mask,
+                security.attributes.plugin_mask,
+                self.credentials.policy.attributes().mask,
+                self.credentials.policy.attributes().plugin_mask,
+            );
+            self.refuse(now, remote.prefix, reason);
+            return Admission::Refuse;
+        }
+        let bits = BuiltinEndpoints::STATELESS_WRITER | BuiltinEndpoints::STATELESS_READER;
+        if !remote.builtin_endpoints.has(bits) {
+            self.refuse(
+                now,
+                remote.prefix,
+                format!("{} is ignored: it does not authenticate", described(remote)),
+            );
+            return Admission::Refuse;
+        }
+        if self.refused.get(&remote.prefix).is_some_and(|until| *until > now.steady) {
+            return Admission::Refuse;
+        }
+        let open = self.remotes.values().filter(|remote| remote.session.is_none()).count();
+        let beginnings =
+            self.beginnings.get_or_insert_with(|| Flood::new(BEGINNINGS, BEGINNING_PERIOD, now.steady));
+        if open >= MOST_HANDSHAKES || !beginnings.permits(now.steady) {
+            // It announces itself again.
+            return Admission::Refuse;
+        }
+        let guid = |prefix| Guid::new(prefix, EntityId::PARTICIPANT);
+        let handshake = Handshake::new(guid(self.prefix), guid(remote.prefix), now.steady);
+        let known = Remote { handshake, bits: remote.builtin_endpoints, session: None };
+        self.remotes.insert(remote.prefix, known);
+        self.run_handshakes(now);
+        Admission::Wait
+    }
+
+    /// Sends what is due in handshakes.
+    fn run_handshakes(&mut self, now: Now) {
+        let due = |remote: &Remote| remote.handshake.next_timeout().is_some_and(|at| at <= now.steady);
+        let due: Vec<_> =
+            self.remotes.iter().filter(|(_, remote)| due(remote)).map(|(prefix, _)| *prefix).collect();
+        for prefix in due {
+            self.with_handshake(now, prefix, Handshake::handle_timeout);
+        }
+    }
+
+    fn with_handshake(
+        &mut self,
+        now: Now,
+        prefix: GuidPrefix,
+        call: impl FnOnce(&mut Handshake, &mut Context<'_>) -> Vec<Output>,
+    ) {
+        let Some(remote) = self.remotes.get_mut(&prefix) else { return };
+        let mut context = Context {
+            identity: &self.credentials.identity,
+            participant_data: &self.participant_data,
+            random: &mut **self.keys.random(),
+            last_number: &mut self.last_number,
+            now: now.steady,
+            time: time(now),
+        };
+        for output in call(&mut remote.handshake, &mut context) {
+            match output {
+                Output::Send(message) => self.send(Channel::Stateless, prefix, &message),
+                Output::Done { remote, secret } => self.establish(now, prefix, &remote, &secret),
+                Output::Refused(refusal) => {
+                    self.refuse(now, prefix, format!("a participant cannot prove its identity: {refusal}"));
+                }
+                Output::GaveUp(refusal) => {
+                    let reason = format!("participant {prefix} is not authenticated: {refusal}");
+                    self.refuse(now, prefix, reason);
+                }
+            }
+        }
+    }
+
+    fn send(&mut self, channel: Channel, to: GuidPrefix, message: &GenericMessage) {
+        let mut payload = Vec::new();
+        message.emit(&mut payload, ByteOrder::Little);
+        self.demands.push_back(Demand::Send { channel, to, message: Bytes::from(payload) });
+    }
+
+    /// Checks the permissions of a participant that has proven its identity, and begins to exchange keys.
+    fn establish(&mut self, now: Now, prefix: GuidPrefix, remote: &RemoteIdentity, secret: &SharedSecret) {
+        let subject = remote.certificate.subject().to_owned();
+        let grant = match self.permissions_of(now, remote) {
+            Ok(grant) => grant,
+            Err(reason) => {
+                self.refuse(now, prefix, format!("{subject} is refused: {reason}"));
+                return self.turn_away(now, prefix);
+            }
+        };
+        let exchange = KeyMaterial::for_key_exchange(&secret.challenge1, &secret.challenge2, &secret.secret);
+        let sealer = Sealer::new(exchange.clone(), &mut **self.keys.random());
+        let session = Session::new(remote.certificate.clone(), grant, exchange, sealer);
+        let Some(known) = self.remotes.get_mut(&prefix) else { return };
+        known.session = Some(Box::new(session));
+        let bits = known.bits;
+        self.status.admit(prefix, &subject);
+        self.report(Some(prefix), format!("{subject} has proven its identity"), Severity::Info);
+        self.checks_at.get_or_insert(now.steady + CHECK_PERIOD);
+        // The channel for keys is opened before they are sent.
+        self.demands.push_back(Demand::Reconsider(prefix));
+        let token = self.keys.participant_token();
+        self.send_keys(prefix, class::PARTICIPANT_CRYPTO_TOKENS, None, vec![token]);
+        for (writer, reader, writer_bit, reader_bit) in SECURE_BUILTIN {
+            if bits.has(reader_bit) {
+                self.send_endpoint_keys(prefix, writer, reader);
+            }
+            if bits.has(writer_bit) {
+                self.send_endpoint_keys(prefix, reader, writer);
+            }
+        }
+    }
+
+    /// The grant of a participant in its permissions, which have to be signed and valid.
+    fn permissions_of(&self, now: Now, remote: &RemoteIdentity) -> Result<Grant, String> {
+        let document = smime::verify(&remote.permissions_document, &self.credentials.permissions_ca);
+        let document = document.map_err(|error| format!("its permissions are not accepted: {error}"))?;
+        let text = String::from_utf8(document).map_err(|_| "its permissions are no text".to_owned())?;
+        let permissions = Permissions::parse(&text).map_err(|error| format!("its permissions: {error}"))?;
+        let subject = remote.certificate.subject();
+        if permissions.grant(subject).is_none() {
+            return Err("it sent the permissions of somebody else".to_owned());
+        }
+        let grant = permissions.valid_grant(subject, time(now));
+        let grant = grant.ok_or("its permissions are not valid now: sign new ones, or set the clock")?;
+        if self.credentials.policy.rule.join_access_control
+            && !grant.may_join(self.credentials.policy.domain_id)
+        {
+            return Err(format!(
+                "its permissions allow nothing in domain {}",
+                self.credentials.policy.domain_id
+            ));
+        }
+        Ok(grant.clone())
+    }
+
+    /// Forgets a participant, and does not admit it again for a while.
+    fn turn_away(&mut self, now: Now, prefix: GuidPrefix) {
+        self.refused.retain(|_, until| *until > now.steady);
+        if self.refused.len() < MOST_REFUSED {
+            self.refused.insert(prefix, now.steady + REFUSED);
+        }
+        self.remotes.remove(&prefix);
+        self.status.forget(prefix);
+        self.demands.push_back(Demand::Reconsider(prefix));
+    }
+
+    /// Sends the keys of an endpoint of this participant to one of another, if its messages are protected.
+    fn send_endpoint_keys(&mut self, prefix: GuidPrefix, ours: EntityId, theirs: EntityId) {
+        let Some(session) = self.remotes.get_mut(&prefix).and_then(|remote| remote.session.as_mut()) else {
+            return;
+        };
+        let tokens = self.keys.endpoints.get(&ours).map(keys::EndpointKeys::tokens).unwrap_or_default();
+        if tokens.is_empty() || !session.note_sent(ours, theirs) {
+            return;
+        }
+        let class = if ours.is_writer() { class::WRITER_CRYPTO_TOKENS } else { class::READER_CRYPTO_TOKENS };
+        self.send_keys(prefix, class, Some((ours, theirs)), tokens);
+    }
+
+    fn send_keys(
+        &mut self,
+        prefix: GuidPrefix,
+        class: &str,
+        ends: Option<(EntityId, EntityId)>,
+        tokens: Vec<crate::tokens::Token>,
+    ) {
+        self.last_number += 1;
+        let (source_endpoint, destination_endpoint) = match ends {
+            Some((ours, theirs)) => (Guid::new(self.prefix, ours), Guid::new(prefix, theirs)),
+            None => (Guid::UNKNOWN, Guid::UNKNOWN),
+        };
+        let message = GenericMessage {
+            source: (Guid::new(self.prefix, EntityId::VOLATILE_WRITER), self.last_number),
+            related: (Guid::UNKNOWN, 0),
+            destination_participant: Guid::new(prefix, EntityId::PARTICIPANT),
+            destination_endpoint,
+            source_endpoint,
+            class: class.to_owned(),
+            tokens,
+        };
+        self.send(Channel::Volatile, prefix, &message);
+    }
+
+    /// Takes keys of an authenticated participant.
+    fn take_keys(&mut self, from: GuidPrefix, message: &GenericMessage) {
+        let session = self.remotes.get_mut(&from).and_then(|remote| remote.session.as_mut());
+        let Some(session) = session else { return };
+        match message.class.as_str() {
+            class::PARTICIPANT_CRYPTO_TOKENS => session.take_participant(&message.tokens),
+            class::WRITER_CRYPTO_TOKENS | class::READER_CRYPTO_TOKENS => {
+                let (theirs, ours) = (message.source_endpoint, message.destination_endpoint);
+                if theirs.prefix == from
+                    && ours.prefix == self.prefix
+                    && session.take_endpoint(theirs.entity, ours.entity, &message.tokens)
+                    && !ours.entity.is_builtin()
+                {
+                    self.reconsidered.insert(from);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Checks whether authenticated participants still are what they have proven.
+    fn check_validity(&mut self, now: Now) {
+        self.checks_at = Some(now.steady + CHECK_PERIOD);
+        let mut ended = Vec::new();
+        for (prefix, remote) in &self.remotes {
+            let Some(session) = &remote.session else { continue };
+            if let Err(distrust) = self.credentials.identity.authority.check(&session.certificate, time(now))
+            {
+                ended.push((*prefix, distrust.to_string()));
+            } else if !session.grant.valid(time(now)) {
+                let subject = session.certificate.subject();
+                ended.push((*prefix, format!("the permissions of {subject} have expired; sign new ones")));
+            }
+        }
+        for (prefix, reason) in ended {
+            self.refuse(now, prefix, reason);
+            self.turn_away(now, prefix);
+        }
+    }
+
+    /// Why an endpoint of an authenticated participant may not match a local one; `None` if it may.
+    fn objection(
+        &self,
+        session: &Session,
+        rule: &TopicRule,
+        local: &EndpointData,
+        remote: &EndpointData,
+    ) -> Option<String> {
+        let subject = session.certificate.subject();
+        let verb = if remote.guid.entity.is_writer() { "publish" } else { "subscribe to" };
+        let decision = self.credentials.policy.decide(&session.grant, rule, remote);
+        if !decision.is_allowed {
+            return Some(format!("{subject} may not {verb} {}: {}", remote.topic, decision.rule));
+        }
+        if let (Some(ours), Some(theirs)) = (local.security, remote.security)
+            && policy::contradicts(ours, theirs)
+        {
+            return Some(format!(
+                "{subject} protects {} in another way: all keystores of a domain need the same governance",
+                remote.topic
+            ));
+        }
+        None
+    }
+}
+
+impl Guard for SecurityGuard {
+    fn complete_participant(&mut self, own: &mut ParticipantData) {
+        own.builtin_endpoints = BuiltinEndpoints(own.builtin_endpoints.0 | BuiltinEndpoints::OF_SECURITY);
+        // Whoever is not authenticated learns nothing else.
+        own.name.clear();
+        let token = |order| {
+            let mut identity_token_bytes = Vec::new();
+            let mut permissions_token_bytes = Vec::new();
+            let authority = self.credentials.identity.authority.certificate();
+            identity_token(&self.credentials.identity.certificate, authority)
+                .emit(&mut identity_token_bytes, order);
+            permissions_token().emit(&mut permissions_token_bytes, order);
+            ParticipantSecurity {
+                identity_token: identity_token_bytes,
+                permissions_token: permissions_token_bytes,
+                is_big_endian: order == ByteOrder::Big,
+                attributes: self.credentials.policy.attributes(),
+            }
+        };
+        let mut data = ParticipantData { security: Some(token(ByteOrder::Big)), ..own.clone() };
+        data.prefix = self.prefix;
+        let mut payload = Vec::new();
+        data.emit_big_endian(&mut payload);
+        own.security = Some(token(ByteOrder::Little));
+        // Handshakes contain it without encapsulation.
+        self.participant_data = payload.split_off(4);
+    }
+
+    fn complete_endpoint(&mut self, _: Now, own: &mut EndpointData) -> Result<(), Denial> {
+        let Some(rule) = self.credentials.policy.topic(&own.topic) else {
+            return Err(Denial(format!(
+                "the governance has no rule for topic {:?}: add one, such as for \"*\"",
+                own.topic
+            )));
+        };
+        let decision = self.credentials.policy.decide(&self.credentials.policy.grant, rule, own);
+        if !decision.is_allowed {
+            let verb = if own.guid.entity.is_writer() { "publish" } else { "subscribe to" };
+            return Err(Denial(format!(
+                "the permissions of {} do not allow it to {verb} {:?}: {}",
+                self.credentials.identity.certificate.subject(),
+                own.topic,
+                decision.rule
+            )));
+        }
+        own.security = Some(Policy::endpoint_attributes(rule));
+        let protection = Policy::protection(rule);
+        if protection.is_any() {
+            self.keys.add(own.guid.entity, protection);
+        }
+        Ok(())
+    }
+
+    fn admit_participant(&mut self, now: Now, remote: &ParticipantData) -> Admission {
+        match self.remotes.get(&remote.prefix) {
+            Some(known) if known.session.is_some() => Admission::Admit,
+            Some(_) => Admission::Wait,
+            None => self.meet(now, remote),
+        }
+    }
+
+    fn is_authenticated(&self, remote: GuidPrefix) -> bool {
+        self.remotes.get(&remote).is_some_and(|remote| remote.session.is_some())
+    }
+
+    fn admit_endpoint(&mut self, now: Now, local: &EndpointData, remote: &EndpointData) -> Admission {
+        let (ours, theirs) = (local.guid.entity, remote.guid.entity);
+        let Some(rule) = self.credentials.policy.topic(&local.topic) else { return Admission::Refuse };
+        let protection = Policy::protection(rule);
+        let prefix = remote.guid.prefix;
+        let Some(session) = self.remotes.get(&prefix).and_then(|remote| remote.session.as_ref()) else {
+            let is_open = !rule.read && !rule.write && !protection.is_any() && !rule.discovery;
+            return if self.credentials.policy.rule.allow_unauthenticated && is_open {
+                Admission::Admit
+            } else {
+                Admission::Refuse
+            };
+        };
+        let objection = self.objection(session, rule, local, remote);
+        if objection.is_none() {
+            self.send_endpoint_keys(prefix, ours, theirs);
+        }
+        let Some(session) = self.remotes.get_mut(&prefix).and_then(|remote| remote.session.as_mut()) else {
+            return Admission::Refuse;
+        };
+        if let Some(reason) = objection {
+            if session.note_reported(ours, theirs) {
+                self.refuse(now, prefix, reason);
+            }
+            return Admission::Refuse;
+        }
+        session.endpoints.insert(theirs, protection);
+        // Cyclone DDS has no key for a reader where only payloads are protected.
+        let needs_key = protection.submessage.is_some() || theirs.is_writer() && protection.payload.is_some();
+        if needs_key && !session.has_received(theirs, ours) { Admission::Wait } else { Admission::Admit }
+    }
+
+    fn protection_of(&self, topic: &str) -> TopicProtection {
+        let rule = self.credentials.policy.topic(topic);
+        TopicProtection {
+            // What has no rule is not announced at all.
+            discovery: rule.is_none_or(|rule| rule.discovery),
+            liveliness: rule.is_none_or(|rule| rule.liveliness),
+        }
+    }
+
+    fn forget_participant(&mut self, remote: GuidPrefix) {
+        self.remotes.remove(&remote);
+        self.status.forget(remote);
+    }
+
+    fn forget_endpoint(&mut self, endpoint: Guid) {
+        if endpoint.prefix == self.prefix {
+            self.keys.endpoints.remove(&endpoint.entity);
+            let sessions = self.remotes.values_mut().filter_map(|remote| remote.session.as_mut());
+            sessions.for_each(|session| session.forget_ours(endpoint.entity));
+        } else if let Some(remote) = self.remotes.get_mut(&endpoint.prefix)
+            && let Some(session) = &mut remote.session
+        {
+            session.forget_theirs(endpoint.entity);
+        }
+    }
+
+    fn handle_message(&mut self, now: Now, channel: Channel, from: GuidPrefix, payload: &[u8]) {
+        if !self.remotes.contains_key(&from) {
+            return;
+        }
+        let message = match GenericMessage::parse(payload) {
+            Ok(message) => message,
+            Err(error) => {
+                return self.refuse(now, from, format!("a message about security is malformed: {error}"));
+            }
+        };
+        let own = Guid::new(self.prefix, EntityId::PARTICIPANT);
+        if ![own, Guid::UNKNOWN].contains(&message.destination_participant) {
+            return;
+        }
+        match channel {
+            Channel::Volatile => self.take_keys(from, &message),
+            Channel::Stateless if message.class == class::AUTHENTICATION => {
+                let steps = self.steps.get_or_insert_with(|| Flood::new(STEPS, STEP_PERIOD, now.steady));
+                if steps.permits(now.steady) {
+                    self.with_handshake(now, from, |handshake, context| handshake.handle(&message, context));
+                }
+            }
+            Channel::Stateless => {}
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Now) {
+        self.run_handshakes(now);
+        if self.checks_at.is_some_and(|at| at <= now.steady) {
+            self.check_validity(now);
+        }
+    }
+
+    fn next_timeout(&self) -> Option<Instant> {
+        let handshakes = self.remotes.values().filter_map(|remote| remote.handshake.next_timeout());
+        handshakes.chain(self.checks_at).min()
+    }
+
+    fn poll(&mut self) -> Option<Demand> {
+        let demand = self.demands.pop_front();
+        demand.or_else(|| self.reconsidered.pop_first().map(Demand::Reconsider))
+    }
+
+    fn room(&self) -> Room {
+        Room { message: transform::MESSAGE_GROWTH, submessage: transform::GROWTH }
+    }
+
+    fn encode(&mut self, to: GuidPrefix, datagram: &mut Vec<u8>) -> bool {
+        let session = self.remotes.get_mut(&to).and_then(|remote| remote.session.as_deref_mut());
+        transform::seal(datagram, &mut self.keys, &self.credentials.policy, session).is_some()
+    }
+
+    fn decode(&mut self, now: Now, from: GuidPrefix, datagram: &[u8], out: &mut Vec<u8>) -> bool {
+        let session = self.remotes.get_mut(&from).and_then(|remote| remote.session.as_deref_mut());
+        let opened = transform::open(datagram, &self.credentials.policy, session, out);
+        // While participants meet, messages arrive before the keys that open them.
+        let Some(disbelief) = opened.dropped.filter(|dropped| *dropped != Disbelief::NoKey) else {
+            return true;
+        };
+        let session = self.remotes.get(&from).and_then(|remote| remote.session.as_ref());
+        if let Some(subject) = session.map(|session| session.certificate.subject()) {
+            let reason = format!("a message in the name of {subject} is dropped: {disbelief}");
+            self.refuse(now, from, reason);
+        }
+        opened.kept > 0
+    }
+}
+
+/// What is known of a participant from its announcement.
+fn described(remote: &ParticipantData) -> String {
+    let address = remote.metatraffic_unicast.first();
+    let address = address.map_or_else(|| "an unknown address".to_owned(), |address| address.ip().to_string());
+    format!("the participant at {address}")
+}
+
+/// The time of day.
+fn time(now: Now) -> SystemTime {
+    UNIX_EPOCH + Duration::from_nanos(now.wall_ns.max(0).unsigned_abs())
+}

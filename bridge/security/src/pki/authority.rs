@@ -135,7 +135,8 @@ impl Authority {
     }
 }
 
-fn check_validity(certificate: &Certificate, now: SystemTime) -> Result<(), Distrust> {
+/// Whether a certificate is valid at a time.
+pub(crate) fn check_validity(certificate: &Certificate, now: SystemTime) -> Result<(), Distrust> {
     let (begin, end) = certificate.validity();
     let subject = certificate.subject().to_owned();
     if now < begin {

@@ -78,6 +78,10 @@ impl Certificate {
         &self.pem
     }
 
+    pub(crate) fn der(&self) -> &[u8] {
+        &self.der
+    }
+
     /// The name of the holder (RFC 2253, as OpenSSL prints it), for example `CN=/talker`.
     pub fn subject(&self) -> &str {
         &self.subject
@@ -93,7 +97,7 @@ impl Certificate {
         &self.issuer
     }
 
-    pub(super) fn issuer_der(&self) -> &[u8] {
+    pub(crate) fn issuer_der(&self) -> &[u8] {
         &self.issuer_der
     }
 

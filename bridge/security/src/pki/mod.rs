@@ -11,6 +11,7 @@ mod key;
 mod name;
 mod pem;
 
+pub(crate) use authority::check_validity;
 pub use authority::{Authority, Crl, Date, Distrust};
 pub use certificate::Certificate;
 pub use error::PkiError;

@@ -1,23 +1,24 @@
 //! The engine of this project, `downbeat-rtps`, behind [`Middleware`]: names, identities and policies
 //! translated.
 
+#[cfg_attr(not(feature = "security"), path = "unprotected.rs")]
+mod protection;
 mod qos;
 
 use super::{
     Aliveness, Direction, DiscoveryRange, Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler,
     Middleware, MiddlewareError, ParticipantOptions, QosPolicyKind, Reader, ReaderCounter, RemoteEndpoint,
-    Sample, SampleHandler, SampleIdentity, WriteError, WriteOptions, Writer,
+    Sample, SampleHandler, SampleIdentity, SecurityState, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 pub use downbeat_rtps::protocol::Counters;
 use downbeat_rtps::protocol::{self, EndpointConfig, LivelinessChange};
-use downbeat_rtps::wire::{self, EndpointData, EntityId, Guid, InlineQos, SequenceNumber};
+use downbeat_rtps::wire::{self, EndpointData, EntityId, Guid, GuidPrefix, InlineQos, SequenceNumber};
 use downbeat_rtps::{Options, Participant, Range};
+use protection::Protection;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The user data of a participant: the enclave, by which security files are found. There is one for all.
-const ENCLAVE: &[u8] = b"enclave=/;";
 /// In front of the hash in the user data of an endpoint (`rmw_dds_common`,
 /// `encode_type_hash_for_user_data_qos`).
 const TYPE_HASH: &str = "typehash=";
@@ -25,29 +26,34 @@ const TYPE_HASH: &str = "typehash=";
 /// A participant of a domain.
 pub struct RtpsParticipant {
     participant: Participant,
+    protection: Option<Protection>,
 }
 
 impl RtpsParticipant {
     /// Joins a domain.
     ///
     /// # Errors
-    /// [`MiddlewareError::Join`] when no UDP ports are free, or the system refuses sockets or a thread.
+    /// [`MiddlewareError::Join`] when no UDP ports are free, or the system refuses sockets or a thread, and
+    /// [`MiddlewareError::Security`] when security is enforced and impossible.
     pub fn new(options: &ParticipantOptions) -> Result<Self, MiddlewareError> {
         let range = match options.discovery_range {
             DiscoveryRange::Off => Range::Off,
             DiscoveryRange::Localhost => Range::Localhost,
             DiscoveryRange::Subnet => Range::Subnet,
         };
+        let protection = Protection::of(options)?;
+        let enclave = options.security.as_ref().map_or("/", |security| security.enclave());
         let joined = Participant::join(&Options {
             static_peers: options.static_peers.clone(),
             lease: options.lease,
-            user_data: ENCLAVE.to_vec(),
+            user_data: format!("enclave={enclave};").into_bytes(),
+            security: protection.as_ref().map(Protection::guard),
             ..Options::new(options.domain_id, range)
         });
         let domain_id = options.domain_id;
         let failed =
             |error: downbeat_rtps::JoinError| MiddlewareError::Join { domain_id, reason: error.to_string() };
-        Ok(Self { participant: joined.map_err(failed)? })
+        Ok(Self { participant: joined.map_err(failed)?, protection })
     }
 
     /// Counts the traffic and the invalid input since the participant joined.
@@ -83,6 +89,19 @@ impl Middleware for RtpsParticipant {
 
     fn remote_participants(&self) -> Option<Vec<[u8; 12]>> {
         Some(self.participant.remote_participants().into_iter().map(|prefix| prefix.0).collect())
+    }
+
+    fn vendor_of(&self, peer: Gid) -> [u8; 2] {
+        let known = self.protection.is_some().then(|| self.participant.vendor_of(prefix(peer))).flatten();
+        known.map_or_else(|| peer.vendor(), |vendor| vendor.0)
+    }
+
+    fn subject_of(&self, participant: Gid) -> Option<String> {
+        self.protection.as_ref()?.subject_of(prefix(participant))
+    }
+
+    fn security(&self) -> Option<SecurityState> {
+        self.protection.as_ref().map(Protection::state)
     }
 
     fn leave(&self) {
@@ -177,6 +196,10 @@ impl Reader for RtpsReader {
 /// 10.3).
 pub(in crate::middleware) fn is_cdr(payload: &[u8]) -> bool {
     matches!(payload, [0, 0 | 1, _, _, ..])
+}
+
+fn prefix(gid: Gid) -> GuidPrefix {
+    Guid::from_bytes(gid.0).prefix
 }
 
 fn gid(guid: Guid) -> Gid {

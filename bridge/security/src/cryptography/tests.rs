@@ -1,0 +1,599 @@
+#![allow(clippy::unwrap_used)]
+
+use fuzzing::{Random, rounds};
+
+use super::*;
+
+const KINDS: [TransformKind; 4] = [
+    TransformKind::Aes128Gmac,
+    TransformKind::Aes128Gcm,
+    TransformKind::Aes256Gmac,
+    TransformKind::Aes256Gcm,
+];
+
+fn bytes_of(random: &mut Random) -> impl FnMut(&mut [u8]) {
+    |bytes| bytes.fill_with(|| random.bits() as u8)
+}
+
+fn material(kind: TransformKind) -> KeyMaterial {
+    KeyMaterial::generate(kind, KeyId([7, 0, 0, 1]), &mut bytes_of(&mut Random::new(1)))
+}
+
+fn pair(kind: TransformKind) -> (Sealer, Opener) {
+    let sealer = Sealer::new(material(kind), &mut bytes_of(&mut Random::new(2)));
+    (sealer, Opener::new(material(kind)))
+}
+
+/// As [`pair`], with origin authentication for this receiver and another one.
+fn pair_with_receivers(kind: TransformKind) -> (Sealer, Opener) {
+    let (mut sealer, _) = pair(kind);
+    let receiver =
+        |id| ReceiverKey::generate(KeyId([8, 0, 0, id]), &mut bytes_of(&mut Random::new(id.into())));
+    sealer.set_receivers(vec![receiver(1), receiver(2)]);
+    (sealer, Opener::new(material(kind).for_receiver(receiver(2))))
+}
+
+/// A sample with its encapsulation.
+const PAYLOAD: [u8; 13] = [0, 1, 0, 0, 5, 0, 0, 0, b'l', b'e', b'f', b't', 0];
+/// A HEARTBEAT.
+const SUBMESSAGE: [u8; 32] =
+    [7, 1, 28, 0, 0, 0, 0, 0, 0, 0, 4, 3, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 9, 0, 0, 0, 1, 0, 0, 0];
+
+/// INFO_DST, then a HEARTBEAT whose header leaves its length open.
+fn message() -> Vec<u8> {
+    let mut message = b"RTPS\x02\x03\x01\x0f".to_vec();
+    message.extend(1..=12);
+    message.extend([14, 0, 0, 12]);
+    message.extend(21..=32);
+    message.extend(SUBMESSAGE);
+    message[38..40].fill(0);
+    message
+}
+
+fn message_with_lengths() -> Vec<u8> {
+    let mut message = message();
+    message[38] = 28;
+    message
+}
+
+/// The three levels, so that each test treats all of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Level {
+    Payload,
+    Submessage,
+    Message,
+}
+
+const LEVELS: [Level; 3] = [Level::Payload, Level::Submessage, Level::Message];
+
+impl Level {
+    fn plain(self) -> Vec<u8> {
+        match self {
+            Self::Payload => PAYLOAD.to_vec(),
+            Self::Submessage => SUBMESSAGE.to_vec(),
+            Self::Message => message(),
+        }
+    }
+
+    /// What comes out where [`plain`](Self::plain) goes in.
+    fn opened(self) -> Vec<u8> {
+        match self {
+            Self::Payload => [&[0, 1, 0, 3], &PAYLOAD[4..]].concat(),
+            Self::Submessage => SUBMESSAGE.to_vec(),
+            Self::Message => message_with_lengths(),
+        }
+    }
+
+    fn seal(self, sealer: &mut Sealer) -> Vec<u8> {
+        self.try_seal(sealer, &self.plain()).unwrap()
+    }
+
+    fn try_seal(self, sealer: &mut Sealer, plain: &[u8]) -> Result<Vec<u8>, SealError> {
+        match self {
+            Self::Payload => sealer.payload(plain),
+            Self::Submessage => {
+                let mut out = Vec::new();
+                sealer.submessage(plain, &mut out).map(|()| out)
+            }
+            Self::Message => {
+                let mut datagram = plain.to_vec();
+                sealer.message(&mut datagram).map(|()| datagram)
+            }
+        }
+    }
+
+    fn open(self, opener: &mut Opener, sealed: &[u8]) -> Result<Vec<u8>, OpenError> {
+        match self {
+            Self::Payload => opener.payload(sealed),
+            Self::Submessage => {
+                let mut out = Vec::new();
+                let result = opener.submessage(sealed, &mut out).map(|()| out.clone());
+                assert!(result.is_ok() || out.is_empty(), "left {out:?} after {result:?}");
+                result
+            }
+            Self::Message => opener.message(sealed),
+        }
+    }
+
+    fn transform(self, sealed: &[u8]) -> Result<Transform, OpenError> {
+        match self {
+            Self::Payload => payload_transform(sealed),
+            Self::Submessage => submessage_transform(sealed),
+            Self::Message => message_transform(sealed).map(|transform| transform.unwrap()),
+        }
+    }
+
+    /// Where the header of 20 bytes begins.
+    fn header_at(self) -> usize {
+        match self {
+            Self::Payload => 0,
+            Self::Submessage => 4,
+            Self::Message => 24,
+        }
+    }
+
+    /// The bytes of flags in the headers of SEC_PREFIX, SEC_BODY and SEC_POSTFIX.
+    fn flags_at(self, sealed_len: usize, kind: TransformKind, receivers: usize) -> Vec<usize> {
+        let prefix = match self {
+            Self::Payload => return Vec::new(),
+            _ => self.header_at() - 3,
+        };
+        let body = kind.encrypts().then_some(prefix + 24);
+        [prefix, sealed_len - 23 - 20 * receivers].into_iter().chain(body).collect()
+    }
+}
+
+fn every_combination(mut test: impl FnMut(Level, TransformKind, fn(TransformKind) -> (Sealer, Opener))) {
+    for level in LEVELS {
+        for kind in KINDS {
+            test(level, kind, pair);
+            if level != Level::Payload {
+                test(level, kind, pair_with_receivers);
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_sealed_opens() {
+    every_combination(|level, kind, pair| {
+        let (mut sealer, mut opener) = pair(kind);
+        for _ in 0..3 {
+            let sealed = level.seal(&mut sealer);
+            assert_eq!(level.transform(&sealed), Ok(Transform { kind, key: KeyId([7, 0, 0, 1]) }));
+            assert_eq!(level.open(&mut opener, &sealed), Ok(level.opened()), "{level:?} {kind:?}");
+            assert_eq!(sealed.len() % 4, 0);
+        }
+    });
+}
+
+#[test]
+fn only_encryption_hides_the_content() {
+    every_combination(|level, kind, pair| {
+        let sealed = level.seal(&mut pair(kind).0);
+        let content = match level {
+            Level::Payload => &PAYLOAD[4..],
+            _ => &SUBMESSAGE[4..],
+        };
+        let is_readable = sealed.windows(content.len()).any(|window| window == content);
+        assert_eq!(is_readable, !kind.encrypts(), "{level:?} {kind:?}");
+    });
+}
+
+#[test]
+fn no_use_of_a_key_repeats_its_initialization_vector() {
+    let (mut sealer, _) = pair(TransformKind::Aes256Gcm);
+    let mut ivs: Vec<_> = (0..100_000).map(|_| sealer.payload(&[]).unwrap()[8..20].to_vec()).collect();
+    let sessions = ivs.chunk_by(|one, other| one[..4] == other[..4]).count();
+    assert_eq!(sessions, 2, "a session has 65536 uses");
+    ivs.sort();
+    ivs.dedup();
+    assert_eq!(ivs.len(), 100_000);
+}
+
+#[test]
+fn a_renewed_session_opens_like_the_first() {
+    let (mut sealer, mut opener) = pair_with_receivers(TransformKind::Aes256Gcm);
+    let first = Level::Submessage.seal(&mut sealer);
+    for _ in 0..65_536 {
+        sealer.payload(&[]).unwrap();
+    }
+    let later = Level::Submessage.seal(&mut sealer);
+    assert_ne!(first[12..16], later[12..16], "same session");
+    for sealed in [&first, &later, &first] {
+        assert_eq!(Level::Submessage.open(&mut opener, sealed), Ok(SUBMESSAGE.to_vec()));
+    }
+}
+
+#[test]
+fn many_sessions_may_alternate() {
+    let mut opener = Opener::new(material(TransformKind::Aes128Gcm));
+    let mut random = Random::new(5);
+    let sealed: Vec<_> = (0..20)
+        .map(|_| {
+            let mut sealer = Sealer::new(material(TransformKind::Aes128Gcm), &mut bytes_of(&mut random));
+            sealer.payload(&PAYLOAD).unwrap()
+        })
+        .collect();
+    for _ in 0..2 {
+        for sealed in &sealed {
+            assert_eq!(opener.payload(sealed), Ok(Level::Payload.opened()));
+        }
+    }
+}
+
+/// Only flags without meaning are not protected.
+#[test]
+fn one_changed_bit_is_refused() {
+    every_combination(|level, kind, pair| {
+        let (mut sealer, mut opener) = pair(kind);
+        let sealed = level.seal(&mut sealer);
+        let receivers = if opener.material().has_receiver_key() { 2 } else { 0 };
+        let flags = level.flags_at(sealed.len(), kind, receivers);
+        let other_mac = sealed.len() - 40..sealed.len() - 20;
+        for index in 0..sealed.len() {
+            for bit in 0..8 {
+                let mut changed = sealed.clone();
+                changed[index] ^= 1 << bit;
+                let result = level.open(&mut opener, &changed);
+                let is_meaningless =
+                    bit > 0 && flags.contains(&index) || receivers > 0 && other_mac.contains(&index);
+                if is_meaningless {
+                    assert_eq!(result, Ok(level.opened()));
+                } else {
+                    assert!(result.is_err(), "{level:?} {kind:?}: bit {bit} of byte {index}");
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn data_cut_or_continued_anywhere_is_refused() {
+    every_combination(|level, kind, pair| {
+        let (mut sealer, mut opener) = pair(kind);
+        let sealed = level.seal(&mut sealer);
+        for len in 0..sealed.len() {
+            assert!(level.open(&mut opener, &sealed[..len]).is_err(), "{level:?} {kind:?}: {len} bytes");
+        }
+        for trailing in [1, 4, 20, 24] {
+            let longer = [&sealed[..], &vec![1; trailing]].concat();
+            assert!(level.open(&mut opener, &longer).is_err(), "{level:?} {kind:?}: {trailing} more");
+        }
+    });
+}
+
+#[test]
+fn data_of_another_key_is_refused() {
+    every_combination(|level, kind, pair| {
+        let (mut sealer, mut opener) = pair(kind);
+        let sealed = level.seal(&mut sealer);
+        let mut named_otherwise = sealed.clone();
+        named_otherwise[level.header_at() + 7] ^= 1;
+        assert_eq!(level.open(&mut opener, &named_otherwise), Err(OpenError::OtherKey));
+        let same_name = KeyMaterial::generate(kind, KeyId([7, 0, 0, 1]), &mut bytes_of(&mut Random::new(9)));
+        assert_eq!(level.open(&mut Opener::new(same_name), &sealed), Err(OpenError::Forged));
+    });
+}
+
+#[test]
+fn a_weaker_kind_than_agreed_is_refused() {
+    for level in LEVELS {
+        let sealed = level.seal(&mut pair(TransformKind::Aes256Gmac).0);
+        let mut opener = pair(TransformKind::Aes256Gcm).1;
+        assert_eq!(level.open(&mut opener, &sealed), Err(OpenError::OtherKind));
+        let mut unknown = sealed;
+        unknown[level.header_at() + 3] = 0;
+        assert_eq!(level.open(&mut opener, &unknown), Err(OpenError::UnknownKind(0)));
+    }
+}
+
+#[test]
+fn data_for_other_receivers_is_refused() {
+    for level in [Level::Submessage, Level::Message] {
+        let (_, mut opener) = pair_with_receivers(TransformKind::Aes256Gcm);
+        let for_all = level.seal(&mut pair(TransformKind::Aes256Gcm).0);
+        assert_eq!(level.open(&mut opener, &for_all), Err(OpenError::NotForThisReceiver));
+    }
+}
+
+/// What another receiver can do, who has the common key.
+#[test]
+fn a_forged_mac_of_the_receiver_is_refused() {
+    for level in [Level::Submessage, Level::Message] {
+        let (mut sealer, mut opener) = pair_with_receivers(TransformKind::Aes256Gcm);
+        let forged_key = ReceiverKey::generate(KeyId([8, 0, 0, 2]), &mut bytes_of(&mut Random::new(77)));
+        sealer.set_receivers(vec![forged_key]);
+        assert_eq!(level.open(&mut opener, &level.seal(&mut sealer)), Err(OpenError::Forged));
+    }
+}
+
+#[test]
+fn a_receiver_without_key_ignores_the_macs_of_others() {
+    let (mut sealer, _) = pair_with_receivers(TransformKind::Aes256Gmac);
+    let sealed = Level::Message.seal(&mut sealer);
+    assert_eq!(pair(TransformKind::Aes256Gmac).1.message(&sealed), Ok(message_with_lengths()));
+}
+
+#[test]
+fn a_wrong_length_of_the_body_is_refused() {
+    for (level, at) in [(Level::Payload, 20), (Level::Submessage, 28), (Level::Message, 48)] {
+        let (mut sealer, mut opener) = pair(TransformKind::Aes256Gcm);
+        let sealed = level.seal(&mut sealer);
+        for length in [0_u32, 3, 64, 0x7fff_ffff, u32::MAX - 3, u32::MAX] {
+            let mut changed = sealed.clone();
+            changed[at..at + 4].copy_from_slice(&length.to_be_bytes());
+            assert!(level.open(&mut opener, &changed).is_err(), "{level:?}: {length}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_number_of_macs_is_refused() {
+    for level in LEVELS {
+        let (mut sealer, mut opener) = pair(TransformKind::Aes256Gcm);
+        let sealed = level.seal(&mut sealer);
+        for count in [1_u32, 0x0ccc_cccd, u32::MAX] {
+            let mut changed = sealed.clone();
+            let at = changed.len() - 4;
+            changed[at..].copy_from_slice(&count.to_be_bytes());
+            assert_eq!(level.open(&mut opener, &changed), Err(OpenError::Length), "{level:?}: {count}");
+        }
+    }
+}
+
+#[test]
+fn a_header_that_the_protected_source_contradicts_is_refused() {
+    for kind in KINDS {
+        let (mut sealer, mut opener) = pair(kind);
+        let mut sealed = Level::Message.seal(&mut sealer);
+        sealed[19] ^= 1;
+        assert_eq!(opener.message(&sealed), Err(OpenError::Source));
+    }
+}
+
+#[test]
+fn submessages_in_the_wrong_place_are_refused() {
+    let (mut sealer, mut opener) = pair(TransformKind::Aes256Gmac);
+    let sealed = Level::Submessage.seal(&mut sealer);
+    let (prefix, rest) = sealed.split_at(24);
+    let (body, postfix) = rest.split_at(32);
+    let mut open = |parts: &[&[u8]]| Level::Submessage.open(&mut opener, &parts.concat());
+    assert_eq!(open(&[prefix, body, postfix]), Ok(SUBMESSAGE.to_vec()));
+    assert_eq!(open(&[body, postfix]), Err(OpenError::Structure));
+    assert_eq!(open(&[prefix, body, body, postfix]), Err(OpenError::Structure));
+    assert_eq!(open(&[prefix, body, prefix]), Err(OpenError::Structure));
+    assert_eq!(open(&[prefix, postfix, postfix]), Err(OpenError::Forged));
+    assert_eq!(open(&[prefix, body]), Err(OpenError::Truncated));
+    assert_eq!(open(&[prefix, body, postfix, postfix]), Err(OpenError::Structure));
+}
+
+/// Who has the key may write anything.
+#[test]
+fn content_that_is_not_submessages_is_refused() {
+    let (mut sealer, mut opener) = pair(TransformKind::Aes256Gcm);
+    for content in [&[7, 1, 200, 0, 1, 2, 3, 4][..], &[7, 1], &[]] {
+        let header = sealer.next(content.len());
+        let mut group = Vec::new();
+        submessage::write_prefix(0x31, &header, &mut group);
+        submessage::write_body_header(&header, content.len(), &mut group).unwrap();
+        let mut data = content.to_vec();
+        let mac = sealer.protect(&header, &mut data).unwrap();
+        group.extend(data);
+        submessage::pad_body(&header, content.len(), &mut group);
+        submessage::write_postfix(0x32, &mac, &[], &mut group).unwrap();
+        assert_eq!(Level::Submessage.open(&mut opener, &group), Err(OpenError::Content), "{content:?}");
+    }
+}
+
+#[test]
+fn a_protected_submessage_is_split_from_what_follows() {
+    for kind in KINDS {
+        let sealed = Level::Submessage.seal(&mut pair(kind).0);
+        let followed = [&sealed[..], &SUBMESSAGE[..]].concat();
+        assert_eq!(split_submessage_group(&followed), Ok((&sealed[..], &SUBMESSAGE[..])));
+        assert_eq!(split_submessage_group(&SUBMESSAGE), Err(OpenError::Structure));
+        assert_eq!(split_submessage_group(&followed[..24]), Err(OpenError::Truncated));
+        assert_eq!(
+            split_submessage_group(&[&followed[..24], &SUBMESSAGE].concat()),
+            Err(OpenError::Truncated)
+        );
+        let without_postfix = [&sealed[..sealed.len() - 24], &SUBMESSAGE].concat();
+        assert_eq!(split_submessage_group(&without_postfix), Err(OpenError::Structure));
+    }
+}
+
+#[test]
+fn an_unprotected_message_has_no_transform() {
+    assert_eq!(message_transform(&message()), Ok(None));
+    assert_eq!(message_transform(&message()[..19]), Err(OpenError::Truncated));
+}
+
+#[test]
+fn what_is_no_submessage_is_not_sealed() {
+    let (mut sealer, _) = pair(TransformKind::Aes256Gcm);
+    for plain in
+        [&[][..], &SUBMESSAGE[..31], &[SUBMESSAGE; 2].concat(), &[SUBMESSAGE.as_slice(), &[7]].concat()]
+    {
+        let mut out = vec![1, 2];
+        assert_eq!(sealer.submessage(plain, &mut out), Err(SealError::NotSubmessages));
+        assert_eq!(out, [1, 2]);
+    }
+    for datagram in [&message()[..15], &message()[..22], &SUBMESSAGE] {
+        assert_eq!(sealer.message(&mut datagram.to_vec()), Err(SealError::NotSubmessages));
+    }
+}
+
+/// The lengths of submessages have 16 bits.
+#[test]
+fn what_does_not_fit_into_a_submessage_is_not_sealed() {
+    let submessage = |len: usize| {
+        let mut submessage = vec![0; len];
+        submessage[..4].copy_from_slice(&[0x15, 1, (len - 4) as u8, ((len - 4) >> 8) as u8]);
+        submessage
+    };
+    let (mut sealer, mut opener) = pair(TransformKind::Aes256Gcm);
+    let longest = Level::Submessage.try_seal(&mut sealer, &submessage(65_528)).unwrap();
+    assert_eq!(Level::Submessage.open(&mut opener, &longest), Ok(submessage(65_528)));
+    assert_eq!(Level::Submessage.try_seal(&mut sealer, &submessage(65_532)), Err(SealError::TooLong));
+    let message = [&message()[..20], &submessage(65_532)].concat();
+    assert_eq!(Level::Message.try_seal(&mut sealer, &message), Err(SealError::TooLong));
+    let receiver = ReceiverKey::generate(KeyId([1; 4]), &mut |_| ());
+    sealer.set_receivers(vec![receiver; 4000]);
+    assert_eq!(Level::Submessage.try_seal(&mut sealer, &SUBMESSAGE), Err(SealError::TooLong));
+}
+
+/// Fast DDS aligns the number of MACs; the DATA of RustDDS is padded behind it.
+#[test]
+fn zeros_after_the_mac_of_a_payload_are_accepted() {
+    let (mut sealer, mut opener) = pair(TransformKind::Aes256Gcm);
+    let header = sealer.next(PAYLOAD.len());
+    let mut sealed = Vec::new();
+    header.write(&mut sealed);
+    sealed.extend((PAYLOAD.len() as u32).to_be_bytes());
+    let mut data = PAYLOAD;
+    let mac = sealer.protect(&header, &mut data).unwrap();
+    sealed.extend(data);
+    footer::write_footer(&mac, &[], &mut sealed);
+    for _ in 0..4 {
+        assert_eq!(opener.payload(&sealed), Ok(PAYLOAD.to_vec()));
+        sealed.push(0);
+    }
+    assert_eq!(opener.payload(&sealed), Err(OpenError::Length));
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The salt counts from 1, the key from 33, the session is a0a1a2a3 and the first suffix is 1.
+fn known(kind: TransformKind) -> (Sealer, Opener) {
+    let mut next = 0_u8;
+    let material = KeyMaterial::generate(kind, KeyId([0xc0, 0xc1, 0xc2, 0xc3]), &mut |bytes| {
+        bytes.fill_with(|| {
+            next += 1;
+            next
+        });
+    });
+    let sealer = Sealer::new(material.clone(), &mut |bytes| match bytes.len() {
+        4 => bytes.copy_from_slice(&[0xa0, 0xa1, 0xa2, 0xa3]),
+        _ => bytes.fill(0),
+    });
+    (sealer, Opener::new(material))
+}
+
+/// Computed with Python's `hmac` and `cryptography`.
+#[test]
+fn known_answers() {
+    let check = |kind, level: Level, expected: &str| {
+        let (mut sealer, mut opener) = known(kind);
+        let sealed = level.seal(&mut sealer);
+        assert_eq!(hex(&sealed), expected, "{level:?} {kind:?}");
+        assert_eq!(level.open(&mut opener, &sealed), Ok(level.opened()));
+    };
+    check(
+        TransformKind::Aes256Gcm,
+        Level::Payload,
+        "00000004c0c1c2c3a0a1a2a30000000000000001000000108b74b775995f340a56cedefccd7827f8864ff9788a\
+         af77c6b9e8c675ece437a700000000",
+    );
+    check(
+        TransformKind::Aes128Gcm,
+        Level::Payload,
+        "00000002c0c1c2c3a0a1a2a30000000000000001000000109b565d936cd024359b7992bac23470e2a0c750e478\
+         82393b98eaa54eee09b3e500000000",
+    );
+    check(
+        TransformKind::Aes128Gmac,
+        Level::Payload,
+        "00000001c0c1c2c3a0a1a2a3000000000000000100010003050000006c656674000000000e219b3d9b3679359e\
+         ab34c4c3359c4200000000",
+    );
+    check(
+        TransformKind::Aes256Gcm,
+        Level::Submessage,
+        "3101140000000004c0c1c2c3a0a1a2a3000000000000000130012400000000208c74ab769c5f340a3aabbc8bcd\
+         7827f82705bb5be7d8536fb90f659f1a300ded32011400ee8afa942e25fffab511631891ceb87400000000",
+    );
+    check(
+        TransformKind::Aes256Gmac,
+        Level::Submessage,
+        "3101140000000003c0c1c2c3a0a1a2a3000000000000000107011c000000000000000403000000000100000000\
+         000000090000000100000032011400dd36146409415b8a20d87d7d7e12de4b00000000",
+    );
+    check(
+        TransformKind::Aes256Gmac,
+        Level::Message,
+        "525450530203010f0102030405060708090a0b0c3301140000000003c0c1c2c3a0a1a2a300000000000000010c\
+         011400000000000203010f0102030405060708090a0b0c0e00000c15161718191a1b1c1d1e1f2007011c000000\
+         0000000004030000000001000000000000000900000001000000340114003aca609c7d8dbf3f11d3a48e355fa9\
+         8b00000000",
+    );
+    check(
+        TransformKind::Aes256Gcm,
+        Level::Message,
+        "525450530203010f0102030405060708090a0b0c3301140000000004c0c1c2c3a0a1a2a3000000000000000130\
+         014c00000000488774a3769c5f340a38a8b987cc7a24fc2303bc53eed25863be0f65930e261af520061505be3a\
+         4f11022095bc10479c4611acb3a882c7fb105648a55e4d1444208217ba1b0a55f68b3401140036764d6e3fe031\
+         7643db0d16f569f3e800000000",
+    );
+}
+
+/// Neither panics nor accepts what was not sealed, whatever the bytes.
+#[test]
+fn damaged_data_is_refused() {
+    for round in rounds(3000) {
+        let mut random = Random::new(round);
+        let level = *random.choose(&LEVELS);
+        let kind = *random.choose(&KINDS);
+        let (mut sealer, mut opener) =
+            if level == Level::Payload || random.one_in(2) { pair(kind) } else { pair_with_receivers(kind) };
+        let mut damaged = level.seal(&mut sealer);
+        for _ in 0..=random.below(4) {
+            let at = random.below(damaged.len());
+            match random.below(4) {
+                0 => damaged.truncate(at),
+                1 => damaged[at] = random.bits() as u8,
+                2 => damaged[at] = *random.choose(&[0, 1, 0x7f, 0x80, 0xff]),
+                _ => damaged.insert(at, random.bits() as u8),
+            }
+            if damaged.is_empty() {
+                break;
+            }
+        }
+        let (allocated, ()) = fuzzing::most_in(|| match level.open(&mut opener, &damaged) {
+            Ok(opened) => assert_eq!(opened, level.opened(), "round {round}"),
+            Err(_) => drop((submessage_transform(&damaged), split_submessage_group(&damaged))),
+        });
+        assert!(allocated < 10_000, "round {round}: {allocated} bytes");
+    }
+}
+
+/// Prints the cost of protection; `cargo test --release -- --ignored --nocapture cost`.
+#[test]
+#[ignore = "measures"]
+fn cost() {
+    let time = |times: u32, mut work: Box<dyn FnMut()>| {
+        let start = std::time::Instant::now();
+        (0..times).for_each(|_| work());
+        start.elapsed().as_secs_f64() / f64::from(times)
+    };
+    for kind in [TransformKind::Aes256Gmac, TransformKind::Aes256Gcm] {
+        for (len, times) in [(100, 100_000), (1000, 100_000), (921_600, 200)] {
+            let payload = vec![1; len];
+            let (mut sealer, mut opener) = pair(kind);
+            let sealed = sealer.payload(&payload).unwrap();
+            let plain = payload.clone();
+            let seal = time(times, Box::new(move || drop(std::hint::black_box(sealer.payload(&plain)))));
+            let open = time(times, Box::new(move || drop(std::hint::black_box(opener.payload(&sealed)))));
+            let rate = |seconds: f64| len as f64 / seconds / 1e6;
+            println!(
+                "{kind:?}, {len} B: sealed in {:.0} ns ({:.0} MB/s), opened in {:.0} ns ({:.0} MB/s)",
+                seal * 1e9,
+                rate(seal),
+                open * 1e9,
+                rate(open),
+            );
+        }
+    }
+}
