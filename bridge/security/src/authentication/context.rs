@@ -15,8 +15,7 @@ pub(super) const GIVE_UP: Duration = Duration::from_secs(60);
 pub struct Context<'a> {
     /// Of the own participant.
     pub identity: &'a Identity,
-    /// The own announcement, as a big-endian parameter list without encapsulation. It must hold the GUID, and
-    /// must not change while a handshake is in progress.
+    /// The own announcement, as a big-endian parameter list without encapsulation. It must hold the GUID.
     pub participant_data: &'a [u8],
     /// Fills a slice with random bytes, of the quality that keys need.
     pub random: &'a mut dyn FnMut(&mut [u8]),

@@ -8,6 +8,8 @@
 //! 2. The replier sends the same of its own, and signs both keys and challenges.
 //! 3. The initiator signs them, too, and both derive a shared secret from the keys.
 //!
+//! The initiator chooses how to agree on the key: we offer the curve P-256, Fast DDS the group of `modp`.
+//!
 //! Only signatures prove something. All else in these messages is public or freely chosen, so that a message
 //! without a valid signature may cost time, but never ends or changes a handshake.
 

@@ -61,7 +61,7 @@ fn wrong_requests_are_refused_for_the_right_reason() {
             "the certificate of another",
             |message| {
                 remove(message, "hash_c1");
-                *value(message, "c.id") = data!("listener.pem").to_vec();
+                *value(message, "c.id") = certificate(OURS, "enclaves/listener/cert").pem().to_vec();
             },
             subject,
         ),
@@ -195,7 +195,7 @@ fn changed_hashes_that_fit_the_changed_credentials_do_not_fit_the_signature() {
 fn a_stolen_certificate_without_its_key_opens_nothing() {
     let (mut talker, mut listener) = pair(Peer::talker(), Peer::listener());
     let mut thief = Peer::talker();
-    thief.identity.key = PrivateKey::from_pem(data!("stranger.key")).unwrap();
+    thief.identity.key = key(OTHER, "listener");
     thief.random = Random::new(99);
     thief.begin(listener.guid, *START);
     let forged = only(thief.handle_timeout(*START));
@@ -208,7 +208,7 @@ fn a_stolen_certificate_without_its_key_opens_nothing() {
     assert_agree(&talker, &listener);
     // And as replier, it does not come through.
     let (mut talker, mut thief) = pair(Peer::talker(), Peer::listener());
-    thief.identity.key = PrivateKey::from_pem(data!("stranger.key")).unwrap();
+    thief.identity.key = key(OTHER, "listener");
     let request = only(talker.handle_timeout(*START));
     let reply = only(thief.handle(&request, *START));
     assert_eq!(talker.handle(&reply, *START), []);

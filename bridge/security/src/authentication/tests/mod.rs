@@ -1,12 +1,5 @@
 //! Handshakes of two participants over a link that can lose, repeat and reorder messages.
 
-/// A file of the keystore that `tests/data/identities` holds.
-macro_rules! data {
-    ($file:literal) => {
-        include_bytes!(concat!("../../../tests/data/identities/", $file))
-    };
-}
-
 mod attacks;
 mod conversations;
 mod recorded;
@@ -18,7 +11,7 @@ use downbeat_rtps::wire::{EntityId, Guid, GuidPrefix};
 use fuzzing::Random;
 
 use super::{Context, Handshake, Identity, Output, Refusal, RemoteIdentity, SharedSecret, derive_prefix};
-use crate::pki::{Authority, Certificate, Crl, PrivateKey};
+use crate::pki::{Authority, Certificate, PrivateKey};
 use crate::tokens::{ByteOrder, GenericMessage};
 
 /// In 2027, when all certificates of the tests are valid.
@@ -27,16 +20,30 @@ const SECOND: Duration = Duration::from_secs(1);
 
 static START: LazyLock<Instant> = LazyLock::new(Instant::now);
 
-fn authority(crl: Option<Crl>) -> Authority {
-    Authority::new(Certificate::from_pem(data!("ca.pem")).unwrap(), crl).unwrap()
+fn file(path: &str) -> Vec<u8> {
+    let path = format!("{}/tests/data/{path}", env!("CARGO_MANIFEST_DIR"));
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-fn identity(certificate: &[u8], key: &[u8]) -> Identity {
+/// The keystore of most participants here.
+const OURS: &str = "all_domains";
+/// Another, whose authority has the same name.
+const OTHER: &str = "captured";
+
+fn certificate(keystore: &str, name: &str) -> Certificate {
+    Certificate::from_pem(&file(&format!("keystores/{keystore}/{name}.pem"))).unwrap()
+}
+
+fn key(keystore: &str, name: &str) -> PrivateKey {
+    PrivateKey::from_pem(&file(&format!("keystores/{keystore}/enclaves/{name}/key.pem"))).unwrap()
+}
+
+fn identity(keystore: &str, name: &str) -> Identity {
     Identity {
-        certificate: Certificate::from_pem(certificate).unwrap(),
-        key: PrivateKey::from_pem(key).unwrap(),
-        authority: authority(None),
-        permissions_document: b"signed permissions".to_vec(),
+        certificate: certificate(keystore, &format!("enclaves/{name}/cert")),
+        key: key(keystore, name),
+        authority: Authority::new(certificate(keystore, "public/ca.cert"), None).unwrap(),
+        permissions_document: file(&format!("keystores/{keystore}/enclaves/{name}/permissions.p7s")),
     }
 }
 
@@ -75,16 +82,16 @@ impl Peer {
 
     /// The holder of the certificate for `/talker`, whose derived GUID is smaller.
     fn talker() -> Self {
-        Self::new(identity(data!("talker.pem"), data!("talker.key")), 1)
+        Self::new(identity(OURS, "talker"), 1)
     }
 
     fn listener() -> Self {
-        Self::new(identity(data!("listener.pem"), data!("listener.key")), 2)
+        Self::new(identity(OURS, "listener"), 2)
     }
 
     /// The certificate names `/listener`, but is of another authority of the same name.
     fn stranger() -> Self {
-        Self::new(identity(data!("stranger.pem"), data!("stranger.key")), 3)
+        Self::new(identity(OTHER, "listener"), 3)
     }
 
     fn begin(&mut self, remote: Guid, now: Instant) {

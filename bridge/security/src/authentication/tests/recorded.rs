@@ -17,11 +17,6 @@ struct Recording {
     secret: [u8; 32],
 }
 
-fn file(path: &str) -> Vec<u8> {
-    let path = format!("{}/tests/data/{path}", env!("CARGO_MANIFEST_DIR"));
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
-}
-
 impl Recording {
     fn read(name: &str) -> Self {
         let message = |step| {
@@ -57,23 +52,12 @@ impl Recording {
     }
 }
 
-fn enclave(name: &str) -> Identity {
-    let folder = format!("keystores/captured/enclaves/{name}");
-    let ca = file(&format!("{folder}/identity_ca.cert.pem"));
-    Identity {
-        certificate: Certificate::from_pem(&file(&format!("{folder}/cert.pem"))).unwrap(),
-        key: PrivateKey::from_pem(&file(&format!("{folder}/key.pem"))).unwrap(),
-        authority: Authority::new(Certificate::from_pem(&ca).unwrap(), None).unwrap(),
-        permissions_document: file(&format!("{folder}/permissions.p7s")),
-    }
-}
-
 const ALL: [&str; 3] = ["cyclone", "fastdds", "cyclone_to_fastdds"];
 
 #[test]
 fn recorded_messages_are_understood_and_their_signatures_hold() {
     let time = SystemTime::UNIX_EPOCH + TIME;
-    let (talker, listener) = (enclave("talker"), enclave("listener"));
+    let (talker, listener) = (identity(OTHER, "talker"), identity(OTHER, "listener"));
     for name in ALL {
         let Recording { request, reply, last, secret, .. } = Recording::read(name);
         let parsed = Request::parse(&request.tokens[0]).unwrap();
@@ -106,12 +90,12 @@ fn recorded_messages_are_understood_and_their_signatures_hold() {
 fn the_request_of_fast_dds_is_answered_as_it_was() {
     let Recording { request, reply, last, listener_key, secret, .. } = Recording::read("fastdds");
     let recorded = |field| reply.tokens[0].binary(field).unwrap().to_vec();
-    let (identity, participant_data) = (enclave("listener"), recorded("c.pdata"));
+    let (own, participant_data) = (identity(OTHER, "listener"), recorded("c.pdata"));
     let remote = Guid::new(request.source.0.prefix, EntityId::PARTICIPANT);
     let mut handshake = Handshake::new(request.destination_participant, remote, *START);
     let mut numbers = vec![recorded("challenge2"), listener_key.to_vec()];
     let mut context = Context {
-        identity: &identity,
+        identity: &own,
         participant_data: &participant_data,
         random: &mut |bytes| bytes.copy_from_slice(&numbers.pop().unwrap()),
         last_number: &mut 0,
@@ -129,7 +113,7 @@ fn the_request_of_fast_dds_is_answered_as_it_was() {
     assert_eq!(shared.secret, secret);
     assert_eq!(shared.challenge1, request.tokens[0].binary("challenge1").unwrap());
     assert_eq!(shared.challenge2, *recorded("challenge2"));
-    assert_eq!(remote.certificate, enclave("talker").certificate);
+    assert_eq!(remote.certificate, identity(OTHER, "talker").certificate);
 }
 
 #[test]
@@ -151,7 +135,7 @@ fn requests_to_begin_are_read_and_need_no_answer() {
         assert_eq!(message.class, crate::tokens::class::AUTHENTICATION_REQUEST);
         assert_eq!(message.tokens[0].binary("future_challenge").map(<[u8]>::len), Some(32));
         let remote = Guid::new(message.source.0.prefix, EntityId::PARTICIPANT);
-        let mut peer = Peer::new(enclave("talker"), 0);
+        let mut peer = Peer::new(identity(OTHER, "talker"), 0);
         peer.guid = message.destination_participant;
         peer.begin(remote, *START);
         assert_eq!(peer.handle(&message, *START), []);
