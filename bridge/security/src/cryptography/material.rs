@@ -88,7 +88,7 @@ pub enum MaterialError {
 
 /// A key that one sender shares with one receiver, so that the receiver knows that no other receiver forged
 /// the data (origin authentication).
-#[derive(Clone, Zeroize, ZeroizeOnDrop)]
+#[derive(Clone, PartialEq, Eq, Zeroize, ZeroizeOnDrop)]
 pub struct ReceiverKey {
     #[zeroize(skip)]
     pub(super) id: KeyId,
@@ -114,7 +114,7 @@ impl std::fmt::Debug for ReceiverKey {
 ///
 /// [`Sealer`](super::Sealer) protects with it what is sent, [`Opener`](super::Opener) checks and decrypts
 /// what is received.
-#[derive(Clone, Zeroize, ZeroizeOnDrop)]
+#[derive(Clone, PartialEq, Eq, Zeroize, ZeroizeOnDrop)]
 pub struct KeyMaterial {
     #[zeroize(skip)]
     pub(super) kind: TransformKind,

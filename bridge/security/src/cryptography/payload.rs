@@ -1,9 +1,12 @@
 //! Protected payloads (sections 9.5.3.3.4.4 and 9.5.3.3.5): header, content with its length if encrypted,
 //! footer.
 //!
+//! Fast DDS, Cyclone DDS and RustDDS protect each fragment of a large sample by itself, so a payload may be any
+//! bytes, without encapsulation.
+//!
 //! The specification does not say whether the footer is aligned. Fast DDS aligns the number of MACs to four
-//! bytes, Cyclone and RustDDS do not. So a payload is padded before it is encrypted, as a plain one is on its
-//! way into a submessage, and up to three more zeros are accepted after the MAC.
+//! bytes, Cyclone DDS and RustDDS do not. So a payload is padded before it is encrypted, as a plain one is on
+//! its way into a submessage, and up to three more zeros are accepted after the MAC.
 
 use super::footer::{CryptoFooter, write_footer};
 use super::header::{CryptoHeader, Transform};
@@ -18,8 +21,8 @@ pub fn payload_transform(payload: &[u8]) -> Result<Transform, OpenError> {
 }
 
 impl Sealer {
-    /// Protects the content of a sample, with its encapsulation in front. The result has a length that is a
-    /// multiple of four.
+    /// Protects the payload of a DATA or DATA_FRAG. A payload whose length is not a multiple of four is padded
+    /// with zeros; the encapsulation of a sample declares them already.
     ///
     /// # Errors
     /// The payload is longer than 4 GiB.
@@ -35,9 +38,6 @@ impl Sealer {
         out.extend_from_slice(payload);
         out.resize(start + padded, 0);
         let content = out.get_mut(start..).unwrap_or_default();
-        if let [0, _, _, options, ..] = content {
-            *options = *options & !3 | (padded - payload.len()) as u8;
-        }
         let mac = self.protect(&header, content)?;
         write_footer(&mac, &[], &mut out);
         Ok(out)
@@ -45,8 +45,7 @@ impl Sealer {
 }
 
 impl Opener {
-    /// Checks a protected payload and returns its content, without the padding that its encapsulation
-    /// declares.
+    /// Checks a protected payload and returns its content, with its padding.
     ///
     /// # Errors
     /// See [`OpenError`].
@@ -68,10 +67,6 @@ impl Opener {
         let mac = mac.try_into().map_err(|_| OpenError::Truncated)?;
         let mut out = Vec::new();
         self.open(&header, content, &CryptoFooter::common(mac), &mut out)?;
-        if let [0, _, _, options, content @ ..] = &out[..] {
-            let padding = usize::from(options & 3).min(content.len());
-            out.truncate(out.len() - padding);
-        }
         Ok(out)
     }
 }
