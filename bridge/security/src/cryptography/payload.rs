@@ -51,22 +51,42 @@ impl Opener {
     /// See [`OpenError`].
     pub fn payload(&mut self, payload: &[u8]) -> Result<Vec<u8>, OpenError> {
         let (header, rest) = CryptoHeader::parse(payload)?;
-        let (content, footer) = if header.transform.kind.encrypts() {
-            let (len, rest) = rest.split_first_chunk().ok_or(OpenError::Truncated)?;
-            rest.split_at_checked(u32::from_be_bytes(*len) as usize).ok_or(OpenError::Length)?
-        } else {
-            let len = rest.len().checked_sub(CryptoFooter::MIN_LEN).ok_or(OpenError::Truncated)?;
-            rest.split_at(len)
-        };
-        let (mac, count) = footer.split_at_checked(CryptoFooter::MIN_LEN - 4).ok_or(OpenError::Truncated)?;
-        match count.len() {
-            ..4 => return Err(OpenError::Truncated),
-            4..8 if count.iter().all(|byte| *byte == 0) => {}
-            _ => return Err(OpenError::Length),
-        }
-        let mac = mac.try_into().map_err(|_| OpenError::Truncated)?;
         let mut out = Vec::new();
-        self.open(&header, content, &CryptoFooter::common(mac), &mut out)?;
-        Ok(out)
+        if header.transform.kind.encrypts() {
+            let (len, rest) = rest.split_first_chunk().ok_or(OpenError::Truncated)?;
+            let len = u32::from_be_bytes(*len) as usize;
+            let (content, footer) = rest.split_at_checked(len).ok_or(OpenError::Length)?;
+            self.open(&header, content, &parse_footer(footer)?, &mut out)?;
+            return Ok(out);
+        }
+        // Nothing tells how long readable content is, so only its MAC tells padding from a footer.
+        let mut result = Err(OpenError::Truncated);
+        for footer_len in CryptoFooter::MIN_LEN..=CryptoFooter::MIN_LEN + MAX_PADDING {
+            let Some(len) = rest.len().checked_sub(footer_len) else { break };
+            let (content, footer) = rest.split_at(len);
+            match parse_footer(footer) {
+                Ok(footer) => result = self.open(&header, content, &footer, &mut out),
+                Err(_) if result == Err(OpenError::Forged) => break,
+                Err(error) => return Err(error),
+            }
+            if result != Err(OpenError::Forged) {
+                break;
+            }
+        }
+        result.map(|()| out)
+    }
+}
+
+/// Bytes of zeros between the MAC and the number of MACs, or behind it.
+const MAX_PADDING: usize = 3;
+
+fn parse_footer(bytes: &[u8]) -> Result<CryptoFooter<'_>, OpenError> {
+    let (mac, count) = bytes.split_first_chunk().ok_or(OpenError::Truncated)?;
+    match count.len() {
+        ..4 => Err(OpenError::Truncated),
+        len if len <= 4 + MAX_PADDING && count.iter().all(|byte| *byte == 0) => {
+            Ok(CryptoFooter::common(*mac))
+        }
+        _ => Err(OpenError::Length),
     }
 }
