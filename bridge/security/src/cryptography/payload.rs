@@ -1,8 +1,8 @@
 //! Protected payloads (sections 9.5.3.3.4.4 and 9.5.3.3.5): header, content with its length if encrypted,
 //! footer.
 //!
-//! Fast DDS, Cyclone DDS and RustDDS protect each fragment of a large sample by itself, so a payload may be any
-//! bytes, without encapsulation.
+//! Fast DDS, Cyclone DDS and RustDDS protect each fragment of a large sample by itself, so a payload may be
+//! any bytes, without encapsulation.
 //!
 //! The specification does not say whether the footer is aligned. Fast DDS aligns the number of MACs to four
 //! bytes, Cyclone DDS and RustDDS do not. So a payload is padded before it is encrypted, as a plain one is on
