@@ -70,7 +70,8 @@ impl SecurityOptions {
 /// Whether a value was meant to be the expected one, or to say yes.
 fn wants(found: &str, expected: &str) -> bool {
     let found = found.trim().to_ascii_lowercase();
-    found == expected.to_ascii_lowercase() || ["1", "on", "yes", "true", "enable", "enabled"].contains(&&*found)
+    found == expected.to_ascii_lowercase()
+        || ["1", "on", "yes", "true", "enable", "enabled"].contains(&&*found)
 }
 
 /// The folder of an enclave in a keystore.
@@ -96,9 +97,13 @@ mod tests {
         for found in ["TRUE", "1", "True", "on"] {
             let (options, ignored) = read(&[("ROS_SECURITY_ENABLE", found)]);
             assert_eq!(options, None);
-            assert!(ignored[0].contains(found) && ignored[0].contains("ROS_SECURITY_ENABLE=true"), "{ignored:?}");
+            assert!(
+                ignored[0].contains(found) && ignored[0].contains("ROS_SECURITY_ENABLE=true"),
+                "{ignored:?}"
+            );
         }
-        let (options, ignored) = read(&[("ROS_SECURITY_ENABLE", "true"), ("ROS_SECURITY_STRATEGY", "enforce")]);
+        let (options, ignored) =
+            read(&[("ROS_SECURITY_ENABLE", "true"), ("ROS_SECURITY_STRATEGY", "enforce")]);
         assert!(!options.unwrap().is_enforced);
         assert!(ignored[0].contains("ROS_SECURITY_STRATEGY=Enforce"), "{ignored:?}");
         let permissive = [("ROS_SECURITY_ENABLE", "true"), ("ROS_SECURITY_STRATEGY", "Permissive")];

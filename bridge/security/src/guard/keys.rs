@@ -82,6 +82,7 @@ fn token(sealer: &Sealer) -> Token {
 
 /// The keys in tokens of another participant.
 pub(super) fn materials(tokens: &[Token]) -> impl Iterator<Item = KeyMaterial> {
-    let values = tokens.iter().filter(|token| token.class_id == CLASS).filter_map(|token| token.binary(MATERIAL));
+    let values =
+        tokens.iter().filter(|token| token.class_id == CLASS).filter_map(|token| token.binary(MATERIAL));
     values.filter_map(|value| KeyMaterial::parse(value).ok().flatten())
 }

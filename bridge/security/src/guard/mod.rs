@@ -211,7 +211,11 @@ impl SecurityGuard {
         }
         let bits = BuiltinEndpoints::STATELESS_WRITER | BuiltinEndpoints::STATELESS_READER;
         if !remote.builtin_endpoints.has(bits) {
-            self.refuse(now, remote.prefix, format!("{} is ignored: it does not authenticate", described(remote)));
+            self.refuse(
+                now,
+                remote.prefix,
+                format!("{} is ignored: it does not authenticate", described(remote)),
+            );
             return Admission::Refuse;
         }
         if self.refused.get(&remote.prefix).is_some_and(|until| *until > now.steady) {
@@ -288,8 +292,7 @@ impl SecurityGuard {
                 return self.turn_away(now, prefix);
             }
         };
-        let exchange =
-            KeyMaterial::for_key_exchange(&secret.challenge1, &secret.challenge2, &secret.secret);
+        let exchange = KeyMaterial::for_key_exchange(&secret.challenge1, &secret.challenge2, &secret.secret);
         let sealer = Sealer::new(exchange.clone(), &mut **self.keys.random());
         let session = Session::new(remote.certificate.clone(), grant, exchange, sealer);
         let Some(known) = self.remotes.get_mut(&prefix) else { return };
@@ -324,8 +327,13 @@ impl SecurityGuard {
         }
         let grant = permissions.valid_grant(subject, time(now));
         let grant = grant.ok_or("its permissions are not valid now: sign new ones, or set the clock")?;
-        if self.credentials.policy.rule.join_access_control && !grant.may_join(self.credentials.policy.domain_id) {
-            return Err(format!("its permissions allow nothing in domain {}", self.credentials.policy.domain_id));
+        if self.credentials.policy.rule.join_access_control
+            && !grant.may_join(self.credentials.policy.domain_id)
+        {
+            return Err(format!(
+                "its permissions allow nothing in domain {}",
+                self.credentials.policy.domain_id
+            ));
         }
         Ok(grant.clone())
     }
@@ -404,7 +412,8 @@ impl SecurityGuard {
         let mut ended = Vec::new();
         for (prefix, remote) in &self.remotes {
             let Some(session) = &remote.session else { continue };
-            if let Err(distrust) = self.credentials.identity.authority.check(&session.certificate, time(now)) {
+            if let Err(distrust) = self.credentials.identity.authority.check(&session.certificate, time(now))
+            {
                 ended.push((*prefix, distrust.to_string()));
             } else if !session.grant.valid(time(now)) {
                 let subject = session.certificate.subject();
@@ -452,7 +461,8 @@ impl Guard for SecurityGuard {
             let mut identity_token_bytes = Vec::new();
             let mut permissions_token_bytes = Vec::new();
             let authority = self.credentials.identity.authority.certificate();
-            identity_token(&self.credentials.identity.certificate, authority).emit(&mut identity_token_bytes, order);
+            identity_token(&self.credentials.identity.certificate, authority)
+                .emit(&mut identity_token_bytes, order);
             permissions_token().emit(&mut permissions_token_bytes, order);
             ParticipantSecurity {
                 identity_token: identity_token_bytes,

@@ -61,7 +61,8 @@ fn bits(all: &[(bool, u32)]) -> u32 {
 
 /// The key for a kind of protection; the stronger one, as all others use it.
 pub(super) fn transform(kind: ProtectionKind) -> Option<TransformKind> {
-    kind.is_protected().then(|| if kind.is_encrypted() { TransformKind::Aes256Gcm } else { TransformKind::Aes256Gmac })
+    kind.is_protected()
+        .then(|| if kind.is_encrypted() { TransformKind::Aes256Gcm } else { TransformKind::Aes256Gmac })
 }
 
 /// Whether two announce different protection, as far as both announce it (the rule of Fast DDS and Cyclone).

@@ -61,8 +61,10 @@ impl Session {
     /// Takes the keys of an endpoint of it for one of this participant. Returns whether they were awaited.
     pub(super) fn take_endpoint(&mut self, theirs: EntityId, ours: EntityId, tokens: &[Token]) -> bool {
         for material in materials(tokens) {
-            let known = self.keys.get(&material.id()).map(|(_, opener)| opener.material());
-            if known != Some(&material) && self.keys.len() < MOST_KEYS {
+            // It comes once for each pair of endpoints.
+            let is_known =
+                self.keys.get(&material.id()).is_some_and(|(_, opener)| *opener.material() == material);
+            if !is_known && self.keys.len() < MOST_KEYS {
                 self.keys.insert(material.id(), (theirs, Opener::new(material)));
             }
         }

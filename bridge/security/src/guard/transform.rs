@@ -153,10 +153,15 @@ pub(super) fn open(
             kind => {
                 rest = following;
                 match kind {
-                    Kind::Of(entity) => {
-                        accept(frame, entity, policy, session.as_deref_mut(), Layers { message: is_protected, submessage: false }, out)
-                            .map(|()| 1)
-                    }
+                    Kind::Of(entity) => accept(
+                        frame,
+                        entity,
+                        policy,
+                        session.as_deref_mut(),
+                        Layers { message: is_protected, submessage: false },
+                        out,
+                    )
+                    .map(|()| 1),
                     Kind::Info => {
                         out.extend_from_slice(frame.0);
                         Ok(0)
@@ -198,7 +203,14 @@ fn open_group(
         rest = following;
         match frame.kind() {
             Kind::Of(entity) if owner.map_or(is_volatile(entity), |owner| owner == entity) => {
-                accept(frame, entity, policy, Some(&mut *session), Layers { message: is_message_protected, submessage: true }, out)?;
+                accept(
+                    frame,
+                    entity,
+                    policy,
+                    Some(&mut *session),
+                    Layers { message: is_message_protected, submessage: true },
+                    out,
+                )?;
                 kept += 1;
             }
             Kind::Of(_) => return Err(Disbelief::OtherEndpoint),
