@@ -5,7 +5,7 @@
 //!
 //! | level | key | what it protects |
 //! | --- | --- | --- |
-//! | `payload` | of a writer | the content of a sample, before it is cut into fragments |
+//! | `payload` | of a writer | the payload of a DATA or DATA_FRAG |
 //! | `submessage` | of a writer or reader | one submessage |
 //! | `message` | of a participant | a whole datagram |
 //!
