@@ -31,7 +31,7 @@ impl NetworkArguments {
     ) -> anyhow::Result<(Participant, Node)> {
         ros.warn_about_what_is_ignored();
         let name = NodeName::new(ros.namespace.as_deref().unwrap_or("/"), name)?;
-        let options = self.options()?;
+        let options = ros.with_enclave(self.options()?);
         let participant = Participant::join_with(&options, ros.remap_rules(), catalog.interfaces.clone())?;
         let node = participant.create_node(name)?;
         Ok((participant, node))

@@ -91,7 +91,7 @@ pub(crate) fn run(
     } else {
         (WatchedRobot::new(file)?, stop.after(arguments.duration))
     };
-    let options = participant_options(arguments.domain)?;
+    let options = ros.with_enclave(participant_options(arguments.domain)?);
     robot.prepared.expose(&options, Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {
         let plan = RecordPlan::of_robot(directory, robot.prepared.file(), arguments.encoding);

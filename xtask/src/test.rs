@@ -45,7 +45,7 @@ impl FirstHour {
 /// environment.
 pub(crate) const ALL: &[&str] = &[
     "--features",
-    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/sensors,downbeat/tables,downbeat/zenoh",
+    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/security,downbeat/sensors,downbeat/tables,downbeat/zenoh",
 ];
 
 pub(crate) fn test() -> anyhow::Result<()> {

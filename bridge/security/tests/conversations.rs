@@ -75,7 +75,11 @@ fn a_stranger_sees_nothing_and_is_not_heard() {
     assert!(network.nodes[stranger].texts(theirs).is_empty());
     assert_eq!(network.nodes[stranger].participant.remote_endpoints().count(), 0);
     assert_eq!(network.nodes[0].participant.matched(writer).len(), 1);
-    assert!(reports(&network, 0).iter().any(|text| text.contains("without security")), "{:?}", reports(&network, 0));
+    assert!(
+        reports(&network, 0).iter().any(|text| text.contains("without security")),
+        "{:?}",
+        reports(&network, 0)
+    );
     let seen = seen.lock().unwrap();
     for word in ["secret_topic", "secret content"] {
         // The stranger is in clear, and has a topic of another name.

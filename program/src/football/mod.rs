@@ -110,7 +110,7 @@ pub(crate) fn play(
     };
     #[cfg(feature = "view")]
     arguments.view.apply(&mut file.view);
-    let mut network = participant_options(arguments.domain)?;
+    let mut network = ros.with_enclave(participant_options(arguments.domain)?);
     let mut prepared = None;
     let mut robot = if arguments.processes {
         if std::env::var_os("ROS_AUTOMATIC_DISCOVERY_RANGE").is_none() {

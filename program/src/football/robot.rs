@@ -60,7 +60,9 @@ pub(crate) fn run(
     let file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
     let file = as_one_robot(file, arguments)?;
     let mut robot = WatchedRobot::new(file)?;
-    robot.prepared.expose(&participant_options(Some(arguments.domain))?, Some(&log.of_node))?;
+    robot
+        .prepared
+        .expose(&ros.with_enclave(participant_options(Some(arguments.domain))?), Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {
         let plan = RecordPlan::of_robot(directory, robot.prepared.file(), None);
         robot.prepared.record(plan)?;

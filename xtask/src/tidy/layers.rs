@@ -23,7 +23,14 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-edge", &["downbeat-executor", "downbeat-msgs"]),
     (
         "downbeat-bridge",
-        &["downbeat-edge", "downbeat-executor", "downbeat-msgs", "downbeat-rtps", "downbeat-zenoh"],
+        &[
+            "downbeat-edge",
+            "downbeat-executor",
+            "downbeat-msgs",
+            "downbeat-rtps",
+            "downbeat-security",
+            "downbeat-zenoh",
+        ],
     ),
     ("downbeat-view", &["downbeat-bags", "downbeat-edge", "downbeat-executor", "downbeat-msgs"]),
     ("test-machine", &[]),
@@ -215,6 +222,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-state-machine",
             "downbeat-view",
             "downbeat-vision",
+            "downbeat-security",
             "downbeat-zenoh",
         ],
     ),

@@ -10,7 +10,8 @@ use bytes::Bytes;
 
 use super::{
     Addresses, Channel, Config, Counters, Denial, Destination, EndpointConfig, Event, Fault, Guard, Limits,
-    LinkId, LinkOptions, Links, Now, Reader, ReaderConfig, Received, Room, WriteOptions, Writer, WriterConfig,
+    LinkId, LinkOptions, Links, Now, Reader, ReaderConfig, Received, Room, WriteOptions, Writer,
+    WriterConfig,
     counters::Warnings,
     discovery::{Announced, Announcer, BUILTIN, BUILTIN_OF_SECURITY, Builtin},
     links::OWN_HOST_DATAGRAM,

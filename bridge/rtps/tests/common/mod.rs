@@ -11,7 +11,8 @@ use std::{
 use bytes::Bytes;
 use downbeat_rtps::{
     protocol::{
-        Addresses, Config, Destination, EndpointConfig, Event, Guard, Interface, Now, Participant, WriteOptions,
+        Addresses, Config, Destination, EndpointConfig, Event, Guard, Interface, Now, Participant,
+        WriteOptions,
     },
     qos::{Durability, History, Qos, Reliability},
     wire::{EntityId, Guid, GuidPrefix, SequenceNumber, Submessage, parse},
@@ -120,9 +121,7 @@ impl Network {
         change(&mut config);
         let participant = match crate::guard(&config) {
             None => Participant::new(config, self.now()),
-            Some((prefix, guard)) => {
-                Participant::with_guard(Config { prefix, ..config }, guard, self.now())
-            }
+            Some((prefix, guard)) => Participant::with_guard(Config { prefix, ..config }, guard, self.now()),
         };
         let next_timeout = participant.next_timeout();
         self.nodes.push(Node {

@@ -21,8 +21,8 @@ pub fn payload_transform(payload: &[u8]) -> Result<Transform, OpenError> {
 }
 
 impl Sealer {
-    /// Protects the payload of a DATA or DATA_FRAG. A payload whose length is not a multiple of four is padded
-    /// with zeros; the encapsulation of a sample declares them already.
+    /// Protects the payload of a DATA or DATA_FRAG. A payload whose length is not a multiple of four is
+    /// padded with zeros; the encapsulation of a sample declares them already.
     ///
     /// # Errors
     /// The payload is longer than 4 GiB.

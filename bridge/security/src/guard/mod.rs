@@ -136,8 +136,8 @@ impl Credentials {
 }
 
 impl SecurityGuard {
-    /// The guard of a participant that would have the prefix `candidate` without security. [`Self::prefix`] is
-    /// the one that it has to have.
+    /// The guard of a participant that would have the prefix `candidate` without security.
+    /// [`Self::prefix`] is the one that it has to have.
     pub fn new(credentials: Arc<Credentials>, candidate: GuidPrefix, random: Random, status: Status) -> Self {
         let policy = &credentials.policy;
         let mut keys = OwnKeys::new(policy::transform(policy.rule.rtps), random);

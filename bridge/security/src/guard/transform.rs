@@ -228,8 +228,8 @@ struct Layers {
     submessage: bool,
 }
 
-/// Appends a submessage whose own protection is removed, with its plain payload, if it was protected as it has
-/// to be: in a protected message, and by itself.
+/// Appends a submessage whose own protection is removed, with its plain payload, if it was protected as it
+/// has to be: in a protected message, and by itself.
 fn accept(
     frame: Frame<'_>,
     entity: EntityId,
@@ -253,7 +253,7 @@ fn accept(
         return Ok(());
     };
     if policy.rule.rtps.is_protected() && !protected.message {
-        // Cyclone DDS does not protect messages of plain discovery, which announces nothing that is protected.
+        // Cyclone DDS does not protect messages of plain discovery, which announces nothing protected.
         return Err(if entity.is_builtin() { Disbelief::NoKey } else { Disbelief::Clear });
     }
     let protection = match entity.is_builtin() {
