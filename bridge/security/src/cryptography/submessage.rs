@@ -153,10 +153,11 @@ pub(super) fn write_postfix(
     Ok(())
 }
 
-/// Parses a SEC_POSTFIX or SRTPS_POSTFIX that fills `bytes`.
+/// Parses a SEC_POSTFIX or SRTPS_POSTFIX. What follows it is not protected, and not looked at: Fast DDS puts
+/// statistics behind an SRTPS_POSTFIX.
 pub(super) fn parse_postfix(id: u8, bytes: &[u8]) -> Result<CryptoFooter<'_>, OpenError> {
     let postfix = framing::first(bytes).ok_or(OpenError::Truncated)?;
-    if postfix.id != id || !postfix.rest.is_empty() {
+    if postfix.id != id {
         return Err(OpenError::Structure);
     }
     CryptoFooter::parse(postfix.body)
