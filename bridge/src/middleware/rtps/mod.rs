@@ -13,7 +13,9 @@ use super::{
 use bytes::Bytes;
 pub use downbeat_rtps::protocol::Counters;
 use downbeat_rtps::protocol::{self, EndpointConfig, LivelinessChange};
-use downbeat_rtps::wire::{self, EndpointData, EntityId, Guid, GuidPrefix, InlineQos, SequenceNumber, VendorId};
+use downbeat_rtps::wire::{
+    self, EndpointData, EntityId, Guid, GuidPrefix, InlineQos, SequenceNumber, VendorId,
+};
 use downbeat_rtps::{Options, Participant, Range};
 use protection::Protection;
 use std::sync::Arc;
