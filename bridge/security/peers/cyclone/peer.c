@@ -6,9 +6,11 @@
  *   subscribe TOPIC        prints each sample
  *   serve SERVICE          answers requests (std_srvs/srv/SetBool)
  *   call SERVICE DATA      sends a request each second until the response arrives; DATA is true or false
+ *   move TOPIC JOINT POS   publishes the position of a joint ten times a second (sensor_msgs/msg/JointState)
+ *   joint TOPIC JOINT      prints the position of a joint in each sample
  * TOPIC and SERVICE are names of ROS 2 with their leading slash. The program ends when its standard input does.
  *
- * It prints one line for each event: "ready", "heard TOPIC TEXT", "served SERVICE DATA", "answered SERVICE MESSAGE".
+ * It prints one line for each event: "ready", "heard TOPIC TEXT", "served SERVICE DATA", "answered SERVICE MESSAGE", "joint TOPIC POSITION".
  */
 #include <inttypes.h>
 #include <poll.h>
@@ -39,16 +41,30 @@ static const uint32_t response_ops[] = {
   DDS_OP_ADR | DDS_OP_TYPE_8BY, offsetof(Response, header.client), DDS_OP_ADR | DDS_OP_TYPE_8BY, offsetof(Response, header.sequence),
   DDS_OP_ADR | DDS_OP_TYPE_BLN, offsetof(Response, success), DDS_OP_ADR | DDS_OP_TYPE_STR, offsetof(Response, message), DDS_OP_RTS };
 
+/* The sequences have the layout of dds_sequence_t. */
+typedef struct { uint32_t _maximum, _length; char **_buffer; bool _release; } Strings;
+typedef struct { uint32_t _maximum, _length; double *_buffer; bool _release; } Doubles;
+typedef struct { int32_t sec; uint32_t nanosec; char *frame_id; Strings name; Doubles position, velocity, effort; } JointState;
+static const uint32_t joint_state_ops[] = {
+  DDS_OP_ADR | DDS_OP_TYPE_4BY, offsetof(JointState, sec), DDS_OP_ADR | DDS_OP_TYPE_4BY, offsetof(JointState, nanosec),
+  DDS_OP_ADR | DDS_OP_TYPE_STR, offsetof(JointState, frame_id),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_STR, offsetof(JointState, name),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_8BY, offsetof(JointState, position),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_8BY, offsetof(JointState, velocity),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_8BY, offsetof(JointState, effort), DDS_OP_RTS };
+
 #define DESCRIPTOR(type, name, ops) { .m_size = sizeof(type), .m_align = sizeof(void *), .m_typename = name, \
   .m_nops = sizeof(ops) / sizeof(ops[0]), .m_ops = ops, .m_meta = "" }
 static const dds_topic_descriptor_t string_type = DESCRIPTOR(String, "std_msgs::msg::dds_::String_", string_ops);
 static const dds_topic_descriptor_t request_type = DESCRIPTOR(Request, "std_srvs::srv::dds_::SetBool_Request_", request_ops);
 static const dds_topic_descriptor_t response_type = DESCRIPTOR(Response, "std_srvs::srv::dds_::SetBool_Response_", response_ops);
+static const dds_topic_descriptor_t joint_state_type = DESCRIPTOR(JointState, "sensor_msgs::msg::dds_::JointState_", joint_state_ops);
 
 typedef struct {
-  enum { PUBLISH, SUBSCRIBE, SERVE, CALL } kind;
+  enum { PUBLISH, SUBSCRIBE, SERVE, CALL, MOVE, JOINT } kind;
   const char *name, *text;
   bool data;
+  double position;
   dds_entity_t writer, reader;
   int64_t count;
   bool is_answered;
@@ -125,6 +141,10 @@ static int parse(Command *commands, int count, char **arguments)
       command->kind = SERVE, at += 2;
     else if (left >= 3 && strcmp(arguments[at], "call") == 0)
       command->kind = CALL, command->data = strcmp(arguments[at + 2], "true") == 0, at += 3;
+    else if (left >= 4 && strcmp(arguments[at], "move") == 0)
+      command->kind = MOVE, command->text = arguments[at + 2], command->position = atof(arguments[at + 3]), at += 4;
+    else if (left >= 3 && strcmp(arguments[at], "joint") == 0)
+      command->kind = JOINT, command->text = arguments[at + 2], at += 3;
     else
       return -1;
   }
@@ -141,10 +161,23 @@ static void start(Command *command, dds_entity_t participant, const dds_qos_t *q
     else command->reader = reader(participant, strings, qos, name);
     return;
   }
+  if (command->kind == MOVE || command->kind == JOINT) {
+    const dds_entity_t states = topic(participant, "rt/", name, "", &joint_state_type);
+    if (command->kind == MOVE) command->writer = writer(participant, states, qos, name);
+    else command->reader = reader(participant, states, qos, name);
+    return;
+  }
   const dds_entity_t requests = topic(participant, "rq/", name, "Request", &request_type);
   const dds_entity_t responses = topic(participant, "rr/", name, "Reply", &response_type);
   command->writer = writer(participant, is_client ? requests : responses, qos, name);
   command->reader = reader(participant, is_client ? responses : requests, qos, name);
+}
+
+static void print_joint(const Command *command, const JointState *state)
+{
+  for (uint32_t at = 0; at < state->name._length && at < state->position._length; at++)
+    if (strcmp(state->name._buffer[at], command->text) == 0)
+      printf("joint /%s %.3f\n", command->name, state->position._buffer[at]);
 }
 
 static void receive(Command *command)
@@ -156,6 +189,8 @@ static void receive(Command *command)
     if (dds_take(command->reader, &sample, &info, 1, 1) != 1) return;
     if (info.valid_data && command->kind == SUBSCRIBE)
       printf("heard /%s %s\n", command->name, ((const String *) sample)->data);
+    else if (info.valid_data && command->kind == JOINT)
+      print_joint(command, sample);
     else if (info.valid_data && command->kind == SERVE) {
       const Request *request = sample;
       printf("served /%s %s\n", command->name, text(request->data));
@@ -178,6 +213,11 @@ static void send(Command *command, int64_t tick)
     dds_write(command->writer, &(String) { .data = text });
     free(text);
   }
+  else if (command->kind == MOVE) {
+    char *joint = (char *) command->text;
+    JointState state = { .frame_id = "", .name = { 1, 1, &joint, false }, .position = { 1, 1, &command->position, false } };
+    dds_write(command->writer, &state);
+  }
   else if (command->kind == CALL && !command->is_answered && tick % 10 == 0)
     dds_write(command->writer, &(Request) { { (uint64_t) getpid(), ++command->count }, command->data });
 }
@@ -187,7 +227,7 @@ int main(int count, char **arguments)
   Command commands[MOST_COMMANDS];
   const int used = count > 3 ? parse(commands, count - 3, arguments + 3) : -1;
   if (used < 0) {
-    fprintf(stderr, "usage: %s DOMAIN_ID ENCLAVE (publish TOPIC TEXT|subscribe TOPIC|serve SERVICE|call SERVICE DATA)...\n", arguments[0]);
+    fprintf(stderr, "usage: %s DOMAIN_ID ENCLAVE (publish TOPIC TEXT|subscribe TOPIC|serve SERVICE|call SERVICE DATA|move TOPIC JOINT POSITION|joint TOPIC JOINT)...\n", arguments[0]);
     return 2;
   }
   setvbuf(stdout, NULL, _IOLBF, 0);
