@@ -8,7 +8,7 @@ use downbeat_rtps::wire::GuidPrefix;
 use downbeat_security::enclave::Enclave;
 use downbeat_security::guard::{Credentials, SecurityGuard, Status};
 
-use crate::middleware::{MiddlewareError, ParticipantOptions, SecurityState};
+use crate::middleware::{MiddlewareError, ParticipantOptions, SecurityState, SecurityWatch};
 
 /// How a participant is protected.
 pub(super) struct Protection {
@@ -66,15 +66,19 @@ impl Protection {
         self.status.subject(participant)
     }
 
-    pub(super) fn state(&self) -> SecurityState {
-        let (refused, refusals) = self.status.refusals();
-        SecurityState {
-            subject: self.credentials.subject().to_owned(),
-            authenticated: self.status.authenticated(),
-            refused,
-            refusals,
-            warnings: self.warnings.clone(),
-        }
+    pub(super) fn watch(&self) -> SecurityWatch {
+        let (subject, status) = (self.credentials.subject().to_owned(), self.status.clone());
+        let warnings = self.warnings.clone();
+        Box::new(move || {
+            let (refused, refusals) = status.refusals();
+            SecurityState {
+                subject: subject.clone(),
+                authenticated: status.authenticated(),
+                refused,
+                refusals,
+                warnings: warnings.clone(),
+            }
+        })
     }
 }
 
