@@ -66,7 +66,7 @@ impl Ours {
     }
 
     pub fn security(&self) -> SecurityState {
-        self.middleware.security().expect("a participant with security")
+        self.middleware.security().expect("a participant with security")()
     }
 
     /// Waits until that many participants have proven their identity.
@@ -80,7 +80,11 @@ impl Ours {
 impl Drop for Ours {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            println!("ours: {:#?} {:#?}", self.middleware.security(), self.middleware.counters());
+            println!(
+                "ours: {:#?} {:#?}",
+                self.middleware.security().map(|state| state()),
+                self.middleware.counters()
+            );
         }
     }
 }
