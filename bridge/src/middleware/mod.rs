@@ -247,6 +247,17 @@ pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, Middlew
     if options.discovery_range == DiscoveryRange::Off {
         tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
     }
+    if let Some(security) = options.security.as_ref().filter(|_| options.engine != Engine::Rtps) {
+        let reason = format!(
+            "keystores of ROS 2 protect DDS, not the engine {}; Zenoh has TLS and access control of its own \
+             (ZENOH_SESSION_CONFIG_URI)",
+            options.engine
+        );
+        if security.is_enforced {
+            return Err(MiddlewareError::Security { reason });
+        }
+        tracing::warn!("ROS_SECURITY_ENABLE=true: {reason}. This node joins without it");
+    }
     match options.engine {
         Engine::Rtps => Ok(Arc::new(rtps::RtpsParticipant::new(options)?)),
         #[cfg(feature = "rustdds")]

@@ -22,6 +22,9 @@ use test_machine::free_domain;
 /// and the reply in the second one.
 const PAIRS: [(&str, &str); 2] = [("/talker", "/listener"), ("/listener", "/robot")];
 
+/// The sources of the peers.
+const PEERS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/security/peers");
+
 /// Written by sros2.
 fn keystore() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/security/tests/data/keystores/all_domains"))

@@ -1,5 +1,6 @@
 //! Secured participants of other vendors, as `bridge/security/peers` has them.
 
+use crate::PEERS;
 use crate::common::WATCHDOG;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -8,8 +9,6 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-
-const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/security/peers");
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Vendor {
@@ -147,7 +146,7 @@ fn program(vendor: Vendor) -> Option<PathBuf> {
     includes.args(["-E", "-include", header, "-x", if vendor == Vendor::Fast { "c++" } else { "c" }]);
     let status = includes.args(["/dev/null", "-o", "/dev/null"]).stderr(Stdio::null()).status().unwrap();
     let mut command = Command::new(compiler);
-    let source = Path::new(SOURCES).join(source);
+    let source = Path::new(PEERS).join(source);
     let mut is_complete = status.success();
     match vendor {
         Vendor::Cyclone => {

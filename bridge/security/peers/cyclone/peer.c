@@ -10,10 +10,12 @@
  *   keep TOPIC TEXT        publishes TEXT once, transient local
  *   recall TOPIC           prints each sample, transient local
  *   list NODE              asks for the names of the parameters of a node each second until the response arrives
+ *   move TOPIC JOINT POS   publishes the position of a joint ten times a second (sensor_msgs/msg/JointState)
+ *   joint TOPIC JOINT      prints the position of a joint in each sample
  * TOPIC, SERVICE and NODE are names of ROS 2 with their leading slash. The program ends when its standard input does.
  *
  * It prints one line for each event: "ready", "heard TOPIC TEXT", "served SERVICE DATA", "answered SERVICE MESSAGE",
- * "listed NODE NAME NAME…".
+ * "listed NODE NAME NAME…", "joint TOPIC POSITION".
  */
 #include <inttypes.h>
 #include <poll.h>
@@ -56,6 +58,16 @@ static const uint32_t list_response_ops[] = {
   DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_STR, offsetof(ListResponse, names),
   DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_STR, offsetof(ListResponse, prefixes), DDS_OP_RTS };
 
+typedef struct { uint32_t maximum, length; double *buffer; bool release; } Doubles;
+typedef struct { int32_t sec; uint32_t nanosec; char *frame_id; Strings name; Doubles position, velocity, effort; } JointState;
+static const uint32_t joint_state_ops[] = {
+  DDS_OP_ADR | DDS_OP_TYPE_4BY, offsetof(JointState, sec), DDS_OP_ADR | DDS_OP_TYPE_4BY, offsetof(JointState, nanosec),
+  DDS_OP_ADR | DDS_OP_TYPE_STR, offsetof(JointState, frame_id),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_STR, offsetof(JointState, name),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_8BY, offsetof(JointState, position),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_8BY, offsetof(JointState, velocity),
+  DDS_OP_ADR | DDS_OP_TYPE_SEQ | DDS_OP_SUBTYPE_8BY, offsetof(JointState, effort), DDS_OP_RTS };
+
 #define DESCRIPTOR(type, name, ops) { .m_size = sizeof(type), .m_align = sizeof(void *), .m_typename = name, \
   .m_nops = sizeof(ops) / sizeof(ops[0]), .m_ops = ops, .m_meta = "" }
 static const dds_topic_descriptor_t string_type = DESCRIPTOR(String, "std_msgs::msg::dds_::String_", string_ops);
@@ -65,11 +77,13 @@ static const dds_topic_descriptor_t list_request_type =
   DESCRIPTOR(ListRequest, "rcl_interfaces::srv::dds_::ListParameters_Request_", list_request_ops);
 static const dds_topic_descriptor_t list_response_type =
   DESCRIPTOR(ListResponse, "rcl_interfaces::srv::dds_::ListParameters_Response_", list_response_ops);
+static const dds_topic_descriptor_t joint_state_type = DESCRIPTOR(JointState, "sensor_msgs::msg::dds_::JointState_", joint_state_ops);
 
 typedef struct {
-  enum { PUBLISH, SUBSCRIBE, SERVE, CALL, FILL, KEEP, RECALL, LIST } kind;
+  enum { PUBLISH, SUBSCRIBE, SERVE, CALL, FILL, KEEP, RECALL, LIST, MOVE, JOINT } kind;
   const char *name, *text;
   bool data;
+  double position;
   dds_entity_t writer, reader;
   int64_t count;
   bool is_answered;
@@ -135,7 +149,8 @@ static int parse(Command *commands, int count, char **arguments)
 {
   static const struct { const char *name; int kind, size; } kinds[] = {
     { "publish", PUBLISH, 3 }, { "subscribe", SUBSCRIBE, 2 }, { "serve", SERVE, 2 }, { "call", CALL, 3 },
-    { "fill", FILL, 3 }, { "keep", KEEP, 3 }, { "recall", RECALL, 2 }, { "list", LIST, 2 } };
+    { "fill", FILL, 3 }, { "keep", KEEP, 3 }, { "recall", RECALL, 2 }, { "list", LIST, 2 },
+    { "move", MOVE, 4 }, { "joint", JOINT, 3 } };
   int used = 0;
   for (int at = 0; at < count && used < MOST_COMMANDS; used++) {
     size_t index = 0;
@@ -143,7 +158,8 @@ static int parse(Command *commands, int count, char **arguments)
     if (index == sizeof kinds / sizeof kinds[0] || count - at < kinds[index].size) return -1;
     Command *command = &commands[used];
     *command = (Command) { .kind = kinds[index].kind, .name = arguments[at + 1] + 1 };
-    if (kinds[index].size == 3) command->text = arguments[at + 2];
+    if (kinds[index].size == 4) command->position = atof(arguments[at + 3]);
+    if (kinds[index].size >= 3) command->text = arguments[at + 2];
     command->data = command->text && strcmp(command->text, "true") == 0;
     at += kinds[index].size;
   }
@@ -161,6 +177,12 @@ static void start(Command *command, dds_entity_t participant, const dds_qos_t *q
     case SUBSCRIBE: case RECALL:
       command->reader = reader(participant, topic(participant, "rt/", name, "", &string_type), command->kind == RECALL ? latched : qos, name);
       return;
+    case MOVE:
+      command->writer = writer(participant, topic(participant, "rt/", name, "", &joint_state_type), qos, name);
+      return;
+    case JOINT:
+      command->reader = reader(participant, topic(participant, "rt/", name, "", &joint_state_type), qos, name);
+      return;
     default: break;
   }
   const bool is_list = command->kind == LIST, is_client = is_list || command->kind == CALL;
@@ -169,6 +191,13 @@ static void start(Command *command, dds_entity_t participant, const dds_qos_t *q
   const dds_entity_t responses = topic(participant, "rr/", service, "Reply", is_list ? &list_response_type : &response_type);
   command->writer = writer(participant, is_client ? requests : responses, qos, name);
   command->reader = reader(participant, is_client ? responses : requests, qos, name);
+}
+
+static void print_joint(const Command *command, const JointState *state)
+{
+  for (uint32_t at = 0; at < state->name.length && at < state->position.length; at++)
+    if (strcmp(state->name.buffer[at], command->text) == 0)
+      printf("joint /%s %.3f\n", command->name, state->position.buffer[at]);
 }
 
 static void receive(Command *command)
@@ -180,6 +209,8 @@ static void receive(Command *command)
     if (dds_take(command->reader, &sample, &info, 1, 1) != 1) return;
     if (info.valid_data && (command->kind == SUBSCRIBE || command->kind == RECALL))
       printf("heard /%s %s\n", command->name, ((const String *) sample)->data);
+    else if (info.valid_data && command->kind == JOINT)
+      print_joint(command, sample);
     else if (info.valid_data && command->kind == SERVE) {
       const Request *request = sample;
       printf("served /%s %s\n", command->name, text(request->data));
@@ -216,6 +247,11 @@ static void send(Command *command, int64_t tick)
     snprintf(text + size, 32, " %" PRId64, ++command->count);
     dds_write(command->writer, &(String) { .data = text });
     free(text);
+  }
+  else if (command->kind == MOVE) {
+    char *joint = (char *) command->text;
+    dds_write(command->writer, &(JointState) {
+      .frame_id = "", .name = { 1, 1, &joint, false }, .position = { 1, 1, &command->position, false } });
   }
   else if (command->kind == KEEP && tick == 0)
     dds_write(command->writer, &(String) { .data = (char *) command->text });

@@ -39,8 +39,9 @@ impl Protection {
         };
         let folder = security.folder()?;
         let failed = |reason: String| MiddlewareError::Security { reason };
-        let enclave = Enclave::load(&folder, SystemTime::now()).map_err(|error| failed(error.to_string()))?;
-        let credentials = Credentials::new(&enclave, options.domain_id.into());
+        let now = SystemTime::now();
+        let enclave = Enclave::load(&folder, now).map_err(|error| failed(error.to_string()))?;
+        let credentials = Credentials::new(&enclave, options.domain_id.into(), now);
         let credentials = credentials.map_err(|denial| failed(denial.to_string()))?;
         enclave.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
         tracing::info!(
