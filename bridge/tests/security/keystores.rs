@@ -1,18 +1,18 @@
 //! Keystores that our own code writes.
 
-use crate::domain;
 use crate::ours::{Ours, publish};
 use crate::peer::{Peer, Vendor};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_security::keystore::Keystore;
 use std::time::SystemTime;
+use test_machine::free_domain;
 
 fn random(bytes: &mut [u8]) {
     getrandom::fill(bytes).unwrap();
 }
 
 fn peers_use_it(vendor: Vendor) {
-    let domain = domain();
+    let domain = free_domain();
     let folder = tempfile::tempdir().unwrap();
     let now = SystemTime::now();
     let keystore = Keystore::create(folder.path(), domain.into(), now, &mut random).unwrap();

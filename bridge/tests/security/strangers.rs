@@ -4,13 +4,14 @@ use crate::common::rclpy;
 use crate::common::wait_until;
 use crate::ours::{Ours, publish};
 use crate::peer::Vendor;
-use crate::{domain, keystore, pairs};
+use crate::{keystore, pairs};
 use downbeat_bridge::middleware::Middleware;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use serde_json::json;
 use std::time::Duration;
+use test_machine::free_domain;
 
 /// What a stranger needs to be discovered, several times over.
 const WHILE: Duration = Duration::from_secs(3);
@@ -57,7 +58,7 @@ fn strangers_see_and_say_nothing_next_to_fast_dds() {
 
 #[test]
 fn rclpy_without_security_sees_and_says_nothing() {
-    let domain = domain();
+    let domain = free_domain();
     let Some(mut rclpy) = rclpy::Peer::start(domain, "LOCALHOST") else { return };
     let (ours, other) =
         (Ours::join(domain, keystore(), "/talker"), Ours::join(domain, keystore(), "/listener"));

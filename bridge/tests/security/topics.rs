@@ -3,8 +3,9 @@
 use crate::common::wait_until;
 use crate::ours::{Ours, publish};
 use crate::peer::{Peer, Vendor};
-use crate::{PAIRS, domain, keystore, pairs};
+use crate::{PAIRS, keystore, pairs};
 use downbeat_msgs::qos::QosProfile;
+use test_machine::free_domain;
 
 const COMMANDS: [&str; 2] = ["publish /theirs hello", "subscribe /ours"];
 
@@ -33,7 +34,7 @@ fn texts_flow(vendor: Vendor) {
         talk(&ours, &mut peer);
     }
     for (ours, theirs) in PAIRS {
-        let domain = domain();
+        let domain = free_domain();
         let ours = Ours::join(domain, keystore(), ours);
         let Some(mut peer) = Peer::start(vendor, domain, keystore(), theirs, &COMMANDS) else { return };
         talk(&ours, &mut peer);
@@ -84,7 +85,7 @@ fn samples_in_fragments_flow_to_and_from_fast_dds() {
 
 fn late_joiners_hear(vendor: Vendor) {
     for (ours, theirs) in PAIRS {
-        let domain = domain();
+        let domain = free_domain();
         let ours = Ours::join(domain, keystore(), ours);
         let publisher = ours.publisher("/ours", QosProfile::LATCHED);
         let mut first = match Peer::start(vendor, domain, keystore(), theirs, &["recall /ours"]) {
@@ -116,7 +117,7 @@ fn late_joiners_of_fast_dds_hear_what_was_said_before() {
 #[test]
 fn two_nodes_of_ours_talk() {
     for (first, second) in PAIRS {
-        let domain = domain();
+        let domain = free_domain();
         let (first, second) = (Ours::join(domain, keystore(), first), Ours::join(domain, keystore(), second));
         let texts = second.texts("/chatter", QosProfile::DEFAULT);
         let publisher = first.publisher("/chatter", QosProfile::DEFAULT);
