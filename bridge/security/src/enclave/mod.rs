@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 use zeroize::Zeroizing;
 
 use crate::access::smime::{self, SmimeError};
-use crate::access::{DomainRule, Governance, Grant, Permissions};
+use crate::access::{Action, Decision, DomainRule, Governance, Grant, Permissions};
 use crate::document::DocumentError;
 use crate::pki::{Authority, Certificate, Crl, Date, Distrust, PkiError, PrivateKey, check_validity};
 
@@ -187,6 +187,26 @@ impl Enclave {
     pub fn for_domain(&self, domain_id: u32) -> Result<&DomainRule, EnclaveError> {
         let missing = || EnclaveError::NoRule { path: self.folder.join("governance.p7s"), domain_id };
         self.governance.domain(domain_id).ok_or_else(missing)
+    }
+
+    /// Whether this enclave may have an endpoint of a topic, by its name in DDS, in a domain.
+    ///
+    /// # Errors
+    /// If no grant is valid at `now`, or the governance has no rule for the domain.
+    pub fn decide(
+        &self,
+        action: Action,
+        domain_id: u32,
+        topic: &str,
+        now: SystemTime,
+    ) -> Result<Decision, EnclaveError> {
+        let grant = self.grant(now)?;
+        Ok(match self.for_domain(domain_id)?.topic(topic) {
+            Some(rule) => rule.decide(grant, action, domain_id, topic, &[]),
+            None => {
+                Decision { is_allowed: false, rule: "the governance has no rule for this topic".to_owned() }
+            }
+        })
     }
 
     fn find_warnings(&self, grant: (SystemTime, SystemTime), now: SystemTime) -> Vec<String> {

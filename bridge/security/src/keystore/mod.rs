@@ -186,10 +186,17 @@ impl Keystore {
     /// # Errors
     /// If the name is none of an enclave.
     pub fn folder(&self, name: &str) -> Result<PathBuf, KeystoreError> {
-        match name::problem(name) {
-            Some(problem) => Err(KeystoreError::Name { name: name.to_owned(), problem }),
-            None => Ok(self.path.join("enclaves").join(name.trim_start_matches('/'))),
-        }
+        Self::check_name(name)?;
+        Ok(self.path.join("enclaves").join(name.trim_start_matches('/')))
+    }
+
+    /// Checks that a text can be the name of an enclave.
+    ///
+    /// # Errors
+    /// If it cannot.
+    pub fn check_name(name: &str) -> Result<(), KeystoreError> {
+        let refused = |problem| KeystoreError::Name { name: name.to_owned(), problem };
+        name::problem(name).map_or(Ok(()), |problem| Err(refused(problem)))
     }
 
     /// Makes an authority for both purposes.
