@@ -128,6 +128,9 @@ impl RobotNode {
         let bridge = Bridge::start(&mut robot.core, nodes.clone(), &exposed.topics)?;
         if let Some(diagnostics) = diagnostics {
             diagnostics.watch_endpoints(bridge.status());
+            if let Some(security) = participant.security() {
+                diagnostics.watch_security(&node.name().to_string(), security);
+            }
         }
         for EndpointReport { endpoint, .. } in bridge.status().endpoints() {
             let arrow = match endpoint.direction {

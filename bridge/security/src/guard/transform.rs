@@ -118,6 +118,10 @@ pub(super) fn open(
     out: &mut Vec<u8>,
 ) -> Opened {
     let mut opened = Opened::default();
+    let Some(header) = datagram.get(..Header::LEN) else {
+        return Opened { dropped: Some(Disbelief::Malformed), ..opened };
+    };
+    out.extend_from_slice(header);
     let whole;
     let (mut is_protected, mut message) = (false, datagram);
     match message_transform(datagram) {
@@ -133,10 +137,7 @@ pub(super) fn open(
         }
         Err(_) => return Opened { dropped: Some(Disbelief::Malformed), ..opened },
     }
-    let Some((header, mut rest)) = message.split_at_checked(Header::LEN) else {
-        return Opened { dropped: Some(Disbelief::Malformed), ..opened };
-    };
-    out.extend_from_slice(header);
+    let mut rest = message.get(Header::LEN..).unwrap_or_default();
     while let Some((frame, following)) = frames::split(rest) {
         let result = match frame.kind() {
             Kind::Protected => match split_submessage_group(rest) {

@@ -46,7 +46,8 @@ pub fn guard_of(name: &str, config: &Config) -> (GuidPrefix, Box<dyn Guard>) {
     MADE.set(MADE.get() + 1);
     let mut random = Random::new(MADE.get());
     let fill = move |bytes: &mut [u8]| bytes.iter_mut().for_each(|byte| *byte = random.below(256) as u8);
-    let credentials = Credentials::new(&enclave(name), config.domain_id).expect("a rule for the domain");
+    let credentials =
+        Credentials::new(&enclave(name), config.domain_id, valid()).expect("a rule for the domain");
     let guard = SecurityGuard::new(Arc::new(credentials), config.prefix, Box::new(fill), Status::default());
     (guard.prefix(), Box::new(guard))
 }
