@@ -225,6 +225,7 @@ fn wrong_files_and_names_are_refused_with_what_to_do() {
             assert!(message.contains(part), "{arguments:?}: {message}");
         }
     }
+    assert!(!site.path("keys/enclaves/b").exists(), "nothing is left behind");
     let message = refusal(&["security", "check", text(&site.robot)]);
     assert!(message.contains("--keystore") && message.contains("ROS_SECURITY_KEYSTORE"), "{message}");
     let message = refusal(&["security", "generate-policy", text(&site.robot), "--enclave", "robot"]);

@@ -71,9 +71,10 @@ pub(super) fn list(path: &Path, as_json: bool) -> anyhow::Result<()> {
 
 /// Checks that a node can join the domain with what was written.
 fn check_usable(folder: &Path, domain_id: u32) -> anyhow::Result<()> {
-    let enclave = Enclave::load(folder, SystemTime::now())?;
+    let now = SystemTime::now();
+    let enclave = Enclave::load(folder, now)?;
     enclave.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    Credentials::new(&enclave, domain_id)?;
+    Credentials::new(&enclave, domain_id, now)?;
     Ok(())
 }
 

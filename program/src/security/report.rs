@@ -145,13 +145,18 @@ impl RobotReport {
 
     /// Fails if something is denied.
     pub(crate) fn refuse_denied(&self) -> anyhow::Result<()> {
+        const MOST: usize = 8;
         let denied: Vec<String> = self.denied().map(|endpoint| endpoint.to_string()).collect();
+        let more = match denied.len().saturating_sub(MOST) {
+            0 => String::new(),
+            more => format!(" and {more} endpoints more, which `downbeat security check` lists"),
+        };
         anyhow::ensure!(
             denied.is_empty(),
-            "{} denies the robot {}; permit it in the policy, sign that with `downbeat security create-permissions`, or do \
-             not expose it",
+            "{} denies the robot {}{more}; permit it in the policy, sign that with `downbeat security create-permissions`, \
+             or do not expose it",
             self.folder.display(),
-            denied.join(", ")
+            denied.iter().take(MOST).cloned().collect::<Vec<_>>().join(", ")
         );
         Ok(())
     }
@@ -165,7 +170,7 @@ impl RobotReport {
 impl NetworkReport {
     fn of(network: &RehearsedNetwork, enclave: &Enclave, now: SystemTime) -> anyhow::Result<Self> {
         let domain = network.options.domain_id;
-        Credentials::new(enclave, domain.into())?;
+        Credentials::new(enclave, domain.into(), now)?;
         let endpoints: BTreeSet<_> = network
             .endpoints
             .iter()

@@ -43,7 +43,7 @@ pub struct Enclave {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnclaveError {
-    #[error("there is no enclave in {}, which is no folder; `ros2 security create_enclave` makes one", path.display())]
+    #[error("there is no enclave in {}, which is no folder; `downbeat security create-enclave` or `ros2 security create_enclave` makes one", path.display())]
     NoFolder { path: PathBuf },
     #[error("{} is missing; an enclave has the files {}", path.display(), FILES.join(", "))]
     Missing { path: PathBuf },
@@ -250,7 +250,7 @@ fn read_pki<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, PkiError>) ->
 }
 
 /// A signed document, and its parsed content.
-fn read_signed<T>(
+pub(crate) fn read_signed<T>(
     path: &Path,
     ca: &Certificate,
     parse: impl FnOnce(&str) -> Result<T, DocumentError>,
