@@ -118,6 +118,11 @@ pub(super) fn open(
     out: &mut Vec<u8>,
 ) -> Opened {
     let mut opened = Opened::default();
+    let Some((header, _)) = datagram.split_at_checked(Header::LEN) else {
+        return Opened { dropped: Some(Disbelief::Malformed), ..opened };
+    };
+    // Whatever is dropped, a message remains.
+    out.extend_from_slice(header);
     let whole;
     let (mut is_protected, mut message) = (false, datagram);
     match message_transform(datagram) {
@@ -133,10 +138,7 @@ pub(super) fn open(
         }
         Err(_) => return Opened { dropped: Some(Disbelief::Malformed), ..opened },
     }
-    let Some((header, mut rest)) = message.split_at_checked(Header::LEN) else {
-        return Opened { dropped: Some(Disbelief::Malformed), ..opened };
-    };
-    out.extend_from_slice(header);
+    let mut rest = message.get(Header::LEN..).unwrap_or_default();
     while let Some((frame, following)) = frames::split(rest) {
         let result = match frame.kind() {
             Kind::Protected => match split_submessage_group(rest) {
@@ -191,7 +193,10 @@ fn open_group(
     let key = submessage_transform(group)?.key;
     let mut plain = Vec::with_capacity(group.len());
     let owner = if key == KeyId::KEY_EXCHANGE {
-        session.exchange_opener.submessage(group, &mut plain)?;
+        let opened = session.exchange_opener.submessage(group, &mut plain);
+        // After each handshake there is another key with this id; what is still on its way has the one
+        // before.
+        opened.map_err(|error| if error == OpenError::Forged { Disbelief::NoKey } else { error.into() })?;
         None
     } else {
         let (entity, opener) = session.keys.get_mut(&key).ok_or(Disbelief::NoKey)?;
