@@ -8,6 +8,11 @@ use serde_json::json;
 
 use super::cli::CheckArguments;
 use super::describe::print_missing_kinds;
+use super::logging::Log;
+#[cfg(feature = "security")]
+use super::network::participant_options;
+#[cfg(feature = "security")]
+use super::security::RobotReport;
 use downbeat_bridge::edge::{Interfaces, KnownType};
 use downbeat_bridge::expose::{ActionExposure, ServiceExposure};
 use downbeat_bridge::ros::{NodeName, ServiceName};
@@ -15,13 +20,42 @@ use downbeat_bridge::{clock, rosout};
 use downbeat_executor::{Core, TopicInfo};
 use downbeat_robot::recorder::Unrecorded;
 use downbeat_robot::running::add_diagnostics;
-use downbeat_robot::{Catalog, ClockChoice, ExposedEndpoint, ModuleSource, NodeFeatures, Robot, RosArgs};
+use downbeat_robot::{
+    Catalog, ClockChoice, ExposedEndpoint, ModuleSource, NodeFeatures, Robot, RobotFile, RosArgs,
+};
 
-pub(crate) fn check(arguments: &CheckArguments, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<()> {
+pub(crate) fn check(
+    arguments: &CheckArguments,
+    catalog: &Catalog,
+    ros: &RosArgs,
+    log: &Log,
+) -> anyhow::Result<()> {
     if arguments.kinds {
         list_kinds(catalog);
     }
-    arguments.robot.as_deref().map_or(Ok(()), |path| check_robot(path, arguments, catalog, ros))
+    let Some(path) = &arguments.robot else { return Ok(()) };
+    check_robot(path, arguments, catalog, ros)?;
+    if arguments.json || arguments.dump_params {
+        return Ok(());
+    }
+    check_security(arguments.parameters.read_robot(path, catalog, ros)?, ros, log)
+}
+
+/// Prints what the enclave that the environment names denies the robot, if it names one.
+#[cfg(feature = "security")]
+fn check_security(file: RobotFile, ros: &RosArgs, log: &Log) -> anyhow::Result<()> {
+    if std::env::var_os("ROS_SECURITY_ENABLE").is_none() {
+        return Ok(());
+    }
+    let options = ros.with_enclave(participant_options(None)?);
+    let Some(report) = RobotReport::for_run(file, &options, log)? else { return Ok(()) };
+    println!("\n{}", report.summary());
+    report.refuse_denied()
+}
+
+#[cfg(not(feature = "security"))]
+fn check_security(_: RobotFile, _: &RosArgs, _: &Log) -> anyhow::Result<()> {
+    Ok(())
 }
 
 fn check_robot(

@@ -34,6 +34,8 @@ use super::new::NewArguments;
 use super::new_output::Force;
 use super::parameters::ParameterArguments;
 use super::run::RunArguments;
+#[cfg(feature = "security")]
+use super::security::SecurityCommand;
 use super::servo::ServoCommand;
 
 /// Robot software as small modules in one process, exposed to ROS 2 Jazzy, recorded and replayed.
@@ -81,6 +83,8 @@ impl Cli {
             Command::Topic(_) | Command::Node(_) | Command::Service(_) | Command::Param(_) => true,
             Command::Action(_) | Command::Lifecycle(_) => true,
             Command::Graph(arguments) => arguments.robot.is_none(),
+            #[cfg(feature = "security")]
+            Command::Security(command) => command.reads_robot(),
             Command::Bag(command) => {
                 matches!(command, BagCommand::Record(_) | BagCommand::Play(_) | BagCommand::Replay(_))
             }
@@ -88,7 +92,7 @@ impl Cli {
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args is only for commands that create a ROS 2 node: run, check, graph of the network, topic, node, service, param, action, lifecycle, bag record, bag play, bag replay"
+                "--ros-args is only for commands that create a ROS 2 node: run, check, graph of the network, topic, node, service, param, action, lifecycle, security check, security generate-policy, bag record, bag play, bag replay"
                     .into(),
             );
         }
@@ -128,7 +132,13 @@ fn missing_option_if(
 }
 
 /// The arguments of a command that a feature would add.
-#[cfg(not(all(feature = "football", feature = "plots", feature = "view", feature = "zenoh")))]
+#[cfg(not(all(
+    feature = "football",
+    feature = "plots",
+    feature = "security",
+    feature = "view",
+    feature = "zenoh"
+)))]
 #[derive(Args)]
 #[command(disable_help_flag = true)]
 pub(crate) struct NotBuiltIn {
@@ -191,6 +201,13 @@ pub(crate) enum Command {
     /// (Not in this program, built without "zenoh".) Run a Zenoh router.
     #[cfg(not(feature = "zenoh"))]
     Router(NotBuiltIn),
+    /// Make keystores, enclaves and policies for protected networks (SROS2), and check a robot against them.
+    #[cfg(feature = "security")]
+    #[command(subcommand)]
+    Security(SecurityCommand),
+    /// (Not in this program, built without "security".) Make keystores for protected networks (SROS2).
+    #[cfg(not(feature = "security"))]
+    Security(NotBuiltIn),
     /// Inspect, record, play and process bags.
     #[command(subcommand)]
     Bag(BagCommand),

@@ -90,7 +90,13 @@ fn as_json(network: &NetworkGraph) -> Value {
         .iter()
         .map(|node| {
             let participant: String = node.participant.iter().map(|byte| format!("{byte:02x}")).collect();
-            json!({ "name": node.name, "vendor": node.vendor, "participant": participant })
+            let identity = (!node.identity.is_empty()).then_some(&node.identity);
+            json!({
+                "name": node.name,
+                "vendor": node.vendor,
+                "identity": identity,
+                "participant": participant,
+            })
         })
         .collect();
     let endpoint = |endpoint: &NetworkEndpoint| {
@@ -167,7 +173,9 @@ fn network_text(network: &NetworkGraph) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "nodes");
     for node in &network.nodes {
-        let _ = writeln!(text, "  {:<40} {}", node.name, node.vendor);
+        let secured =
+            if node.identity.is_empty() { String::new() } else { format!(", secured as {}", node.identity) };
+        let _ = writeln!(text, "  {:<40} {}{secured}", node.name, node.vendor);
     }
     let (topics, services): (Vec<_>, Vec<_>) =
         network.endpoints.iter().partition(|endpoint| is_of_topic(endpoint));

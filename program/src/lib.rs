@@ -31,6 +31,8 @@ mod parameters;
 mod router;
 mod run;
 mod screen;
+#[cfg(feature = "security")]
+mod security;
 mod servo;
 mod statistics;
 mod status;
@@ -94,7 +96,7 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::MatchRobot(arguments) => football::robot::run(&arguments, catalog, &ros, &screen, &log),
         #[cfg(not(feature = "football"))]
         Command::Match(_) | Command::Vision(_) => not_built("football", ""),
-        Command::Check(arguments) => check::check(&arguments, catalog, &ros),
+        Command::Check(arguments) => check::check(&arguments, catalog, &ros, &log),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]
         Command::Compose(arguments) => compose::compose(&arguments, catalog),
@@ -113,6 +115,10 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Router => router::router(),
         #[cfg(not(feature = "zenoh"))]
         Command::Router(_) => not_built("zenoh", ""),
+        #[cfg(feature = "security")]
+        Command::Security(command) => security::security(&command, catalog, &ros, &log),
+        #[cfg(not(feature = "security"))]
+        Command::Security(_) => not_built("security", "`ros2 security` makes keystores too"),
         Command::Graph(arguments) => graph::graph(&arguments, catalog, &ros),
         Command::Bag(BagCommand::Info(arguments)) => bag::info::info(&arguments),
         Command::Bag(BagCommand::Record(arguments)) => {
@@ -187,6 +193,7 @@ fn ends_when_done(command: &Command) -> bool {
     all(
         feature = "football",
         feature = "plots",
+        feature = "security",
         feature = "tables",
         feature = "top",
         feature = "view",

@@ -10,6 +10,8 @@ use super::network::participant_options;
 use super::new_output::{Force, Output};
 use super::parameters::ParameterArguments;
 use super::screen::Screen;
+#[cfg(feature = "security")]
+use super::security::RobotReport;
 use super::statistics::{Statistics, Times};
 use super::status::{Faults, Sources, StatusBlock};
 use super::stop::Stop;
@@ -19,6 +21,8 @@ use downbeat_files::duration::parse as duration;
 use downbeat_msgs::encoding::Encoding;
 #[cfg(feature = "view")]
 use downbeat_robot::running::RunningRobot;
+#[cfg(feature = "security")]
+use downbeat_robot::running::StartError;
 use downbeat_robot::running::{PreparedRobot, RecordPlan, RobotNode, StopError};
 use downbeat_robot::{Catalog, RobotFile, RosArgs};
 
@@ -92,7 +96,15 @@ pub(crate) fn run(
         (WatchedRobot::new(file)?, stop.after(arguments.duration))
     };
     let options = ros.with_enclave(participant_options(arguments.domain)?);
-    robot.prepared.expose(&options, Some(&log.of_node))?;
+    if let Err(error) = robot.prepared.expose(&options, Some(&log.of_node)) {
+        // The error names only the first endpoint that is denied.
+        #[cfg(feature = "security")]
+        if let StartError::Middleware(_) | StartError::Node(_) | StartError::Expose(_) = error {
+            let file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
+            RobotReport::for_run(file, &options, log)?.map_or(Ok(()), |report| report.refuse_denied())?;
+        }
+        return Err(error.into());
+    }
     if let Some(directory) = &arguments.record {
         let plan = RecordPlan::of_robot(directory, robot.prepared.file(), arguments.encoding);
         arguments.force.make_way(Output::Bag, directory, [])?;

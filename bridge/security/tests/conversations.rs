@@ -1,4 +1,5 @@
 //! Participants with the enclaves of a keystore, connected in memory.
+#![allow(clippy::unwrap_used)]
 
 #[path = "../../rtps/tests/common/mod.rs"]
 mod common;

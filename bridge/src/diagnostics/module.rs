@@ -2,6 +2,7 @@
 
 use super::status;
 use crate::expose::{BridgeStatus, EndpointReport, OfferedService, ServicesStatus};
+use crate::middleware::SecurityWatch;
 use downbeat_executor::{
     Context, Core, CoreHandle, Inbox, Module, ModuleOptions, Publication, Receipt, Role, Setup, SetupError,
     Snapshot, Synchrony, Task,
@@ -75,6 +76,17 @@ impl ProcessDiagnostics {
     /// Reports the services that are offered to ROS 2 too.
     pub fn watch_services(&self, status: ServicesStatus) {
         self.sources.lock().services = Some(status);
+    }
+
+    /// Reports the state of security: who was refused, and what expires.
+    pub fn watch_security(&self, node: &str, look: SecurityWatch) {
+        let (node, mut last) = (node.to_owned(), None);
+        self.watch(move || {
+            let now = look();
+            let report = status::security(&node, &now, last.as_ref());
+            last = Some(now);
+            vec![report]
+        });
     }
 
     /// Reports what `look` returns too. It is called once a second on the thread of the module, and must not

@@ -2,7 +2,7 @@
 //! does.
 
 use crate::expose::{EndpointReport, OfferedService};
-use crate::middleware::{Direction, QosPolicyKind};
+use crate::middleware::{Direction, QosPolicyKind, SecurityState};
 use downbeat_executor::{ModuleState, ModuleStatistics, Snapshot, TimeStatistics};
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticStatus, KeyValue};
 use std::fmt::Display;
@@ -101,6 +101,23 @@ pub(super) fn service(node: &str, now: &OfferedService, last: Option<&OfferedSer
     ];
     let network = on(now.network.as_deref());
     status(level, format!("{node}: service {}{network}", now.service), message, values)
+}
+
+/// The protection of the participant.
+pub(super) fn security(node: &str, now: &SecurityState, last: Option<&SecurityState>) -> DiagnosticStatus {
+    let refused = now.refused.saturating_sub(last.map_or(0, |last| last.refused));
+    let (level, message) = match (now.refusals.last(), now.warnings.first()) {
+        (Some(reason), _) if refused > 0 => (DiagnosticStatus::WARN, format!("refused: {reason}")),
+        (_, Some(warning)) => (DiagnosticStatus::WARN, warning.clone()),
+        _ => (DiagnosticStatus::OK, format!("{} participants authenticated", now.authenticated)),
+    };
+    let values = vec![
+        value("identity", &now.subject),
+        value("participants authenticated", now.authenticated),
+        value("refused", now.refused),
+        value("last refusal", now.refusals.last().map_or("", String::as_str)),
+    ];
+    status(level, format!("{node}: security"), message, values)
 }
 
 /// What distinguishes the same name in a further network.

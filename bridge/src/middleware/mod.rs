@@ -50,6 +50,9 @@ pub type SampleHandler = Box<dyn FnMut(Sample) + Send>;
 /// Counts the readers of a writer; 0 or the last count once the writer is dropped.
 pub type ReaderCounter = Box<dyn Fn() -> usize + Send + Sync>;
 
+/// Tells the state of security.
+pub type SecurityWatch = Box<dyn Fn() -> SecurityState + Send>;
+
 /// Handles changes of the matched endpoints. It runs on a thread of the middleware, so it must not block.
 pub type MatchHandler = Box<dyn Fn() + Send + Sync>;
 
@@ -111,8 +114,8 @@ pub trait Middleware: Send + Sync {
         None
     }
 
-    /// The state of security. `None` without it.
-    fn security(&self) -> Option<SecurityState> {
+    /// Tells the state of security, from any thread and without keeping the participant. `None` without it.
+    fn security(&self) -> Option<SecurityWatch> {
         None
     }
 
@@ -180,6 +183,11 @@ pub trait Writer: Send + Sync {
     /// The matched readers.
     fn matched_readers(&self) -> Vec<Gid>;
 
+    /// See [`Middleware::vendor_of`].
+    fn vendor_of(&self, peer: Gid) -> [u8; 2] {
+        peer.vendor()
+    }
+
     /// Registers a handler for changes of the matched readers, in place of the handler before.
     fn on_match(&self, handler: MatchHandler);
 
@@ -238,6 +246,17 @@ pub fn join(options: &ParticipantOptions) -> Result<Arc<dyn Middleware>, Middlew
     options.not_honoured().iter().for_each(|sentence| tracing::warn!("{sentence}"));
     if options.discovery_range == DiscoveryRange::Off {
         tracing::warn!("ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no other ROS 2 node will see this one");
+    }
+    if let Some(security) = options.security.as_ref().filter(|_| options.engine != Engine::Rtps) {
+        let reason = format!(
+            "keystores of ROS 2 protect DDS, not the engine {}; Zenoh has TLS and access control of its own \
+             (ZENOH_SESSION_CONFIG_URI)",
+            options.engine
+        );
+        if security.is_enforced {
+            return Err(MiddlewareError::Security { reason });
+        }
+        tracing::warn!("ROS_SECURITY_ENABLE=true: {reason}. This node joins without it");
     }
     match options.engine {
         Engine::Rtps => Ok(Arc::new(rtps::RtpsParticipant::new(options)?)),

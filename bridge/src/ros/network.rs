@@ -25,6 +25,8 @@ pub struct FoundNode {
     pub participant: Gid,
     /// The implementation of the middleware, such as `eProsima Fast DDS`.
     pub vendor: String,
+    /// With DDS Security the subject of its certificate, which it has proven, such as `CN=/robot`; else empty.
+    pub identity: String,
 }
 
 /// An endpoint of a node of another participant on a topic or service.
@@ -74,8 +76,10 @@ impl Participant {
         let heard = self.shared.graph.remote_owners(&remote);
         let of_engine = self.shared.middleware.nodes().map(|nodes| nodes.implementation().to_owned());
         let nodes = heard.nodes.into_iter().map(|(participant, name)| {
-            let vendor = of_engine.clone().unwrap_or_else(|| vendor(participant));
-            FoundNode { name, participant, vendor }
+            let middleware = &self.shared.middleware;
+            let vendor = of_engine.clone().unwrap_or_else(|| vendor(middleware.vendor_of(participant)));
+            let identity = middleware.subject_of(participant).unwrap_or_default();
+            FoundNode { name, participant, vendor, identity }
         });
         let mut nodes: Vec<_> = nodes.collect();
         nodes.sort();
@@ -112,9 +116,10 @@ impl Participant {
 
 impl From<Found> for NetworkGraph {
     fn from(Found { nodes, endpoints }: Found) -> Self {
-        let node = |FoundNode { name, participant, vendor }| NetworkNode {
+        let node = |FoundNode { name, participant, vendor, identity }| NetworkNode {
             name,
             vendor,
+            identity,
             participant: participant.participant(),
         };
         Self {
@@ -178,8 +183,8 @@ fn nanoseconds(duration: Option<Duration>) -> i64 {
 
 /// The numbers that OMG has given to vendors
 /// (<https://www.dds-foundation.org/dds-rtps-vendor-and-product-ids/>).
-fn vendor(participant: Gid) -> String {
-    match participant.vendor() {
+fn vendor(id: [u8; 2]) -> String {
+    match id {
         [1, 1] => "RTI Connext".to_owned(),
         [1, 3] => "OpenDDS".to_owned(),
         [1, 15] => "eProsima Fast DDS".to_owned(),

@@ -4,7 +4,9 @@ use super::graph::{Graph, RemoteNode};
 use super::membership::{Furnisher, Membership, NodeError, Shared};
 use super::{Node, NodeName, RemapRules, type_description};
 use crate::edge::Interfaces;
-use crate::middleware::{self, Middleware, MiddlewareError, ParticipantOptions, RemoteEndpoint};
+use crate::middleware::{
+    self, Middleware, MiddlewareError, ParticipantOptions, RemoteEndpoint, SecurityWatch,
+};
 use crate::worker::{Worker, WorkerLink};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::type_description_interfaces::srv::GetTypeDescription;
@@ -140,6 +142,12 @@ impl Participant {
     #[must_use]
     pub fn interfaces(&self) -> &Interfaces {
         &self.shared.interfaces
+    }
+
+    /// Tells the state of DDS Security. `None` without it.
+    #[must_use]
+    pub fn security(&self) -> Option<SecurityWatch> {
+        self.shared.middleware.security()
     }
 
     /// The endpoints of other participants that are known at this moment.

@@ -79,6 +79,8 @@ fn info(arguments: &InfoArguments, environment: &Environment<'_>) -> anyhow::Res
         ),
     }
     println!("{name}");
+    let identities = found.nodes.iter().filter(|node| node.name == name && !node.identity.is_empty());
+    identities.for_each(|node| println!("  Secured as: {}", node.identity));
     let node = Some(&*name);
     let names = |kind| names_and_types(&found, &[kind], node);
     let print = |title: &str, names: NamesAndTypes| {

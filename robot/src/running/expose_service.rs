@@ -29,6 +29,8 @@ use downbeat_msgs::rcl_interfaces::srv::{
 use super::StartError;
 use super::inspected::InspectedRobot;
 
+const NAME: &str = "~/expose";
+
 /// How many requests wait; more are not answered.
 const QUEUE: usize = 16;
 
@@ -61,10 +63,15 @@ impl ExposeService {
             }
         };
         let qos = QosProfile::SERVICES;
-        let service = node.serve_later::<SetParametersAtomically>("~/expose", qos, on_request)?;
+        let service = node.serve_later::<SetParametersAtomically>(NAME, qos, on_request)?;
         tracing::info!("exposed service: {}", service.name());
         Ok(Self { _service: service, jobs, thread: Some(thread) })
     }
+}
+
+/// Offers the service without answering, on a node that no client finds.
+pub(super) fn placeholder(node: &Node) -> Result<Service, StartError> {
+    Ok(node.serve_later::<SetParametersAtomically>(NAME, QosProfile::SERVICES, |_, _| {})?)
 }
 
 impl Drop for ExposeService {

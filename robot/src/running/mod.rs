@@ -13,6 +13,7 @@ mod node;
 #[cfg(feature = "view")]
 mod page_host;
 mod recording;
+mod rehearsal;
 mod revival;
 #[cfg(feature = "view")]
 mod view;
@@ -36,6 +37,7 @@ pub use log_tail::LogTail;
 pub use node::{NodeLog, RobotNode};
 pub use recording::RecordPlan;
 pub(crate) use recording::{RECORDED_FROM, SIMULATED_TIME};
+pub use rehearsal::{Rehearsal, RehearsedNetwork};
 
 use crate::inspect::{ClaimError, InspectionServer, SocketDirectory};
 use crate::recorder::RecorderError;

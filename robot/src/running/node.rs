@@ -1,6 +1,7 @@
 //! The node of a running robot.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use downbeat_bridge::clock::{self, NodeClock, SimTime};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
@@ -9,7 +10,7 @@ use downbeat_bridge::expose::{
     ParameterServices, ServiceReport,
 };
 use downbeat_bridge::lifecycle::{LifecycleExposure, LifecycleNodes, expose_lifecycle};
-use downbeat_bridge::middleware::{Direction, ParticipantOptions};
+use downbeat_bridge::middleware::{self, Direction, Middleware, MiddlewareError, ParticipantOptions};
 use downbeat_bridge::network::NetworkWatch;
 use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
 use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
@@ -60,17 +61,30 @@ impl RobotNode {
         options: &ParticipantOptions,
         log: Option<&NodeLog>,
     ) -> Result<Self, StartError> {
-        let exposed = robot.exposed()?;
         let claim = claim(&robot.file, options.domain_id)?;
+        let node = Self::on(robot, clock, diagnostics, options, log, &mut middleware::join)?;
+        Ok(Self { _claim: claim, ..node })
+    }
+
+    /// Creates the node in the networks that `join` joins, that of `[expose]` first.
+    pub(super) fn on(
+        robot: &mut Robot,
+        clock: &NodeClock,
+        diagnostics: Option<&ProcessDiagnostics>,
+        options: &ParticipantOptions,
+        log: Option<&NodeLog>,
+        join: Join<'_>,
+    ) -> Result<Self, StartError> {
+        let exposed = robot.exposed()?;
         let features = robot.file.expose.features.clone();
         let own_options =
             ParticipantOptions { engine: features.engine.unwrap_or(options.engine), ..options.clone() };
-        let participant = join(&robot.file, &own_options)?;
+        let participant = participant(&robot.file, &own_options, join)?;
         let node = participant.create_node(robot.file.given_node_name()?)?;
         if let Some(log) = log {
             log.names.set_node(node.name());
         }
-        let networks = join_networks(&robot.file, options, own_options)?;
+        let networks = join_networks(&robot.file, options, own_options, join)?;
         let in_networks = |has: fn(&NetworkEntry) -> bool| -> Vec<&Node> {
             let meant = robot.file.networks.iter().filter(|network| has(network));
             meant.filter_map(|network| networks.get(&network.name)).collect()
@@ -114,6 +128,9 @@ impl RobotNode {
         let bridge = Bridge::start(&mut robot.core, nodes.clone(), &exposed.topics)?;
         if let Some(diagnostics) = diagnostics {
             diagnostics.watch_endpoints(bridge.status());
+            if let Some(security) = participant.security() {
+                diagnostics.watch_security(&node.name().to_string(), security);
+            }
         }
         for EndpointReport { endpoint, .. } in bridge.status().endpoints() {
             let arrow = match endpoint.direction {
@@ -144,7 +161,7 @@ impl RobotNode {
             _furnishing: furnishing,
             node,
             domain: options.domain_id,
-            _claim: claim,
+            _claim: None,
         })
     }
 
@@ -176,8 +193,16 @@ fn on(network: Option<String>) -> String {
     network.map(|name| format!(" on {name}")).unwrap_or_default()
 }
 
-fn join(file: &RobotFile, options: &ParticipantOptions) -> Result<Participant, StartError> {
-    Ok(Participant::join_with(options, file.remaps.clone(), file.catalog.interfaces.clone())?)
+/// Joins a network.
+pub(super) type Join<'a> =
+    &'a mut dyn FnMut(&ParticipantOptions) -> Result<Arc<dyn Middleware>, MiddlewareError>;
+
+fn participant(
+    file: &RobotFile,
+    options: &ParticipantOptions,
+    join: Join<'_>,
+) -> Result<Participant, StartError> {
+    Ok(Participant::on_with(join(options)?, file.remaps.clone(), file.catalog.interfaces.clone())?)
 }
 
 /// Joins the further networks of the file. Returns the robot's node in each, by the name of the network.
@@ -185,6 +210,7 @@ fn join_networks(
     file: &RobotFile,
     environment: &ParticipantOptions,
     own: ParticipantOptions,
+    join: Join<'_>,
 ) -> Result<BTreeMap<String, Node>, StartError> {
     let mut joined = vec![own];
     let mut nodes = BTreeMap::new();
@@ -193,7 +219,7 @@ fn join_networks(
         if joined.contains(&options) {
             return Err(file.same_network(network).into());
         }
-        let participant = join(file, &options)?;
+        let participant = participant(file, &options, join)?;
         nodes.insert(network.name.clone(), participant.create_node(file.given_node_name()?)?);
         tracing::info!("joined network {}: {}, domain {}", network.name, options.engine, options.domain_id);
         joined.push(options);

@@ -10,8 +10,8 @@ use super::endpoint::{EndpointEvent, EndpointState, SampleHandler};
 use super::interfaces::Interfaces;
 use super::sockets::{Senders, Sent};
 use crate::protocol::{
-    self, Addresses, CreateError, Destination, EndpointConfig, Event, Now, Report, Severity, WriteError,
-    WriteOptions,
+    self, Addresses, CreateError, Destination, EndpointConfig, Event, Fault, Now, Report, Severity,
+    WriteError, WriteOptions,
 };
 use crate::wire::{EntityId, Guid, SequenceNumber};
 use bytes::Bytes;
@@ -355,6 +355,10 @@ impl Engine {
                 endpoints.iter().for_each(|endpoint| endpoint.forget(remote));
             }
             Event::Security(report) => self.report(&report),
+            // The guard says why, in words.
+            Event::Warning { fault: Fault::Rejected, from, .. } => {
+                tracing::debug!("security rejected a message from {from}");
+            }
             Event::Warning { fault, from, count } => {
                 tracing::warn!("dropped {fault} from {from} ({count} since the last such message)");
             }

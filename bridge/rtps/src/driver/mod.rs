@@ -235,6 +235,12 @@ impl Writer {
         move || state.known()
     }
 
+    /// See [`Participant::vendor_of`].
+    #[must_use]
+    pub fn vendor_of(&self, participant: GuidPrefix) -> Option<VendorId> {
+        self.engine.lock().participant.remote_participant(participant).map(|data| data.vendor)
+    }
+
     /// The matched readers.
     #[must_use]
     pub fn matched_readers(&self) -> Vec<Guid> {

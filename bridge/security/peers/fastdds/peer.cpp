@@ -6,9 +6,14 @@
 //   subscribe TOPIC        prints each sample
 //   serve SERVICE          answers requests (std_srvs/srv/SetBool)
 //   call SERVICE DATA      sends a request each second until the response arrives; DATA is true or false
-// TOPIC and SERVICE are names of ROS 2 with their leading slash. The program ends when its standard input does.
+//   fill TOPIC SIZE        publishes SIZE times "x" and a number, once a second (std_msgs/msg/String)
+//   keep TOPIC TEXT        publishes TEXT once, transient local
+//   recall TOPIC           prints each sample, transient local
+//   list NODE              asks for the names of the parameters of a node each second until the response arrives
+// TOPIC, SERVICE and NODE are names of ROS 2 with their leading slash. The program ends when its standard input does.
 //
-// It prints one line for each event: "ready", "heard TOPIC TEXT", "served SERVICE DATA", "answered SERVICE MESSAGE".
+// It prints one line for each event: "ready", "heard TOPIC TEXT", "served SERVICE DATA", "answered SERVICE MESSAGE",
+// "listed NODE NAME NAME…".
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/log/Log.hpp>
@@ -26,6 +31,7 @@
 
 #include <cstring>
 #include <iostream>
+#include <map>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -41,7 +47,7 @@ class Encoded : public fast::TopicDataType {
 public:
     explicit Encoded(const std::string& name) {
         setName(name.c_str());
-        m_typeSize = 1 << 20;
+        m_typeSize = 2 << 20;
     }
     bool serialize(void* sample, rtps::SerializedPayload_t* payload) override {
         const auto& bytes = *static_cast<Bytes*>(sample);
@@ -72,13 +78,30 @@ void put(Bytes& bytes, const std::string& text) {
     bytes.insert(bytes.end(), text.c_str(), text.c_str() + size);
 }
 
-/// The string at `offset`, which is the last field of each type here.
+uint32_t number_at(const Bytes& bytes, size_t offset) {
+    uint32_t number = 0;
+    for (int at = 0; at < 4; at++) number |= static_cast<uint32_t>(bytes.at(offset + at)) << (8 * at);
+    return number;
+}
+
+/// The string at `offset`.
 std::string text_at(const Bytes& bytes, size_t offset) {
     if (bytes.size() < offset + 5) return "(too short)";
-    uint32_t size = 0;
-    for (int at = 0; at < 4; at++) size |= static_cast<uint32_t>(bytes[offset + at]) << (8 * at);
+    const uint32_t size = number_at(bytes, offset);
     if (size == 0 || size > bytes.size() - offset - 4) return "(wrong length)";
     return std::string(reinterpret_cast<const char*>(&bytes[offset + 4]), size - 1);
+}
+
+/// The strings of a sequence, each after a space.
+std::string texts(const Bytes& bytes) {
+    std::string all;
+    size_t offset = 8;
+    for (uint32_t left = number_at(bytes, 4); left > 0; left--) {
+        const std::string text = text_at(bytes, offset);
+        all += " " + text;
+        offset = (offset + 4 + text.size() + 1 + 3) / 4 * 4;
+    }
+    return all;
 }
 
 struct Command {
@@ -115,15 +138,20 @@ public:
     }
 
     void start(Command& command) {
-        if (command.kind == "publish" || command.kind == "subscribe") {
+        const std::string& kind = command.kind;
+        const bool is_reader = kind == "subscribe" || kind == "recall";
+        if (is_reader || kind == "publish" || kind == "fill" || kind == "keep") {
             auto* topic = make_topic("rt" + command.name, "std_msgs::msg::dds_::String_");
-            if (command.kind == "publish") command.writer = make_writer(topic);
-            else command.reader = make_reader(topic);
+            const auto durability = kind == "keep" || kind == "recall" ? fast::TRANSIENT_LOCAL_DURABILITY_QOS : fast::VOLATILE_DURABILITY_QOS;
+            if (is_reader) command.reader = make_reader(topic, durability);
+            else command.writer = make_writer(topic, durability);
             return;
         }
-        auto* requests = make_topic("rq" + command.name + "Request", "std_srvs::srv::dds_::SetBool_Request_");
-        auto* responses = make_topic("rr" + command.name + "Reply", "std_srvs::srv::dds_::SetBool_Response_");
-        const bool is_client = command.kind == "call";
+        const bool is_list = kind == "list", is_client = is_list || kind == "call";
+        const std::string service = command.name + (is_list ? "/list_parameters" : "");
+        const std::string type = is_list ? "rcl_interfaces::srv::dds_::ListParameters" : "std_srvs::srv::dds_::SetBool";
+        auto* requests = make_topic("rq" + service + "Request", type + "_Request_");
+        auto* responses = make_topic("rr" + service + "Reply", type + "_Response_");
         command.writer = make_writer(is_client ? requests : responses);
         command.reader = make_reader(is_client ? responses : requests);
     }
@@ -149,24 +177,24 @@ private:
         return topic;
     }
 
-    fast::DataWriter* make_writer(fast::Topic* topic) {
+    fast::DataWriter* make_writer(fast::Topic* topic, fast::DurabilityQosPolicyKind durability = fast::VOLATILE_DURABILITY_QOS) {
         fast::DataWriterQos qos;
         qos.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
-        qos.durability().kind = fast::VOLATILE_DURABILITY_QOS;
+        qos.durability().kind = durability;
         qos.history().depth = 10;
-        qos.endpoint().history_memory_policy = rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+        qos.endpoint().history_memory_policy = rtps::DYNAMIC_REUSABLE_MEMORY_MODE;
         qos.publish_mode().kind = fast::ASYNCHRONOUS_PUBLISH_MODE;
         auto* writer = publisher->create_datawriter(topic, qos);
         if (writer == nullptr) throw std::runtime_error("cannot create the writer of " + topic->get_name());
         return writer;
     }
 
-    fast::DataReader* make_reader(fast::Topic* topic) {
+    fast::DataReader* make_reader(fast::Topic* topic, fast::DurabilityQosPolicyKind durability = fast::VOLATILE_DURABILITY_QOS) {
         fast::DataReaderQos qos;
         qos.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
-        qos.durability().kind = fast::VOLATILE_DURABILITY_QOS;
+        qos.durability().kind = durability;
         qos.history().depth = 10;
-        qos.endpoint().history_memory_policy = rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+        qos.endpoint().history_memory_policy = rtps::DYNAMIC_REUSABLE_MEMORY_MODE;
         auto* reader = subscriber->create_datareader(topic, qos);
         if (reader == nullptr) throw std::runtime_error("cannot create the reader of " + topic->get_name());
         return reader;
@@ -182,7 +210,7 @@ void receive(Command& command) {
     fast::SampleInfo info;
     while (command.reader != nullptr && command.reader->take_next_sample(&sample, &info) == ReturnCode_t::RETCODE_OK) {
         if (!info.valid_data) continue;
-        if (command.kind == "subscribe") {
+        if (command.kind == "subscribe" || command.kind == "recall") {
             std::cout << "heard " << command.name << " " << text_at(sample, 4) << std::endl;
         } else if (command.kind == "serve") {
             const bool data = sample.size() > 4 && sample[4] != 0;
@@ -194,7 +222,8 @@ void receive(Command& command) {
             about.related_sample_identity(info.sample_identity);
             command.writer->write(&response, about);
         } else if (!command.is_answered && info.related_sample_identity.writer_guid() == command.writer->guid()) {
-            std::cout << "answered " << command.name << " " << text_at(sample, 8) << std::endl;
+            if (command.kind == "list") std::cout << "listed " << command.name << texts(sample) << std::endl;
+            else std::cout << "answered " << command.name << " " << text_at(sample, 8) << std::endl;
             command.is_answered = true;
         }
     }
@@ -204,6 +233,15 @@ void send(Command& command, int64_t tick) {
     Bytes sample = encapsulated();
     if (command.kind == "publish") {
         put(sample, command.text + " " + std::to_string(++command.count));
+        command.writer->write(&sample);
+    } else if (command.kind == "fill" && tick % 10 == 0) {
+        put(sample, std::string(std::stoul(command.text), 'x') + " " + std::to_string(++command.count));
+        command.writer->write(&sample);
+    } else if (command.kind == "keep" && tick == 0) {
+        put(sample, command.text);
+        command.writer->write(&sample);
+    } else if (command.kind == "list" && !command.is_answered && tick % 10 == 0) {
+        sample.resize(20); // no prefixes, and a depth of 0 at the next multiple of 8
         command.writer->write(&sample);
     } else if (command.kind == "call" && !command.is_answered && tick % 10 == 0) {
         sample.push_back(command.text == "true");
@@ -224,9 +262,11 @@ std::vector<Command> parse(int count, char** arguments) {
     for (int at = 3; at < count;) {
         Command command;
         command.kind = arguments[at];
-        const int size = command.kind == "publish" || command.kind == "call" ? 3 : 2;
-        const bool is_known = size == 3 || command.kind == "subscribe" || command.kind == "serve";
-        if (!is_known || count - at < size) return {};
+        static const std::map<std::string, int> kinds = {{"publish", 3}, {"subscribe", 2}, {"serve", 2}, {"call", 3},
+                                                         {"fill", 3},    {"keep", 3},      {"recall", 2}, {"list", 2}};
+        const auto known = kinds.find(command.kind);
+        if (known == kinds.end() || count - at < known->second) return {};
+        const int size = known->second;
         command.name = arguments[at + 1];
         if (size == 3) command.text = arguments[at + 2];
         commands.push_back(command);
@@ -239,7 +279,7 @@ int main(int count, char** arguments) try {
     auto commands = parse(count, arguments);
     if (commands.empty()) {
         std::cerr << "usage: " << arguments[0]
-                  << " DOMAIN_ID ENCLAVE (publish TOPIC TEXT|subscribe TOPIC|serve SERVICE|call SERVICE DATA)..." << std::endl;
+                  << " DOMAIN_ID ENCLAVE COMMAND..., see the head of its source" << std::endl;
         return 2;
     }
     log_to_standard_error();

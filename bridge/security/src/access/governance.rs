@@ -2,6 +2,7 @@
 
 use super::domains::Domains;
 use super::pattern;
+use super::permissions::{Action, Decision, Grant};
 use crate::document::{self, DocumentError, Element};
 
 /// A parsed governance document.
@@ -170,6 +171,26 @@ impl DomainRule {
 }
 
 impl TopicRule {
+    /// Whether the holder of a grant may have an endpoint of a topic for which this rule is.
+    pub fn decide(
+        &self,
+        grant: &Grant,
+        action: Action,
+        domain_id: u32,
+        topic: &str,
+        partitions: &[String],
+    ) -> Decision {
+        let is_checked = match action {
+            Action::Publish => self.write,
+            Action::Subscribe => self.read,
+        };
+        if !is_checked {
+            let rule = format!("the governance leaves {:?} to everybody", self.expression);
+            return Decision { is_allowed: true, rule };
+        }
+        grant.decide(action, domain_id, topic, partitions)
+    }
+
     fn read(element: Element) -> Result<Self, DocumentError> {
         let children = element.children(&[
             "topic_expression",

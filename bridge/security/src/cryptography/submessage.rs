@@ -153,10 +153,11 @@ pub(super) fn write_postfix(
     Ok(())
 }
 
-/// Parses a SEC_POSTFIX or SRTPS_POSTFIX that fills `bytes`.
-pub(super) fn parse_postfix(id: u8, bytes: &[u8]) -> Result<CryptoFooter<'_>, OpenError> {
+/// Parses a SEC_POSTFIX that fills `bytes`, or an SRTPS_POSTFIX. Fast DDS puts statistics behind the latter,
+/// which are not protected, and not looked at.
+pub(super) fn parse_postfix(kind: u8, bytes: &[u8]) -> Result<CryptoFooter<'_>, OpenError> {
     let postfix = framing::first(bytes).ok_or(OpenError::Truncated)?;
-    if postfix.id != id || !postfix.rest.is_empty() {
+    if postfix.id != kind || kind == id::SEC_POSTFIX && !postfix.rest.is_empty() {
         return Err(OpenError::Structure);
     }
     CryptoFooter::parse(postfix.body)

@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 use zeroize::Zeroizing;
 
 use crate::access::smime::{self, SmimeError};
-use crate::access::{DomainRule, Governance, Grant, Permissions};
+use crate::access::{Action, Decision, DomainRule, Governance, Grant, Permissions};
 use crate::document::DocumentError;
 use crate::pki::{Authority, Certificate, Crl, Date, Distrust, PkiError, PrivateKey, check_validity};
 
@@ -43,7 +43,7 @@ pub struct Enclave {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnclaveError {
-    #[error("there is no enclave in {}, which is no folder; `ros2 security create_enclave` makes one", path.display())]
+    #[error("there is no enclave in {}, which is no folder; `downbeat security create-enclave` or `ros2 security create_enclave` makes one", path.display())]
     NoFolder { path: PathBuf },
     #[error("{} is missing; an enclave has the files {}", path.display(), FILES.join(", "))]
     Missing { path: PathBuf },
@@ -189,6 +189,26 @@ impl Enclave {
         self.governance.domain(domain_id).ok_or_else(missing)
     }
 
+    /// Whether this enclave may have an endpoint of a topic, by its name in DDS, in a domain.
+    ///
+    /// # Errors
+    /// If no grant is valid at `now`, or the governance has no rule for the domain.
+    pub fn decide(
+        &self,
+        action: Action,
+        domain_id: u32,
+        topic: &str,
+        now: SystemTime,
+    ) -> Result<Decision, EnclaveError> {
+        let grant = self.grant(now)?;
+        Ok(match self.for_domain(domain_id)?.topic(topic) {
+            Some(rule) => rule.decide(grant, action, domain_id, topic, &[]),
+            None => {
+                Decision { is_allowed: false, rule: "the governance has no rule for this topic".to_owned() }
+            }
+        })
+    }
+
     fn find_warnings(&self, grant: (SystemTime, SystemTime), now: SystemTime) -> Vec<String> {
         let ends = [
             ("identity_ca.cert.pem", self.authority.certificate().validity().1),
@@ -230,7 +250,7 @@ fn read_pki<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, PkiError>) ->
 }
 
 /// A signed document, and its parsed content.
-fn read_signed<T>(
+pub(crate) fn read_signed<T>(
     path: &Path,
     ca: &Certificate,
     parse: impl FnOnce(&str) -> Result<T, DocumentError>,

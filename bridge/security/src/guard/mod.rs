@@ -109,12 +109,10 @@ impl Credentials {
     ///
     /// # Errors
     /// Returns a sentence if the enclave does not allow the domain.
-    pub fn new(enclave: &Enclave, domain_id: u32) -> Result<Self, Denial> {
+    pub fn new(enclave: &Enclave, domain_id: u32, now: SystemTime) -> Result<Self, Denial> {
         let rule = enclave.for_domain(domain_id).map_err(|error| Denial(error.to_string()))?.clone();
+        let grant = enclave.grant(now).map_err(|error| Denial(error.to_string()))?.clone();
         let subject = enclave.certificate.subject();
-        let grant = enclave.permissions.grant(subject).cloned().ok_or_else(|| {
-            Denial(format!("the permissions have no grant for {subject:?}, the subject of the certificate"))
-        })?;
         if rule.join_access_control && !grant.may_join(domain_id) {
             return Err(Denial(format!(
                 "the permissions of {subject:?} allow nothing in domain {domain_id}: set ROS_DOMAIN_ID to a domain that they \

@@ -142,15 +142,8 @@ impl Policy {
 
     /// Whether a participant with `grant` may have an endpoint.
     pub(super) fn decide(&self, grant: &Grant, rule: &TopicRule, data: &EndpointData) -> Decision {
-        let (action, is_checked) = match data.guid.entity.is_writer() {
-            true => (Action::Publish, rule.write),
-            false => (Action::Subscribe, rule.read),
-        };
-        if !is_checked {
-            let rule = format!("the governance leaves {:?} to everybody", rule.expression);
-            return Decision { is_allowed: true, rule };
-        }
-        grant.decide(action, self.domain_id, &data.topic, &data.qos.partition)
+        let action = if data.guid.entity.is_writer() { Action::Publish } else { Action::Subscribe };
+        rule.decide(grant, action, self.domain_id, &data.topic, &data.qos.partition)
     }
 }
 

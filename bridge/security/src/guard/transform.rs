@@ -118,10 +118,9 @@ pub(super) fn open(
     out: &mut Vec<u8>,
 ) -> Opened {
     let mut opened = Opened::default();
-    let Some((header, _)) = datagram.split_at_checked(Header::LEN) else {
+    let Some(header) = datagram.get(..Header::LEN) else {
         return Opened { dropped: Some(Disbelief::Malformed), ..opened };
     };
-    // Whatever is dropped, a message remains.
     out.extend_from_slice(header);
     let whole;
     let (mut is_protected, mut message) = (false, datagram);

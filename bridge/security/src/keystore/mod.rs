@@ -8,7 +8,8 @@ mod name;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use crate::access::smime;
+use crate::access::{Governance, smime};
+use crate::enclave::{EnclaveError, read_signed};
 use crate::pki::{Certificate, PkiError, PrivateKey};
 use crate::policy::Policy;
 use issue::Issuer;
@@ -43,6 +44,8 @@ pub enum KeystoreError {
     File { attempt: &'static str, path: PathBuf, source: std::io::Error },
     #[error("{}: {source}", path.display())]
     Pki { path: PathBuf, source: PkiError },
+    #[error(transparent)]
+    Enclave(#[from] EnclaveError),
     #[error("{} is not the key of {}", key.display(), certificate.display())]
     OtherKey { key: PathBuf, certificate: PathBuf },
 }
@@ -107,7 +110,8 @@ impl Keystore {
     /// stays: an enclave keeps its key and its permissions.
     ///
     /// # Errors
-    /// If the name is none of an enclave, or a file cannot be read or written.
+    /// If the name is none of an enclave, the governance has no rule for the domain, or a file cannot be read
+    /// or written.
     pub fn create_enclave(
         &self,
         name: &str,
@@ -116,6 +120,7 @@ impl Keystore {
         random: &mut dyn FnMut(&mut [u8]),
     ) -> Result<PathBuf, KeystoreError> {
         let folder = self.folder(name)?;
+        self.check_domain(domain_id)?;
         files::make_folder(&folder)?;
         let depth = name.split('/').filter(|part| !part.is_empty()).count();
         let up = "../".repeat(depth);
@@ -146,7 +151,8 @@ impl Keystore {
     /// certificate is valid.
     ///
     /// # Errors
-    /// If the keystore or the policy has no such enclave, or a file cannot be read or written.
+    /// If the keystore or the policy has no such enclave, the governance has no rule for the domain, or a file
+    /// cannot be read or written.
     pub fn create_permissions(
         &self,
         name: &str,
@@ -164,6 +170,7 @@ impl Keystore {
             let found: Vec<&str> = policy.enclaves().collect();
             KeystoreError::NotInPolicy { name: name.to_owned(), found: found.join(", ") }
         })?;
+        self.check_domain(domain_id)?;
         let (ca, ca_key) = self.authority("permissions_ca")?;
         let signed = smime::sign(permissions.as_bytes(), &ca, &ca_key, now);
         files::write(&folder.join("permissions.xml"), permissions.as_bytes())?;
@@ -186,10 +193,26 @@ impl Keystore {
     /// # Errors
     /// If the name is none of an enclave.
     pub fn folder(&self, name: &str) -> Result<PathBuf, KeystoreError> {
-        match name::problem(name) {
-            Some(problem) => Err(KeystoreError::Name { name: name.to_owned(), problem }),
-            None => Ok(self.path.join("enclaves").join(name.trim_start_matches('/'))),
-        }
+        Self::check_name(name)?;
+        Ok(self.path.join("enclaves").join(name.trim_start_matches('/')))
+    }
+
+    /// Checks that a text can be the name of an enclave.
+    ///
+    /// # Errors
+    /// If it cannot.
+    pub fn check_name(name: &str) -> Result<(), KeystoreError> {
+        let refused = |problem| KeystoreError::Name { name: name.to_owned(), problem };
+        name::problem(name).map_or(Ok(()), |problem| Err(refused(problem)))
+    }
+
+    /// Checks that the governance has a rule for a domain.
+    fn check_domain(&self, domain_id: u32) -> Result<(), KeystoreError> {
+        let path = self.path.join(SIGNED_GOVERNANCE);
+        let (ca, _) = self.authority("permissions_ca")?;
+        let (_, governance) = read_signed(&path, &ca, Governance::parse)?;
+        let missing = || EnclaveError::NoRule { path, domain_id };
+        Ok(governance.domain(domain_id).map(drop).ok_or_else(missing)?)
     }
 
     /// Makes an authority for both purposes.

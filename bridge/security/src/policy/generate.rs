@@ -22,6 +22,10 @@ pub struct NodeEndpoints {
     pub replies: Vec<String>,
     /// Services of which it is a client.
     pub requests: Vec<String>,
+    /// Actions that it has.
+    pub executes: Vec<String>,
+    /// Actions of which it is a client.
+    pub calls: Vec<String>,
 }
 
 impl Policy {
@@ -33,6 +37,8 @@ impl Policy {
             (Kind::Topics, "publish", &endpoints.publishes),
             (Kind::Services, "reply", &endpoints.replies),
             (Kind::Services, "request", &endpoints.requests),
+            (Kind::Actions, "execute", &endpoints.executes),
+            (Kind::Actions, "call", &endpoints.calls),
         ];
         for (kind, verb, names) in lists.into_iter().filter(|(_, _, names)| !names.is_empty()) {
             let names: Vec<String> = names.iter().map(|name| endpoints.shortened(name)).collect();
@@ -167,6 +173,7 @@ mod tests {
             publishes: names(&["/rosout", "/robot/joint_states", "/robot/walker/gait"]),
             replies: names(&["/robot/walker/get_parameters", "/reset"]),
             requests: names(&["/robot/camera/start"]),
+            ..NodeEndpoints::default()
         }
     }
 

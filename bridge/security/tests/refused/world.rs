@@ -154,7 +154,9 @@ impl World {
     }
 
     fn join_with(&mut self, enclave: &Enclave, lies: Option<Arc<Mutex<Lies>>>) -> usize {
-        let credentials = Arc::new(Credentials::new(enclave, 0).unwrap());
+        // It may be wrong now, but not when it began.
+        let begin = enclave.certificate.validity().0 + 2 * 24 * 3600 * SECOND;
+        let credentials = Arc::new(Credentials::new(enclave, 0, begin).unwrap());
         let status = Status::default();
         self.seed += 1;
         NEXT.set(Some((credentials, status.clone(), lies, self.seed)));

@@ -327,9 +327,10 @@ impl Shared {
             }
         };
         let servers = request_readers(writer, reader);
-        let server = preferred(&servers)?;
-        let is_mixed = servers.iter().any(|other| Mapping::of(*other) != Mapping::of(server));
-        let (payload, related) = match Mapping::of(server) {
+        let mapping = |server: Gid| Mapping::of(writer.vendor_of(server));
+        let server = preferred(&servers, mapping)?;
+        let is_mixed = servers.iter().any(|other| mapping(*other) != mapping(server));
+        let (payload, related) = match mapping(server) {
             Mapping::RelatedIdentity => {
                 let number = SampleIdentity::UNKNOWN_NUMBER;
                 (cdr, Some(SampleIdentity { endpoint: reader.gid(), number }))
@@ -410,6 +411,6 @@ fn request_readers(writer: &dyn Writer, reader: &dyn Reader) -> Vec<Gid> {
 
 /// Chooses the server for the next request, since a request has one form: a server without the header in the
 /// payload if there is one; among equals, the one with the smallest identity.
-fn preferred(servers: &[Gid]) -> Option<Gid> {
-    servers.iter().copied().min_by_key(|server| (Mapping::of(*server) == Mapping::PayloadHeader, *server))
+fn preferred(servers: &[Gid], mapping: impl Fn(Gid) -> Mapping) -> Option<Gid> {
+    servers.iter().copied().min_by_key(|server| (mapping(*server) == Mapping::PayloadHeader, *server))
 }

@@ -22,8 +22,9 @@ pub(super) enum Mapping {
 }
 
 impl Mapping {
-    pub(super) fn of(peer: Gid) -> Self {
-        if peer.vendor() == CYCLONE { Self::PayloadHeader } else { Self::RelatedIdentity }
+    /// That of peers of a vendor.
+    pub(super) fn of(vendor: [u8; 2]) -> Self {
+        if vendor == CYCLONE { Self::PayloadHeader } else { Self::RelatedIdentity }
     }
 }
 
@@ -90,11 +91,11 @@ pub(super) enum Label {
     Header(PayloadHeader),
 }
 
-/// The address of a request, and its payload without what belongs to the mapping; nothing if it is none.
-pub(super) fn request(sample: Sample) -> Option<(ReturnAddress, Bytes)> {
+/// The address of a request of a client of a vendor, and its payload without what belongs to the mapping; nothing if it is none.
+pub(super) fn request(sample: Sample, vendor: [u8; 2]) -> Option<(ReturnAddress, Bytes)> {
     let Sample { writer, sequence_number, related, cdr, .. } = sample;
     let address = |reader, label| ReturnAddress { client: writer, number: sequence_number, reader, label };
-    if Mapping::of(writer) == Mapping::PayloadHeader {
+    if Mapping::of(vendor) == Mapping::PayloadHeader {
         let (header, cdr) = PayloadHeader::take_off(&cdr)?;
         return Some((address(None, Label::Header(header)), cdr));
     }
@@ -127,7 +128,7 @@ mod tests {
     #[test]
     fn a_request_of_fast_dds_names_the_reader_that_waits() {
         let related = SampleIdentity { endpoint: READER, number: SampleIdentity::UNKNOWN_NUMBER };
-        let (address, cdr) = request(sample([1, 15], Some(related), &[0, 1, 0, 0, 9])).unwrap();
+        let (address, cdr) = request(sample([1, 15], Some(related), &[0, 1, 0, 0, 9]), [1, 15]).unwrap();
         assert_eq!(address.reader, Some(READER));
         assert_eq!(address.label, Label::Related(SampleIdentity { endpoint: READER, number: 7 }));
         assert_eq!(cdr[..], [0, 1, 0, 0, 9]);
@@ -137,7 +138,7 @@ mod tests {
     fn a_request_that_names_nothing_is_known_by_its_own_identity() {
         let sample = sample([1, 18], None, &[0, 1, 0, 0, 9]);
         let writer = sample.writer;
-        let (address, _) = request(sample).unwrap();
+        let (address, _) = request(sample, [1, 18]).unwrap();
         assert_eq!(address.reader, None);
         assert_eq!(address.label, Label::Related(SampleIdentity { endpoint: writer, number: 7 }));
     }
@@ -148,7 +149,7 @@ mod tests {
         let little = b"\0\x01\0\0\x02\x01\0\0\0\0\0\0\x05\0\0\0\0\0\0\0body";
         let big = b"\0\0\0\0\0\0\0\0\0\0\x01\x02\0\0\0\0\0\0\0\x05body";
         for (encoded, encapsulation) in [(&little[..], b"\0\x01\0\0"), (&big[..], b"\0\0\0\0")] {
-            let (address, cdr) = request(sample(CYCLONE, None, encoded)).unwrap();
+            let (address, cdr) = request(sample(CYCLONE, None, encoded), CYCLONE).unwrap();
             assert_eq!(address.label, Label::Header(expected));
             assert_eq!(cdr[..], [&encapsulation[..], b"body"].concat());
         }
@@ -159,7 +160,7 @@ mod tests {
     fn a_request_of_cyclone_that_is_too_short_for_its_header_is_none() {
         for length in 0..20 {
             let cdr = &b"\0\x01\0\0................"[..length];
-            assert_eq!(request(sample(CYCLONE, None, cdr)), None);
+            assert_eq!(request(sample(CYCLONE, None, cdr), CYCLONE), None);
         }
     }
 }

@@ -365,7 +365,8 @@ impl Drop for Open {
 
 fn accept_sample(shared: &Arc<Shared>, on_request: &Arc<Mutex<RequestHandler>>, sample: Sample) {
     let (client, number) = (sample.writer, sample.sequence_number);
-    let Some((address, cdr)) = request(sample) else {
+    let vendor = shared.topics.as_ref().map_or(client.vendor(), |topics| topics.writer.vendor_of(client));
+    let Some((address, cdr)) = request(sample, vendor) else {
         shared.refuse(client, "it is too short for its header");
         return;
     };

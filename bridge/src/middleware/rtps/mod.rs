@@ -8,12 +8,14 @@ mod qos;
 use super::{
     Aliveness, Direction, DiscoveryRange, Endpoint, EndpointEvent, EventHandler, Gid, MatchHandler,
     Middleware, MiddlewareError, ParticipantOptions, QosPolicyKind, Reader, ReaderCounter, RemoteEndpoint,
-    Sample, SampleHandler, SampleIdentity, SecurityState, WriteError, WriteOptions, Writer,
+    Sample, SampleHandler, SampleIdentity, SecurityWatch, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
 pub use downbeat_rtps::protocol::Counters;
 use downbeat_rtps::protocol::{self, EndpointConfig, LivelinessChange};
-use downbeat_rtps::wire::{self, EndpointData, EntityId, Guid, GuidPrefix, InlineQos, SequenceNumber};
+use downbeat_rtps::wire::{
+    self, EndpointData, EntityId, Guid, GuidPrefix, InlineQos, SequenceNumber, VendorId,
+};
 use downbeat_rtps::{Options, Participant, Range};
 use protection::Protection;
 use std::sync::Arc;
@@ -92,16 +94,15 @@ impl Middleware for RtpsParticipant {
     }
 
     fn vendor_of(&self, peer: Gid) -> [u8; 2] {
-        let known = self.protection.is_some().then(|| self.participant.vendor_of(prefix(peer))).flatten();
-        known.map_or_else(|| peer.vendor(), |vendor| vendor.0)
+        vendor_of(peer, |prefix| self.participant.vendor_of(prefix))
     }
 
     fn subject_of(&self, participant: Gid) -> Option<String> {
         self.protection.as_ref()?.subject_of(prefix(participant))
     }
 
-    fn security(&self) -> Option<SecurityState> {
-        self.protection.as_ref().map(Protection::state)
+    fn security(&self) -> Option<SecurityWatch> {
+        self.protection.as_ref().map(Protection::watch)
     }
 
     fn leave(&self) {
@@ -130,6 +131,10 @@ impl Writer for RtpsWriter {
 
     fn matched_readers(&self) -> Vec<Gid> {
         self.0.matched_readers().into_iter().map(gid).collect()
+    }
+
+    fn vendor_of(&self, peer: Gid) -> [u8; 2] {
+        vendor_of(peer, |prefix| self.0.vendor_of(prefix))
     }
 
     fn on_match(&self, handler: MatchHandler) {
@@ -196,6 +201,14 @@ impl Reader for RtpsReader {
 /// 10.3).
 pub(in crate::middleware) fn is_cdr(payload: &[u8]) -> bool {
     matches!(payload, [0, 0 | 1, _, _, ..])
+}
+
+/// The vendor of a participant or endpoint. In a protected domain the identity does not tell, but begins with
+/// a bit that no vendor has (DDS Security 1.1, section 9.3.3).
+fn vendor_of(peer: Gid, look_up: impl FnOnce(GuidPrefix) -> Option<VendorId>) -> [u8; 2] {
+    let is_derived = peer.0[0] & 0x80 != 0;
+    let known = if is_derived { look_up(prefix(peer)) } else { None };
+    known.map_or_else(|| peer.vendor(), |vendor| vendor.0)
 }
 
 fn prefix(gid: Gid) -> GuidPrefix {

@@ -8,7 +8,7 @@ use downbeat_rtps::wire::GuidPrefix;
 use downbeat_security::enclave::Enclave;
 use downbeat_security::guard::{Credentials, SecurityGuard, Status};
 
-use crate::middleware::{MiddlewareError, ParticipantOptions, SecurityState};
+use crate::middleware::{MiddlewareError, ParticipantOptions, SecurityState, SecurityWatch};
 
 /// How a participant is protected.
 pub(super) struct Protection {
@@ -39,8 +39,9 @@ impl Protection {
         };
         let folder = security.folder()?;
         let failed = |reason: String| MiddlewareError::Security { reason };
-        let enclave = Enclave::load(&folder, SystemTime::now()).map_err(|error| failed(error.to_string()))?;
-        let credentials = Credentials::new(&enclave, options.domain_id.into());
+        let now = SystemTime::now();
+        let enclave = Enclave::load(&folder, now).map_err(|error| failed(error.to_string()))?;
+        let credentials = Credentials::new(&enclave, options.domain_id.into(), now);
         let credentials = credentials.map_err(|denial| failed(denial.to_string()))?;
         enclave.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
         tracing::info!(
@@ -66,15 +67,19 @@ impl Protection {
         self.status.subject(participant)
     }
 
-    pub(super) fn state(&self) -> SecurityState {
-        let (refused, refusals) = self.status.refusals();
-        SecurityState {
-            subject: self.credentials.subject().to_owned(),
-            authenticated: self.status.authenticated(),
-            refused,
-            refusals,
-            warnings: self.warnings.clone(),
-        }
+    pub(super) fn watch(&self) -> SecurityWatch {
+        let (subject, status) = (self.credentials.subject().to_owned(), self.status.clone());
+        let warnings = self.warnings.clone();
+        Box::new(move || {
+            let (refused, refusals) = status.refusals();
+            SecurityState {
+                subject: subject.clone(),
+                authenticated: status.authenticated(),
+                refused,
+                refusals,
+                warnings: warnings.clone(),
+            }
+        })
     }
 }
 

@@ -3,7 +3,7 @@
 use downbeat_rtps::Security;
 use downbeat_rtps::wire::GuidPrefix;
 
-use crate::middleware::{MiddlewareError, ParticipantOptions, SecurityState};
+use crate::middleware::{MiddlewareError, ParticipantOptions, SecurityWatch};
 
 /// How a participant is protected: there is no way.
 pub(super) enum Protection {}
@@ -29,7 +29,7 @@ impl Protection {
         match *self {}
     }
 
-    pub(super) fn state(&self) -> SecurityState {
+    pub(super) fn watch(&self) -> SecurityWatch {
         match *self {}
     }
 }

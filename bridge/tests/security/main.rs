@@ -1,0 +1,41 @@
+//! Participants with DDS Security, with secured participants of Cyclone DDS and Fast DDS, and with strangers.
+#![allow(clippy::unwrap_used)]
+
+#[path = "../common/mod.rs"]
+mod common;
+mod keystores;
+mod ours;
+mod parameters;
+mod peer;
+mod restarts;
+mod services;
+mod strangers;
+mod topics;
+
+use ours::Ours;
+use peer::{Peer, Vendor};
+use std::path::Path;
+use test_machine::free_domain;
+
+/// The enclaves of a pair: ours, the peer's. The participant with the smaller GUID, whose order is that of
+/// `/talker`, `/robot`, `/listener`, sends the request of the handshake, so that we send it in the first pair
+/// and the reply in the second one.
+const PAIRS: [(&str, &str); 2] = [("/talker", "/listener"), ("/listener", "/robot")];
+
+/// The sources of the peers.
+const PEERS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/security/peers");
+
+/// Written by sros2.
+fn keystore() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/security/tests/data/keystores/all_domains"))
+}
+
+/// A participant of ours and a peer that executes the commands, for both orders of their GUIDs. Nothing where
+/// the machine lacks what the peer needs.
+fn pairs(vendor: Vendor, commands: &[&str]) -> impl Iterator<Item = (Ours, Peer)> {
+    PAIRS.into_iter().filter_map(move |(ours, theirs)| {
+        let domain = free_domain();
+        let peer = Peer::start(vendor, domain, keystore(), theirs, commands)?;
+        Some((Ours::join(domain, keystore(), ours), peer))
+    })
+}
