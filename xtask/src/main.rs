@@ -8,6 +8,7 @@ mod matrix;
 mod node;
 mod physics;
 mod python;
+mod security;
 mod skips;
 mod steps;
 mod test;
@@ -49,6 +50,12 @@ enum Command {
     /// Fifty robots in a fleet on Zenoh, about a quarter of an hour, as root: three hosts, two routers, 200
     /// joins, routers that restart, a cable that is pulled, slow and bad lines. Prints what it measures.
     Fleet,
+    /// Random changes of all that DDS Security reads from files and peers, millions for each parser.
+    Security {
+        /// Changed inputs for each parser.
+        #[arg(long, default_value_t = 10_000_000)]
+        rounds: u64,
+    },
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
@@ -91,6 +98,7 @@ fn main() -> ExitCode {
         Command::Skips => skips::print_latest(),
         Command::Wire => wire::wire(),
         Command::Fleet => fleet::fleet(),
+        Command::Security { rounds } => security::security(rounds),
         Command::Bags => bags::bags(),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true, .. } => {

@@ -39,25 +39,6 @@ fn two_participants_discover_each_other_and_exchange_samples_in_both_directions(
 }
 
 #[test]
-fn the_graph_has_names_policies_and_user_data() {
-    let mut network = Network::new(1);
-    network.join(|config| {
-        config.user_data = "enclave=/;".into();
-        config.name = "other".into();
-    });
-    let writer = network.writer(1, "rt/a", latched(3));
-    network.run_for(SECOND);
-    let ours = &network.nodes[0].participant;
-    let [remote] = ours.remote_participants().collect::<Vec<_>>()[..] else { panic!("one participant") };
-    assert_eq!((remote.user_data.as_slice(), remote.name.as_str()), (b"enclave=/;".as_slice(), "other"));
-    let data = ours.remote_endpoint(network.guid(1, writer)).expect("the writer");
-    assert_eq!((data.topic.as_str(), data.type_name.as_str()), ("rt/a", "std_msgs::msg::dds_::String_"));
-    assert_eq!(data.user_data, b"typehash=RIHS01_00;");
-    assert_eq!(data.qos.durability, latched(3).durability);
-    assert_eq!(ours.remote_endpoints().count(), 1);
-}
-
-#[test]
 fn endpoints_of_one_participant_communicate() {
     let mut network = Network::new(0);
     // Without addresses, as with the discovery range OFF.
@@ -290,8 +271,8 @@ fn changed_addresses_are_followed() {
 #[test]
 fn related_identities_and_single_receivers_are_transmitted() {
     let mut network = Network::new(3);
-    let writer = network.writer(0, "rr/s", reliable());
-    let readers = [network.reader(1, "rr/s", reliable()), network.reader(2, "rr/s", reliable())];
+    let writer = network.writer(0, "rr/sReply", reliable());
+    let readers = [network.reader(1, "rr/sReply", reliable()), network.reader(2, "rr/sReply", reliable())];
     assert!(network.run_until(SECOND, |network| is_matched(network, 0, writer, 2)));
     network.run_for(Duration::from_millis(200));
     let related = downbeat_rtps::wire::SampleIdentity {
@@ -439,30 +420,4 @@ fn samples_written_after_the_match_arrive_even_if_the_history_is_short() {
     }
     network.run_for(SECOND);
     assert_eq!(network.nodes[1].texts(reader).len(), 100);
-}
-
-#[test]
-fn a_known_reader_is_awaited_until_it_answers_or_leaves_and_gets_what_is_written_meanwhile() {
-    let mut network = Network::new(2);
-    let reader = network.reader(1, "rt/a", reliable());
-    network.run_for(SECOND);
-    let writer = network.writer(0, "rt/a", reliable());
-    let awaited = |network: &Network| {
-        let counts = network.nodes[0].events.iter().filter_map(|event| match event {
-            Event::Awaiting { writer: of, count } if *of == writer => Some(*count),
-            _ => None,
-        });
-        counts.collect::<Vec<_>>()
-    };
-    assert_eq!(awaited(&network), [1]);
-    network.write(0, writer, "before the answer");
-    network.run_for(SECOND);
-    assert_eq!(awaited(&network), [1, 0]);
-    assert_eq!(network.nodes[1].texts(reader), ["before the answer"]);
-
-    let hasty = network.reader(1, "rt/a", reliable());
-    assert!(network.run_until(SECOND, |network| awaited(network) == [1, 0, 1]));
-    network.call(1, |participant, now| participant.remove_endpoint(now, hasty));
-    network.run_for(SECOND);
-    assert_eq!(awaited(&network).last(), Some(&0));
 }

@@ -24,6 +24,7 @@ const MS: Duration = Duration::from_millis(1);
 const SECOND: Duration = Duration::from_secs(1);
 /// Interruptions and suspensions are shorter than the lease, with a margin of some announcements for losses.
 const LONGEST_OUTAGE: Duration = Duration::from_secs(5);
+#[allow(dead_code)] // other programs that include this file have their own
 const SEEDS: u64 = 200;
 
 /// A generator of numbers (xorshift64*).
@@ -583,9 +584,8 @@ fn variable(name: &str) -> Option<u64> {
 fn histories_arrive_once_and_in_order_and_then_nothing_is_sent() {
     match variable("DOWNBEAT_SIMULATION_SEED") {
         Some(seed) => _ = simulate(seed),
-        None => {
-            (0..variable("DOWNBEAT_SIMULATION_SEEDS").unwrap_or(SEEDS)).for_each(|seed| _ = simulate(seed))
-        }
+        None => (0..variable("DOWNBEAT_SIMULATION_SEEDS").unwrap_or(crate::SEEDS))
+            .for_each(|seed| _ = simulate(seed)),
     }
 }
 

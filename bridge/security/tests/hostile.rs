@@ -2,6 +2,8 @@
 //! multiple of its input, and none passes for proven.
 #![allow(clippy::unwrap_used)]
 
+mod mutation;
+
 use std::time::{Duration, Instant, SystemTime};
 
 use downbeat_rtps::wire::{EntityId, Guid};
@@ -9,6 +11,7 @@ use downbeat_security::authentication::{Context, Handshake, Identity, Output};
 use downbeat_security::pki::{Authority, Certificate, Crl, PrivateKey};
 use downbeat_security::tokens::{ByteOrder, GenericMessage, Token};
 use fuzzing::{Random, most_in};
+use mutation::mutate;
 
 /// In 2027, when all certificates here are valid.
 const TIME: Duration = Duration::from_secs(1_798_761_600);
@@ -16,31 +19,6 @@ const TIME: Duration = Duration::from_secs(1_798_761_600);
 fn file(path: &str) -> Vec<u8> {
     let path = format!("{}/tests/data/{path}", env!("CARGO_MANIFEST_DIR"));
     std::fs::read(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
-}
-
-/// Changes bytes at a few places, and numbers where CDR has them.
-fn mutate(bytes: &mut Vec<u8>, random: &mut Random) {
-    for _ in 0..=random.below(3) {
-        let at = random.below(bytes.len());
-        match random.below(6) {
-            0 => bytes.truncate(at),
-            1 => bytes.insert(at, random.bits() as u8),
-            2 => drop(bytes.drain(at..bytes.len().min(at + random.below(40)))),
-            3 => {
-                let values = [0, 1, 2, bytes.len() as u32, 0xffff, i32::MAX as u32, u32::MAX - 3, u32::MAX];
-                let value = *random.choose(&values);
-                let number = if random.one_in(2) { value.to_le_bytes() } else { value.to_be_bytes() };
-                bytes.iter_mut().skip(at & !3).zip(number).for_each(|(byte, new)| *byte = new);
-            }
-            4 => {
-                let end = bytes.len().min(at + random.below(200));
-                let stretch = bytes[at..end].to_vec();
-                let to = random.below(bytes.len());
-                drop(bytes.splice(to..to, stretch));
-            }
-            _ => bytes.iter_mut().skip(at).take(1).for_each(|byte| *byte ^= 1 << random.below(8)),
-        }
-    }
 }
 
 /// Runs a parser on a changed input, and checks its memory.
@@ -140,7 +118,7 @@ impl Listener {
         Self {
             identity,
             participant_data: recorded("c.pdata"),
-            numbers: vec![recorded("challenge2"), key.to_vec()],
+            numbers: vec![key.to_vec(), recorded("challenge2")],
             handshake: Handshake::new(request.destination_participant, remote, Instant::now()),
         }
     }

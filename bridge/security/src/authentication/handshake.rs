@@ -15,8 +15,8 @@ use crate::tokens::{GenericMessage, class};
 /// Call [`Self::handle_timeout`] at [`Self::next_timeout`], which is at once for the initiator, and
 /// [`Self::handle`] with each message of class [`class::AUTHENTICATION`] from the other participant. Each
 /// message costs at most two verifications, one signature and two operations of key agreement, and only if
-/// its cheap parts are right. Requests of participants to begin ([`class::AUTHENTICATION_REQUEST`]) need no
-/// answer.
+/// its cheap parts are right. If the other participant asks to begin ([`class::AUTHENTICATION_REQUEST`]), it
+/// may have lost its state: see [`Self::begin_again`].
 #[derive(Debug)]
 pub struct Handshake {
     peers: Peers,
@@ -59,7 +59,15 @@ impl Handshake {
     pub fn handle_timeout(&mut self, context: &mut Context<'_>) -> Vec<Output> {
         match &mut self.role {
             Role::Initiator(initiator) => initiator.handle_timeout(self.peers, context),
-            Role::Replier(replier) => replier.handle_timeout(context.now),
+            Role::Replier(replier) => replier.handle_timeout(self.peers, context),
+        }
+    }
+
+    /// Begins again, if the other participant waits for that: the initiator does not notice that the replier
+    /// has forgotten it. What was proven stays so until it is proven anew.
+    pub fn begin_again(&mut self, now: Instant) {
+        if let Role::Initiator(initiator) = &mut self.role {
+            initiator.begin_again(now);
         }
     }
 

@@ -43,6 +43,12 @@ impl Initiator {
         Self(State::Idle(now))
     }
 
+    pub(super) fn begin_again(&mut self, now: Instant) {
+        if !matches!(self.0, State::Waiting(_)) {
+            self.0 = State::Idle(now);
+        }
+    }
+
     pub(super) fn is_done(&self) -> bool {
         matches!(self.0, State::Done { .. })
     }

@@ -8,6 +8,7 @@ use super::refusal::Refusal;
 use crate::cdr::{ByteOrder, Writer};
 use crate::tokens::{Token, write_binary};
 
+pub(super) const BEGIN: &str = "DDS:Auth:PKI-DH:1.0+AuthReq";
 pub(super) const REQUEST: &str = "DDS:Auth:PKI-DH:1.0+Req";
 pub(super) const REPLY: &str = "DDS:Auth:PKI-DH:1.0+Reply";
 pub(super) const FINAL: &str = "DDS:Auth:PKI-DH:1.0+Final";
@@ -62,6 +63,11 @@ fn signed_form(properties: [(&str, &[u8]); 6]) -> Vec<u8> {
 fn token(class_id: &str, properties: &[(&str, &[u8])]) -> Token {
     let binary = properties.iter().map(|(name, value)| ((*name).to_owned(), value.to_vec())).collect();
     Token { binary, ..Token::new(class_id) }
+}
+
+/// Asks for the first message. The answer to that will have the same random number.
+pub(super) fn emit_begin(challenge2: &Challenge) -> Token {
+    token(BEGIN, &[("future_challenge", challenge2)])
 }
 
 /// The first message. Nothing in it is proven.

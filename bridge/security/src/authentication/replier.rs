@@ -1,7 +1,7 @@
 //! The participant that waits for the request and sends the reply.
 
 use std::collections::VecDeque;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use downbeat_rtps::wire::Guid;
 
@@ -9,14 +9,19 @@ use super::agreement::EphemeralKey;
 use super::context::{Context, GIVE_UP, Output, Peers, unexpected};
 use super::credentials::Credentials;
 use super::identity::{RemoteIdentity, SharedSecret};
-use super::messages::{Challenge, Exchange, FINAL, REQUEST, Reply, Request, challenges, verify_final};
+use super::messages::{
+    Challenge, Exchange, FINAL, REQUEST, Reply, Request, challenges, emit_begin, verify_final,
+};
 use super::refusal::Refusal;
 use super::resend::Resend;
-use crate::tokens::{GenericMessage, Token};
+use crate::tokens::{GenericMessage, Token, class};
 
 /// Anyone can send a request in the name of the initiator. Several are kept, so that a forged one does not
 /// displace the initiator's own.
 const MAX_PENDING: usize = 4;
+/// After this time without a request, the initiator is asked for one: it may not know that this participant
+/// has forgotten it.
+const ASKS_AFTER: Duration = Duration::from_secs(1);
 /// After which a reply is forgotten.
 const MAX_RESENT: u32 = 10;
 
@@ -26,6 +31,9 @@ pub(super) struct Replier {
     pending: VecDeque<Pending>,
     /// The random numbers of the last finished handshake.
     done: Option<(Challenge, Challenge)>,
+    /// Questions for a request, with the random number that they announce.
+    asks: Resend,
+    announced: Option<Challenge>,
     gives_up: Instant,
     refusal: Option<Refusal>,
 }
@@ -42,7 +50,14 @@ struct Pending {
 
 impl Replier {
     pub(super) fn new(now: Instant) -> Self {
-        Self { pending: VecDeque::new(), done: None, gives_up: now + GIVE_UP, refusal: None }
+        Self {
+            pending: VecDeque::new(),
+            done: None,
+            asks: Resend::after(ASKS_AFTER, now),
+            announced: None,
+            gives_up: now + GIVE_UP,
+            refusal: None,
+        }
     }
 
     pub(super) fn is_done(&self) -> bool {
@@ -51,11 +66,24 @@ impl Replier {
 
     pub(super) fn next_timeout(&self) -> Option<Instant> {
         let gives_up = (!self.is_done()).then_some(self.gives_up);
-        self.pending.iter().map(|pending| pending.resend.next).chain(gives_up).min()
+        let asks = self.is_waiting().then_some(self.asks.next);
+        self.pending.iter().map(|pending| pending.resend.next).chain(gives_up).chain(asks).min()
     }
 
-    pub(super) fn handle_timeout(&mut self, now: Instant) -> Vec<Output> {
+    /// Whether no request has arrived.
+    fn is_waiting(&self) -> bool {
+        !self.is_done() && self.pending.is_empty()
+    }
+
+    pub(super) fn handle_timeout(&mut self, peers: Peers, context: &mut Context<'_>) -> Vec<Output> {
+        let now = context.now;
         let mut outputs = Vec::new();
+        if self.is_waiting() && self.asks.is_due(now) {
+            let token = emit_begin(&self.challenge(context));
+            let message = peers.message(token, None, context);
+            let class = class::AUTHENTICATION_REQUEST.into();
+            outputs.push(Output::Send(GenericMessage { class, ..message }));
+        }
         self.pending.retain_mut(|pending| {
             if pending.resend.is_due(now) && pending.resend.count <= MAX_RESENT {
                 outputs.push(Output::Send(pending.message.clone()));
@@ -68,6 +96,15 @@ impl Replier {
             outputs.push(Output::GaveUp(self.refusal.take().unwrap_or(no_answer)));
         }
         outputs
+    }
+
+    /// The random number of the next reply, which has to be the announced one.
+    fn challenge(&mut self, context: &mut Context<'_>) -> Challenge {
+        *self.announced.get_or_insert_with(|| {
+            let mut challenge = [0; 32];
+            (context.random)(&mut challenge);
+            challenge
+        })
     }
 
     pub(super) fn handle(
@@ -106,7 +143,8 @@ impl Replier {
         if self.done.is_some_and(|(challenge1, _)| challenge1 == request.challenge1) {
             return Ok(None);
         }
-        let pending = Pending::begin(peers, source, token, &request, context)?;
+        let challenge2 = self.challenge(context);
+        let pending = Pending::begin(peers, source, token, &request, challenge2, context)?;
         let reply = pending.message.clone();
         if self.pending.len() >= MAX_PENDING {
             self.pending.pop_front();
@@ -124,7 +162,7 @@ impl Replier {
         let pending = self.pending.iter().find(of_token).ok_or(Refusal::Mismatch { field: "challenge2" })?;
         verify_final(token, &pending.exchange, &pending.remote)?;
         let (remote, secret) = (Box::new(pending.remote.clone()), pending.secret.clone());
-        self.done = Some(challenges);
+        (self.done, self.announced) = (Some(challenges), None);
         self.pending.clear();
         self.refusal = None;
         Ok(Some(Output::Done { remote, secret }))
@@ -137,13 +175,12 @@ impl Pending {
         source: (Guid, i64),
         token: &Token,
         request: &Request<'_>,
+        challenge2: Challenge,
         context: &mut Context<'_>,
     ) -> Result<Self, Refusal> {
         let remote = request.credentials.check(peers.remote.prefix, context.identity, context.time)?;
         let key = EphemeralKey::generate(request.method, context.random);
         let secret = key.agree(&request.dh1).ok_or(Refusal::PublicKey { field: "dh1" })?;
-        let mut challenge2 = [0; 32];
-        (context.random)(&mut challenge2);
         let credentials = Credentials::own(context.identity, context.participant_data, request.method);
         let Request { hash1, challenge1, .. } = *request;
         let (dh1, hash2) = (request.dh1.clone(), credentials.hash());

@@ -19,6 +19,11 @@ impl Resend {
         Self { next: now + FIRST, delay: FIRST, count: 0 }
     }
 
+    /// A message that is sent for the first time after a delay.
+    pub(super) fn after(delay: Duration, now: Instant) -> Self {
+        Self { next: now + delay, delay, count: 0 }
+    }
+
     /// Returns whether to send again.
     pub(super) fn is_due(&mut self, now: Instant) -> bool {
         if now < self.next {

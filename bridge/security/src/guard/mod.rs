@@ -45,12 +45,21 @@ use transform::Disbelief;
 
 /// The most participants whose handshakes are in progress.
 const MOST_HANDSHAKES: usize = 128;
-/// Handshake messages handled at once, and the time after which one more is: each costs up to a millisecond.
-const STEPS: u32 = 100;
-const STEP_PERIOD: Duration = Duration::from_millis(10);
-/// Handshakes begun at once, and the time after which one more is.
+/// If there are as many, the oldest of those that take longer than this makes room: a handshake takes
+/// milliseconds.
+const SLOW: Duration = Duration::from_secs(2);
+/// Handshake messages in the name of one participant that are handled at once, and the time after which one
+/// more is: each costs up to a millisecond.
+const STEPS: u32 = 20;
+const STEP_PERIOD: Duration = Duration::from_millis(500);
+/// Handshakes begun at once with participants of hosts that share a limit, and the time after which one more
+/// is.
 const BEGINNINGS: u32 = 64;
-const BEGINNING_PERIOD: Duration = Duration::from_millis(50);
+const BEGINNING_PERIOD: Duration = Duration::from_millis(500);
+/// The number of these limits.
+const HOSTS: usize = 64;
+/// How often a participant that has proven its identity may ask to do so anew: anybody can ask in its name.
+const RENEWAL: Duration = Duration::from_secs(10);
 /// How long a refused participant has to wait before it is asked for its identity again.
 const REFUSED: Duration = Duration::from_secs(30);
 /// The most refused participants that are remembered.
@@ -70,8 +79,7 @@ pub struct SecurityGuard {
     refused: BTreeMap<GuidPrefix, Instant>,
     /// Numbers of the messages over the two channels.
     last_number: i64,
-    steps: Option<Flood>,
-    beginnings: Option<Flood>,
+    beginnings: [Option<Flood>; HOSTS],
     demands: VecDeque<Demand>,
     /// Participants to be asked about again.
     reconsidered: BTreeSet<GuidPrefix>,
@@ -83,6 +91,8 @@ pub struct SecurityGuard {
 /// A participant whose identity is being proven, or is.
 struct Remote {
     handshake: Handshake,
+    steps: Flood,
+    begun: Instant,
     bits: BuiltinEndpoints,
     session: Option<Box<Session>>,
 }
@@ -152,8 +162,7 @@ impl SecurityGuard {
             remotes: BTreeMap::new(),
             refused: BTreeMap::new(),
             last_number: 0,
-            steps: None,
-            beginnings: None,
+            beginnings: [const { None }; HOSTS],
             demands: VecDeque::new(),
             reconsidered: BTreeSet::new(),
             checks_at: None,
@@ -219,19 +228,56 @@ impl SecurityGuard {
         if self.refused.get(&remote.prefix).is_some_and(|until| *until > now.steady) {
             return Admission::Refuse;
         }
-        let open = self.remotes.values().filter(|remote| remote.session.is_none()).count();
-        let beginnings =
-            self.beginnings.get_or_insert_with(|| Flood::new(BEGINNINGS, BEGINNING_PERIOD, now.steady));
-        if open >= MOST_HANDSHAKES || !beginnings.permits(now.steady) {
+        if !self.may_begin(now, remote) || !self.has_room(now) {
             // It announces itself again.
             return Admission::Refuse;
         }
         let guid = |prefix| Guid::new(prefix, EntityId::PARTICIPANT);
         let handshake = Handshake::new(guid(self.prefix), guid(remote.prefix), now.steady);
-        let known = Remote { handshake, bits: remote.builtin_endpoints, session: None };
+        let steps = Flood::new(STEPS, STEP_PERIOD, now.steady);
+        let bits = remote.builtin_endpoints;
+        let known = Remote { handshake, steps, begun: now.steady, bits, session: None };
         self.remotes.insert(remote.prefix, known);
         self.run_handshakes(now);
         Admission::Wait
+    }
+
+    /// Whether one more handshake may be in progress, perhaps in the place of a slow one.
+    fn has_room(&mut self, now: Now) -> bool {
+        let open = || self.remotes.iter().filter(|(_, remote)| remote.session.is_none());
+        if open().count() < MOST_HANDSHAKES {
+            return true;
+        }
+        let oldest = open().min_by_key(|(_, remote)| remote.begun);
+        let slow = oldest.filter(|(_, remote)| now.steady.saturating_duration_since(remote.begun) > SLOW);
+        let Some(slow) = slow.map(|(prefix, _)| *prefix) else { return false };
+        self.turn_away(now, slow);
+        true
+    }
+
+    /// Whether one more handshake may begin with a participant of that host.
+    fn may_begin(&mut self, now: Now, remote: &ParticipantData) -> bool {
+        let address = remote.metatraffic_unicast.first().map_or(0, |address| address.ip().to_bits());
+        // Neighbours have different limits.
+        let index = address.wrapping_mul(0x9e37_79b9) as usize >> 8;
+        let beginnings = self.beginnings.get_mut(index % HOSTS);
+        beginnings.is_some_and(|beginnings| {
+            let new = || Flood::new(BEGINNINGS, BEGINNING_PERIOD, now.steady);
+            beginnings.get_or_insert_with(new).permits(now.steady)
+        })
+    }
+
+    /// Begins a handshake again with a participant that may have forgotten this one.
+    fn begin_again(&mut self, now: Now, prefix: GuidPrefix) {
+        let Some(remote) = self.remotes.get_mut(&prefix) else { return };
+        if remote.session.is_some() && now.steady.saturating_duration_since(remote.begun) < RENEWAL {
+            return;
+        }
+        if remote.steps.permits(now.steady) {
+            remote.begun = now.steady;
+            remote.handshake.begin_again(now.steady);
+            self.run_handshakes(now);
+        }
     }
 
     /// Sends what is due in handshakes.
@@ -589,9 +635,12 @@ impl Guard for SecurityGuard {
         }
         match channel {
             Channel::Volatile => self.take_keys(from, &message),
+            Channel::Stateless if message.class == class::AUTHENTICATION_REQUEST => {
+                self.begin_again(now, from);
+            }
             Channel::Stateless if message.class == class::AUTHENTICATION => {
-                let steps = self.steps.get_or_insert_with(|| Flood::new(STEPS, STEP_PERIOD, now.steady));
-                if steps.permits(now.steady) {
+                let remote = self.remotes.get_mut(&from);
+                if remote.is_some_and(|remote| remote.steps.permits(now.steady)) {
                     self.with_handshake(now, from, |handshake, context| handshake.handle(&message, context));
                 }
             }

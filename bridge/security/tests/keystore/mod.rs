@@ -1,6 +1,9 @@
 //! Guards with the enclaves of the keystore that sros2 wrote.
 
-use std::cell::Cell;
+#![allow(dead_code)] // each test program uses a part
+
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -13,7 +16,7 @@ use fuzzing::Random;
 
 thread_local! {
     static ENCLAVE: Cell<Option<&'static str>> = const { Cell::new(None) };
-    static MADE: Cell<u64> = const { Cell::new(0) };
+    static CREDENTIALS: RefCell<BTreeMap<(String, u32), Arc<Credentials>>> = const { RefCell::new(BTreeMap::new()) };
 }
 
 /// A time at which the certificates are valid.
@@ -28,7 +31,6 @@ pub fn enclave(name: &str) -> Enclave {
 }
 
 /// Lets the participants that `make` makes have that enclave.
-#[allow(dead_code)] // each test program uses a part
 pub fn as_enclave<T>(name: &'static str, make: impl FnOnce() -> T) -> T {
     ENCLAVE.set(Some(name));
     let made = make();
@@ -43,11 +45,27 @@ pub fn guard(config: &Config) -> Option<(GuidPrefix, Box<dyn Guard>)> {
 
 /// The guard of a participant with an enclave.
 pub fn guard_of(name: &str, config: &Config) -> (GuidPrefix, Box<dyn Guard>) {
-    MADE.set(MADE.get() + 1);
-    let mut random = Random::new(MADE.get());
+    let credentials = CREDENTIALS.with_borrow_mut(|known| {
+        let make =
+            || Arc::new(Credentials::new(&enclave(name), config.domain_id, valid()).expect("a rule for the domain"));
+        known.entry((name.to_owned(), config.domain_id)).or_insert_with(make).clone()
+    });
+    guard_with(credentials, config, Status::default())
+}
+
+/// The guard of a participant with credentials, whose random numbers depend on its prefix only.
+pub fn guard_with(
+    credentials: Arc<Credentials>,
+    config: &Config,
+    status: Status,
+) -> (GuidPrefix, Box<dyn Guard>) {
+    let seed = config
+        .prefix
+        .0
+        .iter()
+        .fold(0_u64, |seed, byte| seed.wrapping_mul(0x100_0000_01b3) ^ u64::from(*byte));
+    let mut random = Random::new(seed);
     let fill = move |bytes: &mut [u8]| bytes.iter_mut().for_each(|byte| *byte = random.below(256) as u8);
-    let credentials =
-        Credentials::new(&enclave(name), config.domain_id, valid()).expect("a rule for the domain");
-    let guard = SecurityGuard::new(Arc::new(credentials), config.prefix, Box::new(fill), Status::default());
+    let guard = SecurityGuard::new(credentials, config.prefix, Box::new(fill), status);
     (guard.prefix(), Box::new(guard))
 }

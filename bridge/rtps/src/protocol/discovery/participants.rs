@@ -307,12 +307,16 @@ impl Participant {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.account = Account::default();
         peer.account.received(length);
+        let is_admitted = peer.admission == Admission::Admit;
         let metatraffic = peer.metatraffic;
         for (_, link) in peer.links.clone() {
             self.links.restrict(link, true);
         }
         self.choose_numbers(prefix, metatraffic);
         self.announce_to(now, prefix);
+        if !is_admitted {
+            return;
+        }
         for Builtin { writer, reader, .. } in builtin::all() {
             let guid = Guid::new(prefix, reader);
             self.with_writer(now, writer, |writer, links| writer.unmatch_reader(now, guid, links));

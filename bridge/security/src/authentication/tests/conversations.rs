@@ -150,13 +150,37 @@ fn an_initiator_without_answers_sends_ever_less_gives_up_and_begins_again() {
 }
 
 #[test]
-fn a_replier_without_a_request_reports_it_and_keeps_waiting() {
+fn a_replier_without_a_request_asks_for_one_reports_that_none_comes_and_keeps_waiting() {
     let (_, mut listener) = pair(Peer::talker(), Peer::listener());
-    let due = listener.next_timeout().unwrap();
-    assert_eq!(due, *START + 60 * SECOND);
-    assert_eq!(listener.handle_timeout(due), []);
+    let mut asked = Vec::new();
+    while listener.gave_up.is_empty() {
+        let now = listener.next_timeout().unwrap();
+        asked.extend(listener.handle_timeout(now).into_iter().map(|message| (now, message.class)));
+    }
     assert_eq!(listener.gave_up, [Refusal::NoAnswer { seconds: 60 }]);
-    assert_eq!(listener.next_timeout(), Some(due + 60 * SECOND));
+    assert_eq!(asked[0], (*START + SECOND, "dds.sec.auth_request".to_owned()));
+    assert!((10..20).contains(&asked.len()), "{} questions", asked.len());
+    assert!(listener.next_timeout().is_some());
+}
+
+#[test]
+fn a_replier_that_lost_its_state_is_answered_with_the_random_number_that_it_announced() {
+    let (mut talker, mut listener) = pair(Peer::talker(), Peer::listener());
+    three_messages(&mut talker, &mut listener);
+    let mut forgetful = Peer::new(listener.identity.clone(), 9);
+    forgetful.begin(talker.guid, *START);
+    let now = forgetful.next_timeout().unwrap();
+    let question = only(forgetful.handle_timeout(now));
+    assert_eq!(question.tokens[0].class_id, "DDS:Auth:PKI-DH:1.0+AuthReq");
+    talker.handshake.as_mut().unwrap().begin_again(now);
+    let request = only(talker.handle_timeout(now));
+    let reply = only(forgetful.handle(&request, now));
+    let challenge = question.tokens[0].binary("future_challenge");
+    assert_eq!(reply.tokens[0].binary("challenge2"), challenge);
+    let last = only(talker.handle(&reply, now));
+    assert_eq!(forgetful.handle(&last, now), []);
+    assert_eq!(talker.done[1].1, forgetful.done[0].1);
+    assert_ne!(talker.done[0].1, talker.done[1].1);
 }
 
 #[test]

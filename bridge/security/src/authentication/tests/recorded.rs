@@ -93,7 +93,7 @@ fn the_request_of_fast_dds_is_answered_as_it_was() {
     let (own, participant_data) = (identity(OTHER, "listener"), recorded("c.pdata"));
     let remote = Guid::new(request.source.0.prefix, EntityId::PARTICIPANT);
     let mut handshake = Handshake::new(request.destination_participant, remote, *START);
-    let mut numbers = vec![recorded("challenge2"), listener_key.to_vec()];
+    let mut numbers = vec![listener_key.to_vec(), recorded("challenge2")];
     let mut context = Context {
         identity: &own,
         participant_data: &participant_data,
