@@ -36,7 +36,7 @@ impl Peer {
         enclave: &str,
         commands: &[&str],
     ) -> Option<Self> {
-        let program = program(vendor)?;
+        let program = vendor.program()?;
         let folder = keystore.join("enclaves").join(enclave.trim_start_matches('/'));
         let mut child = Command::new(program)
             .arg(domain_id.to_string())
@@ -128,12 +128,14 @@ impl Drop for Peer {
     }
 }
 
-/// The compiled program of a vendor. If the machine lacks what it needs, says so and returns nothing.
-fn program(vendor: Vendor) -> Option<PathBuf> {
-    match vendor {
-        Vendor::Cyclone => cyclone(),
-        Vendor::Fast => fast(),
-        Vendor::Rustdds => rustdds(),
+impl Vendor {
+    /// The compiled program. If the machine lacks what it needs, says so and returns nothing.
+    pub fn program(self) -> Option<PathBuf> {
+        match self {
+            Self::Cyclone => cyclone(),
+            Self::Fast => fast(),
+            Self::Rustdds => rustdds(),
+        }
     }
 }
 
