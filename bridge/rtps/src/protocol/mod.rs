@@ -42,6 +42,7 @@ mod writer;
 pub use addresses::{Addresses, Interface};
 pub use config::{Config, EndpointConfig, Limits};
 pub use counters::{Counters, Fault};
+pub use discovery::{BUILTIN_OF_SECURITY, Builtin};
 pub use event::{Departure, Event, LivelinessChange};
 pub use guard::{Admission, Channel, Demand, Denial, Guard, Report, Room, Severity, TopicProtection};
 pub use incoming::MatchedWriter;

@@ -18,7 +18,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use bytes::Bytes;
 use downbeat_rtps::protocol::{
-    Admission, Channel, Demand, Denial, Guard, Now, Report, Room, Severity, TopicProtection,
+    Admission, BUILTIN_OF_SECURITY, Builtin, Channel, Demand, Denial, Guard, Now, Report, Room, Severity,
+    TopicProtection,
 };
 use downbeat_rtps::wire::{
     BuiltinEndpoints, EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, ParticipantSecurity,
@@ -38,7 +39,7 @@ use crate::pki::Certificate;
 use crate::tokens::{ByteOrder, GenericMessage, class};
 use flood::Flood;
 use keys::OwnKeys;
-use policy::{Policy, SECURE_BUILTIN};
+use policy::Policy;
 use reports::Reports;
 use session::Session;
 use transform::Disbelief;
@@ -149,7 +150,7 @@ impl SecurityGuard {
     pub fn new(credentials: Arc<Credentials>, candidate: GuidPrefix, random: Random, status: Status) -> Self {
         let policy = &credentials.policy;
         let mut keys = OwnKeys::new(policy::transform(policy.rule.rtps), random);
-        for (writer, reader, ..) in SECURE_BUILTIN {
+        for Builtin { writer, reader, .. } in BUILTIN_OF_SECURITY {
             for entity in [writer, reader] {
                 keys.add(entity, policy.builtin_protection(entity));
             }
@@ -349,7 +350,7 @@ impl SecurityGuard {
         self.demands.push_back(Demand::Reconsider(prefix));
         let token = self.keys.participant_token();
         self.send_keys(prefix, class::PARTICIPANT_CRYPTO_TOKENS, None, vec![token]);
-        for (writer, reader, writer_bit, reader_bit) in SECURE_BUILTIN {
+        for Builtin { writer, reader, writer_bit, reader_bit } in BUILTIN_OF_SECURITY {
             if bits.has(reader_bit) {
                 self.send_endpoint_keys(prefix, writer, reader);
             }

@@ -1,5 +1,6 @@
 //! What the governance and the own permissions say about a domain, in the terms of the engine.
 
+use downbeat_rtps::protocol::BUILTIN_OF_SECURITY;
 use downbeat_rtps::wire::{EndpointData, EntityId, SecurityAttributes};
 
 use crate::access::{Action, DataProtection, Decision, DomainRule, Grant, ProtectionKind, TopicRule};
@@ -150,36 +151,5 @@ impl Policy {
 /// Whether an endpoint is one of those that DDS Security adds for authenticated participants, without the
 /// channel for keys.
 pub(super) fn is_secure_builtin(entity: EntityId) -> bool {
-    SECURE_BUILTIN.iter().any(|(writer, reader, ..)| *writer == entity || *reader == entity)
+    BUILTIN_OF_SECURITY.iter().any(|builtin| builtin.writer == entity || builtin.reader == entity)
 }
-
-/// The writers and readers of protected discovery and liveliness, and the bits that announce them.
-pub(super) const SECURE_BUILTIN: [(EntityId, EntityId, u32, u32); 4] = {
-    use downbeat_rtps::wire::BuiltinEndpoints as Bits;
-    [
-        (
-            EntityId::SEDP_PUBLICATIONS_SECURE_WRITER,
-            EntityId::SEDP_PUBLICATIONS_SECURE_READER,
-            Bits::SEDP_PUBLICATIONS_SECURE_WRITER,
-            Bits::SEDP_PUBLICATIONS_SECURE_READER,
-        ),
-        (
-            EntityId::SEDP_SUBSCRIPTIONS_SECURE_WRITER,
-            EntityId::SEDP_SUBSCRIPTIONS_SECURE_READER,
-            Bits::SEDP_SUBSCRIPTIONS_SECURE_WRITER,
-            Bits::SEDP_SUBSCRIPTIONS_SECURE_READER,
-        ),
-        (
-            EntityId::WLP_SECURE_WRITER,
-            EntityId::WLP_SECURE_READER,
-            Bits::WLP_SECURE_WRITER,
-            Bits::WLP_SECURE_READER,
-        ),
-        (
-            EntityId::SPDP_SECURE_WRITER,
-            EntityId::SPDP_SECURE_READER,
-            Bits::SPDP_SECURE_WRITER,
-            Bits::SPDP_SECURE_READER,
-        ),
-    ]
-};

@@ -7,11 +7,11 @@ use crate::{
 
 /// A writer and a reader that each participant has, and the bits by which it announces them.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Builtin {
-    pub(crate) writer: EntityId,
-    pub(crate) reader: EntityId,
-    pub(super) writer_bit: u32,
-    pub(super) reader_bit: u32,
+pub struct Builtin {
+    pub writer: EntityId,
+    pub reader: EntityId,
+    pub writer_bit: u32,
+    pub reader_bit: u32,
 }
 
 impl Builtin {
@@ -49,7 +49,7 @@ pub(crate) const BUILTIN: [Builtin; 3] = [
 ];
 
 /// Those whose messages are protected, for authenticated participants.
-pub(crate) const BUILTIN_OF_SECURITY: [Builtin; 4] = [
+pub const BUILTIN_OF_SECURITY: [Builtin; 4] = [
     Builtin {
         writer: EntityId::SEDP_PUBLICATIONS_SECURE_WRITER,
         reader: EntityId::SEDP_PUBLICATIONS_SECURE_READER,

@@ -13,4 +13,5 @@ mod participants;
 
 pub(super) use announced::Announced;
 pub(super) use announcer::Announcer;
-pub(super) use builtin::{BUILTIN, BUILTIN_OF_SECURITY, Builtin};
+pub(super) use builtin::BUILTIN;
+pub use builtin::{BUILTIN_OF_SECURITY, Builtin};
