@@ -87,6 +87,50 @@ fn a_secured_robot_is_driven_by_its_own_only_and_its_recording_replays() {
     assert!(recorded.contains("0.5") && !recorded.contains("-0.5"), "{recorded:.2000}");
 }
 
+/// Moves its head on request.
+const HEAD: &str = r#"
+[robot]
+name = "head"
+[[module]]
+name = "emulator"
+kind = "darwin_op_emulator"
+settings = { link = "memory:head" }
+[[module]]
+name = "hardware"
+kind = "darwin_op"
+settings = { port = "memory:head", hardware_id = "emulated" }
+[[module]]
+name = "head_controller"
+kind = "joint_trajectory"
+settings = { joints = ["head_pan", "head_tilt"], "constraints.goal_time" = 20.0 }
+[expose]
+actions = ["head_controller/follow_joint_trajectory"]
+parameters = ["*"]
+"#;
+
+#[test]
+fn actions_and_parameters_of_a_secured_robot_are_for_its_own_only() {
+    let (folder, domain) = (tempfile::tempdir().unwrap(), free_domain());
+    let file = folder.path().join("head.toml");
+    std::fs::write(&file, HEAD).unwrap();
+    let mut robot = Running::start_by(&mut with_enclave(domain, "/robot", &["run", file.to_str().unwrap()]));
+    robot.wait_for_output("protected by");
+    let action = "/head_controller/follow_joint_trajectory";
+    let goal = "{trajectory: {joint_names: [head_pan, head_tilt], points: [{positions: [0.3, 0.0], \
+                time_from_start: {sec: 1}}]}}";
+    let send = ["action", "send_goal", action, "control_msgs/action/FollowJointTrajectory", goal];
+    let done = printed(with_enclave(domain, "/listener", &send));
+    assert!(done.contains("SUCCEEDED"), "{done}");
+    let tolerance = "head_controller.constraints.goal_time";
+    let set = printed(with_enclave(domain, "/talker", &["param", "set", "/head", tolerance, "7.0"]));
+    assert!(set.contains("Set parameter successful"), "{set}");
+    let get = printed(with_enclave(domain, "/listener", &["param", "get", "/head", tolerance]));
+    assert!(get.contains("7.0"), "{get}");
+    let actions = printed(in_domain(domain, &["action", "list"]));
+    assert!(!actions.contains(action), "{actions}");
+    robot.interrupt();
+}
+
 #[test]
 fn without_a_usable_keystore_an_enforced_robot_does_not_start_and_a_permissive_one_says_so() {
     let domain = free_domain();
