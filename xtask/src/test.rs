@@ -70,7 +70,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("the layout", tidy::tidy);
     steps.step("clippy", || {
         let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
-        let others = "downbeat/sqlite,benches/zenoh,benches-ros2/zenoh";
+        let others = "downbeat/sqlite,benches/zenoh,benches-ros2/security,benches-ros2/zenoh";
         run(command.args(ALL).args(["--features", others, "--", "--deny", "warnings"]))
     });
     steps.step("messages and robots without optional features", || {

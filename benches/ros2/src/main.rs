@@ -12,9 +12,13 @@ mod control_loop;
 #[cfg(feature = "zenoh")]
 mod fleet;
 mod football;
+#[cfg(feature = "security")]
+mod gathering;
 mod hold;
 mod hostile;
 mod images;
+#[cfg(feature = "security")]
+mod keystore;
 mod meeting;
 mod payload;
 mod peer;
@@ -49,6 +53,9 @@ enum Command {
     Hold(hold::Options),
     /// Time until a process that joins is matched and has received a latched sample.
     Meeting(meeting::Options),
+    /// Time until ten participants know each other, with DDS Security and without it.
+    #[cfg(feature = "security")]
+    Gathering(gathering::Options),
     /// Control loop with a period of 8 ms while hostile datagrams arrive.
     Hostile(hostile::Options),
     /// Control loop with a period of 8 ms while a camera sends a fleet on Zenoh more than its link takes.
@@ -85,6 +92,8 @@ fn main() -> anyhow::Result<()> {
         Command::Images(options) => images::run(&options),
         Command::Hold(options) => hold::run(&options),
         Command::Meeting(options) => meeting::run(&options),
+        #[cfg(feature = "security")]
+        Command::Gathering(options) => gathering::run(&options),
         Command::Hostile(options) => hostile::run(&options),
         #[cfg(feature = "zenoh")]
         Command::Fleet(options) => fleet::run(&options),

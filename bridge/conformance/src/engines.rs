@@ -10,6 +10,8 @@ use downbeat_bridge::middleware::rustdds::RustddsParticipant;
 #[cfg(feature = "zenoh")]
 use downbeat_bridge::middleware::zenoh::ZenohParticipant;
 use downbeat_bridge::middleware::{Middleware, MiddlewareError, ParticipantOptions};
+#[cfg(feature = "security")]
+use downbeat_bridge::middleware::{OptionsError, SecurityOptions};
 use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -50,6 +52,45 @@ pub fn rtps(peer: Option<PathBuf>) -> Engine {
 /// Those of [`RtpsParticipant::new`].
 pub fn join_rtps(options: &ParticipantOptions) -> Result<Box<dyn Middleware>, MiddlewareError> {
     Ok(Box::new(RtpsParticipant::new(options)?))
+}
+
+/// The engine of this project with an enclave of a keystore; with the program that is the other process, if there is one.
+#[cfg(feature = "security")]
+#[must_use]
+pub fn secured(keystore: PathBuf, enclave: &'static str, peer: Option<PathBuf>) -> Engine {
+    let environment = vec![
+        ("ROS_SECURITY_ENABLE", "true".to_owned()),
+        ("ROS_SECURITY_STRATEGY", "Enforce".to_owned()),
+        ("ROS_SECURITY_KEYSTORE", keystore.display().to_string()),
+        ("ROS_SECURITY_ENCLAVE_OVERRIDE", enclave.to_owned()),
+    ];
+    let security = SecurityOptions {
+        keystore: Some(keystore),
+        enclave: enclave.to_owned(),
+        enclave_override: None,
+        is_enforced: true,
+    };
+    Engine {
+        name: "downbeat-rtps with security",
+        join: Box::new(move |options| {
+            join_rtps(&ParticipantOptions { security: Some(security.clone()), ..options.clone() })
+        }),
+        has_network: true,
+        peer,
+        environment,
+        known_failures: &[],
+    }
+}
+
+/// A participant of the engine of this project, with the enclave of the environment.
+///
+/// # Errors
+/// Those of [`RtpsParticipant::new`].
+#[cfg(feature = "security")]
+pub fn join_secured(options: &ParticipantOptions) -> Result<Box<dyn Middleware>, MiddlewareError> {
+    let failed = |error: OptionsError| MiddlewareError::Security { reason: error.to_string() };
+    let security = ParticipantOptions::from_env().map_err(failed)?.security;
+    join_rtps(&ParticipantOptions { security, ..options.clone() })
 }
 
 #[cfg(feature = "rustdds")]

@@ -24,7 +24,8 @@ fn peers_use_it(vendor: Vendor) {
         let commands = ["publish /theirs hello", "subscribe /ours"];
         let Some(mut peer) = Peer::start(vendor, domain, folder.path(), theirs, &commands) else { return };
         let ours = Ours::join(domain, folder.path(), ours);
-        publish(&ours.publisher("/ours", QosProfile::DEFAULT), ["of our keystore"]);
+        let publisher = ours.publisher("/ours", QosProfile::DEFAULT);
+        publish(&publisher, ["of our keystore"]);
         peer.wait_for("heard /ours of our keystore");
         assert!(ours.texts("/theirs", QosProfile::DEFAULT).next().starts_with("hello "));
         peer.leave();

@@ -51,11 +51,13 @@ fn fast_dds_comes_back() {
 fn we_come_back(vendor: Vendor) {
     for ((ours, mut peer), (enclave, _)) in pairs(vendor, &COMMANDS).zip(PAIRS) {
         let domain = ours.domain_id;
-        publish(&ours.publisher("/ours", QosProfile::DEFAULT), ["one"]);
+        let publisher = ours.publisher("/ours", QosProfile::DEFAULT);
+        publish(&publisher, ["one"]);
         peer.wait_for("heard /ours one");
-        drop(ours);
+        drop((publisher, ours));
         let ours = Ours::join(domain, keystore(), enclave);
-        publish(&ours.publisher("/ours", QosProfile::DEFAULT), ["two"]);
+        let publisher = ours.publisher("/ours", QosProfile::DEFAULT);
+        publish(&publisher, ["two"]);
         peer.wait_for("heard /ours two");
         assert!(ours.texts("/theirs", QosProfile::DEFAULT).next().starts_with("hello "));
     }

@@ -254,7 +254,17 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     // What builds, tests, measures and demonstrates it.
     ("benches", &["downbeat", "downbeat-executor", "downbeat-zenoh"]),
     ("benches-bags", &["downbeat", "downbeat-bags", "downbeat-executor", "downbeat-msgs"]),
-    ("benches-ros2", &["downbeat-bridge", "downbeat-executor", "downbeat-msgs", "downbeat-zenoh", "fuzzing"]),
+    (
+        "benches-ros2",
+        &[
+            "downbeat-bridge",
+            "downbeat-executor",
+            "downbeat-msgs",
+            "downbeat-security",
+            "downbeat-zenoh",
+            "fuzzing",
+        ],
+    ),
     ("camera", &["downbeat"]),
     ("downbeat-library-example", &["downbeat-library", "user-msgs"]),
     ("downbeat-start", &[]),

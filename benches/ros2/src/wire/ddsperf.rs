@@ -5,20 +5,21 @@ use std::process::{Command, Stdio};
 use anyhow::Context;
 
 use super::Trips;
-use crate::contestant::CYCLONE_ON_THIS_MACHINE;
 
-/// Measures round trips of 100 bytes between two processes.
-pub fn round_trips(seconds: f64, domain: u16) -> anyhow::Result<Trips> {
-    let ddsperf = |mode: &[&str]| {
+/// Measures round trips of 100 bytes between two processes, the one that asks with the first configuration.
+pub fn round_trips(seconds: f64, domain: u16, configurations: &[String; 2]) -> anyhow::Result<Trips> {
+    let ddsperf = |mode: &[&str], configuration: &str| {
         let mut command = Command::new("ddsperf");
         let seconds = seconds.ceil().max(2.0) + 1.0;
         command.args(["-i", &domain.to_string(), "-D", &seconds.to_string(), "-T", "KS"]);
-        command.args(mode).env("CYCLONEDDS_URI", CYCLONE_ON_THIS_MACHINE);
+        command.args(mode).env("CYCLONEDDS_URI", configuration);
         command
     };
-    let mut pong =
-        ddsperf(&["pong"]).stdout(Stdio::null()).spawn().context("no ddsperf (cyclonedds-tools)")?;
-    let ping = ddsperf(&["ping", "size", "100"]).output();
+    let mut pong = ddsperf(&["pong"], &configurations[1])
+        .stdout(Stdio::null())
+        .spawn()
+        .context("no ddsperf (cyclonedds-tools)")?;
+    let ping = ddsperf(&["ping", "size", "100"], &configurations[0]).output();
     pong.kill()?;
     pong.wait()?;
     let output = String::from_utf8(ping?.stdout)?;

@@ -26,6 +26,8 @@ pub fn run(options: &PeerOptions, engine: Engine) -> anyhow::Result<()> {
         engine,
         #[cfg(feature = "zenoh")]
         zenoh: crate::router::sessions_of(options.router.as_deref()),
+        #[cfg(feature = "security")]
+        security: options.keystore.as_deref().map(|keystore| super::secured::options(keystore, options.end)),
         ..on_this_machine(options.domain)?
     };
     let participant = join(&joined)?;

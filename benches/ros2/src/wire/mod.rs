@@ -8,6 +8,8 @@
 mod bare;
 mod ddsperf;
 mod engine;
+#[cfg(feature = "security")]
+mod secured;
 #[cfg(feature = "zenoh")]
 mod zenoh_crate;
 
@@ -15,6 +17,7 @@ use std::io::{BufRead, BufReader, Lines};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::contestant::CYCLONE_ON_THIS_MACHINE;
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -53,6 +56,9 @@ enum Part {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Network {
     Dds,
+    /// With the keystore of `ros2 security`, compared with the same engine without security.
+    #[cfg(feature = "security")]
+    Secured,
     #[cfg(feature = "zenoh")]
     Zenoh,
 }
@@ -67,6 +73,8 @@ impl Network {
                 #[cfg(feature = "rustdds")]
                 Stack::Rustdds,
             ],
+            #[cfg(feature = "security")]
+            Self::Secured => &[Stack::Rtps, Stack::Secured],
             #[cfg(feature = "zenoh")]
             Self::Zenoh => &[Stack::ZenohCrate, Stack::Zenoh],
         }
@@ -80,6 +88,9 @@ enum Stack {
     Bare,
     /// downbeat-rtps.
     Rtps,
+    /// downbeat-rtps with DDS Security.
+    #[cfg(feature = "security")]
+    Secured,
     /// The crate rustdds.
     #[cfg(feature = "rustdds")]
     Rustdds,
@@ -133,6 +144,10 @@ pub struct PeerOptions {
     #[cfg(feature = "zenoh")]
     #[arg(long)]
     router: Option<String>,
+    /// The keystore of a secured end.
+    #[cfg(feature = "security")]
+    #[arg(long)]
+    keystore: Option<String>,
 }
 
 /// Round trips of one turn.
@@ -149,6 +164,15 @@ struct Stream {
     samples: u64,
     /// From the first to the last received sample.
     seconds: f64,
+}
+
+/// One way, once.
+#[derive(Clone, Copy)]
+struct Turn {
+    received: Stream,
+    sent: Stream,
+    /// Processor time of both ends.
+    processor_s: f64,
 }
 
 impl Stream {
@@ -187,6 +211,8 @@ struct Contest<'a> {
     options: &'a Options,
     #[cfg(feature = "zenoh")]
     router: Option<crate::router::LocalRouter>,
+    #[cfg(feature = "security")]
+    keystore: Option<crate::keystore::LocalKeystore>,
 }
 
 impl<'a> Contest<'a> {
@@ -196,6 +222,10 @@ impl<'a> Contest<'a> {
             options,
             #[cfg(feature = "zenoh")]
             router: (network == Network::Zenoh).then(crate::router::LocalRouter::start).transpose()?,
+            #[cfg(feature = "security")]
+            keystore: (network == Network::Secured)
+                .then(|| crate::keystore::LocalKeystore::create(options.domain))
+                .transpose()?,
         })
     }
 
@@ -206,10 +236,33 @@ impl<'a> Contest<'a> {
         None
     }
 
+    /// The options that only some stacks need.
+    fn keystore(&self, stack: Stack) -> Option<&str> {
+        #[cfg(feature = "security")]
+        if stack == Stack::Secured {
+            return self.keystore.as_ref().and_then(|keystore| keystore.path().to_str());
+        }
+        let _ = stack;
+        None
+    }
+
+    /// The configurations of the two ends of Cyclone DDS, each with its name; none if it does not take part.
+    fn cyclones(&self) -> Vec<(&'static str, [String; 2])> {
+        let plain = || [CYCLONE_ON_THIS_MACHINE; 2].map(str::to_owned);
+        #[cfg(feature = "security")]
+        if let Some(keystore) = &self.keystore {
+            let secured = |end| secured::cyclone(CYCLONE_ON_THIS_MACHINE, keystore.path(), end);
+            let ends = [End::Ping, End::Echo].map(secured);
+            return vec![("Cyclone DDS in C", plain()), ("Cyclone DDS in C, secured", ends)];
+        }
+        if self.network == Network::Dds { vec![("Cyclone DDS in C", plain())] } else { Vec::new() }
+    }
+
     fn round_trips(&self) -> anyhow::Result<()> {
         let stacks = self.network.stacks();
         let mut turns = vec![Vec::new(); stacks.len()];
-        let mut cyclone = (self.network == Network::Dds).then(|| Ok(Vec::new()));
+        let cyclones = self.cyclones();
+        let mut of_cyclone: Vec<_> = cyclones.iter().map(|_| Ok(Vec::new())).collect();
         for _ in 0..self.options.rounds {
             for (&stack, turns) in stacks.iter().zip(&mut turns) {
                 let (echo, port) = self.start(stack, End::Echo, 100, 0)?;
@@ -218,10 +271,11 @@ impl<'a> Contest<'a> {
                 echo.end()?;
                 ping.end()?;
             }
-            if let Some(Ok(turns)) = &mut cyclone {
-                match ddsperf::round_trips(self.options.seconds, self.options.domain) {
-                    Ok(trips) => turns.push(trips),
-                    Err(error) => cyclone = Some(Err(error)),
+            for ((_, ends), turns) in cyclones.iter().zip(&mut of_cyclone) {
+                let Ok(known) = turns else { continue };
+                match ddsperf::round_trips(self.options.seconds, self.options.domain, ends) {
+                    Ok(trips) => known.push(trips),
+                    Err(error) => *turns = Err(error),
                 }
             }
         }
@@ -237,10 +291,11 @@ impl<'a> Contest<'a> {
         for (stack, turns) in stacks.iter().zip(&turns) {
             print(&format!("{stack:?}"), turns);
         }
-        match cyclone {
-            None => {}
-            Some(Ok(turns)) => print("Cyclone DDS in C", &turns),
-            Some(Err(error)) => println!("\nCyclone DDS is left out: {error:#}"),
+        for ((name, _), turns) in cyclones.iter().zip(of_cyclone) {
+            match turns {
+                Ok(turns) => print(name, &turns),
+                Err(error) => println!("\n{name} is left out: {error:#}"),
+            }
         }
         Ok(())
     }
@@ -255,14 +310,14 @@ impl<'a> Contest<'a> {
         println!("\n| {title} | received | of what was sent | the first divided by it |");
         println!("| --- | --- | --- | --- |");
         let turns = self.one_way(End::Flood, size)?;
-        let middle = |turns: &[(Stream, Stream)]| {
+        let middle = |turns: &[Turn]| {
             let mut turns = turns.to_vec();
-            turns.sort_by(|(a, _), (b, _)| figure(a).total_cmp(&figure(b)));
+            turns.sort_by(|a, b| figure(&a.received).total_cmp(&figure(&b.received)));
             turns[turns.len() / 2]
         };
-        let first = figure(&middle(&turns[0]).0);
+        let first = figure(&middle(&turns[0]).received);
         for (stack, turns) in self.network.stacks().iter().zip(&turns) {
-            let (received, sent) = middle(turns);
+            let Turn { received, sent, .. } = middle(turns);
             let share = received.bytes as f64 / sent.bytes.max(1) as f64 * 100.0;
             let figure = figure(&received);
             println!("| {stack:?} | {figure:.0} {unit} | {share:.1} % | {:.2} |", first / figure);
@@ -271,17 +326,24 @@ impl<'a> Contest<'a> {
     }
 
     fn pictures(&self) -> anyhow::Result<()> {
-        println!("\n| {PICTURE} B at 30 Hz | received in the worst round |\n| --- | --- |");
+        println!("\n| {PICTURE} B at 30 Hz | received in the worst round | processor time of both ends |");
+        println!("| --- | --- | --- |");
         let turns = self.one_way(End::Camera, PICTURE)?;
         for (stack, turns) in self.network.stacks().iter().zip(&turns) {
-            let received = turns.iter().map(|(received, _)| received.samples).min().unwrap_or_default();
-            println!("| {stack:?} | {received} of {PICTURES} |");
+            let received = turns.iter().map(|turn| turn.received.samples).min().unwrap_or_default();
+            let processor = median(turns.iter().map(|turn| turn.processor_s));
+            println!("| {stack:?} | {received} of {PICTURES} | {processor:.2} s |");
+        }
+        #[cfg(feature = "security")]
+        if self.network == Network::Secured {
+            let time = secured::cipher_time(PICTURE, PICTURES)?;
+            println!("| the ciphers of Secured alone | | {time:.2} s |");
         }
         Ok(())
     }
 
-    /// What was received and what was sent, of each contestant and round.
-    fn one_way(&self, sender: End, size: usize) -> anyhow::Result<Vec<Vec<(Stream, Stream)>>> {
+    /// The turns of each contestant.
+    fn one_way(&self, sender: End, size: usize) -> anyhow::Result<Vec<Vec<Turn>>> {
         let stacks = self.network.stacks();
         let mut turns = vec![Vec::new(); stacks.len()];
         for _ in 0..self.options.rounds {
@@ -289,9 +351,10 @@ impl<'a> Contest<'a> {
                 let (mut count, port) = self.start(stack, End::Count, size, 0)?;
                 let (mut sending, _) = self.start(stack, sender, size, port)?;
                 let sent = sending.outcome()?;
+                let processor_s = sending.processor_time()? + count.processor_time()?;
                 sending.end()?;
                 count.close_input();
-                turns.push((count.outcome()?, sent));
+                turns.push(Turn { received: count.outcome()?, sent, processor_s });
                 count.end()?;
             }
         }
@@ -309,11 +372,21 @@ impl<'a> Contest<'a> {
             .args(["--end", &name(&|| clap::ValueEnum::to_possible_value(&end)), "--size", &size.to_string()])
             .args(["--seconds", &self.options.seconds.to_string()])
             .args(["--domain", &self.options.domain.to_string(), "--port", &port.to_string()])
-            .args(self.router().into_iter().flat_map(|router| ["--router", router]));
+            .args(self.router().into_iter().flat_map(|router| ["--router", router]))
+            .args(self.keystore(stack).into_iter().flat_map(|keystore| ["--keystore", keystore]));
         let mut peer = Peer::start(command)?;
         let port = peer.line()?.parse().context("a port")?;
         Ok((peer, port))
     }
+}
+
+/// Processor time of the threads of a process since it started, in seconds (`/proc/PID/stat`, in hundredths).
+fn processor_time(pid: &str) -> anyhow::Result<f64> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat"))?;
+    // The name before it may contain spaces.
+    let fields = stat.rsplit_once(')').context("a process in /proc")?.1;
+    let ticks = fields.split_ascii_whitespace().skip(11).take(2).map(str::parse::<u32>);
+    Ok(f64::from(ticks.sum::<Result<u32, _>>()?) / 100.0)
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -346,6 +419,10 @@ impl Peer {
         serde_json::from_str(&line).with_context(|| line)
     }
 
+    fn processor_time(&self) -> anyhow::Result<f64> {
+        processor_time(&self.process.id().to_string())
+    }
+
     fn close_input(&mut self) {
         drop(self.input.take());
     }
@@ -372,6 +449,8 @@ pub fn peer(options: &PeerOptions) -> anyhow::Result<()> {
     match options.stack {
         Stack::Bare => bare::run(options),
         Stack::Rtps => engine::run(options, downbeat_bridge::middleware::Engine::Rtps),
+        #[cfg(feature = "security")]
+        Stack::Secured => engine::run(options, downbeat_bridge::middleware::Engine::Rtps),
         #[cfg(feature = "rustdds")]
         Stack::Rustdds => engine::run(options, downbeat_bridge::middleware::Engine::Rustdds),
         #[cfg(feature = "zenoh")]

@@ -56,7 +56,7 @@ impl InlineQos {
         if self.is_empty() {
             return 0;
         }
-        let identity = self.related_sample_identity.map_or(0, |_| 4 + IDENTITY_LEN);
+        let identity = self.related_sample_identity.map_or(0, |_| 2 * (4 + IDENTITY_LEN));
         let key_hash = self.key_hash.map_or(0, |_| 4 + 16);
         let status = self.status.map_or(0, |_| 4 + 4);
         identity + key_hash + status + 4
@@ -98,10 +98,13 @@ impl InlineQos {
             return;
         }
         if let Some(identity) = self.related_sample_identity {
-            write_parameter(out, pid::RELATED_SAMPLE_IDENTITY, |out| {
-                out.bytes(&identity.writer.to_bytes());
-                identity.number.write(out);
-            });
+            // Fast DDS of ROS 2 Humble and of Debian 12 knows only the older one.
+            for id in [pid::RELATED_SAMPLE_IDENTITY, pid::LEGACY_RELATED_SAMPLE_IDENTITY] {
+                write_parameter(out, id, |out| {
+                    out.bytes(&identity.writer.to_bytes());
+                    identity.number.write(out);
+                });
+            }
         }
         if let Some(key_hash) = self.key_hash {
             write_parameter(out, pid::KEY_HASH, |out| out.bytes(&key_hash));
