@@ -170,6 +170,23 @@ fn a_policy_is_extended_by_what_is_exposed_since() {
 }
 
 #[test]
+fn the_parts_of_an_action_are_one_name_of_a_policy() {
+    let folder = tempfile::tempdir().unwrap();
+    let (keys, policy) = (folder.path().join("keys"), folder.path().join("arm.xml"));
+    let (keys, policy, robot) = (text(&keys), text(&policy), "program/src/new/templates/arm/robot.toml");
+    text_of(&["security", "create-keystore", keys]);
+    text_of(&["security", "create-enclave", keys, "/arm"]);
+    text_of(&["security", "generate-policy", robot, "--enclave", "/arm", "-o", policy]);
+    let written = fs::read_to_string(policy).unwrap();
+    let action = "<actions execute=\"ALLOW\">\n            <action>/arm/follow_joint_trajectory</action>";
+    assert!(written.contains(action) && !written.contains("_action"), "{written}");
+    text_of(&["security", "create-permissions", keys, "/arm", policy]);
+    let shown = text_of(&["security", "check", robot, "--keystore", keys, "--enclave", "/arm"]);
+    let part = "rq/arm/follow_joint_trajectory/_action/send_goalRequest";
+    assert!(shown.contains("0 denied") && shown.contains(part), "{shown}");
+}
+
+#[test]
 fn keys_are_for_their_owner_and_never_printed() {
     let site = Site::new();
     for name in ["keys/private/ca.key.pem", "keys/enclaves/darwin_op/key.pem"] {

@@ -40,10 +40,10 @@ use super::servo::ServoCommand;
 
 /// Robot software as small modules in one process, exposed to ROS 2 Jazzy, recorded and replayed.
 ///
-/// Environment: RMW_IMPLEMENTATION, ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as ROS 2 reads them, and
-/// ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenoh_cpp does; DOWNBEAT_LOG sets what is
-/// logged, for example "debug" or "info,rustdds=warn". --ros-args is followed by the arguments of every ROS 2
-/// program: -r, -p, --params-file, --log-level and so on.
+/// Environment: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_SECURITY_* as ROS 2
+/// reads them, and ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE as rmw_zenoh_cpp does; DOWNBEAT_LOG
+/// sets what is logged, for example "debug" or "info,rustdds=warn". --ros-args is followed by the arguments
+/// of every ROS 2 program: -r, -p, --params-file, --log-level and so on.
 #[derive(Parser)]
 #[command(name = "downbeat", version, arg_required_else_help = true)]
 pub(crate) struct Cli {

@@ -202,6 +202,18 @@ mod tests {
     }
 
     #[test]
+    fn actions_are_permitted_by_their_names() {
+        let mut policy = Policy::default();
+        let (executes, calls) = (names(&["/robot/walker/stand"]), names(&["/robot/dock"]));
+        policy.permit(&NodeEndpoints { executes, calls, ..walker() });
+        let written = policy.to_xml();
+        for (verb, name) in [("execute", "~/stand"), ("call", "dock")] {
+            let rule = format!("<actions {verb}=\"ALLOW\">\n            <action>{name}</action>");
+            assert!(written.contains(&rule), "{written}");
+        }
+    }
+
+    #[test]
     fn a_rule_that_also_says_something_else_is_not_extended() {
         let mut policy = Policy::parse(include_str!("../../tests/data/policy.xml")).unwrap();
         policy.permit(&walker());
