@@ -1,5 +1,7 @@
 //! The hooks for security, with a trivial guard.
 
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 #[allow(unused_imports)] // by `common`

@@ -46,8 +46,11 @@ pub fn guard(config: &Config) -> Option<(GuidPrefix, Box<dyn Guard>)> {
 /// The guard of a participant with an enclave.
 pub fn guard_of(name: &str, config: &Config) -> (GuidPrefix, Box<dyn Guard>) {
     let credentials = CREDENTIALS.with_borrow_mut(|known| {
-        let make =
-            || Arc::new(Credentials::new(&enclave(name), config.domain_id, valid()).expect("a rule for the domain"));
+        let make = || {
+            Arc::new(
+                Credentials::new(&enclave(name), config.domain_id, valid()).expect("a rule for the domain"),
+            )
+        };
         known.entry((name.to_owned(), config.domain_id)).or_insert_with(make).clone()
     });
     guard_with(credentials, config, Status::default())

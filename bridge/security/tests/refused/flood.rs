@@ -1,8 +1,8 @@
 //! Many participants at once that prove nothing.
 
 use downbeat_rtps::wire::{
-    Data, EntityId, Guid, GuidPrefix, Header, InlineQos, MessageBuilder, ParticipantData,
-    Payload, SequenceNumber, VendorId,
+    Data, EntityId, Guid, GuidPrefix, Header, InlineQos, MessageBuilder, ParticipantData, Payload,
+    SequenceNumber, VendorId,
 };
 use downbeat_security::enclave::Enclave;
 use downbeat_security::tokens::{ByteOrder, GenericMessage, Token, class};

@@ -126,8 +126,9 @@ fn a_signature_by_another_key() {
 #[test]
 fn the_governance_of_another_domain_and_none_at_all() {
     let ca = Ca::new(1, valid());
-    let denial =
-        |enclave: &Enclave, domain_id| Credentials::new(enclave, domain_id, valid()).err().unwrap().to_string();
+    let denial = |enclave: &Enclave, domain_id| {
+        Credentials::new(enclave, domain_id, valid()).err().unwrap().to_string()
+    };
     assert!(denial(&robot(&ca), 7).contains("has no rule for domain 7"));
     let everywhere = governed(robot(&ca), &[("id", "7")]);
     assert!(denial(&everywhere, 7).contains("allow nothing in domain 7"));
