@@ -1,5 +1,5 @@
-//! A robot with a keystore of `ros2 security`: driven by Cyclone DDS with the same keystore, and neither seen nor
-//! heard by anybody else.
+//! A robot with a keystore of `ros2 security`: driven by Cyclone DDS with the same keystore, and neither seen
+//! nor heard by anybody else.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -44,8 +44,8 @@ enum Command {
     /// The tests that the latest run skipped, and what the machine lacks for them. Such a test passes, except
     /// with DOWNBEAT_STRICT=1.
     Skips,
-    /// The long tests of the RTPS engine, about ten minutes: rustdds in the conformance suite, 10 000
-    /// simulated networks, 10 million hostile datagrams.
+    /// The long tests of the RTPS engine, about a quarter of an hour: rustdds and DDS Security in the
+    /// conformance suite, rustdds with DDS Security, 10 000 simulated networks, 10 million hostile datagrams.
     Wire,
     /// Fifty robots in a fleet on Zenoh, about a quarter of an hour, as root: three hosts, two routers, 200
     /// joins, routers that restart, a cable that is pulled, slow and bad lines. Prints what it measures.

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use crate::steps::workspace;
 
 /// The order of the headings; all others follow by name.
-const HEADINGS: [&str; 15] = [
+const HEADINGS: [&str; 16] = [
     "Selection",
     "Topics",
     "Quality of service",
@@ -25,9 +25,13 @@ const HEADINGS: [&str; 15] = [
     "Environment",
     "Faults",
     "Several hosts",
+    SECURITY,
     "Bags",
     BAG_FILES,
 ];
+
+/// The heading for DDS Security, which the wheels of rclpy are built without.
+const SECURITY: &str = "Security";
 
 /// The heading for bags, which have other readers and writers.
 const BAG_FILES: &str = "Bag files";
@@ -44,6 +48,11 @@ fn columns(heading: &str) -> &'static [(&'static str, &'static str)] {
             ("mcap_ros2", "mcap-ros2-support"),
             ("rosbags", "rosbags"),
             ("mcap_core", "@mcap/core"),
+        ],
+        SECURITY => &[
+            ("secured_cyclonedds", "Cyclone DDS 0.10.2, C"),
+            ("secured_fastdds", "Fast DDS 2.9.1, C++"),
+            ("rclpy", "rclpy, without security"),
         ],
         _ => &[
             ("rclpy", "rclpy, rmw_fastrtps_cpp"),

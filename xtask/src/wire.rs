@@ -18,6 +18,14 @@ pub(crate) fn wire() -> anyhow::Result<()> {
         let tests = ["--test", "rustdds", "--", "--test-threads=1"];
         run(cargo(&["test"]).args(package).args(tests).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
     });
+    steps.step("the engine with DDS Security in the conformance suite", || {
+        let package = ["--package", "downbeat-conformance", "--features", "security", "--test", "secured"];
+        run(cargo(&["test"]).args(package).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"))
+    });
+    steps.step("rustdds with DDS Security", || {
+        let package = ["--package", "downbeat-bridge", "--features", "security", "--test", "security"];
+        run(cargo(&["test"]).args(package).args(["--", "--ignored"]))
+    });
     let rtps = |test: &str| cargo(&["test", "--release", "--package", "downbeat-rtps", "--test", test]);
     steps.step("10 000 simulated networks", || {
         run(rtps("simulation").env("DOWNBEAT_SIMULATION_SEEDS", "10000"))

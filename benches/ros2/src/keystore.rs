@@ -34,8 +34,8 @@ impl LocalKeystore {
     }
 }
 
-/// Replaces the permissions of an enclave by some that allow topics and partitions outside ROS 2 too, those of
-/// `ddsperf`.
+/// Replaces the permissions of an enclave by some that allow topics and partitions outside ROS 2 too, those
+/// of `ddsperf`.
 fn allow_all_topics(keystore: &Path, enclave: &Path) -> anyhow::Result<()> {
     let read = |path: PathBuf| std::fs::read(&path).with_context(|| path.display().to_string());
     let permissions = String::from_utf8(read(enclave.join("permissions.xml"))?)?;

@@ -54,7 +54,8 @@ pub fn join_rtps(options: &ParticipantOptions) -> Result<Box<dyn Middleware>, Mi
     Ok(Box::new(RtpsParticipant::new(options)?))
 }
 
-/// The engine of this project with an enclave of a keystore; with the program that is the other process, if there is one.
+/// The engine of this project with an enclave of a keystore; with the program that is the other process, if
+/// there is one.
 #[cfg(feature = "security")]
 #[must_use]
 pub fn secured(keystore: PathBuf, enclave: &'static str, peer: Option<PathBuf>) -> Engine {

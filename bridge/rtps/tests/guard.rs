@@ -1,4 +1,5 @@
 //! The hooks for security, with a trivial guard.
+#![allow(clippy::unwrap_used)]
 
 #![allow(clippy::unwrap_used)]
 

@@ -1,5 +1,5 @@
-//! Recorded conversations of Cyclone DDS and Fast DDS, opened from the handshake to the samples with the secret on
-//! which the two agreed (`data/README.md`).
+//! Recorded conversations of Cyclone DDS and Fast DDS, opened from the handshake to the samples with the
+//! secret on which the two agreed (`data/README.md`).
 #![allow(clippy::unwrap_used)]
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -25,7 +25,8 @@ pub struct FoundNode {
     pub participant: Gid,
     /// The implementation of the middleware, such as `eProsima Fast DDS`.
     pub vendor: String,
-    /// With DDS Security the subject of its certificate, which it has proven, such as `CN=/robot`; else empty.
+    /// With DDS Security the subject of its certificate, which it has proven, such as `CN=/robot`; else
+    /// empty.
     pub identity: String,
 }
 

@@ -14,6 +14,10 @@ pub enum With {
     Kilted,
     /// The Python package `cyclonedds`: the engine of rmw_cyclonedds_cpp.
     Cyclone,
+    /// Cyclone DDS of Debian with its security, in C.
+    SecuredCyclone,
+    /// Fast DDS of Debian with its security, in C++.
+    SecuredFast,
     /// The crate `ros2-client`.
     Ros2Client,
     /// The Python package `eclipse-zenoh`, with what `rmw_zenoh_cpp` sends.
@@ -49,6 +53,8 @@ pub fn check(heading: &str, feature: &str, with: With, way: Way) -> Check {
         With::Rclpy => "rclpy",
         With::Kilted => "kilted",
         With::Cyclone => "cyclonedds",
+        With::SecuredCyclone => "secured_cyclonedds",
+        With::SecuredFast => "secured_fastdds",
         With::Ros2Client => "ros2_client",
         With::EclipseZenoh => "eclipse_zenoh",
         With::Rosbag2 => "rosbag2",

@@ -12,6 +12,7 @@ mod services;
 mod strangers;
 mod topics;
 
+use common::matrix::{self, Check, Way, With};
 use ours::Ours;
 use peer::{Peer, Vendor};
 use std::path::Path;
@@ -28,6 +29,18 @@ const PEERS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/security/peers");
 /// Written by sros2.
 fn keystore() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/security/tests/data/keystores/all_domains"))
+}
+
+/// A check of a feature with peers of a vendor, in both directions. Nothing where the machine lacks what the
+/// peers need.
+fn check(vendor: Vendor, feature: &str) -> Option<Check> {
+    let with = match vendor {
+        Vendor::Cyclone => With::SecuredCyclone,
+        Vendor::Fast => With::SecuredFast,
+        Vendor::Rustdds => return None, // not part of the test run
+    };
+    vendor.program()?;
+    Some(matrix::check("Security", feature, with, Way::Both))
 }
 
 /// A participant of ours and a peer that executes the commands, for both orders of their GUIDs. Nothing where

@@ -1,8 +1,8 @@
 //! Settings of a module as parameters of a secured node.
 
 use crate::common::RunningCore;
-use crate::pairs;
 use crate::peer::Vendor;
+use crate::{check, pairs};
 use downbeat_bridge::expose::{ParameterExposure, ParameterServer, TopicPattern};
 use downbeat_executor::{Core, Module, Setup, SetupError};
 
@@ -18,6 +18,7 @@ impl Module for Arm {
 }
 
 fn parameters_are_listed(vendor: Vendor) {
+    let Some(_check) = check(vendor, "names of parameters") else { return };
     for (ours, mut peer) in pairs(vendor, &["list /node"]) {
         let mut core = Core::new();
         core.add("arm", Arm).unwrap();

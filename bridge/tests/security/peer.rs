@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 pub enum Vendor {
     Cyclone,
     Fast,
+    Rustdds,
 }
 
 /// A program that executes commands. Its process ends with the value.
@@ -35,7 +36,7 @@ impl Peer {
         enclave: &str,
         commands: &[&str],
     ) -> Option<Self> {
-        let program = program(vendor)?;
+        let program = vendor.program()?;
         let folder = keystore.join("enclaves").join(enclave.trim_start_matches('/'));
         let mut child = Command::new(program)
             .arg(domain_id.to_string())
@@ -127,60 +128,85 @@ impl Drop for Peer {
     }
 }
 
-/// The compiled program of a vendor. If the machine lacks what it needs, says so and returns nothing.
-fn program(vendor: Vendor) -> Option<PathBuf> {
-    let (name, source, compiler, header, package) = match vendor {
-        Vendor::Cyclone => ("cyclone", "cyclone/peer.c", "cc", "dds/dds.h", "cyclonedds-dev"),
-        Vendor::Fast => (
-            "fastdds",
-            "fastdds/peer.cpp",
-            "g++",
-            "fastdds/dds/log/Log.hpp",
-            "libfastrtps-dev libfastcdr-dev",
-        ),
-    };
+impl Vendor {
+    /// The compiled program. If the machine lacks what it needs, says so and returns nothing.
+    pub fn program(self) -> Option<PathBuf> {
+        match self {
+            Self::Cyclone => cyclone(),
+            Self::Fast => fast(),
+            Self::Rustdds => rustdds(),
+        }
+    }
+}
+
+fn cyclone() -> Option<PathBuf> {
+    let compiler = "cc";
     if !test_machine::has_compilers(&[compiler]) {
         return None;
     }
-    let mut includes = Command::new(compiler);
-    includes.args(["-E", "-include", header, "-x", if vendor == Vendor::Fast { "c++" } else { "c" }]);
-    let status = includes.args(["/dev/null", "-o", "/dev/null"]).stderr(Stdio::null()).status().unwrap();
-    let mut command = Command::new(compiler);
-    let source = Path::new(PEERS).join(source);
-    let mut is_complete = status.success();
-    match vendor {
-        Vendor::Cyclone => {
-            let output = Command::new(compiler).arg("-print-multiarch").output().unwrap();
-            let plugins =
-                format!("/usr/lib/{}/libddsc0debian", String::from_utf8(output.stdout).unwrap().trim());
-            is_complete &= Path::new(&plugins).join("libdds_security_crypto.so").exists();
-            command.args(["-std=gnu11", "-O1", &format!("-DPLUGINS=\"{plugins}\"")]);
-            command.arg(&source).arg("-lddsc");
-        }
-        Vendor::Fast => {
-            command.args(["-std=c++17", "-O1"]).arg(&source).args(["-lfastrtps", "-lfastcdr"]);
-        }
-    }
-    if !is_complete {
-        let remedy = format!("Debian: the packages {package}");
-        test_machine::missing(&format!("a development package of {vendor:?} DDS with security"), &remedy);
+    let output = Command::new(compiler).arg("-print-multiarch").output().unwrap();
+    let plugins = format!("/usr/lib/{}/libddsc0debian", String::from_utf8(output.stdout).unwrap().trim());
+    let has_plugins = Path::new(&plugins).join("libdds_security_crypto.so").exists();
+    if !(has_plugins && has_header(compiler, "c", "dds/dds.h")) {
+        test_machine::missing("Cyclone DDS with security", "Debian: the package cyclonedds-dev");
         return None;
     }
-    Some(compiled(name, &source, command))
+    let mut command = Command::new(compiler);
+    command.args(["-std=gnu11", "-O1", &format!("-DPLUGINS=\"{plugins}\"")]);
+    Some(compiled("cyclone/peer.c", command, &["-lddsc"]))
+}
+
+fn fast() -> Option<PathBuf> {
+    let compiler = "g++";
+    if !test_machine::has_compilers(&[compiler]) {
+        return None;
+    }
+    if !has_header(compiler, "c++", "fastdds/dds/log/Log.hpp") {
+        test_machine::missing("Fast DDS", "Debian: the packages libfastcdr-dev and libfastrtps-dev");
+        return None;
+    }
+    let mut command = Command::new(compiler);
+    command.args(["-std=c++17", "-O1"]);
+    Some(compiled("fastdds/peer.cpp", command, &["-lfastrtps", "-lfastcdr"]))
+}
+
+/// It has OpenSSL in C, which programs of this workspace do not.
+fn rustdds() -> Option<PathBuf> {
+    let status = Command::new("pkg-config").args(["--exists", "openssl"]).status();
+    if !status.is_ok_and(|status| status.success()) {
+        test_machine::missing("OpenSSL for rustdds", "Debian: the packages libssl-dev and pkg-config");
+        return None;
+    }
+    let target = folder().join("rustdds");
+    let mut command = Command::new(env!("CARGO"));
+    command.args(["build", "--locked", "--manifest-path"]).arg(Path::new(PEERS).join("rustdds/Cargo.toml"));
+    assert!(command.arg("--target-dir").arg(&target).status().unwrap().success());
+    Some(target.join("debug/secured-rustdds"))
+}
+
+fn has_header(compiler: &str, language: &str, header: &str) -> bool {
+    let mut command = Command::new(compiler);
+    command.args(["-E", "-include", header, "-x", language, "/dev/null", "-o", "/dev/null"]);
+    command.stderr(Stdio::null()).status().unwrap().success()
+}
+
+fn folder() -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("security-peers");
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
 }
 
 /// Compiles a program, unless it is there and newer than its source.
-fn compiled(name: &str, source: &Path, mut command: Command) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("security-peers");
-    std::fs::create_dir_all(&folder).unwrap();
+fn compiled(source: &str, mut command: Command, libraries: &[&str]) -> PathBuf {
+    let source = Path::new(PEERS).join(source);
+    let program = folder().join(source.parent().and_then(Path::file_name).unwrap());
     // Other tests need it at the same time.
-    let lock = File::create(folder.join(format!("{name}.lock"))).unwrap();
+    let lock = File::create(program.with_extension("lock")).unwrap();
     lock.lock().unwrap();
-    let program = folder.join(name);
     let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
-    if changed(&program) <= changed(source) {
-        let made = folder.join(format!("{name}.new"));
-        let output = command.arg("-o").arg(&made).output().unwrap();
+    if changed(&program) <= changed(&source) {
+        let made = program.with_extension("new");
+        let output = command.arg(&source).args(libraries).arg("-o").arg(&made).output().unwrap();
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "cannot compile {}:\n{errors}", source.display());
         std::fs::rename(made, &program).unwrap();

@@ -3,12 +3,13 @@
 use crate::common::wait_until;
 use crate::ours::{Ours, publish};
 use crate::peer::{Peer, Vendor};
-use crate::{PAIRS, keystore, pairs};
+use crate::{PAIRS, check, keystore, pairs};
 use downbeat_msgs::qos::QosProfile;
 
 const COMMANDS: [&str; 2] = ["publish /theirs hello", "subscribe /ours"];
 
 fn peers_come_back(vendor: Vendor) {
+    let Some(_check) = check(vendor, "a peer that is killed or leaves comes back") else { return };
     for ((ours, mut peer), (_, theirs)) in pairs(vendor, &COMMANDS).zip(PAIRS) {
         let domain = ours.domain_id;
         let texts = ours.texts("/theirs", QosProfile::DEFAULT);
@@ -49,6 +50,7 @@ fn fast_dds_comes_back() {
 }
 
 fn we_come_back(vendor: Vendor) {
+    let Some(_check) = check(vendor, "downbeat leaves and comes back") else { return };
     for ((ours, mut peer), (enclave, _)) in pairs(vendor, &COMMANDS).zip(PAIRS) {
         let domain = ours.domain_id;
         let publisher = ours.publisher("/ours", QosProfile::DEFAULT);

@@ -1,13 +1,14 @@
 //! Requests and responses in both directions.
 
 use crate::common::WATCHDOG;
-use crate::pairs;
 use crate::peer::Vendor;
+use crate::{check, pairs};
 use downbeat_bridge::ros::Client;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::std_srvs::srv::{SetBool, SetBoolRequest, SetBoolResponse};
 
 fn requests_are_answered(vendor: Vendor) {
+    let Some(_check) = check(vendor, "services") else { return };
     for (ours, mut peer) in pairs(vendor, &["serve /theirs", "call /ours true"]) {
         let light = |request: SetBoolRequest| SetBoolResponse {
             success: request.data,

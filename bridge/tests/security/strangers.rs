@@ -1,10 +1,11 @@
 //! Participants without security in a domain that admits none.
 
+use crate::common::matrix::{self, Way, With};
 use crate::common::rclpy;
 use crate::common::wait_until;
 use crate::ours::{Ours, publish};
 use crate::peer::Vendor;
-use crate::{keystore, pairs};
+use crate::{check, keystore, pairs};
 use downbeat_bridge::middleware::Middleware;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
@@ -17,6 +18,9 @@ use test_machine::free_domain;
 const WHILE: Duration = Duration::from_secs(3);
 
 fn strangers_see_and_say_nothing(vendor: Vendor) {
+    let Some(_check) = check(vendor, "participants without security see nothing and are not heard") else {
+        return;
+    };
     for (ours, mut peer) in pairs(vendor, &["publish /theirs hello", "subscribe /ours"]) {
         let stranger = Ours::join_in_clear(ours.domain_id);
         let heard =
@@ -60,6 +64,8 @@ fn strangers_see_and_say_nothing_next_to_fast_dds() {
 fn rclpy_without_security_sees_and_says_nothing() {
     let domain = free_domain();
     let Some(mut rclpy) = rclpy::Peer::start(domain, "LOCALHOST") else { return };
+    let feature = "participants without security see nothing and are not heard";
+    let _check = matrix::check("Security", feature, With::Rclpy, Way::Both);
     let (ours, other) =
         (Ours::join(domain, keystore(), "/talker"), Ours::join(domain, keystore(), "/listener"));
     let publisher = ours.publisher("/chatter", QosProfile::DEFAULT);

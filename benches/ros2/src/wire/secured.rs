@@ -8,8 +8,8 @@ use downbeat_security::cryptography::{KeyId, KeyMaterial, Opener, Sealer, Transf
 use super::End;
 use crate::keystore::{self, ENCLAVES};
 
-/// Processor time in seconds of the ciphers alone for samples that one end sends and the other receives: with the
-/// governance of `ros2 security` each byte is encrypted twice and signed once, and the reverse.
+/// Processor time in seconds of the ciphers alone for samples that one end sends and the other receives: with
+/// the governance of `ros2 security` each byte is encrypted twice and signed once, and the reverse.
 pub fn cipher_time(size: usize, count: u64) -> anyhow::Result<f64> {
     /// As on one host.
     const FRAGMENT: usize = 32_768;

@@ -151,8 +151,8 @@ impl Keystore {
     /// certificate is valid.
     ///
     /// # Errors
-    /// If the keystore or the policy has no such enclave, the governance has no rule for the domain, or a file
-    /// cannot be read or written.
+    /// If the keystore or the policy has no such enclave, the governance has no rule for the domain, or a
+    /// file cannot be read or written.
     pub fn create_permissions(
         &self,
         name: &str,

@@ -327,18 +327,25 @@ impl Participant {
 
     fn arm_lease(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
-        let lease = peer.data.lease.map(|lease| lease.max(Duration::from_millis(100)));
-        // With an infinite lease, a killed participant would never be removed.
-        let lease = lease.unwrap_or(DEFAULT_LEASE);
+        let lease = self.lease_of(peer).max(Duration::from_millis(100));
         let end = peer.heard.checked_add(lease).unwrap_or(now.steady + DEFAULT_LEASE).max(self.grace_until);
         self.timers.set(Timer::Lease(prefix), Some(end.max(now.steady + Duration::from_millis(1))));
+    }
+
+    /// How long a participant is kept after its last message.
+    fn lease_of(&self, peer: &Peer) -> Duration {
+        // With an infinite lease, a killed participant would never be removed.
+        let lease = peer.data.lease.unwrap_or(DEFAULT_LEASE);
+        // One that still keeps this participant would not repeat the handshake.
+        let least = if self.is_authenticated(peer.data.prefix) { self.config.lease } else { Duration::ZERO };
+        lease.max(least)
     }
 
     /// Checks the lease of a participant. Messages do not reset the timer, because there are many; instead it
     /// is checked when it fires.
     pub(in crate::protocol) fn check_lease(&mut self, now: Now, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
-        let lease = peer.data.lease.unwrap_or(DEFAULT_LEASE);
+        let lease = self.lease_of(peer);
         let is_over =
             now.steady.saturating_duration_since(peer.heard) >= lease && now.steady >= self.grace_until;
         if !is_over {

@@ -1,10 +1,12 @@
-//! A DDS participant with security, by rustdds: `secured-rustdds ENCLAVE DOMAIN [TEXT]`.
+//! A DDS participant with security, by rustdds, for the tests of this package.
 //!
-//! Joins the domain with the files of an enclave of `ros2 security`. With a text, publishes `TEXT 1`,
-//! `TEXT 2`, ... as `std_msgs/msg/String` on `chatter`; without one, prints each message of that topic, one per
-//! line. Ends when its standard input ends.
+//! usage: `secured-rustdds DOMAIN_ID ENCLAVE (publish TOPIC TEXT|subscribe TOPIC)...`
+//!
+//! Joins the domain with the files of an enclave of `ros2 security`; as the peers of Cyclone DDS and Fast DDS, it
+//! publishes `TEXT 1`, `TEXT 2`, ... ten times a second as `std_msgs/msg/String`, prints `ready` and `heard TOPIC
+//! TEXT`, and ends when its standard input ends.
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::net::Ipv4Addr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -20,6 +22,7 @@ struct Text {
     data: String,
 }
 
+const USAGE: &str = "usage: secured-rustdds DOMAIN_ID ENCLAVE (publish TOPIC TEXT|subscribe TOPIC)...";
 const PERIOD: Duration = Duration::from_millis(100);
 
 type Failure = Box<dyn std::error::Error>;
@@ -27,11 +30,7 @@ type Failure = Box<dyn std::error::Error>;
 fn main() -> Result<(), Failure> {
     env_logger::init();
     let arguments: Vec<_> = std::env::args().skip(1).collect();
-    let (enclave, domain, text) = match &arguments[..] {
-        [enclave, domain] => (enclave, domain, None),
-        [enclave, domain, text] => (enclave, domain, Some(text)),
-        _ => return Err("usage: secured-rustdds ENCLAVE DOMAIN [TEXT]".into()),
-    };
+    let [domain, enclave, commands @ ..] = &arguments[..] else { return Err(USAGE.into()) };
     static IS_OVER: AtomicBool = AtomicBool::new(false);
     thread::spawn(|| {
         let _ = std::io::stdin().read_to_end(&mut Vec::new());
@@ -45,35 +44,44 @@ fn main() -> Result<(), Failure> {
         .build()?;
     let reliable = Reliability::Reliable { max_blocking_time: rustdds::Duration::from_secs(1) };
     let qos = QosPolicyBuilder::new().reliability(reliable).history(History::KeepLast { depth: 10 }).build();
-    let (name, kind) = ("rt/chatter", "std_msgs::msg::dds_::String_");
-    let topic = participant.create_topic(name.into(), kind.into(), &qos, TopicKind::NoKey)?;
-    match text {
-        Some(text) => {
-            let writer =
-                participant.create_publisher(&qos)?.create_datawriter_no_key_cdr::<Text>(&topic, None)?;
-            for count in 1_u64.. {
-                if IS_OVER.load(Ordering::Relaxed) {
-                    break;
-                }
-                let mut data = format!("{text} {count}");
-                while (data.len() + 1) % 4 != 0 {
-                    data.push(' '); // see the README
-                }
-                writer.write(Text { data }, None)?;
-                thread::sleep(PERIOD);
+    let topic = |name: &str| {
+        let kind = "std_msgs::msg::dds_::String_";
+        participant.create_topic(format!("rt{name}"), kind.into(), &qos, TopicKind::NoKey)
+    };
+    let (mut writers, mut readers) = (Vec::new(), Vec::new());
+    let mut commands = commands.iter();
+    while let (Some(command), Some(name)) = (commands.next(), commands.next()) {
+        match (&**command, topic(name)?) {
+            ("publish", topic) => {
+                let text = commands.next().ok_or(USAGE)?;
+                let publisher = participant.create_publisher(&qos)?;
+                writers.push((publisher.create_datawriter_no_key_cdr::<Text>(&topic, None)?, text));
+            }
+            ("subscribe", topic) => {
+                let subscriber = participant.create_subscriber(&qos)?;
+                readers.push((subscriber.create_datareader_no_key_cdr::<Text>(&topic, None)?, name));
+            }
+            _ => return Err(USAGE.into()),
+        }
+    }
+    println!("ready");
+    for count in 1_u64.. {
+        for (writer, text) in &writers {
+            let mut data = format!("{text} {count}");
+            while (data.len() + 1) % 4 != 0 {
+                data.push(' '); // see the README
+            }
+            writer.write(Text { data }, None)?;
+        }
+        for (reader, topic) in &mut readers {
+            while let Some(sample) = reader.take_next_sample()? {
+                println!("heard {topic} {}", sample.value().data.trim_end());
             }
         }
-        None => {
-            let mut reader =
-                participant.create_subscriber(&qos)?.create_datareader_no_key_cdr::<Text>(&topic, None)?;
-            while !IS_OVER.load(Ordering::Relaxed) {
-                while let Some(sample) = reader.take_next_sample()? {
-                    println!("{}", sample.value().data.trim_end());
-                    std::io::stdout().flush()?;
-                }
-                thread::sleep(PERIOD / 10);
-            }
+        if IS_OVER.load(Ordering::Relaxed) {
+            break;
         }
+        thread::sleep(PERIOD);
     }
     Ok(())
 }
