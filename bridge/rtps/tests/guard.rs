@@ -1,8 +1,6 @@
 //! The hooks for security, with a trivial guard.
 #![allow(clippy::unwrap_used)]
 
-#![allow(clippy::unwrap_used)]
-
 mod common;
 
 #[allow(unused_imports)] // by `common`
