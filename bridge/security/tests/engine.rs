@@ -3,6 +3,8 @@
 //! The exceptions are in `bridge/rtps/tests/unguarded.rs`, and the tests of hostile datagrams, which are in
 //! clear: a guard drops them all, see `hostile.rs`.
 
+#![allow(clippy::duplicate_mod)] // each of the included programs has the module for its network
+
 mod keystore;
 #[path = "../../rtps/tests/participants.rs"]
 mod participants;
