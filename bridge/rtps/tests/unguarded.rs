@@ -7,9 +7,7 @@ use common::no_guard as guard;
 
 use std::time::Duration;
 
-use common::{Network, latched, reliable};
-
-use downbeat_rtps::protocol::Event;
+use common::{Network, latched};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -31,32 +29,4 @@ fn the_graph_has_names_policies_and_user_data() {
     assert_eq!(data.user_data, b"typehash=RIHS01_00;");
     assert_eq!(data.qos.durability, latched(3).durability);
     assert_eq!(ours.remote_endpoints().count(), 1);
-}
-
-/// With security, the keys of a new writer and of its readers are exchanged first; nothing is awaited until
-/// then.
-#[test]
-fn a_known_reader_is_awaited_until_it_answers_or_leaves_and_gets_what_is_written_meanwhile() {
-    let mut network = Network::new(2);
-    let reader = network.reader(1, "rt/a", reliable());
-    network.run_for(SECOND);
-    let writer = network.writer(0, "rt/a", reliable());
-    let awaited = |network: &Network| {
-        let counts = network.nodes[0].events.iter().filter_map(|event| match event {
-            Event::Awaiting { writer: of, count } if *of == writer => Some(*count),
-            _ => None,
-        });
-        counts.collect::<Vec<_>>()
-    };
-    assert_eq!(awaited(&network), [1]);
-    network.write(0, writer, "before the answer");
-    network.run_for(SECOND);
-    assert_eq!(awaited(&network), [1, 0]);
-    assert_eq!(network.nodes[1].texts(reader), ["before the answer"]);
-
-    let hasty = network.reader(1, "rt/a", reliable());
-    assert!(network.run_until(SECOND, |network| awaited(network) == [1, 0, 1]));
-    network.call(1, |participant, now| participant.remove_endpoint(now, hasty));
-    network.run_for(SECOND);
-    assert_eq!(awaited(&network).last(), Some(&0));
 }

@@ -21,6 +21,7 @@ use downbeat_rtps::protocol::{
     Admission, BUILTIN_OF_SECURITY, Builtin, Channel, Demand, Denial, Guard, Now, Report, Room, Severity,
     TopicProtection,
 };
+use downbeat_rtps::qos::Reliability;
 use downbeat_rtps::wire::{
     BuiltinEndpoints, EndpointData, EntityId, Guid, GuidPrefix, ParticipantData, ParticipantSecurity,
 };
@@ -589,8 +590,14 @@ impl Guard for SecurityGuard {
             return Admission::Refuse;
         }
         session.endpoints.insert(theirs, protection);
-        // Cyclone DDS has no key for a reader where only payloads are protected.
-        let needs_key = protection.submessage.is_some() || theirs.is_writer() && protection.payload.is_some();
+        // Samples wait for a reliable reader until it acknowledges them, for which its key is needed. Others
+        // are not worth sending before it has answered. Cyclone DDS has no key for a reader where only
+        // payloads are protected.
+        let is_reliable = |data: &EndpointData| data.qos.reliability == Reliability::Reliable;
+        let needs_key = match theirs.is_writer() {
+            true => protection.is_any(),
+            false => protection.submessage.is_some() && !(is_reliable(local) && is_reliable(remote)),
+        };
         if needs_key && !session.has_received(theirs, ours) { Admission::Wait } else { Admission::Admit }
     }
 
