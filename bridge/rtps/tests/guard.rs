@@ -19,8 +19,8 @@ use bytes::Bytes;
 use common::{Network, addresses, endpoint, reliable};
 use downbeat_rtps::{
     protocol::{
-        Admission, Channel, Config, CreateError, Demand, Denial, Event, Fault, Guard, Now, Participant,
-        Report, Room, Severity, TopicProtection,
+        Admission, Channel, Config, CreateError, Demand, Denial, EndpointConfig, Event, Fault, Guard, Now,
+        Participant, Report, Room, Severity, TopicProtection,
     },
     wire::{
         BuiltinEndpoints, EndpointData, EntityId, Guid, GuidPrefix, Header, ParticipantData, Submessage,
@@ -83,7 +83,10 @@ impl Guard for Flipping {
         true
     }
 
-    fn admit_endpoint(&mut self, _: Now, _: &EndpointData, remote: &EndpointData) -> Admission {
+    fn admit_endpoint(&mut self, _: Now, local: &EndpointData, remote: &EndpointData) -> Admission {
+        // It would give keys to what may not have them.
+        assert_ne!(local.guid.entity.is_writer(), remote.guid.entity.is_writer());
+        assert_eq!(local.type_name, remote.type_name);
         if remote.topic == FORBIDDEN { Admission::Refuse } else { Admission::Admit }
     }
 
@@ -171,6 +174,11 @@ fn only_participants_with_the_secret_communicate_and_nothing_is_sent_unprotected
     let nodes = [7, 7, 200].map(|secret| guarded(&mut network, secret, ready()).node);
     for topic in ["rt/a", HIDDEN] {
         let writer = network.writer(nodes[0], topic, reliable());
+        network.writer(nodes[1], topic, reliable());
+        network.call(nodes[1], |participant, now| {
+            let other = EndpointConfig::new(topic, "std_msgs::msg::dds_::Bool_", reliable());
+            participant.create_reader(now, other).unwrap();
+        });
         let readers = [1, 2].map(|index| network.reader(nodes[index], topic, reliable()));
         network.run_for(SECOND);
         network.write(nodes[0], writer, "a secret");

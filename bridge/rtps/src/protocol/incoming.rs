@@ -46,8 +46,20 @@ pub struct MatchedWriter {
     pub liveliness_lease: Option<Duration>,
     /// The link for acknowledgements.
     pub link: LinkId,
+    pub numbers: Numbers,
     /// The vendor of the writer. Writers of this engine also receive acknowledgements of fragments.
     pub vendor: VendorId,
+}
+
+/// What the numbers in messages of a writer prove.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Numbers {
+    /// Nothing: anybody can send messages in its name. Those that it insists on are believed.
+    Doubtful,
+    /// Its messages are protected, but may be old ones that somebody sends again: numbers only rise.
+    Proven,
+    /// Samples are taken whatever their numbers are: what they contain proves itself.
+    Irrelevant,
 }
 
 /// The state of one matched writer.
@@ -150,11 +162,15 @@ impl Incoming {
             }
             return is_wanted;
         }
+        if self.matched.numbers == Numbers::Irrelevant {
+            return true;
+        }
         if number >= self.floor {
             self.belief.trust();
             return self.belief.believes(number.0, now) && !self.settled.contains(number.0);
         }
-        let is_wrong = self.belief.doubt_order(number.0, written, now);
+        let is_wrong =
+            self.matched.numbers == Numbers::Doubtful && self.belief.doubt_order(number.0, written, now);
         if is_wrong {
             self.go_back(number, number, now);
         }
@@ -266,7 +282,7 @@ impl Incoming {
         }
         if heartbeat.last.next() >= self.next {
             self.belief.trust();
-        } else if self.belief.doubt(now.steady) {
+        } else if self.matched.numbers == Numbers::Doubtful && self.belief.doubt(now.steady) {
             let floor = self.before_jump.take().unwrap_or(self.floor);
             self.go_back(floor.min(heartbeat.last.next()), heartbeat.last, now.steady);
         } else {
@@ -583,6 +599,7 @@ mod tests {
             lifespan: None,
             liveliness_lease: None,
             link,
+            numbers: Numbers::Doubtful,
             vendor,
         };
         let start = Instant::now();

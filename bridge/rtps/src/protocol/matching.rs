@@ -110,13 +110,17 @@ impl Participant {
         let peer = self.peers.get(remote.prefix)?;
         let theirs = &peer.endpoints.get(&remote.entity)?.data;
         let verdict = judge(ours, theirs);
+        if verdict != Verdict::Match {
+            // The guard gives keys to those that it admits.
+            return Some(verdict);
+        }
         let is_admitted = peer.admission == Admission::Admit
             && (peer.account.is_known() || local.is_reader())
             && self
                 .guard
                 .as_deref_mut()
                 .is_none_or(|guard| guard.admit_endpoint(now, ours, theirs) == Admission::Admit);
-        Some(if verdict == Verdict::Match && !is_admitted { Verdict::Apart } else { verdict })
+        Some(if is_admitted { verdict } else { Verdict::Apart })
     }
 
     fn connect(&mut self, now: Now, local: EntityId, remote: Guid, is_matched: bool) {
@@ -138,6 +142,7 @@ impl Participant {
             lifespan: theirs.qos.lifespan,
             liveliness_lease: ours.qos.lease,
             link,
+            numbers: self.numbers_of(remote.prefix, Some(ours)),
             vendor,
         };
         if let Some(matched) = self.locals.matched_mut(local) {

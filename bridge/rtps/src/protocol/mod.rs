@@ -45,7 +45,7 @@ pub use counters::{Counters, Fault};
 pub use discovery::{BUILTIN_OF_SECURITY, Builtin};
 pub use event::{Departure, Event, LivelinessChange};
 pub use guard::{Admission, Channel, Demand, Denial, Guard, Report, Room, Severity, TopicProtection};
-pub use incoming::MatchedWriter;
+pub use incoming::{MatchedWriter, Numbers};
 pub use links::{Destination, Emitted, LinkId, LinkOptions, Links};
 pub use now::Now;
 pub use outgoing::MatchedReader;

@@ -27,6 +27,12 @@ use crate::{
 /// Payload of a fragment to local endpoints, where nothing is lost.
 const OWN_FRAGMENT: u16 = 60_000;
 
+/// How long a message of a handshake is worth sending.
+const HANDSHAKE_LIFESPAN: Duration = Duration::from_secs(10);
+
+/// The longest message between guards; anybody may send one.
+const MOST_BYTES_ON_CHANNEL: u32 = 256 << 10;
+
 /// The least payload of a fragment, however much its protection takes.
 const SMALLEST_FRAGMENT: u16 = 512;
 
@@ -377,9 +383,11 @@ impl Participant {
             ..Qos::writer_default()
         };
         let volatile = |reliability| Qos { reliability, history: History::KeepAll, ..Qos::writer_default() };
+        // What cannot be sent in this time is sent again by the handshake.
+        let lifespan = Some(HANDSHAKE_LIFESPAN);
         let announcing = |builtin: &Builtin| (builtin.writer, builtin.reader, qos(builtin.history()));
         let channels = [
-            (Channel::Stateless, volatile(Reliability::BestEffort)),
+            (Channel::Stateless, Qos { lifespan, ..volatile(Reliability::BestEffort) }),
             (Channel::Volatile, volatile(Reliability::Reliable)),
         ];
         let channels = channels.map(|(channel, qos)| (channel.ends().0, channel.ends().1, qos));
@@ -393,8 +401,12 @@ impl Participant {
             let config_of_writer =
                 WriterConfig { guid, qos: qos.clone(), send_window: usize::MAX, send_window_bytes: u64::MAX };
             self.locals.add_writer(self.endpoint_data(writer, &config), Writer::new(config_of_writer));
-            let config_of_reader =
+            let mut config_of_reader =
                 self.reader_config(Guid::new(prefix, reader), Qos { history: History::KeepAll, ..qos });
+            if Channel::of_reader(reader).is_some() {
+                config_of_reader.max_sample_size = MOST_BYTES_ON_CHANNEL;
+                config_of_reader.max_open_bytes = 16 * MOST_BYTES_ON_CHANNEL as usize;
+            }
             self.locals.add_reader(self.endpoint_data(reader, &config), Reader::new(config_of_reader));
         }
     }

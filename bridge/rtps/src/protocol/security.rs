@@ -1,10 +1,11 @@
 //! The side of the participant in DDS Security: channels between guards, and what a guard demands.
 
 use super::{
-    Admission, Channel, Demand, Event, MatchedReader, MatchedWriter, Now, Participant, Sample, WriteOptions,
+    Admission, Channel, Demand, Event, MatchedReader, MatchedWriter, Now, Numbers, Participant, Sample,
+    WriteOptions,
     participant::{SHORTEST_TIMEOUT, Timer},
 };
-use crate::wire::{BuiltinEndpoints, EntityId, Guid, GuidPrefix};
+use crate::wire::{BuiltinEndpoints, EndpointData, EntityId, Guid, GuidPrefix, SecurityAttributes};
 
 impl Channel {
     /// The writer and the reader of each participant.
@@ -34,7 +35,7 @@ impl Participant {
                     let only_to = Some(Guid::new(to, reader));
                     let options = WriteOptions { only_to, ..WriteOptions::default() };
                     self.with_writer(now, writer, |writer, links| {
-                        // Its window is unlimited: the guard limits what it sends.
+                        // Its window is unlimited.
                         let _ = writer.write(now, message, options, links);
                     });
                 }
@@ -57,15 +58,30 @@ impl Participant {
         admitted && self.is_authenticated(prefix)
     }
 
+    /// What numbers prove in the messages of a participant to a local endpoint, builtin if `None`.
+    pub(super) fn numbers_of(&self, prefix: GuidPrefix, local: Option<&EndpointData>) -> Numbers {
+        let protected = |attributes: &SecurityAttributes, bit| attributes.mask & bit != 0;
+        let peer = self.peers.get(prefix).and_then(|peer| peer.data.security.as_ref());
+        let is_message = peer.is_some_and(|it| protected(&it.attributes, SecurityAttributes::RTPS_PROTECTED));
+        let own = local.and_then(|local| local.security.as_ref());
+        let is_submessage = own.is_some_and(|it| protected(it, SecurityAttributes::SUBMESSAGE_PROTECTED));
+        match self.is_authenticated(prefix) && (is_message || is_submessage) {
+            true => Numbers::Proven,
+            false => Numbers::Doubtful,
+        }
+    }
+
     /// Opens a channel to the guard of another participant, if that has one.
     pub(super) fn open_channel(&mut self, now: Now, channel: Channel, prefix: GuidPrefix) {
         let Some(peer) = self.peers.get(prefix) else { return };
-        let (bits, is_reliable) = match channel {
-            Channel::Stateless => {
-                (BuiltinEndpoints::STATELESS_WRITER | BuiltinEndpoints::STATELESS_READER, false)
-            }
+        let (bits, is_reliable, numbers) = match channel {
+            Channel::Stateless => (
+                BuiltinEndpoints::STATELESS_WRITER | BuiltinEndpoints::STATELESS_READER,
+                false,
+                Numbers::Irrelevant,
+            ),
             Channel::Volatile => {
-                (BuiltinEndpoints::VOLATILE_WRITER | BuiltinEndpoints::VOLATILE_READER, true)
+                (BuiltinEndpoints::VOLATILE_WRITER | BuiltinEndpoints::VOLATILE_READER, true, Numbers::Proven)
             }
         };
         if self.guard.is_none() || !peer.data.builtin_endpoints.has(bits) {
@@ -82,6 +98,7 @@ impl Participant {
                 lifespan: None,
                 liveliness_lease: None,
                 link,
+                numbers,
                 vendor,
             };
             reader.match_writer(now, matched);

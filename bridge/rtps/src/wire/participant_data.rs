@@ -107,6 +107,10 @@ pub struct SecurityAttributes {
 impl SecurityAttributes {
     /// Set in each mask that is announced.
     pub const IS_VALID: u32 = 1 << 31;
+    /// In the mask of a participant: its messages are protected.
+    pub const RTPS_PROTECTED: u32 = 1;
+    /// In the mask of an endpoint: its submessages are protected.
+    pub const SUBMESSAGE_PROTECTED: u32 = 1 << 3;
 
     pub(super) fn read(value: &mut Cursor<'_>) -> Option<Self> {
         Some(Self { mask: value.u32().ok()?, plugin_mask: value.u32().ok()? })

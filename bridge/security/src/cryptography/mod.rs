@@ -32,7 +32,7 @@ pub use message::message_transform;
 pub use opener::Opener;
 pub use payload::payload_transform;
 pub use sealer::Sealer;
-pub use submessage::{split_submessage_group, submessage_transform};
+pub use submessage::{split_submessage_group, submessage_session, submessage_transform};
 
 /// Why data cannot be protected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

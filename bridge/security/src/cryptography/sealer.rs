@@ -17,6 +17,7 @@ const SESSION_BYTES: u64 = 1 << 32;
 pub struct Sealer {
     material: KeyMaterial,
     receivers: Vec<ReceiverKey>,
+    first_session: u32,
     session: u32,
     /// Continues over sessions.
     iv_suffix: u64,
@@ -37,6 +38,7 @@ impl Sealer {
         Self {
             material,
             receivers: Vec::new(),
+            first_session: u32::from_be_bytes(session),
             session: u32::from_be_bytes(session),
             iv_suffix: u64::from_be_bytes(iv_suffix),
             uses: 0,
@@ -49,6 +51,12 @@ impl Sealer {
     /// The key in use.
     pub fn material(&self) -> &KeyMaterial {
         &self.material
+    }
+
+    /// Whether it has sealed something in that session.
+    pub fn has_used(&self, session: [u8; 4]) -> bool {
+        let after_first = u32::from_be_bytes(session).wrapping_sub(self.first_session);
+        after_first <= self.session.wrapping_sub(self.first_session)
     }
 
     /// Sets the receivers for which submessages and messages get a MAC of their own (origin authentication).

@@ -17,6 +17,11 @@ pub fn submessage_transform(bytes: &[u8]) -> Result<Transform, OpenError> {
     parse_prefix(id::SEC_PREFIX, bytes).map(|(header, _)| header.transform)
 }
 
+/// The session of the key of a protected submessage.
+pub fn submessage_session(bytes: &[u8]) -> Option<[u8; 4]> {
+    parse_prefix(id::SEC_PREFIX, bytes).ok().map(|(header, _)| header.session())
+}
+
 /// Splits the protected submessage with which `bytes` begin, from SEC_PREFIX to SEC_POSTFIX, from what
 /// follows it in the message.
 ///

@@ -9,9 +9,6 @@ mod session;
 mod status;
 mod transform;
 
-#[cfg(test)]
-mod tests;
-
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -54,6 +51,9 @@ const SLOW: Duration = Duration::from_secs(2);
 /// more is: each costs up to a millisecond.
 const STEPS: u32 = 20;
 const STEP_PERIOD: Duration = Duration::from_millis(500);
+/// The same for all participants together that have not proven their identity.
+const ALL_STEPS: u32 = 200;
+const ALL_STEPS_PERIOD: Duration = Duration::from_millis(10);
 /// Handshakes begun at once with participants of hosts that share a limit, and the time after which one more
 /// is.
 const BEGINNINGS: u32 = 64;
@@ -82,6 +82,7 @@ pub struct SecurityGuard {
     /// Numbers of the messages over the two channels.
     last_number: i64,
     beginnings: [Option<Flood>; HOSTS],
+    all_steps: Option<Flood>,
     demands: VecDeque<Demand>,
     /// Participants to be asked about again.
     reconsidered: BTreeSet<GuidPrefix>,
@@ -165,6 +166,7 @@ impl SecurityGuard {
             refused: BTreeMap::new(),
             last_number: 0,
             beginnings: [const { None }; HOSTS],
+            all_steps: None,
             demands: VecDeque::new(),
             reconsidered: BTreeSet::new(),
             checks_at: None,
@@ -180,8 +182,8 @@ impl SecurityGuard {
 
     /// Reports that somebody or something is refused.
     fn refuse(&mut self, now: Now, remote: GuidPrefix, reason: String) {
+        self.status.refuse(&reason);
         if let Some(text) = self.reports.tell(now.steady, reason) {
-            self.status.refuse(&text);
             self.report(Some(remote), text, Severity::Warning);
         }
     }
@@ -276,7 +278,9 @@ impl SecurityGuard {
             return;
         }
         if remote.steps.permits(now.steady) {
-            remote.begun = now.steady;
+            if remote.session.is_some() {
+                remote.begun = now.steady;
+            }
             remote.handshake.begin_again(now.steady);
             self.run_handshakes(now);
         }
@@ -340,8 +344,12 @@ impl SecurityGuard {
         };
         let exchange = KeyMaterial::for_key_exchange(&secret.challenge1, &secret.challenge2, &secret.secret);
         let sealer = Sealer::new(exchange.clone(), &mut **self.keys.random());
-        let session = Session::new(remote.certificate.clone(), grant, exchange, sealer);
+        let mut session = Session::new(remote.certificate.clone(), grant, exchange, sealer);
         let Some(known) = self.remotes.get_mut(&prefix) else { return };
+        // Its keys stay the same if it has only forgotten this participant, or somebody pretends that it has.
+        if let Some(before) = known.session.take() {
+            session.keep_keys_of(*before);
+        }
         known.session = Some(Box::new(session));
         let bits = known.bits;
         self.status.admit(prefix, &subject);
@@ -351,6 +359,11 @@ impl SecurityGuard {
         self.demands.push_back(Demand::Reconsider(prefix));
         let token = self.keys.participant_token();
         self.send_keys(prefix, class::PARTICIPANT_CRYPTO_TOKENS, None, vec![token]);
+        self.send_builtin_keys(prefix, bits);
+    }
+
+    /// Sends the keys of the builtin endpoints to those that another participant has.
+    fn send_builtin_keys(&mut self, prefix: GuidPrefix, bits: BuiltinEndpoints) {
         for Builtin { writer, reader, writer_bit, reader_bit } in BUILTIN_OF_SECURITY {
             if bits.has(reader_bit) {
                 self.send_endpoint_keys(prefix, writer, reader);
@@ -552,11 +565,17 @@ impl Guard for SecurityGuard {
     }
 
     fn admit_participant(&mut self, now: Now, remote: &ParticipantData) -> Admission {
-        match self.remotes.get(&remote.prefix) {
-            Some(known) if known.session.is_some() => Admission::Admit,
-            Some(_) => Admission::Wait,
-            None => self.meet(now, remote),
+        let known = match self.remotes.get_mut(&remote.prefix) {
+            None => return self.meet(now, remote),
+            Some(known) => known,
+        };
+        known.bits = BuiltinEndpoints(known.bits.0 | remote.builtin_endpoints.0);
+        let bits = known.bits;
+        if known.session.is_none() {
+            return Admission::Wait;
         }
+        self.send_builtin_keys(remote.prefix, bits);
+        Admission::Admit
     }
 
     fn is_authenticated(&self, remote: GuidPrefix) -> bool {
@@ -647,8 +666,12 @@ impl Guard for SecurityGuard {
                 self.begin_again(now, from);
             }
             Channel::Stateless if message.class == class::AUTHENTICATION => {
-                let remote = self.remotes.get_mut(&from);
-                if remote.is_some_and(|remote| remote.steps.permits(now.steady)) {
+                let Some(remote) = self.remotes.get_mut(&from) else { return };
+                let all = || Flood::new(ALL_STEPS, ALL_STEPS_PERIOD, now.steady);
+                let is_known = remote.session.is_some();
+                let may_cost = remote.steps.permits(now.steady)
+                    && (is_known || self.all_steps.get_or_insert_with(all).permits(now.steady));
+                if may_cost {
                     self.with_handshake(now, from, |handshake, context| handshake.handle(&message, context));
                 }
             }

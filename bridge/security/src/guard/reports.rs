@@ -17,7 +17,7 @@ pub(super) struct Reports {
 impl Reports {
     /// Returns the sentence for a reason if it is to be told now, with how often it was not told before.
     pub(super) fn tell(&mut self, now: Instant, reason: String) -> Option<String> {
-        self.told.retain(|_, (at, left)| now.saturating_duration_since(*at) < PERIOD || *left > 0);
+        self.told.retain(|known, (at, _)| now.saturating_duration_since(*at) < PERIOD || *known == reason);
         if let Some((at, left)) = self.told.get_mut(&reason) {
             if now.saturating_duration_since(*at) < PERIOD {
                 *left += 1;

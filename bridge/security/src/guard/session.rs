@@ -51,6 +51,15 @@ impl Session {
         }
     }
 
+    /// Takes over what stays valid after another handshake with the same participant.
+    pub(super) fn keep_keys_of(&mut self, before: Self) {
+        self.participant = before.participant;
+        self.keys = before.keys;
+        self.received = before.received;
+        self.endpoints = before.endpoints;
+        self.reported = before.reported;
+    }
+
     /// Takes the key of its whole messages.
     pub(super) fn take_participant(&mut self, tokens: &[Token]) {
         if let Some(material) = materials(tokens).next() {

@@ -7,7 +7,8 @@ use super::keys::{EndpointKeys, OwnKeys};
 use super::policy::{self, Policy, Protection};
 use super::session::Session;
 use crate::cryptography::{
-    KeyId, OpenError, message_transform, payload_transform, split_submessage_group, submessage_transform,
+    KeyId, OpenError, message_transform, payload_transform, split_submessage_group, submessage_session,
+    submessage_transform,
 };
 
 /// The bytes of a header, a body and a footer around a payload, with padding.
@@ -192,6 +193,10 @@ fn open_group(
     let key = submessage_transform(group)?.key;
     let mut plain = Vec::with_capacity(group.len());
     let owner = if key == KeyId::KEY_EXCHANGE {
+        // Both participants have the same key: somebody may send back what this one has sent.
+        if submessage_session(group).is_some_and(|it| session.exchange_sealer.has_used(it)) {
+            return Err(Disbelief::Forged);
+        }
         let opened = session.exchange_opener.submessage(group, &mut plain);
         // After each handshake there is another key with this id; what is still on its way has the one
         // before.

@@ -101,6 +101,10 @@ impl Participant {
                 }
                 Some(guid) if guid.prefix == sample.writer.prefix => {
                     self.remove_remote(now, guid);
+                    // Not if it only makes room or announces other addresses: its keys do not come again.
+                    if let Some(guard) = self.guard.as_deref_mut() {
+                        guard.forget_endpoint(guid);
+                    }
                     self.plan_audit(now, guid.prefix);
                 }
                 Some(_) => self.fault(now, Fault::ForeignEndpoint, from),
@@ -199,9 +203,6 @@ impl Participant {
             self.unmatch(now, local, guid);
         }
         let Some(remote) = self.peers.forget_endpoint(guid) else { return };
-        if let Some(guard) = self.guard.as_deref_mut() {
-            guard.forget_endpoint(guid);
-        }
         for local in self.locals.on_topic(&remote.data.topic) {
             if let Some(refused) = self.locals.refused_mut(local) {
                 refused.remove(&guid);

@@ -140,17 +140,19 @@ impl Participant {
         let Some(route) = self.route(&data, *from.ip()) else {
             return self.fault(now, Fault::NoAddress, from);
         };
-        if self.peers.len() >= self.config.limits.participants {
-            self.fault(now, Fault::TooManyParticipants, from);
-            let Some(expendable) = self.peers.expendable(*route.metatraffic.ip()) else { return };
-            self.remove_peer(now, expendable, Departure::Crowded);
-        }
         let admission = match self.guard.as_deref_mut() {
             Some(guard) => guard.admit_participant(now, &data),
             None => Admission::Admit,
         };
         if admission == Admission::Refuse {
             return self.fault(now, Fault::Rejected, from);
+        }
+        if self.peers.len() >= self.config.limits.participants {
+            self.fault(now, Fault::TooManyParticipants, from);
+            let Some(expendable) = self.peers.expendable(*route.metatraffic.ip()) else {
+                return self.forget_in_guard(prefix);
+            };
+            self.remove_peer(now, expendable, Departure::Crowded);
         }
         let mut account = Account::default();
         account.received(length);
@@ -204,9 +206,19 @@ impl Participant {
             Admission::Admit if was == Admission::Admit => {
                 guids.into_iter().for_each(|guid| self.match_remote(now, guid));
             }
-            Admission::Admit => self.let_in(now, prefix),
+            Admission::Admit => {
+                if self.is_authenticated(prefix) {
+                    // The handshake proves that it receives at its address.
+                    self.validate(now, prefix);
+                }
+                self.let_in(now, prefix);
+            }
             Admission::Wait => {}
-            Admission::Refuse => self.remove_peer(now, prefix, Departure::Refused),
+            Admission::Refuse => {
+                // If it has not forgotten this participant, it would not begin anew.
+                self.part_from(prefix);
+                self.remove_peer(now, prefix, Departure::Refused);
+            }
         }
     }
 
@@ -215,10 +227,8 @@ impl Participant {
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         peer.admission = Admission::Admit;
         let (link, theirs, vendor) = (peer.metatraffic, peer.data.builtin_endpoints, peer.data.vendor);
-        let is_authenticated = self.is_authenticated(prefix);
+        let (is_authenticated, numbers) = (self.is_authenticated(prefix), self.numbers_of(prefix, None));
         if is_authenticated {
-            // The handshake proves that it receives at its address.
-            self.validate(now, prefix);
             self.open_channel(now, Channel::Volatile, prefix);
         }
         let secure = BUILTIN_OF_SECURITY.into_iter().filter(|_| is_authenticated);
@@ -233,6 +243,7 @@ impl Participant {
                         lifespan: None,
                         liveliness_lease: None,
                         link,
+                        numbers,
                         vendor,
                     };
                     reader.match_writer(now, matched);
@@ -251,6 +262,13 @@ impl Participant {
     fn refresh_peer(&mut self, now: Now, from: SocketAddrV4, length: usize, data: ParticipantData) {
         let prefix = data.prefix;
         let is_protected = self.hears_only_protected(prefix);
+        let Some(peer) = self.peers.get_mut(prefix) else { return };
+        if is_protected && !peer.data.builtin_endpoints.has(data.builtin_endpoints.0) {
+            // What somebody else announced in its name before may have lacked some.
+            peer.data.builtin_endpoints.0 |= data.builtin_endpoints.0;
+            self.admit(now, prefix);
+            self.let_in(now, prefix);
+        }
         let Some(peer) = self.peers.get_mut(prefix) else { return };
         let data = if is_protected {
             // Only its addresses may change without protection, if it no longer answers at the old ones.
@@ -379,9 +397,13 @@ impl Participant {
         for (_, link) in self.peers.remove(prefix).into_iter().flat_map(|peer| peer.links) {
             self.links.close(link);
         }
+        self.forget_in_guard(prefix);
+        self.events.push_back(Event::ParticipantLeft { remote: prefix, reason });
+    }
+
+    fn forget_in_guard(&mut self, prefix: GuidPrefix) {
         if let Some(guard) = self.guard.as_deref_mut() {
             guard.forget_participant(prefix);
         }
-        self.events.push_back(Event::ParticipantLeft { remote: prefix, reason });
     }
 }

@@ -192,6 +192,7 @@ impl World {
                 lifespan: offered.lifespan,
                 liveliness_lease: offered.lease,
                 link: side.to[writer],
+                numbers: Numbers::Doubtful,
                 vendor: if is_ours { VendorId::OURS } else { VendorId::CYCLONE },
             },
         );
