@@ -4,9 +4,9 @@
 //! address is therefore validated by something that only its owner can know: the builtin writers send each
 //! participant the same samples with other sequence numbers, which begin at an unpredictable one. The first
 //! acknowledgement that continues these numbers proves that a heartbeat arrived at the address. Until then
-//! the participant is sent announcements, heartbeats, acknowledgements and handshakes (which prove the address
-//! as well) only, at most three times the bytes received from it (as in RFC 9000, section 8.1) and one
-//! handshake, and no local writer matches its readers.
+//! the participant is sent announcements, heartbeats, acknowledgements and handshakes (which prove the
+//! address as well) only, at most three times the bytes received from it (as in RFC 9000, section 8.1) and
+//! one handshake, and no local writer matches its readers.
 
 use std::{
     hash::{DefaultHasher, Hash, Hasher},
