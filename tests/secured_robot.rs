@@ -7,7 +7,7 @@ mod common;
 #[path = "../bridge/tests/security/peer.rs"]
 mod peer;
 
-use common::{Running, downbeat, text_of};
+use common::{Running, downbeat, text_of, wait_until};
 use peer::{Peer, Vendor};
 use std::path::Path;
 use std::process::Command;
@@ -119,8 +119,10 @@ fn actions_and_parameters_of_a_secured_robot_are_for_its_own_only() {
     let goal = "{trajectory: {joint_names: [head_pan, head_tilt], points: [{positions: [0.3, 0.0], \
                 time_from_start: {sec: 1}}]}}";
     let send = ["action", "send_goal", action, "control_msgs/action/FollowJointTrajectory", goal];
-    let done = printed(with_enclave(domain, "/listener", &send));
-    assert!(done.contains("SUCCEEDED"), "{done}");
+    // It is rejected until the first state of the joints is there.
+    wait_until("the goal is reached", || {
+        printed(with_enclave(domain, "/listener", &send)).contains("SUCCEEDED")
+    });
     let tolerance = "head_controller.constraints.goal_time";
     let set = printed(with_enclave(domain, "/talker", &["param", "set", "/head", tolerance, "7.0"]));
     assert!(set.contains("Set parameter successful"), "{set}");
