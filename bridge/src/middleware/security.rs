@@ -56,14 +56,22 @@ impl SecurityOptions {
     /// The folder with the files of the enclave.
     ///
     /// # Errors
-    /// [`MiddlewareError::Security`] when no keystore is named.
+    /// [`MiddlewareError::Security`] when no keystore is named, or the name is none of an enclave.
     pub fn folder(&self) -> Result<PathBuf, MiddlewareError> {
         let keystore = self.keystore.as_deref().ok_or_else(|| {
             let reason = "ROS_SECURITY_KEYSTORE is not set: name the folder that `downbeat security create-keystore` or `ros2 \
                           security create_keystore` made";
             MiddlewareError::Security { reason: reason.to_owned() }
         })?;
-        Ok(enclave_folder(keystore, self.enclave()))
+        let name = self.enclave();
+        if !is_name(name) {
+            let reason = format!(
+                "{name:?} is no name of an enclave: it begins with a slash, and between slashes stand letters, digits and \
+                 underscores, the first no digit, as in /robots/one"
+            );
+            return Err(MiddlewareError::Security { reason });
+        }
+        Ok(enclave_folder(keystore, name))
     }
 }
 
@@ -72,6 +80,15 @@ fn wants(found: &str, expected: &str) -> bool {
     let found = found.trim().to_ascii_lowercase();
     found == expected.to_ascii_lowercase()
         || ["1", "on", "yes", "true", "enable", "enabled"].contains(&&*found)
+}
+
+/// Whether a name is one of an enclave, by the rules of rcl (`rcl_validate_enclave_name`).
+fn is_name(name: &str) -> bool {
+    let is_part = |part: &str| {
+        part.starts_with(|first: char| first.is_ascii_alphabetic() || first == '_')
+            && part.chars().all(|character| character.is_ascii_alphanumeric() || character == '_')
+    };
+    name == "/" || name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part))
 }
 
 /// The folder of an enclave in a keystore.
@@ -125,6 +142,10 @@ mod tests {
         assert_eq!(options.folder().unwrap(), Path::new("/keys/enclaves/robots/one"));
         options.enclave_override = Some("/lab".to_owned());
         assert_eq!(options.folder().unwrap(), Path::new("/keys/enclaves/lab"));
+        for wrong in ["", "lab", "/../lab", "/lab;", "/lab/", "//lab", "/1"] {
+            options.enclave_override = Some(wrong.to_owned());
+            assert!(options.folder().unwrap_err().to_string().contains("no name of an enclave"), "{wrong}");
+        }
         options.keystore = None;
         assert!(options.folder().unwrap_err().to_string().contains("ROS_SECURITY_KEYSTORE"));
     }

@@ -5,7 +5,7 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use downbeat_bridge::middleware::ParticipantOptions;
 use downbeat_bridge::ros::{EndpointKind, Found};
 use downbeat_robot::RobotFile;
@@ -26,9 +26,19 @@ pub(super) fn generate(
         enclave.map_or_else(|| file.node_name().map(|name| name.to_string()), |name| Ok(name.into()))?;
     Keystore::check_name(&enclave)?;
     let mut policy = output.map(read_if_there).transpose()?.unwrap_or_default();
+    let robot = file.path().display().to_string();
     let networks = networks(file, is_recorded, &ParticipantOptions::from_env()?, log)?;
     let nodes = networks.over_dds.iter().flat_map(|network| nodes(&network.found, &enclave));
-    nodes.for_each(|node| policy.permit(&node));
+    let mut is_empty = true;
+    nodes.for_each(|node| {
+        is_empty = false;
+        policy.permit(&node);
+    });
+    ensure!(
+        !is_empty,
+        "{robot} exposes nothing over DDS, which is all that a policy permits: is its engine, or \
+         RMW_IMPLEMENTATION, that of Zenoh?"
+    );
     let Some(path) = output else {
         print!("{}", policy.to_xml());
         return Ok(());

@@ -204,7 +204,7 @@ impl fmt::Display for RobotReport {
         self.warnings.iter().try_for_each(|warning| writeln!(f, "  warning: {warning}"))?;
         self.networks.iter().try_for_each(|network| write!(f, "{network}"))?;
         for network in &self.unprotected {
-            writeln!(f, "\nnetwork {network} is not over DDS, so that this enclave does not protect it")?;
+            writeln!(f, "\nnetwork {network} is not over the engine that keystores protect")?;
         }
         Ok(())
     }

@@ -63,6 +63,13 @@ fn set(pattern: &str, character: char) -> Option<(bool, &str)> {
             return Some((is_member != is_negated, rest.as_str()));
         }
         is_first = false;
+        if from == '['
+            && let Some((is_inside, after)) = class(rest.as_str(), character)
+        {
+            is_member |= is_inside;
+            rest = after.chars();
+            continue;
+        }
         let from = if from == '\\' { rest.next()? } else { from };
         let mut to = from;
         if let Some(after) = rest.as_str().strip_prefix('-')
@@ -75,11 +82,43 @@ fn set(pattern: &str, character: char) -> Option<(bool, &str)> {
     }
 }
 
+/// Whether a class within a set, such as `:digit:]` behind its bracket, contains the character, and what
+/// follows it. `None` if it is none.
+fn class(pattern: &str, character: char) -> Option<(bool, &str)> {
+    let (kind, rest) = (pattern.chars().next()?, pattern.get(1..)?);
+    let end = match kind {
+        ':' => ":]",
+        '.' => ".]",
+        '=' => "=]",
+        _ => return None,
+    };
+    let (name, after) = rest.split_once(end)?;
+    let is_member = match (kind, name) {
+        (':', "alnum") => character.is_ascii_alphanumeric(),
+        (':', "alpha") => character.is_ascii_alphabetic(),
+        (':', "blank") => [' ', '\t'].contains(&character),
+        (':', "cntrl") => character.is_ascii_control(),
+        (':', "digit") => character.is_ascii_digit(),
+        (':', "graph") => character.is_ascii_graphic(),
+        (':', "lower") => character.is_ascii_lowercase(),
+        (':', "print") => character.is_ascii_graphic() || character == ' ',
+        (':', "punct") => character.is_ascii_punctuation(),
+        (':', "space") => character.is_ascii_whitespace() || character == '\u{b}',
+        (':', "upper") => character.is_ascii_uppercase(),
+        (':', "xdigit") => character.is_ascii_hexdigit(),
+        (':', _) => false,
+        (_, name) => name.chars().eq([character]),
+    };
+    Some((is_member, after))
+}
+
 /// Whether every partition that `partition` may stand for matches `pattern`. A partition of an endpoint may
 /// be a pattern itself.
 pub(super) fn contains(pattern: &str, partition: &str) -> bool {
     // Only a star of the pattern can be what a wildcard of the partition is matched with.
-    let is_safe = !is_pattern(partition) || !pattern.contains(['?', '[', '\\']);
+    let is_safe = !is_pattern(partition)
+        || pattern == "*"
+        || !pattern.contains(['?', '[', '\\']) && !partition.contains(['[', '\\']);
     pattern == partition || is_safe && matches(pattern, partition)
 }
 
@@ -108,6 +147,12 @@ mod tests {
             ("rt/*", "rq/a", false),
             ("rt/chatter", "rt/chatter2", false),
             ("rt/chatter2", "rt/chatter", false),
+            ("rt/arm[[:digit:]]", "rt/arm5", true),
+            ("rt/arm[[:digit:]]", "rt/army", false),
+            ("rt/arm[![:digit:]]", "rt/arm5", false),
+            ("rt/arm[[:digit:]x]", "rt/armx", true),
+            ("rt/arm[[.5.]]", "rt/arm5", true),
+            ("rt/arm[[=5=]]", "rt/arm6", false),
             ("*er", "rt/chatter", true),
             ("*er", "rt/chatters", false),
             ("a*b*c", "axxbxbxc", true),

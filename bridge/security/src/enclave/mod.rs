@@ -120,7 +120,10 @@ impl Enclave {
         let key = read_pki(&path("key.pem"), PrivateKey::from_pem)?;
         let permissions_ca = read_pki(&path("permissions_ca.cert.pem"), Certificate::from_pem)?;
         let crl_path = path("crl.pem");
-        let crl = if crl_path.exists() { Some(read_pki(&crl_path, Crl::from_pem)?) } else { None };
+        // A link that leads nowhere is no permission to go without the list.
+        let is_absent =
+            crl_path.symlink_metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound);
+        let crl = if is_absent { None } else { Some(read_pki(&crl_path, Crl::from_pem)?) };
 
         let of = |name: &str| {
             let path = path(name);
@@ -210,13 +213,17 @@ impl Enclave {
     }
 
     fn find_warnings(&self, grant: (SystemTime, SystemTime), now: SystemTime) -> Vec<String> {
+        let list = self.authority.crl_ends().map(|end| ("crl.pem", end));
         let ends = [
             ("identity_ca.cert.pem", self.authority.certificate().validity().1),
             ("cert.pem", self.certificate.validity().1),
             ("permissions_ca.cert.pem", self.permissions_ca.validity().1),
             ("permissions.p7s", grant.1),
         ];
-        let soon = ends.into_iter().filter(|(_, end)| end.duration_since(now).is_ok_and(|left| left < SOON));
+        let soon = ends
+            .into_iter()
+            .chain(list)
+            .filter(|(_, end)| end.duration_since(now).is_ok_and(|left| left < SOON));
         let expiring = soon.map(|(name, end)| {
             format!("{} expires on {}; renew it in time", self.folder.join(name).display(), Date(end))
         });

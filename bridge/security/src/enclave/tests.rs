@@ -209,6 +209,15 @@ fn files_of_another_enclave_or_authority_are_refused() {
 }
 
 #[test]
+#[cfg(unix)]
+fn a_revocation_list_that_cannot_be_reached_is_not_left_out() {
+    let copy = Copy::new();
+    std::os::unix::fs::symlink("nowhere.pem", copy.path("crl.pem")).unwrap();
+    let error = Enclave::load(copy.folder.path(), now()).unwrap_err();
+    assert!(matches!(error, EnclaveError::BrokenLink { .. }), "{error}");
+}
+
+#[test]
 fn a_revocation_list_is_heeded_if_it_is_there() {
     let copy = Copy::new();
     copy.write("crl.pem", b"nothing");

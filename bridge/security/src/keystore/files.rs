@@ -27,9 +27,11 @@ pub(super) fn write_key(path: &Path, key: &PrivateKey) -> Result<(), KeystoreErr
     write_with(&options, path, key.to_pem().as_bytes())
 }
 
-/// Writes a file, or what it holds anew.
+/// Writes a file, or replaces it: whoever reads it at the same time sees all of the old or of the new one.
 pub(super) fn write(path: &Path, content: &[u8]) -> Result<(), KeystoreError> {
-    write_with(File::options().write(true).create(true).truncate(true), path, content)
+    let new = path.with_extension("new");
+    write_with(File::options().write(true).create(true).truncate(true), &new, content)?;
+    fs::rename(&new, path).map_err(failed("write", path))
 }
 
 fn write_with(options: &OpenOptions, path: &Path, content: &[u8]) -> Result<(), KeystoreError> {

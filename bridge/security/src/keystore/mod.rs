@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use crate::access::{Governance, smime};
+use crate::document::DocumentError;
 use crate::enclave::{EnclaveError, read_signed};
 use crate::pki::{Certificate, PkiError, PrivateKey};
 use crate::policy::Policy;
@@ -44,6 +45,8 @@ pub enum KeystoreError {
     File { attempt: &'static str, path: PathBuf, source: std::io::Error },
     #[error("{}: {source}", path.display())]
     Pki { path: PathBuf, source: PkiError },
+    #[error("{}: {source}", path.display())]
+    Governance { path: PathBuf, source: DocumentError },
     #[error(transparent)]
     Enclave(#[from] EnclaveError),
     #[error("{} is not the key of {}", key.display(), certificate.display())]
@@ -88,8 +91,15 @@ impl Keystore {
             let text = GOVERNANCE.replace("<id>0</id>", &format!("<id>{domain_id}</id>"));
             files::write(&text_path, text.as_bytes())?;
         }
+        let text = files::read_text(&text_path)?;
+        let governance = String::from_utf8_lossy(&text);
+        let governance = Governance::parse(&governance)
+            .map_err(|source| KeystoreError::Governance { path: text_path.clone(), source })?;
+        if governance.domain(domain_id).is_none() {
+            return Err(EnclaveError::NoRule { path: text_path, domain_id }.into());
+        }
         let (ca, ca_key) = keystore.authority("permissions_ca")?;
-        let signed = smime::sign(&files::read_text(&text_path)?, &ca, &ca_key, now);
+        let signed = smime::sign(&text, &ca, &ca_key, now);
         files::write(&path.join(SIGNED_GOVERNANCE), &signed)?;
         Ok(keystore)
     }

@@ -195,7 +195,16 @@ fn an_authority_and_a_governance_that_are_there_are_used() {
     let keystore = create(folder.path(), 3);
     let talker = keystore.folder("/talker_listener/talker").unwrap();
     fs::remove_file(folder.path().join(SIGNED_GOVERNANCE)).unwrap();
-    Keystore::create(folder.path(), 0, now(), &mut random(2)).unwrap();
+    let create = |domain_id| Keystore::create(folder.path(), domain_id, now(), &mut random(2));
+    let other = create(0).unwrap_err();
+    assert!(matches!(other, KeystoreError::Enclave(EnclaveError::NoRule { domain_id: 0, .. })), "{other}");
+    let text = folder.path().join("enclaves/governance.xml");
+    let governance = fs::read_to_string(&text).unwrap();
+    fs::write(&text, governance.replace("<id>", "<ident>")).unwrap();
+    let unreadable = create(3).unwrap_err();
+    assert!(matches!(unreadable, KeystoreError::Governance { .. }), "{unreadable}");
+    fs::write(&text, governance).unwrap();
+    create(3).unwrap();
     assert!(Enclave::load(&talker, now()).unwrap().for_domain(3).is_ok());
 }
 

@@ -96,6 +96,11 @@ impl Authority {
         &self.certificate
     }
 
+    /// When its revocation list has to be replaced, if it has one that says so.
+    pub fn crl_ends(&self) -> Option<SystemTime> {
+        self.crl.as_ref()?.next_update
+    }
+
     /// Decides whether `certificate` is that of an enclave of this keystore. The cheap checks come first, the
     /// signature last.
     ///
