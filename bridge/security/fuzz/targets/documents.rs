@@ -1,6 +1,7 @@
 //! Governance, permissions and policies, and the signatures around them.
 
 use downbeat_security::access::{Action, Governance, Permissions, smime};
+use downbeat_security::keystore::Keystore;
 use downbeat_security::policy::Policy;
 
 use super::pki::{AUTHORITY, keystore, time};
@@ -91,8 +92,8 @@ pub fn policy(text: &[u8]) -> bool {
     for enclave in enclaves {
         let validity = (time(), time());
         let permissions = policy.permissions(&enclave, 7, validity).expect("permissions of an enclave");
-        // Keystores refuse names that are none of an enclave, which make no subject of a certificate.
-        if enclave.chars().all(|character| character.is_ascii_alphanumeric() || "/_".contains(character)) {
+        // Other names make no subject of a certificate.
+        if Keystore::check_name(&enclave).is_ok() {
             assert!(Permissions::parse(&permissions).is_ok(), "{permissions}");
         }
     }
