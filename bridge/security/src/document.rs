@@ -27,7 +27,7 @@ pub enum Problem {
     /// The text is not XML, or has a document type; the message of the parser.
     #[error("this is not XML as it is read here: {0}")]
     Xml(String),
-    /// The document is of another kind: its first element, and the one that is expected.
+    /// The first element is another one than expected; both are named.
     #[error("the document begins with <{0}> instead of <{1}>")]
     Root(String, &'static str),
     /// An element that is not known where it is.

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// The same reason is told at most once in this time: strangers must not fill a log.
+/// The same reason is reported at most once in this time, so that strangers cannot fill a log.
 const PERIOD: Duration = Duration::from_secs(60);
 /// The most reasons told in a period.
 const MOST: usize = 64;
 
-/// Counts reasons and decides which are told.
+/// Counts the reasons of refusals and decides which of them are reported.
 #[derive(Debug, Default)]
 pub(super) struct Reports {
     told: BTreeMap<String, (Instant, u64)>,

@@ -32,7 +32,7 @@ fn message(prefix: GuidPrefix, writer: EntityId, number: i64, payload: &[u8]) ->
     datagram
 }
 
-/// The announcement that another participant sent, in the name of one that is not there.
+/// The announcement of another participant, changed to name one that does not exist.
 fn announcement(of: &ParticipantData, prefix: GuidPrefix, address: SocketAddrV4) -> Vec<u8> {
     let mut data = of.clone();
     data.prefix = prefix;

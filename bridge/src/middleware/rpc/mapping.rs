@@ -92,7 +92,7 @@ pub(super) enum Label {
 }
 
 /// The address of a request of a client of a vendor, and its payload without what belongs to the mapping;
-/// nothing if it is none.
+/// `None` if the sample is no request.
 pub(super) fn request(sample: Sample, vendor: [u8; 2]) -> Option<(ReturnAddress, Bytes)> {
     let Sample { writer, sequence_number, related, cdr, .. } = sample;
     let address = |reader, label| ReturnAddress { client: writer, number: sequence_number, reader, label };
