@@ -7,6 +7,7 @@ mod football;
 mod install;
 mod matrix;
 mod node;
+mod packaging;
 mod physics;
 mod python;
 mod security;
@@ -63,6 +64,9 @@ enum Command {
     /// The crates as they would be published: packaged, installed with `cargo install` from a registry in a
     /// folder, and a project of `downbeat new` built with them. Part of the test run.
     Crates,
+    /// The Debian package of what `crates` installs, checked, installed into an empty root, run and removed.
+    /// Part of the test run.
+    Deb,
     /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features
     /// it shares what the first command of the README has compiled.
     Wheel {
@@ -104,7 +108,8 @@ fn main() -> ExitCode {
         Command::Fleet => fleet::fleet(),
         Command::Security { rounds } => security::security(rounds),
         Command::Bags => bags::bags(),
-        Command::Crates => install::cargo_install(),
+        Command::Crates => install::cargo_install().map(drop),
+        Command::Deb => install::cargo_install().and_then(|program| install::debian_package(&program)),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true, .. } => {
             skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))

@@ -121,7 +121,9 @@ pub(crate) fn test() -> anyhow::Result<()> {
         budget::check(if has_nextest { ALL } else { &["--features", "downbeat/tables"] })
     });
     steps.step("the Python package", || wheel::test(&skips));
-    steps.step("crates as they would be published", install::cargo_install);
+    steps.step("crates as they would be published, and a Debian package of them", || {
+        install::cargo_install().and_then(|program| install::debian_package(&program))
+    });
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));

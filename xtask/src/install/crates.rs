@@ -11,7 +11,7 @@ use crate::steps::workspace;
 
 /// Packages the crates, installs the program from the packages, runs the robot that it carries, and builds
 /// and runs a project that it makes. Nothing of the checkout is used but the packages.
-pub(crate) fn cargo_install() -> anyhow::Result<()> {
+pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
     let cargo = Cargo::new()?;
     let program = cargo.install()?;
     let home = Home::new()?;
@@ -33,7 +33,8 @@ pub(crate) fn cargo_install() -> anyhow::Result<()> {
     ensure!(manifest.contains("downbeat = { version = \""), "the project depends on no version:\n{manifest}");
     cargo.run(home.command(env!("CARGO")).arg("build").current_dir(&project))?;
     let robot = cargo.build.join("debug/my_robot");
-    user(&robot, &["run", "my_robot/robot.toml", "--duration", "1s"])
+    user(&robot, &["run", "my_robot/robot.toml", "--duration", "1s"])?;
+    Ok(program)
 }
 
 /// Cargo as a machine without this checkout has it, with a registry of our packages in place of crates.io.
@@ -55,9 +56,12 @@ impl Cargo {
             remove_ours(&build, 2)?;
         }
         fs::create_dir_all(&home)?;
+        // The same profile for the program, whose manifest has one, and for the project, so that nothing is
+        // compiled twice.
         let config = format!(
             "[source.crates-io]\nreplace-with = \"packages\"\n[source.packages]\nlocal-registry = {:?}\n\
-             [profile.dev]\ndebug = false\nstrip = \"symbols\"\n[profile.dev.package.\"*\"]\nopt-level = 0\n",
+             [profile.dev]\ndebug = false\nstrip = \"symbols\"\n[profile.dev.package.\"*\"]\nopt-level = 0\n\
+             [profile.dev.package.nalgebra]\nopt-level = 0\n",
             registry.display().to_string()
         );
         fs::write(home.join("config.toml"), config)?;

@@ -2,7 +2,9 @@
 
 mod arrival;
 mod crates;
+mod deb;
 mod registry;
 
 pub(crate) use arrival::{Arrival, Home};
 pub(crate) use crates::cargo_install;
+pub(crate) use deb::debian_package;

@@ -1,0 +1,77 @@
+//! The Debian package, installed into an empty root.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, ensure};
+
+use super::{Arrival, Home};
+use crate::packaging::arrange;
+use crate::packaging::debian::{self, About};
+use crate::steps::run;
+
+/// Packages an installed program, unpacks the package as dpkg does, runs what it has, and removes it again:
+/// nothing is left. Lintian, where it is installed, finds nothing.
+pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
+    if !test_machine::has_program("dpkg-deb") {
+        test_machine::missing("dpkg-deb", "a Debian package can be made on Debian and Ubuntu");
+        return Ok(());
+    }
+    let home = Home::new()?;
+    let arranged = home.path().join("arranged");
+    arrange(program, &[], &arranged)?;
+    let about = About {
+        version: "0.1.0",
+        architecture: architecture()?,
+        time: 1_700_000_000,
+        compression: &["-Zgzip", "-z1"],
+    };
+    let package = debian::package(&arranged, &about, home.path())?;
+    if test_machine::has_program("lintian") {
+        run(Command::new("lintian").args(["--fail-on", "error,warning"]).arg(&package))?;
+    } else {
+        test_machine::missing("lintian", "install Debian's package lintian");
+    }
+    let root = home.path().join("root");
+    let dpkg = |arguments: &[&str]| {
+        let mut dpkg = Command::new("dpkg");
+        dpkg.arg(format!("--root={}", root.display())).args(["--force-not-root", "--force-depends"]);
+        // The scripts make users and speak to udev: their own tests are in a container.
+        dpkg.args(["--force-script-chrootless", "--log=/dev/null"]).args(arguments);
+        dpkg
+    };
+    for folder in ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers"] {
+        fs::create_dir_all(root.join(folder))?;
+    }
+    for file in ["var/lib/dpkg/status", "var/lib/dpkg/available"] {
+        fs::write(root.join(file), "")?;
+    }
+    run(dpkg(&["--unpack"]).arg(&package))?;
+    let installed = root.join("usr/bin/downbeat");
+    let checked =
+        home.command(&installed).arg("check").arg(root.join("etc/downbeat/darwin_op.toml")).output()?;
+    ensure!(checked.status.success(), "check: {}", String::from_utf8_lossy(&checked.stderr));
+    let arrival = Arrival::of(&installed, &home)?;
+    println!("from the Debian package: first joint state after {} ms", arrival.first_joint_state.as_millis());
+    run(&mut dpkg(&["--purge", "downbeat"]))?;
+    let left = files(&root)?.into_iter().filter(|path| !path.starts_with("var/lib/dpkg")).collect::<Vec<_>>();
+    ensure!(left.is_empty(), "after the package was purged, these are left: {left:?}");
+    Ok(())
+}
+
+fn architecture() -> anyhow::Result<&'static str> {
+    match std::env::consts::ARCH {
+        "x86_64" => Ok("amd64"),
+        "aarch64" => Ok("arm64"),
+        other => anyhow::bail!("no name of Debian is known for {other}"),
+    }
+}
+
+/// All files below a folder, relative to it.
+fn files(folder: &Path) -> anyhow::Result<Vec<std::path::PathBuf>> {
+    let output =
+        Command::new("find").args([".", "-type", "f", "-printf", "%P\\n"]).current_dir(folder).output();
+    let output = output.context("cannot run find")?;
+    Ok(String::from_utf8(output.stdout)?.lines().map(Into::into).collect())
+}
