@@ -66,7 +66,11 @@ enum Command {
     Crates,
     /// The Debian package of what `crates` installs, checked, installed into an empty root, run and removed.
     /// Part of the test run.
-    Deb,
+    Deb {
+        /// This program, in place of one that is installed from the packages first.
+        #[arg(long)]
+        program: Option<std::path::PathBuf>,
+    },
     /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features
     /// it shares what the first command of the README has compiled.
     Wheel {
@@ -109,7 +113,9 @@ fn main() -> ExitCode {
         Command::Security { rounds } => security::security(rounds),
         Command::Bags => bags::bags(),
         Command::Crates => install::cargo_install().map(drop),
-        Command::Deb => install::cargo_install().and_then(|program| install::debian_package(&program)),
+        Command::Deb { program } => program
+            .map_or_else(install::cargo_install, Ok)
+            .and_then(|program| install::debian_package(&program)),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true, .. } => {
             skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))

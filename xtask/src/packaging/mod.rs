@@ -1,5 +1,5 @@
-//! The program with what belongs to it on a machine: man pages, completions, documents; and the Debian package
-//! of that.
+//! The program with what belongs to it on a machine: man pages, completions, documents; and the Debian
+//! package of that.
 
 pub(crate) mod debian;
 
