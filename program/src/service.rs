@@ -45,7 +45,7 @@ impl Service {
             socket,
             asked: None,
             next_answer: now,
-            next_status: now,
+            next_status: now + Duration::from_secs(1), // with the first rates
         }
     }
 

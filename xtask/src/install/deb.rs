@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use super::{Arrival, Home};
 use crate::packaging::arrange;
 use crate::packaging::debian::{self, About};
-use crate::steps::run;
+use crate::steps::{run, workspace};
 
 /// Packages an installed program, unpacks the package as dpkg does, runs what it has, and removes it again:
 /// nothing is left. Lintian, where it is installed, finds nothing.
@@ -27,7 +27,7 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
         time: 1_700_000_000,
         compression: &["-Zgzip", "-z1"],
     };
-    let package = debian::package(&arranged, &about, home.path())?;
+    let package = debian::package(&arranged, &about, &workspace().join("target/install"))?;
     if test_machine::has_program("lintian") {
         run(Command::new("lintian").args(["--fail-on", "error,warning"]).arg(&package))?;
     } else {
@@ -37,7 +37,7 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
     let dpkg = |arguments: &[&str]| {
         let mut dpkg = Command::new("dpkg");
         dpkg.arg(format!("--root={}", root.display())).args(["--force-not-root", "--force-depends"]);
-        // The scripts make users and speak to udev: their own tests are in a container.
+        // The scripts see the root as DPKG_ROOT, and leave this machine alone.
         dpkg.args(["--force-script-chrootless", "--log=/dev/null"]).args(arguments);
         dpkg
     };
