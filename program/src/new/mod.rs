@@ -277,6 +277,10 @@ impl Origin {
     }
 
     fn checkout() -> anyhow::Result<Self> {
+        // A release says nothing about the machine that built it.
+        if option_env!("DOWNBEAT_RELEASE").is_some() {
+            bail!("a project depends on the source of downbeat, which is not in this release: set it with --git URL --rev REV");
+        }
         let package = Path::new(env!("CARGO_MANIFEST_DIR"));
         Self::of_folder(package.parent().unwrap_or(package))
     }
