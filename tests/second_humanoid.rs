@@ -71,8 +71,8 @@ impl Walker {
         let moment = Moment {
             time: self.time(ctx),
             position: [p.x, p.y, p.z],
-            yaw: (2.0 * (q.w * q.z + q.x * q.y)).atan2(1.0 - 2.0 * (q.y * q.y + q.z * q.z)),
-            tilt: (1.0 - 2.0 * (q.x * q.x + q.y * q.y)).clamp(-1.0, 1.0).acos(),
+            yaw: libm::atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z)),
+            tilt: libm::acos((1.0 - 2.0 * (q.x * q.x + q.y * q.y)).clamp(-1.0, 1.0)),
         };
         self.seen.lock().unwrap().moments.push(moment);
     }
@@ -120,7 +120,7 @@ fn a_robot_of_other_dimensions_and_servos_walks_and_turns_and_does_not_fall() {
     let at = |time: f64| seen.moments.iter().rfind(|moment| moment.time <= time).unwrap();
     let walked = |from: f64, to: f64| {
         let [from, to] = [from, to].map(|time| at(time).position);
-        (to[0] - from[0]).hypot(to[1] - from[1])
+        libm::hypot(to[0] - from[0], to[1] - from[1])
     };
     let turned = at(18.0).yaw - at(13.0).yaw;
     let most_tilted = seen.moments.iter().map(|moment| moment.tilt).fold(0.0, f64::max);
@@ -138,7 +138,7 @@ fn a_robot_of_other_dimensions_and_servos_walks_and_turns_and_does_not_fall() {
     assert!(walked(18.0, 23.0) > 0.15, "it walked {} m in a curve", walked(18.0, 23.0));
     assert!(walked(26.0, 27.0) < 0.01 && !seen.is_walking, "it does not stand");
     let [x, y, _] = at(END_S).position;
-    let off = (seen.odometry[0] - x).hypot(seen.odometry[1] - y);
+    let off = libm::hypot(seen.odometry[0] - x, seen.odometry[1] - y);
     assert!(off < 0.25, "the odometry is {off} m off");
 }
 

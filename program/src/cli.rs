@@ -33,6 +33,7 @@ use super::network::NetworkArguments;
 use super::new::NewArguments;
 use super::new_output::Force;
 use super::parameters::ParameterArguments;
+use super::robots::RobotsCommand;
 use super::run::RunArguments;
 #[cfg(feature = "security")]
 use super::security::SecurityCommand;
@@ -162,6 +163,10 @@ pub(crate) enum Command {
     MatchRobot(super::football::robot::RobotArguments),
     /// Check a robot file and print its contents, without running it.
     Check(CheckArguments),
+    /// List the robots that this program carries, or copy one: `run`, `check` and all other commands for
+    /// robot files take their names.
+    #[command(subcommand)]
+    Robots(RobotsCommand),
     /// Describe kinds of modules: what they are for, their settings, topics, services and actions.
     Describe(DescribeArguments),
     /// Compose a robot in a browser: its modules as a graph, checked while you edit. Prints the address of

@@ -27,12 +27,14 @@ mod new_output;
 #[cfg(any(feature = "football", feature = "view"))]
 mod own_command;
 mod parameters;
+mod robots;
 #[cfg(feature = "zenoh")]
 mod router;
 mod run;
 mod screen;
 #[cfg(feature = "security")]
 mod security;
+mod service;
 mod servo;
 mod statistics;
 mod status;
@@ -97,6 +99,7 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         #[cfg(not(feature = "football"))]
         Command::Match(_) | Command::Vision(_) => not_built("football", ""),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros, &log),
+        Command::Robots(command) => robots::run(&command),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]
         Command::Compose(arguments) => compose::compose(&arguments, catalog),

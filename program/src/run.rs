@@ -12,6 +12,7 @@ use super::parameters::ParameterArguments;
 use super::screen::Screen;
 #[cfg(feature = "security")]
 use super::security::RobotReport;
+use super::service::Service;
 use super::statistics::{Statistics, Times};
 use super::status::{Faults, Sources, StatusBlock};
 use super::stop::Stop;
@@ -28,7 +29,7 @@ use downbeat_robot::{Catalog, RobotFile, RosArgs};
 
 #[derive(Args)]
 pub(crate) struct RunArguments {
-    /// The robot file, for example robots/darwin_op.toml.
+    /// The robot file, or the name of a carried robot, such as darwin_op (`downbeat robots list`).
     #[arg(value_name = "ROBOT.toml")]
     pub(crate) robot: PathBuf,
     /// Stop after this time: 500ms, 10s, 5min, 1h.
@@ -178,6 +179,8 @@ impl WatchedRobot {
             recording: robot.recording(),
             faults: &faults,
         });
+        let mut service = Service::of_process();
+        service.ready();
         let (mut next_log, mut recording_fails) = (Instant::now() + LOG_INTERVAL, false);
         while !stop.is_due() && !robot.is_finished() {
             if screen.is_terminal() {
@@ -186,6 +189,7 @@ impl WatchedRobot {
                 next_log += LOG_INTERVAL;
                 tracing::info!("{}", block.line());
             }
+            service.tend(robot.core(), || block.line());
             let failure =
                 robot.recording().map(Recording::statistics).and_then(|recording| recording.failure);
             if let Some(failure) = failure.filter(|_| !recording_fails) {
@@ -194,6 +198,7 @@ impl WatchedRobot {
             }
             stop.sleep(REFRESH);
         }
+        service.stopping();
         screen.show(Vec::new());
         drop(block);
         match robot.stop() {

@@ -6,6 +6,7 @@ mod crates;
 mod dist;
 mod fleet;
 mod football;
+mod install;
 mod matrix;
 mod node;
 mod notices;
@@ -62,6 +63,9 @@ enum Command {
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
+    /// The crates as they would be published: packaged, installed with `cargo install` from a registry in a
+    /// folder, and a project of `downbeat new` built with them. Part of the test run.
+    Crates,
     /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features
     /// it shares what the first command of the README has compiled.
     Wheel {
@@ -106,6 +110,7 @@ fn main() -> ExitCode {
         Command::Fleet => fleet::fleet(),
         Command::Security { rounds } => security::security(rounds),
         Command::Bags => bags::bags(),
+        Command::Crates => install::cargo_install(),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true, .. } => {
             skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))

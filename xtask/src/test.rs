@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::matrix::Notes;
 use crate::steps::{Steps, run, run_and_repeat, workspace};
-use crate::{budget, node, python, skips, tidy, wheel};
+use crate::{budget, install, node, python, skips, tidy, wheel};
 
 /// The steps of new users, which the tests of pages and templates write down.
 struct FirstHour(PathBuf);
@@ -121,6 +121,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
         budget::check(if has_nextest { ALL } else { &["--features", "downbeat/tables"] })
     });
     steps.step("the Python package", || wheel::test(&skips));
+    steps.step("crates as they would be published", install::cargo_install);
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));

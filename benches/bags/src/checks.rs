@@ -112,6 +112,7 @@ fn write(bag: &Path, bytes: u64, compression: Compression) -> anyhow::Result<u64
             ));
         }
         if n.is_multiple_of(4) {
+            #[allow(clippy::disallowed_methods)] // any numbers
             let ranges = (0..720_u32).map(|at| ((at + n) as f32 / 50.0).sin()).collect();
             messages.push((1, cdr::to_vec(&LaserScan { ranges, ..LaserScan::default() })));
         }

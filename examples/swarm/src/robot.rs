@@ -202,8 +202,8 @@ fn steer(target: DVec2) -> [f64; 2] {
     if target.length() < REST_DISTANCE {
         return [0.0; 2];
     }
-    let bearing = target.to_angle();
-    let forward = (1.5 * target.length()).min(0.8 * MAX_SPEED) * bearing.cos().max(0.0);
-    let turn = 2.0 * bearing * TRACK / 2.0;
+    let ahead = (target.x / target.length()).max(0.0);
+    let forward = (1.5 * target.length()).min(0.8 * MAX_SPEED) * ahead;
+    let turn = 2.0 * target.to_angle() * TRACK / 2.0;
     [forward - turn, forward + turn]
 }

@@ -82,7 +82,8 @@ fn assert_gathered_and_split<'a>(overviews: impl IntoIterator<Item = &'a Arc<Ove
         let poses = overview.poses.iter().zip(&overview.lights).filter(|(_, shown)| **shown == light);
         poses.map(|(pose, _)| (pose.x, pose.y)).collect()
     };
-    let distance = |one: (f64, f64), other: (f64, f64)| (one.0 - other.0).hypot(one.1 - other.1);
+    let distance =
+        |one: (f64, f64), other: (f64, f64)| ((one.0 - other.0).powi(2) + (one.1 - other.1).powi(2)).sqrt();
 
     // Measured here from the poses, not taken from the arena.
     let widest = |overview: &Overview| {

@@ -94,7 +94,7 @@ impl Falls {
         let Some(up) = world_from_trunk(&imu).map(|rotation| rotation.conjugate() * DVec3::Z) else { return };
         let now = ctx.now();
         let tilt_limit = *ctx.get(ctx.ports.tilt_limit);
-        let is_tilted = up.z < tilt_limit.cos();
+        let is_tilted = up.z < libm::cos(tilt_limit);
         self.is_tilted = is_tilted;
         let rate = &imu.angular_velocity;
         let is_still = DVec3::new(rate.x, rate.y, rate.z).length() <= *ctx.get(ctx.ports.still_rate);
@@ -267,7 +267,7 @@ impl fmt::Display for State {
 }
 
 fn tilt_degrees(up: DVec3) -> f64 {
-    up.z.clamp(-1.0, 1.0).acos().to_degrees()
+    libm::acos(up.z.clamp(-1.0, 1.0)).to_degrees()
 }
 
 #[cfg(test)]

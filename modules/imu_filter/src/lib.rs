@@ -356,7 +356,7 @@ mod tests {
         let data = filtered((0..500).map(|_| (bias, [0.0, 0.0, STANDARD_GRAVITY])));
         let last = data.last().unwrap();
         assert!(dvec3(&last.angular_velocity).length() < 0.01);
-        let yaw = 2.0 * last.orientation.z.atan2(last.orientation.w);
+        let yaw = 2.0 * libm::atan2(last.orientation.z, last.orientation.w);
         assert!(yaw.abs() < 0.15, "it has turned for less than a second, {yaw}");
         assert!(last.orientation_covariance[8] > data[0].orientation_covariance[8]);
         assert_eq!(last.orientation_covariance[0], 0.03 * 0.03);
@@ -365,7 +365,7 @@ mod tests {
     #[test]
     fn a_turning_robot_is_not_at_rest_and_numbers_that_are_none_are_dropped() {
         let gravity = [0.0, 0.0, STANDARD_GRAVITY];
-        let swinging = (0..500).map(|number| ([0.0, 0.0, 0.5 + 0.3 * f64::from(number).sin()], gravity));
+        let swinging = (0..500).map(|number| ([0.0, 0.0, 0.5 + 0.3 * libm::sin(f64::from(number))], gravity));
         let data = filtered(swinging);
         assert!((data.last().unwrap().angular_velocity.z - 0.5).abs() < 0.31);
         assert_eq!(filtered([([f64::NAN; 3], gravity), ([0.0; 3], gravity)].into_iter()).len(), 1);

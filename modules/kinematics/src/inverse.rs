@@ -422,7 +422,7 @@ pub(crate) fn difference(target: &Isometry, reached: &Isometry) -> (DVec3, DVec3
 fn rotation_vector(rotation: DQuat) -> DVec3 {
     let rotation = if rotation.w < 0.0 { -rotation } else { rotation };
     let sin = rotation.xyz().length();
-    if sin < 1e-150 { DVec3::ZERO } else { rotation.xyz() * (2.0 * sin.atan2(rotation.w) / sin) }
+    if sin < 1e-150 { DVec3::ZERO } else { rotation.xyz() * (2.0 * libm::atan2(sin, rotation.w) / sin) }
 }
 
 pub(crate) fn weighted((linear, angular): (DVec3, DVec3), angle_weight: f64) -> Vector6<f64> {

@@ -268,7 +268,7 @@ impl Reader<'_> {
             name,
             position: [centre.x, centre.y, raw.height / 2.0],
             size: [along.length(), raw.thickness, raw.height],
-            yaw: along.y.atan2(along.x),
+            yaw: libm::atan2(along.y, along.x),
             mass: None,
             colour: raw.colour,
         })

@@ -117,7 +117,7 @@ fn a_robot_that_lay_and_is_put_on_its_feet_feels_upright() {
             }
             now = now + CYCLE;
         }
-        (*felt.lock() * DVec3::Z).z.acos()
+        libm::acos((*felt.lock() * DVec3::Z).z)
     };
     let lying = tilt_after(3);
     assert!(lying > 1.2, "{lying}");

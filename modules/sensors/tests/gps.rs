@@ -61,7 +61,7 @@ fn the_velocity_and_the_time_come_too() {
     let velocities = run::<TwistStamped>("vel", &[], 10).messages;
     assert_eq!(velocities.len(), 8);
     for velocity in &velocities {
-        assert!((velocity.twist.linear.x.hypot(velocity.twist.linear.y) - 1.0).abs() < 0.01);
+        assert!((libm::hypot(velocity.twist.linear.x, velocity.twist.linear.y) - 1.0).abs() < 0.01);
     }
     let times = run::<TimeReference>("time_reference", &[], 10).messages;
     // 2026-01-01T00:00:02Z.

@@ -292,6 +292,7 @@ fn engine() -> Engine {
     engine.register_global_module(StandardPackage::new().as_shared_module());
     engine.disable_symbol("eval");
     engine.set_optimization_level(OptimizationLevel::None);
+    engine.set_fast_operators(false); // which would pass over our own `**`
     engine.set_max_operations(MOST_OPERATIONS);
     engine.set_max_call_levels(MOST_CALLS);
     engine.set_max_expr_depths(DEEPEST.0, DEEPEST.1);

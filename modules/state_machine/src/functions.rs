@@ -18,6 +18,7 @@ pub(crate) fn register(engine: &mut Engine) {
     engine.register_fn("sleep", |_: INT| refuse_sleep());
     engine.register_fn("sleep", |_: FLOAT| refuse_sleep());
     engine.register_fn("exit", refuse_exit);
+    register_mathematics(engine);
     engine.register_fn("distance", |a: Map, b: Map| -> Answer<f64> {
         let squares = ["x", "y", "z"]
             .map(|axis| -> Answer<f64> { Ok((coordinate(&a, axis)? - coordinate(&b, axis)?).powi(2)) });
@@ -27,14 +28,15 @@ pub(crate) fn register(engine: &mut Engine) {
         let squares = ["x", "y", "z"].map(|axis| -> Answer<f64> { Ok(coordinate(&a, axis)?.powi(2)) });
         squares.into_iter().sum::<Answer<f64>>().map(f64::sqrt)
     });
-    engine
-        .register_fn("atan2", |y: Dynamic, x: Dynamic| -> Answer<f64> { Ok(number(&y)?.atan2(number(&x)?)) });
+    engine.register_fn("atan2", |y: Dynamic, x: Dynamic| -> Answer<f64> {
+        Ok(libm::atan2(number(&y)?, number(&x)?))
+    });
     engine.register_fn("bearing", |to: Map| -> Answer<f64> {
-        Ok(coordinate(&to, "y")?.atan2(coordinate(&to, "x")?))
+        Ok(libm::atan2(coordinate(&to, "y")?, coordinate(&to, "x")?))
     });
     engine.register_fn("bearing", |from: Map, to: Map| -> Answer<f64> {
         let along = |axis| -> Answer<f64> { Ok(coordinate(&to, axis)? - coordinate(&from, axis)?) };
-        Ok(along("y")?.atan2(along("x")?))
+        Ok(libm::atan2(along("y")?, along("x")?))
     });
     engine.register_fn("wrap_angle", |angle: Dynamic| -> Answer<f64> { number(&angle).map(wrap_angle) });
     engine.register_fn("clamp", |value: Dynamic, low: Dynamic, high: Dynamic| -> Answer<f64> {
@@ -45,6 +47,39 @@ pub(crate) fn register(engine: &mut Engine) {
     engine.register_fn("seconds", |stamp: Map| -> Answer<f64> {
         Ok(coordinate(&stamp, "sec")? + coordinate(&stamp, "nanosec")? / 1e9)
     });
+}
+
+/// Registers those of the language that would call the C library, whose results differ between machines.
+fn register_mathematics(engine: &mut Engine) {
+    type Function = fn(FLOAT) -> FLOAT;
+    const OF_ONE: [(&str, Function); 14] = [
+        ("sin", libm::sin),
+        ("cos", libm::cos),
+        ("tan", libm::tan),
+        ("sinh", libm::sinh),
+        ("cosh", libm::cosh),
+        ("tanh", libm::tanh),
+        ("asin", libm::asin),
+        ("acos", libm::acos),
+        ("atan", libm::atan),
+        ("asinh", libm::asinh),
+        ("acosh", libm::acosh),
+        ("atanh", libm::atanh),
+        ("exp", libm::exp),
+        ("ln", libm::log),
+    ];
+    for (name, function) in OF_ONE {
+        engine.register_fn(name, function);
+    }
+    engine.register_fn("atan", libm::atan2 as fn(FLOAT, FLOAT) -> FLOAT);
+    engine.register_fn("hypot", libm::hypot as fn(FLOAT, FLOAT) -> FLOAT);
+    engine.register_fn("log", libm::log10 as fn(FLOAT) -> FLOAT);
+    engine.register_fn("log", |x: FLOAT, base: FLOAT| libm::log(x) / libm::log(base));
+    engine.register_fn("**", libm::pow as fn(FLOAT, FLOAT) -> FLOAT);
+    engine.register_fn("**", |x: FLOAT, y: INT| libm::pow(x, y as FLOAT));
+    engine.register_fn("**", |x: INT, y: FLOAT| libm::pow(x as FLOAT, y));
+    engine.register_fn("**=", |x: &mut FLOAT, y: FLOAT| *x = libm::pow(*x, y));
+    engine.register_fn("**=", |x: &mut FLOAT, y: INT| *x = libm::pow(*x, y as FLOAT));
 }
 
 /// Registers those that know the chart and its time.
@@ -84,7 +119,7 @@ fn relative(pose: Map, point: Map) -> Answer<Map> {
     let (position, angle) = (part("position")?, yaw(&part("orientation")?)?);
     let x = coordinate(&point, "x")? - coordinate(&position, "x")?;
     let y = coordinate(&point, "y")? - coordinate(&position, "y")?;
-    let (sine, cosine) = angle.sin_cos();
+    let (sine, cosine) = libm::sincos(angle);
     Ok(Map::from([
         ("x".into(), Dynamic::from_float(cosine * x + sine * y)),
         ("y".into(), Dynamic::from_float(cosine * y - sine * x)),
@@ -95,7 +130,7 @@ fn relative(pose: Map, point: Map) -> Answer<Map> {
 fn yaw(orientation: &Map) -> Answer<f64> {
     let [x, y, z, w] = ["x", "y", "z", "w"].map(|axis| coordinate(orientation, axis));
     let (x, y, z, w) = (x?, y?, z?, w?);
-    Ok((2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z)))
+    Ok(libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 }
 
 /// The same angle in (-π, π].
@@ -165,6 +200,24 @@ mod tests {
             let program = Program::new(&text, 1, Syntax::Expression).unwrap();
             let value = Evaluator::new().value(&program, &mut Scope::new()).unwrap().as_float().unwrap();
             assert!((value - expected).abs() < 1e-12, "{text} is {value}");
+        }
+    }
+
+    #[test]
+    fn mathematics_is_the_same_on_every_machine() {
+        for number in 0..2000 {
+            let x = 0.01 + f64::from(number) / 37.0;
+            for (text, expected) in [
+                (format!("sin({x:?})"), libm::sin(x)),
+                (format!("exp({x:?} / 60)"), libm::exp(x / 60.0)),
+                (format!("log({x:?})"), libm::log10(x)),
+                (format!("{x:?} ** 0.3"), libm::pow(x, 0.3)),
+                (format!("let y = {x:?}; y **= 0.7; y"), libm::pow(x, 0.7)),
+            ] {
+                let program = Program::new(&text, 1, Syntax::Statements).unwrap();
+                let value = Evaluator::new().value(&program, &mut Scope::new()).unwrap().as_float().unwrap();
+                assert_eq!(value.to_bits(), expected.to_bits(), "{text} is {value}");
+            }
         }
     }
 

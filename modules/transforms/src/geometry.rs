@@ -110,11 +110,12 @@ fn slerp(from: DQuat, to: DQuat, ratio: f64) -> DQuat {
     let (from, to) = (DVec4::from(from), DVec4::from(to));
     // Both signs of a quaternion are the same rotation; the nearer one is the shorter direction.
     let to = if from.dot(to) < 0.0 { -to } else { to };
-    let angle = 2.0 * (from - to).length().atan2((from + to).length());
+    let angle = 2.0 * libm::atan2((from - to).length(), (from + to).length());
     if angle < f64::EPSILON {
         return DQuat::from_vec4(from);
     }
-    let between = (from * ((1.0 - ratio) * angle).sin() + to * (ratio * angle).sin()) / angle.sin();
+    let between =
+        (from * libm::sin((1.0 - ratio) * angle) + to * libm::sin(ratio * angle)) / libm::sin(angle);
     DQuat::from_vec4(between).normalize()
 }
 

@@ -262,7 +262,7 @@ fn difference(one: &Isometry, other: &Isometry) -> f64 {
 
 /// The angle of a rotation, accurate for small ones too.
 fn angle(rotation: DQuat) -> f64 {
-    2.0 * rotation.xyz().length().atan2(rotation.w.abs())
+    2.0 * libm::atan2(rotation.xyz().length(), rotation.w.abs())
 }
 
 proptest! {

@@ -11,6 +11,10 @@ use super::format::{self, Format};
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct LogOptions {
     pub(super) format: Format,
+    /// The format of lines that go to systemd's journal, which adds time and severity.
+    pub(super) journal_format: Format,
+    /// The device and inode of the journal's stream, if the service manager gave the process one.
+    pub(super) journal: Option<String>,
     pub(super) colors: Colors,
     pub(super) stream: Stream,
     /// The log file, if any.
@@ -63,10 +67,11 @@ impl LogOptions {
                  RCUTILS_LOGGING_BUFFERED_STREAM",
             );
         }
+        let given = lookup("RCUTILS_CONSOLE_OUTPUT_FORMAT");
         Ok(Self {
-            format: Format::read(
-                lookup("RCUTILS_CONSOLE_OUTPUT_FORMAT").as_deref().unwrap_or(format::DEFAULT),
-            ),
+            format: Format::read(given.as_deref().unwrap_or(format::DEFAULT)),
+            journal_format: Format::read(given.as_deref().unwrap_or(format::IN_JOURNAL)),
+            journal: lookup("JOURNAL_STREAM"),
             colors: match switch("RCUTILS_COLORIZED_OUTPUT", "no colors", "colors")? {
                 None => Colors::OnTerminals,
                 Some(true) => Colors::Always,
@@ -127,6 +132,8 @@ mod tests {
     fn an_empty_environment_means_the_format_of_ros_on_standard_error_and_no_file() {
         let expected = LogOptions {
             format: Format::read(format::DEFAULT),
+            journal_format: Format::read(format::IN_JOURNAL),
+            journal: None,
             colors: Colors::OnTerminals,
             stream: Stream::Error,
             file: None,

@@ -10,6 +10,9 @@ use downbeat_msgs::{printable, write_printable_lines};
 /// The default of ROS 2.
 pub(super) const DEFAULT: &str = "[{severity}] [{time}] [{name}]: {message}";
 
+/// The default for systemd's journal, which has the rest itself.
+pub(super) const IN_JOURNAL: &str = "[{name}]: {message}";
+
 /// The maximum length of a format, as in rcutils.
 const LONGEST: usize = 2047;
 

@@ -156,6 +156,8 @@ struct LogLayer {
 struct Console {
     format: Format,
     has_colors: bool,
+    /// Lines begin with their priority, as systemd's journal reads it (`sd-daemon(3)`).
+    is_journal: bool,
     stream: Stream,
     screen: Screen,
 }
@@ -225,12 +227,23 @@ impl Console {
             Colors::Always => true,
             Colors::Never => false,
         };
-        Self { format: options.format.clone(), has_colors, stream: options.stream, screen: screen.clone() }
+        let is_journal = options.journal.is_some() && options.journal == identity(options.stream);
+        let format = if is_journal { &options.journal_format } else { &options.format };
+        Self {
+            format: format.clone(),
+            has_colors: has_colors && !is_journal,
+            is_journal,
+            stream: options.stream,
+            screen: screen.clone(),
+        }
     }
 
     fn write(&self, line: &LogLine, logger: &str) {
-        let text =
-            if self.has_colors { self.colored(line, logger) } else { plain(&self.format, line, logger) };
+        let text = match (self.has_colors, self.is_journal) {
+            (true, _) => self.colored(line, logger),
+            (false, true) => with_priority(&plain(&self.format, line, logger), line.severity),
+            (false, false) => plain(&self.format, line, logger),
+        };
         self.screen.log(self.stream, text);
     }
 
@@ -247,6 +260,27 @@ impl Console {
         text.push_str("\x1b[0m\n");
         text
     }
+}
+
+/// Device and inode of a stream, as `JOURNAL_STREAM` has them.
+fn identity(stream: Stream) -> Option<String> {
+    let status = match stream {
+        Stream::Error => rustix::fs::fstat(std::io::stderr()),
+        Stream::Output => rustix::fs::fstat(std::io::stdout()),
+    };
+    status.ok().map(|status| format!("{}:{}", status.st_dev, status.st_ino))
+}
+
+/// Puts the priority of syslog before each line: the journal takes every line as an entry.
+fn with_priority(text: &str, severity: Severity) -> String {
+    let priority = match severity {
+        Severity::Debug => "<7>",
+        Severity::Info => "<6>",
+        Severity::Warn => "<4>",
+        Severity::Error => "<3>",
+        Severity::Fatal => "<2>",
+    };
+    text.lines().flat_map(|line| [priority, line, "\n"]).collect()
 }
 
 fn plain(format: &Format, line: &LogLine, logger: &str) -> String {

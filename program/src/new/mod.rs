@@ -23,7 +23,8 @@ pub(crate) struct NewArguments {
     /// The kind of project.
     #[arg(long, value_enum, default_value_t = Template::Robot)]
     pub(crate) template: Template,
-    /// Depend on downbeat in this git repository, instead of the folder that this program was built from.
+    /// Depend on downbeat in this git repository, instead of the version of this program, or of the checkout
+    /// that it was built in.
     #[arg(long, value_name = "URL", requires = "rev")]
     pub(crate) git: Option<String>,
     /// The revision in that repository.
@@ -40,7 +41,7 @@ pub(crate) fn new(arguments: &NewArguments) -> anyhow::Result<()> {
     let origin = match (&arguments.git, &arguments.rev) {
         _ if !arguments.template.is_for_cargo() => None,
         (Some(url), Some(revision)) => Some(Origin::git(url, revision)),
-        _ => Some(Origin::checkout()?),
+        _ => Some(Origin::of_this_program()),
     };
     if !arguments.force {
         check_empty(folder)?;
@@ -255,11 +256,13 @@ impl Template {
     }
 }
 
-/// The source of downbeat for a project, since the crates are not published.
+/// Where a project has downbeat from.
 #[derive(Debug)]
 enum Origin {
     /// The folder that this program was built from.
     Checkout(PathBuf),
+    /// The version of this program, from the registry.
+    Release,
     Git {
         url: String,
         revision: String,
@@ -276,24 +279,20 @@ impl Origin {
         Self::Git { url: url.to_owned(), revision: revision.to_owned() }
     }
 
-    fn checkout() -> anyhow::Result<Self> {
-        // A release says nothing about the machine that built it.
-        if option_env!("DOWNBEAT_RELEASE").is_some() {
-            bail!("a project depends on the source of downbeat, which is not in this release: set it with --git URL --rev REV");
-        }
-        let package = Path::new(env!("CARGO_MANIFEST_DIR"));
-        Self::of_folder(package.parent().unwrap_or(package))
+    /// The checkout that this program was built in, or this version of the crates if it was installed.
+    fn of_this_program() -> Self {
+        // A program that is given away names no folder of the machine that built it.
+        let built_in = match option_env!("DOWNBEAT_RELEASE") {
+            Some(_) => None,
+            None => Path::new(env!("CARGO_MANIFEST_DIR")).parent(),
+        };
+        built_in.map_or(Self::Release, Self::of_folder)
     }
 
-    fn of_folder(folder: &Path) -> anyhow::Result<Self> {
-        if !folder.join("Cargo.toml").is_file() || folder.to_str().is_none() {
-            bail!(
-                "a project depends on the source of downbeat, but {}, from which this program was built, no longer exists: \
-                 set another source with --git URL --rev REV, or build the program again",
-                folder.display()
-            );
-        }
-        Ok(Self::Checkout(folder.to_owned()))
+    fn of_folder(folder: &Path) -> Self {
+        // Not the folder of packages that cargo downloaded, and not one that this machine does not have.
+        let is_checkout = folder.join("start/program/Cargo.toml").is_file() && folder.to_str().is_some();
+        if is_checkout { Self::Checkout(folder.to_owned()) } else { Self::Release }
     }
 
     /// Replaces the template's `path = "/checkout…"`.
@@ -313,6 +312,7 @@ impl Origin {
     fn dependency(&self, package: &str) -> String {
         match self {
             Self::Checkout(folder) => format!("path = {}", quoted(format!("{}{package}", folder.display()))),
+            Self::Release => format!("version = {}", quoted(env!("CARGO_PKG_VERSION").to_owned())),
             Self::Git { url, revision } => {
                 format!("git = {}, rev = {}", quoted(url.clone()), quoted(revision.clone()))
             }
@@ -355,9 +355,12 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_checkout_is_an_error_with_instructions() {
-        let error =
-            Origin::of_folder("/no/such/checkout".as_ref()).map(|_| ()).map_err(|error| error.to_string());
-        assert!(error.as_ref().is_err_and(|error| error.contains("--git URL --rev REV")), "{error:?}");
+    fn an_installed_program_depends_on_its_version() {
+        let release = Origin::of_folder("/no/such/checkout".as_ref());
+        assert_eq!(
+            release.put_into(LINE),
+            concat!("a = { version = \"", env!("CARGO_PKG_VERSION"), "\" } # b")
+        );
+        assert!(release.files().is_ok_and(|files| files.is_empty()), "nothing of a checkout");
     }
 }

@@ -337,6 +337,7 @@ fn short(value: f64, range: f64) -> String {
     if value.abs() >= 1e7 || (value != 0.0 && range < 1e-7) {
         return format!("{value:.3e}");
     }
+    #[allow(clippy::disallowed_methods)] // for eyes only
     let digits = if range > 0.0 { (2.0 - range.log10().floor()).clamp(0.0, 8.0) as usize } else { 0 };
     let text = format!("{value:.digits$}");
     // Rounded to nothing.

@@ -3,6 +3,7 @@
 #[cfg(feature = "football")]
 mod apart;
 mod arguments;
+mod carried;
 mod expose;
 mod features;
 mod include;
@@ -93,7 +94,8 @@ impl RobotFile {
         Self::read_with(path, &Catalog::built_in(), &RosArgs::default())
     }
 
-    /// Reads a robot file that uses the kinds, launchers and interfaces of a catalog, and applies the
+    /// Reads a robot file that uses the kinds, launchers and interfaces of a catalog, or the carried robot of
+    /// that name (`downbeat robots list`) where there is no such file, and applies the
     /// arguments of ROS 2 programs: remapping rules take precedence over those of the file, parameters over
     /// its settings.
     ///
@@ -101,7 +103,7 @@ impl RobotFile {
     /// Returns an error with path and line if the file, or a parameter file, cannot be read or is invalid;
     /// also if an argument is invalid.
     pub fn read_with(path: &Path, catalog: &Catalog, arguments: &RosArgs) -> Result<Self> {
-        Self::read_from(Source::read(path, "the robot file")?, catalog, arguments)
+        Self::read_from(Source::read(&carried::located(path)?, "the robot file")?, catalog, arguments)
     }
 
     /// Reads a text as the file that is, or will be, at the path of the source.

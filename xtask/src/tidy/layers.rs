@@ -172,6 +172,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
         "downbeat-library",
         &["downbeat-actions", "downbeat-edge", "downbeat-executor", "downbeat-library-abi", "downbeat-msgs"],
     ),
+    ("downbeat-robots", &[]),
     (
         "downbeat-robot",
         &[
@@ -194,6 +195,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-network",
             "downbeat-physics",
             "downbeat-player",
+            "downbeat-robots",
             "downbeat-sensors",
             "downbeat-servos",
             "downbeat-state-machine",
@@ -218,6 +220,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-msgs",
             "downbeat-network",
             "downbeat-robot",
+            "downbeat-robots",
             "downbeat-servos",
             "downbeat-state-machine",
             "downbeat-view",

@@ -109,7 +109,7 @@ impl Joint {
         }
         // Without torque the gear holds the joint: 193:1 is hard to turn from outside.
         let holds_itself = self.drive == 0.0;
-        let net = if holds_itself { 0.0 } else { self.drive + self.gravity * self.angle().sin() };
+        let net = if holds_itself { 0.0 } else { self.drive + self.gravity * libm::sin(self.angle()) };
         let sticks = net.abs() < STATIC_FRICTION && self.velocity.abs() < SPEED_STEP;
         let speed = if sticks { 0.0 } else { net * NO_LOAD_SPEED * command.supply / 12.0 };
         self.velocity += (speed - self.velocity) * (dt / MOTOR_LAG_S).min(1.0);
@@ -153,9 +153,9 @@ impl Attitude {
     fn specific_force(&self) -> [f64; 3] {
         let [roll, pitch, _] = self.angles;
         [
-            -pitch.sin() * STANDARD_GRAVITY,
-            pitch.cos() * roll.sin() * STANDARD_GRAVITY,
-            pitch.cos() * roll.cos() * STANDARD_GRAVITY,
+            -libm::sin(pitch) * STANDARD_GRAVITY,
+            libm::cos(pitch) * libm::sin(roll) * STANDARD_GRAVITY,
+            libm::cos(pitch) * libm::cos(roll) * STANDARD_GRAVITY,
         ]
     }
 }

@@ -237,12 +237,12 @@ impl Engine {
         };
         let left_swings = self.phase < 0.5;
         let is_stepping = self.stage == Stage::Walking;
-        let lifting = if is_stepping { (1.0 - (TAU * u).cos()) / 2.0 } else { 0.0 };
+        let lifting = if is_stepping { (1.0 - libm::cos(TAU * u)) / 2.0 } else { 0.0 };
         let lift = parameters.foot_height * lifting;
         let (left_lift, right_lift) = if left_swings { (lift, 0.0) } else { (0.0, lift) };
-        let x = stance_x + parameters.walking_shift * level + self.swing * (TAU * half - PI).sin();
-        let y = parameters.sway * level * (TAU * self.phase).sin();
-        let z = stance_z + parameters.nod * level * (1.0 + (TAU * half).cos());
+        let x = stance_x + parameters.walking_shift * level + self.swing * libm::sin(TAU * half - PI);
+        let y = parameters.sway * level * libm::sin(TAU * self.phase);
+        let z = stance_z + parameters.nod * level * (1.0 + libm::cos(TAU * half));
         let roll = parameters.pelvis_roll * lifting;
         // The supporting hip rolls fully, the other one by about a third.
         let hip_roll = if left_swings { [0.35 * roll, roll] } else { [roll, 0.35 * roll] };
@@ -301,7 +301,7 @@ impl Limits {
 
 /// Rises from 0 to 1, level at both ends.
 fn smooth(u: f64) -> f64 {
-    (1.0 - (PI * u).cos()) / 2.0
+    (1.0 - libm::cos(PI * u)) / 2.0
 }
 
 #[cfg(test)]

@@ -53,7 +53,7 @@ impl Odometry {
         self.position.x += displacement.x;
         self.position.y += displacement.y;
         self.position.z = -soles[support].z;
-        self.way += displacement.x.hypot(displacement.y);
+        self.way += libm::hypot(displacement.x, displacement.y);
         if dt > 0.0 {
             let share = (dt / SMOOTHING).min(1.0);
             self.velocity += (displacement / dt - self.velocity) * share;
@@ -64,12 +64,12 @@ impl Odometry {
 /// The yaw of an orientation, in rad.
 pub(super) fn yaw_of(rotation: DQuat) -> f64 {
     let DQuat { x, y, z, w } = rotation;
-    (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+    libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 }
 
 /// The pitch of an orientation, in rad: positive if it leans forward.
 pub(super) fn pitch_of(rotation: DQuat) -> f64 {
-    (-(rotation * DVec3::X).z).clamp(-1.0, 1.0).asin()
+    libm::asin((-(rotation * DVec3::X).z).clamp(-1.0, 1.0))
 }
 
 #[cfg(test)]

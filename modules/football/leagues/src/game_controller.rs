@@ -165,8 +165,8 @@ impl GameController {
         };
         let position = &status.pose.pose.position;
         let q = &status.pose.pose.orientation;
-        let direction = (2.0 * (q.w * q.z + q.x * q.y)).atan2(1.0 - 2.0 * (q.y * q.y + q.z * q.z));
-        let (sin, cos) = direction.sin_cos();
+        let direction = libm::atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z));
+        let (sin, cos) = libm::sincos(direction);
         let (x, y) = (status.ball.x - position.x, status.ball.y - position.y);
         let mm = |metres: f64| (metres * 1000.0) as f32;
         let age = now.as_nanos().saturating_sub(status.header.stamp.as_nanos()).max(0) as f32 / 1e9;

@@ -292,7 +292,7 @@ fn team_message(answer: &Answer, now: Time) -> TeamMessage {
             let metres = |mm: f32| f64::from(mm) / 1000.0;
             let (x, y, direction) = (metres(x), metres(y), f64::from(direction));
             let [forward, left] = ball.map(metres);
-            let (sin, cos) = direction.sin_cos();
+            let (sin, cos) = libm::sincos(direction);
             let mut message = TeamMessage {
                 header,
                 team,
@@ -305,7 +305,7 @@ fn team_message(answer: &Answer, now: Time) -> TeamMessage {
                 ..TeamMessage::default()
             };
             message.pose.pose.position = Point { x, y, z: 0.0 };
-            let (z, w) = (direction / 2.0).sin_cos();
+            let (z, w) = libm::sincos(direction / 2.0);
             message.pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z, w };
             message
         }

@@ -145,7 +145,7 @@ pub fn decode(bytes: &[u8], team: u8) -> Result<TeamMessage, DecodeError> {
                     (1, Content::Number(number)) => player = number,
                     (2, Content::Bytes(position)) => {
                         let [x, y, yaw] = vector(position)?;
-                        let (sin, cos) = (yaw / 2.0).sin_cos();
+                        let (sin, cos) = libm::sincos(yaw / 2.0);
                         message.pose.pose.position = Point { x, y, z: 0.0 };
                         message.pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z: sin, w: cos };
                     }
@@ -247,7 +247,7 @@ fn relation_of(colour: u64, own: u8) -> u8 {
 }
 
 fn yaw_of(q: &Quaternion) -> f64 {
-    (2.0 * (q.w * q.z + q.x * q.y)).atan2(1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    libm::atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 }
 
 enum Content<'a> {

@@ -226,14 +226,14 @@ impl Filter {
         let temper = (INDEPENDENT / count as f64).min(1.0);
         let mut sum = 0.0;
         for index in 0..self.particles.len() {
-            let likelihood = self.likelihood(landmarks, self.particles[index].pose).powf(temper);
+            let likelihood = libm::pow(self.likelihood(landmarks, self.particles[index].pose), temper);
             let particle = &mut self.particles[index];
             particle.weight *= likelihood;
             sum += particle.weight;
         }
-        self.evidence += sum.max(1e-300).ln();
+        self.evidence += libm::log(sum.max(1e-300));
         // The geometric mean for one landmark, so that pictures with many and with few are comparable.
-        let mean = (sum.max(1e-300)).powf(1.0 / (count as f64 * temper));
+        let mean = libm::pow(sum.max(1e-300), 1.0 / (count as f64 * temper));
         let [fast, slow] = self.means.unwrap_or([mean, mean]);
         let [fast, slow] = [fast + FAST * (mean - fast), slow + SLOW * (mean - slow)];
         self.means = Some([fast, slow]);
@@ -311,7 +311,7 @@ impl Filter {
     fn correct_pitch(&mut self, landmarks: &Landmarks, temper: f64, pose: Pose) {
         let fit = |index: i32| {
             let off = f64::from(index) * PITCH_STEP;
-            let likelihood = self.likelihood(&landmarks.pitched(off), pose).max(1e-300).ln();
+            let likelihood = libm::log(self.likelihood(&landmarks.pitched(off), pose).max(1e-300));
             let [change, size] = [off / PITCH_CHANGE, (self.pitch + off) / PITCH_DEVIATION];
             (temper * likelihood - 0.5 * (change * change + size * size), off)
         };
@@ -331,7 +331,7 @@ impl Filter {
             let (xx, yy) = (xx + 0.0009, yy + 0.0009);
             let square =
                 (yy * off.x * off.x - 2.0 * xy * off.x * off.y + xx * off.y * off.y) / (xx * yy - xy * xy);
-            OUTLIER + (-0.5 * square).exp()
+            OUTLIER + libm::exp(-0.5 * square)
         };
         let nearest = |at: DVec2, candidates: &mut dyn Iterator<Item = DVec2>| {
             candidates
@@ -339,7 +339,7 @@ impl Filter {
                 .min_by(|one, other| one.length_squared().total_cmp(&other.length_squared()))
         };
         let off = wrapped(pose.heading - self.heading) / HEADING_DEVIATION;
-        let mut product = OUTLIER + (-0.5 * off * off).exp();
+        let mut product = OUTLIER + libm::exp(-0.5 * off * off);
         for (seen, kind, turned) in &landmarks.intersections {
             let at = pose.place(*seen);
             let turned = pose.heading + turned;
@@ -386,7 +386,7 @@ impl Filter {
                 .iter()
                 .map(|line| (line.to - line.from).normalize().perp_dot(along).abs())
                 .fold(if off_circle.is_some() { 0.0 } else { 1.0 }, f64::min);
-            product *= OUTLIER + (-0.5 * (angle * sharpness).powi(2)).exp();
+            product *= OUTLIER + libm::exp(-0.5 * (angle * sharpness).powi(2));
         }
         product
     }

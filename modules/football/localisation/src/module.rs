@@ -596,7 +596,8 @@ fn pose_of(message: &Odometry) -> Option<(Pose, DQuat)> {
     let is_pose = [x, y, z].iter().all(|part| part.abs() < 1e6) && (orientation.length() - 1.0).abs() < 0.01;
     let orientation = orientation.normalize();
     let ahead = orientation * glam::DVec3::X;
-    is_pose.then(|| (Pose { position: DVec2::new(x, y), heading: ahead.y.atan2(ahead.x) }, orientation))
+    is_pose
+        .then(|| (Pose { position: DVec2::new(x, y), heading: libm::atan2(ahead.y, ahead.x) }, orientation))
 }
 
 fn quaternion(of: DQuat) -> Quaternion {

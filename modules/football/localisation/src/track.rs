@@ -53,7 +53,7 @@ impl Track {
             return self;
         }
         self.at = time;
-        let kept = (-self.motion.slows * dt).exp();
+        let kept = libm::exp(-self.motion.slows * dt);
         let [a, b, c] = self.covariance;
         let noise = |power: f64| DMat2::from_diagonal(DVec2::splat(self.motion.acceleration * power));
         self.position += self.velocity * dt;

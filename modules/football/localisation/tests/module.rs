@@ -142,7 +142,7 @@ impl Robot {
         let q = pose.orientation;
         let ahead = DQuat::from_xyzw(q.x, q.y, q.z, q.w) * DVec3::X;
         let position = DVec2::new(pose.position.x, pose.position.y);
-        let turned = wrapped(ahead.y.atan2(ahead.x) - self.walk.truth.heading).abs();
+        let turned = wrapped(libm::atan2(ahead.y, ahead.x) - self.walk.truth.heading).abs();
         (position.distance(self.walk.truth.position), turned)
     }
 }
@@ -174,7 +174,7 @@ fn markings(landmarks: &Landmarks, at: Time) -> seen::MarkingArray {
             IntersectionKind::X => &[0.0, FRAC_PI_2, PI, -FRAC_PI_2],
         };
         let ray = |arm: &f64| {
-            let (y, x) = (heading + arm).sin_cos();
+            let (y, x) = libm::sincos(heading + arm);
             Vector3 { x, y, z: 0.0 }
         };
         message.intersections.push(seen::MarkingIntersection {

@@ -121,7 +121,7 @@ impl Player {
     fn truth(&self) -> (DVec2, f64) {
         let pose = self.robot.snapshot().robot.world_from_body;
         let ahead = pose.rotation * DVec3::X;
-        (pose.translation.truncate(), ahead.y.atan2(ahead.x))
+        (pose.translation.truncate(), libm::atan2(ahead.y, ahead.x))
     }
 
     /// Errors of position (m) and heading (degrees).
@@ -131,8 +131,8 @@ impl Player {
         let q = pose.orientation;
         let ahead = DQuat::from_xyzw(q.x, q.y, q.z, q.w) * DVec3::X;
         let (position, heading) = self.truth();
-        let turned = ahead.y.atan2(ahead.x) - heading;
-        let turned = turned.sin().atan2(turned.cos()).abs().to_degrees();
+        let turned = libm::atan2(ahead.y, ahead.x) - heading;
+        let turned = libm::atan2(libm::sin(turned), libm::cos(turned)).abs().to_degrees();
         (position.distance(DVec2::new(pose.position.x, pose.position.y)), turned)
     }
 

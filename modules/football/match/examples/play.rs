@@ -270,7 +270,7 @@ impl Watch {
             print!("{now:6.0} ball {:.2} {:.2}", ball.x, ball.y);
             for (robot, pose) in state.poses.iter().enumerate() {
                 let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);
-                let yaw = 2.0 * q.z.atan2(q.w);
+                let yaw = 2.0 * libm::atan2(q.z, q.w);
                 let seen = DVec2::from_angle(-yaw).rotate(ball - place);
                 let down = if self.players[robot].is_down { " down" } else { "" };
                 let (walking, [ahead, left, turn]) = (&self.walking[robot], self.commands[robot]);

@@ -187,7 +187,7 @@ fn a_ball_in_the_goal_counts_and_comes_back_to_the_centre() {
     assert!(events.iter().any(|event| event.ends_with("1:0  goal for blue")), "{events:?}");
     let last = states.last().unwrap();
     assert_eq!((last.blue_score, last.phase), (1, GameState::READY));
-    assert!(last.ball.x.hypot(last.ball.y) < 0.02, "{:?}", last.ball);
+    assert!(libm::hypot(last.ball.x, last.ball.y) < 0.02, "{:?}", last.ball);
 }
 
 #[test]

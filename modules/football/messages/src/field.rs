@@ -241,7 +241,7 @@ impl Field {
             found.push(Intersection { position: DVec2::new(x, y), kind, heading: normalised(heading) });
         };
         // Towards the inside of the field, seen from each corner.
-        let inwards = |side_x: f64, side_y: f64| (-side_y).atan2(-side_x);
+        let inwards = |side_x: f64, side_y: f64| libm::atan2(-side_y, -side_x);
         for side_y in [1.0, -1.0] {
             add(0.0, side_y * corner.y, T, -side_y * FRAC_PI_2);
             if self.circle_diameter > 0.0 {

@@ -166,7 +166,7 @@ fn variance_of_pose(message: &TeamMessage) -> f64 {
 
 impl BallEstimate {
     fn later(self, by: Duration) -> Self {
-        let kept = (1.0 - (-ROLL_OUT * by.as_secs_f64()).exp()) / ROLL_OUT;
+        let kept = (1.0 - libm::exp(-ROLL_OUT * by.as_secs_f64())) / ROLL_OUT;
         Self { position: self.position + self.velocity * kept, ..self }
     }
 

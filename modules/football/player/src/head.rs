@@ -85,7 +85,7 @@ impl Head {
                 let sweeps = self.searched / *ctx.get(ctx.ports.sweep_s);
                 let tilt = if sweeps.fract() < 0.5 { TILTS[0] } else { TILTS[1] };
                 self.searched += PERIOD.as_secs_f64();
-                DVec2::new(*ctx.get(ctx.ports.sweep) * (TAU * sweeps).sin(), tilt)
+                DVec2::new(*ctx.get(ctx.ports.sweep) * libm::sin(TAU * sweeps), tilt)
             }
         };
         let step = DVec2::splat(*ctx.get(ctx.ports.speed) * PERIOD.as_secs_f64());

@@ -135,16 +135,16 @@ fn problem_of(message: &TeamMessage) -> Option<Refusal> {
     if message.time_to_ball.is_nan() || numbers.iter().any(|number| !number.is_finite()) {
         return Some(Refusal::NotFinite);
     }
-    let is_place = |at: &Point| at.x.hypot(at.y) <= FARTHEST;
+    let is_place = |at: &Point| libm::hypot(at.x, at.y) <= FARTHEST;
     let is_variance = |variance: f64| (0.0..=VAGUEST).contains(&variance);
     let velocity = &message.ball_velocity;
     let is_ball = !message.sees_ball
         || is_place(&message.ball)
-            && velocity.x.hypot(velocity.y) <= FASTEST
+            && libm::hypot(velocity.x, velocity.y) <= FASTEST
             && is_variance(message.ball_variance.into())
             && message.ball_age >= 0.0;
     let are_others = message.others.iter().all(|other| {
-        f64::from(other.x).hypot(other.y.into()) <= FARTHEST && is_variance(other.variance.into())
+        libm::hypot(f64::from(other.x), other.y.into()) <= FARTHEST && is_variance(other.variance.into())
     });
     let turn = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w;
     let is_pose = is_place(&pose.position)

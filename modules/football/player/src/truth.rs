@@ -67,7 +67,7 @@ impl TruthBeliefs {
         let mut message = PoseWithCovarianceStamped { header: truth.header.clone(), ..Default::default() };
         message.header.frame_id = MAP.to_owned();
         (message.pose.pose.position.x, message.pose.pose.position.y) = (position.x, position.y);
-        let (z, w) = ((place.heading + self.error.heading) / 2.0).sin_cos();
+        let (z, w) = libm::sincos((place.heading + self.error.heading) / 2.0);
         message.pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z, w };
         for (index, deviation) in [(0, deviations[0]), (7, deviations[0]), (35, deviations[1])] {
             message.pose.covariance[index] = deviation * deviation;

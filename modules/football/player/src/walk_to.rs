@@ -402,7 +402,7 @@ fn avoiding(to: DVec2, obstacles: &[Obstacle]) -> DVec2 {
 /// Turns to a point and walks forward.
 fn far(to: DVec2, settings: &Settings) -> Velocity {
     let bearing = to.to_angle();
-    let share = bearing.cos().max(0.0).powi(4);
+    let share = libm::cos(bearing).max(0.0).powi(4);
     let turn = (TURN_GAIN * bearing).clamp(-settings.turn, settings.turn);
     Velocity { linear: DVec2::new(settings.forward * share, 0.0), turn }
 }

@@ -296,7 +296,7 @@ fn fitted<'a>(points: impl Iterator<Item = &'a Point>, along: DVec2) -> Option<(
     mean /= weights;
     let [xx, xy, yy] = squares.map(|sum| sum / weights);
     let (xx, xy, yy) = (xx - mean.x * mean.x, xy - mean.x * mean.y, yy - mean.y * mean.y);
-    let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+    let angle = 0.5 * libm::atan2(2.0 * xy, xx - yy);
     let direction = DVec2::from_angle(angle);
     Some((mean, if direction.dot(along) < 0.0 { -direction } else { direction }))
 }

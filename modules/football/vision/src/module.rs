@@ -186,7 +186,7 @@ impl Vision {
         let ahead = base.rotation * DVec3::X;
         let footprint = Isometry {
             translation: base.translation.with_z(0.0),
-            rotation: DQuat::from_rotation_z(ahead.y.atan2(ahead.x)),
+            rotation: DQuat::from_rotation_z(libm::atan2(ahead.y, ahead.x)),
         };
         Ok(footprint.inverse() * camera)
     }

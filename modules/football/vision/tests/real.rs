@@ -25,7 +25,7 @@ fn finds_all(data: &[u8], colours: &Colours) {
     let camera =
         Camera { size: [640, 480], focal: DVec2::new(537.0, 543.0), centre: DVec2::new(319.5, 239.5) };
     // The horizon is in row 46.
-    let down = ((239.5_f64 - 46.0) / 543.0).atan();
+    let down = libm::atan((239.5_f64 - 46.0) / 543.0);
     let forward = DQuat::from_rotation_z(-FRAC_PI_2) * DQuat::from_rotation_x(-FRAC_PI_2);
     let ground_from_camera =
         Isometry { translation: DVec3::Z * 0.36, rotation: DQuat::from_rotation_y(down) * forward };

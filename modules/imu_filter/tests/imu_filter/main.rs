@@ -25,9 +25,9 @@ fn samples() -> Vec<[DVec3; 2]> {
     let mut world_from_imu = DQuat::from_rotation_x(0.4);
     let sample = |number: u32| {
         let t = f64::from(number) * DT;
-        let rate = DVec3::new(1.5 * (2.1 * t).sin(), 1.2 * (3.3 * t).cos(), 0.7 * (0.9 * t).sin());
+        let rate = DVec3::new(1.5 * libm::sin(2.1 * t), 1.2 * libm::cos(3.3 * t), 0.7 * libm::sin(0.9 * t));
         world_from_imu = (world_from_imu * DQuat::from_scaled_axis(rate * DT)).normalize();
-        let shake = DVec3::new((40.0 * t).sin(), (31.0 * t).cos(), (23.0 * t).sin());
+        let shake = DVec3::new(libm::sin(40.0 * t), libm::cos(31.0 * t), libm::sin(23.0 * t));
         let force = world_from_imu.conjugate() * (DVec3::Z * 9.81 + shake);
         [rate + DVec3::new(0.02, -0.01, 0.03), force]
     };

@@ -63,20 +63,20 @@ impl Head {
     #[must_use]
     pub fn look_at(&self, point: DVec3) -> HeadSolution {
         let from_neck = point - NECK;
-        let wanted_pan = from_neck.y.atan2(from_neck.x);
+        let wanted_pan = libm::atan2(from_neck.y, from_neck.x);
         let pan_limit = PAN_LIMIT_DEG.to_radians();
         let pan = wanted_pan.clamp(-pan_limit, pan_limit);
         // The optical axis passes the axis of tilt at this height, seen along the optical axis.
-        let (sin, cos) = CAMERA_PITCH_DEG.to_radians().sin_cos();
+        let (sin, cos) = libm::sincos(CAMERA_PITCH_DEG.to_radians());
         let (height, ahead) = (CAMERA.x * sin + CAMERA.z * cos, CAMERA.x * cos - CAMERA.z * sin);
-        let forward = from_neck.x * pan.cos() + from_neck.y * pan.sin();
-        let distance = forward.hypot(from_neck.z);
-        let elevation = from_neck.z.atan2(forward) - (height / distance).clamp(-1.0, 1.0).asin();
+        let forward = from_neck.x * libm::cos(pan) + from_neck.y * libm::sin(pan);
+        let distance = libm::hypot(forward, from_neck.z);
+        let elevation = libm::atan2(from_neck.z, forward) - libm::asin((height / distance).clamp(-1.0, 1.0));
         let wanted_tilt = elevation + CAMERA_PITCH_DEG.to_radians();
         let [min, max] = TILT_LIMITS_DEG.map(f64::to_radians);
         let tilt = wanted_tilt.clamp(min, max);
         let is_within = (wanted_pan - pan).abs() <= TOLERANCE && (wanted_tilt - tilt).abs() <= TOLERANCE;
-        HeadSolution { pan, tilt, is_exact: is_within && distance > ahead.hypot(height) }
+        HeadSolution { pan, tilt, is_exact: is_within && distance > libm::hypot(ahead, height) }
     }
 }
 

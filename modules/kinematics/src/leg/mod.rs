@@ -206,11 +206,11 @@ impl Leg {
     /// Rotations of the chain are Rz(yaw) Rx(roll) Ry(pitch) Ry(knee) Ry(ankle_pitch) Rx(ankle_roll).
     fn solve(&self, hip_from_sole_axes: &DMat3, sole_from_hip: DVec3, knee: Knee, shin: Shin) -> LegSolution {
         // (1) The ankle roll turns the hip into the plane in which knee and ankle pitch bend the leg.
-        let across = sole_from_hip.y.hypot(sole_from_hip.z);
+        let across = libm::hypot(sole_from_hip.y, sole_from_hip.z);
         let up = if shin == Shin::Up { across } else { -across };
         let (sin_roll, cos_roll) =
             if across > 0.0 { (sole_from_hip.y / up, sole_from_hip.z / up) } else { (0.0, 1.0) };
-        let ankle_roll = sin_roll.atan2(cos_roll);
+        let ankle_roll = libm::atan2(sin_roll, cos_roll);
         // (2) The law of cosines, for half the angle of the knee: with a and b the lengths of thigh and
         // shank, and d the distance from hip to ankle,
         // tan^2(knee / 2) = ((a + b)^2 - d^2) / (d^2 - (a - b)^2).
@@ -218,7 +218,7 @@ impl Leg {
         let (longest, shortest) = (thigh + shank, thigh - shank);
         let distance = sole_from_hip.length();
         let bend = ((longest - distance) * (longest + distance)).max(0.0).sqrt();
-        let bend = 2.0 * bend.atan2(((distance - shortest) * (distance + shortest)).max(0.0).sqrt());
+        let bend = 2.0 * libm::atan2(bend, ((distance - shortest) * (distance + shortest)).max(0.0).sqrt());
         let [min, max] = match (limits[KNEE], signs[KNEE] > 0.0) {
             (limits, true) => limits,
             ([min, max], false) => [-max, -min],
@@ -227,17 +227,17 @@ impl Leg {
         let knee = wanted.clamp(min, max);
         // (3) Seen from the ankle, the hip is at the angle -knee / 2 - skew - ankle_pitch from z to x, by the
         // law of tangents: tan(skew) = (a - b) / (a + b) tan(knee / 2), 0 for equal lengths.
-        let (sin, cos) = (knee / 2.0).sin_cos();
-        let skew = (shortest * sin).atan2(longest * cos);
-        let ankle_pitch = -(knee / 2.0 + skew) - sole_from_hip.x.atan2(up);
+        let (sin, cos) = libm::sincos(knee / 2.0);
+        let skew = libm::atan2(shortest * sin, longest * cos);
+        let ankle_pitch = -(knee / 2.0 + skew) - libm::atan2(sole_from_hip.x, up);
         // (4) What remains of the rotation is that of the hip: Rz(yaw) Rx(roll) Ry(pitch + knee +
         // ankle_pitch).
         let DMat3 { x_axis, y_axis, z_axis } = *hip_from_sole_axes;
         let y = y_axis * cos_roll - z_axis * sin_roll;
         let z = y_axis * sin_roll + z_axis * cos_roll;
-        let yaw = (-y.x).atan2(y.y);
-        let roll = y.z.atan2(y.x.hypot(y.y));
-        let pitch = (-x_axis.z).atan2(z.z);
+        let yaw = libm::atan2(-y.x, y.y);
+        let roll = libm::atan2(y.z, libm::hypot(y.x, y.y));
+        let pitch = libm::atan2(-x_axis.z, z.z);
         let pitch = wrapped(pitch - knee - ankle_pitch);
         let wanted_angles = [yaw, roll, pitch, knee, wrapped(ankle_pitch), ankle_roll];
         let wanted_angles = product(&wanted_angles, &signs);

@@ -373,7 +373,7 @@ fn push_once(robot: &mut WalkingRobot, [x, y]: [f64; 2]) -> Result<f64, Failure>
 fn fall(robot: &mut WalkingRobot, seed: u64) -> Result<(), Failure> {
     const GOLDEN_ANGLE: f64 = 2.399_963;
     const IMPULSE: f64 = 3.0;
-    let (y, x) = (seed as f64 * GOLDEN_ANGLE).sin_cos();
+    let (y, x) = libm::sincos(seed as f64 * GOLDEN_ANGLE);
     robot.walk_until([0.1, 0.0, 0.0], 3.0, |_| false)?;
     robot.simulated().push("torso", [x * IMPULSE, y * IMPULSE, 0.0]);
     robot.run(1.5)

@@ -126,14 +126,14 @@ impl WalkingRobot {
     pub fn place(&self) -> Place {
         let pose = self.robot.snapshot().robot.world_from_body;
         let ahead = pose.rotation * DVec3::X;
-        Place { position: pose.translation, yaw: ahead.y.atan2(ahead.x) }
+        Place { position: pose.translation, yaw: libm::atan2(ahead.y, ahead.x) }
     }
 
     /// The angle between the trunk and the vertical, in rad.
     #[must_use]
     pub fn tilt(&self) -> f64 {
         let up = self.robot.snapshot().robot.world_from_body.rotation * DVec3::Z;
-        up.z.clamp(-1.0, 1.0).acos()
+        libm::acos(up.z.clamp(-1.0, 1.0))
     }
 
     /// What `robot_state` was, one after another.

@@ -53,7 +53,7 @@ impl Receiver {
                 format!("GNGST,{time},,,,,,,"),
             ];
         }
-        let (east, north) = (self.second as f64 * SPEED / RADIUS).sin_cos();
+        let (east, north) = libm::sincos(self.second as f64 * SPEED / RADIUS);
         let latitude = MIDDLE[0] + (RADIUS * north + self.random.normal(NOISE)) / DEGREE[0];
         let longitude = MIDDLE[1] + (RADIUS * east + self.random.normal(NOISE)) / DEGREE[1];
         let altitude = 520.0 + self.random.normal(2.0 * NOISE);

@@ -263,7 +263,7 @@ impl Solution {
             TwistStamped { header: header(arrived, &self.settings.frame_id), ..TwistStamped::default() };
         match course_deg {
             Some(course) => {
-                let (east, north) = course.to_radians().sin_cos();
+                let (east, north) = libm::sincos(course.to_radians());
                 velocity.twist.linear.x = speed * east;
                 velocity.twist.linear.y = speed * north;
             }
@@ -413,7 +413,7 @@ mod tests {
             take(&mut solution(), &["GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W"]);
         let [Output::Velocity(velocity)] = &outputs[..] else { panic!("{outputs:?}") };
         let speed = 22.4 * 1852.0 / 3600.0;
-        let (east, north) = 84.4_f64.to_radians().sin_cos();
+        let (east, north) = libm::sincos(84.4_f64.to_radians());
         assert!((velocity.twist.linear.x - speed * east).abs() < 1e-9);
         assert!((velocity.twist.linear.y - speed * north).abs() < 1e-9);
     }

@@ -88,7 +88,7 @@ impl Motion {
     }
 
     fn field(now: Duration) -> [f64; 3] {
-        let (sine, cosine) = (RATE * now.as_secs_f64()).sin_cos();
+        let (sine, cosine) = libm::sincos(RATE * now.as_secs_f64());
         let [forward, up] = FIELD;
         [forward * cosine, -forward * sine, up]
     }
@@ -184,7 +184,7 @@ struct EmulatedBno {
 impl EmulatedBno {
     fn measure(&mut self, now: Duration) {
         let scaled = |vector: [f64; 3], scale: f64| vector.map(|value| steps(value * scale));
-        let (z, w) = (RATE * now.as_secs_f64() / 2.0).sin_cos();
+        let (z, w) = libm::sincos(RATE * now.as_secs_f64() / 2.0);
         let quaternion = [w, 0.0, 0.0, z].map(|value| steps(value * 16384.0));
         let acceleration = scaled(self.motion.acceleration(), 100.0);
         let rate = scaled(self.motion.angular_velocity(), 900.0);

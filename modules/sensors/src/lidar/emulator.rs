@@ -49,7 +49,7 @@ struct Room {
 impl Room {
     /// The distance in this direction, clockwise, in m; `None` without echo.
     fn measure(&mut self, clockwise_deg: f64) -> Option<f64> {
-        let (left, forward) = (-clockwise_deg.to_radians()).sin_cos();
+        let (left, forward) = libm::sincos(-clockwise_deg.to_radians());
         let [ahead, to_left, behind, to_right] = WALLS;
         let to_wall = |component: f64, positive: f64, negative: f64| {
             let wall = if component > 0.0 { positive } else { negative };

@@ -276,14 +276,14 @@ impl Pose {
     fn after(self, distance: f64, angle: f64) -> Self {
         let half = angle / 2.0;
         // The series is exact to the last digit below this angle.
-        let shortening = if half.abs() < 1e-4 { 1.0 - half * half / 6.0 } else { half.sin() / half };
-        let (sin, cos) = (self.heading + half).sin_cos();
+        let shortening = if half.abs() < 1e-4 { 1.0 - half * half / 6.0 } else { libm::sin(half) / half };
+        let (sin, cos) = libm::sincos(self.heading + half);
         let chord = distance * shortening;
         Self { x: self.x + chord * cos, y: self.y + chord * sin, heading: wrapped(self.heading + angle) }
     }
 
     fn orientation(self) -> Quaternion {
-        let (z, w) = (self.heading / 2.0).sin_cos();
+        let (z, w) = libm::sincos(self.heading / 2.0);
         Quaternion { x: 0.0, y: 0.0, z, w }
     }
 }
@@ -466,7 +466,7 @@ mod tests {
         let begin = base.drive(Some((0.3, 1.0)), 1).pose.pose;
         // 2 pi at 1 rad/s, in periods of 20 ms.
         let end = base.drive(Some((0.3, 1.0)), 314).pose.pose;
-        let distance = (end.position.x - begin.position.x).hypot(end.position.y - begin.position.y);
+        let distance = libm::hypot(end.position.x - begin.position.x, end.position.y - begin.position.y);
         assert!(distance < 0.002, "{distance}");
         assert!((end.orientation.z - begin.orientation.z).abs() < 0.003);
     }

@@ -96,7 +96,7 @@ impl Walk {
     }
 
     pub fn is_visible(&self, point: DVec2) -> bool {
-        let head = 0.7 * (self.time * 1.5).sin();
+        let head = 0.7 * libm::sin(self.time * 1.5);
         (0.25..4.0).contains(&point.length()) && wrapped(point.to_angle() - head).abs() < 0.49
     }
 

@@ -350,7 +350,7 @@ fn lowest(model: &Model, poses: &[Isometry], map_from_root: &Isometry) -> f64 {
             let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| (at.rotation * axis).z.abs());
             let reach = match *shape {
                 Shape::Box([along, across, up]) => (x * along + y * across + z * up) / 2.0,
-                Shape::Cylinder { radius, length } => z * length / 2.0 + x.hypot(y) * radius,
+                Shape::Cylinder { radius, length } => z * length / 2.0 + libm::hypot(x, y) * radius,
                 Shape::Sphere(radius) => radius,
             };
             at.translation.z - reach

@@ -1,0 +1,105 @@
+//! `cargo install downbeat`, and a project that depends on the version of the program.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, ensure};
+
+use super::{Arrival, Home, registry};
+use crate::steps::workspace;
+
+/// Packages the crates, installs the program from the packages, runs the robot that it carries, and builds
+/// and runs a project that it makes. Nothing of the checkout is used but the packages.
+pub(crate) fn cargo_install() -> anyhow::Result<()> {
+    let cargo = Cargo::new()?;
+    let program = cargo.install()?;
+    let home = Home::new()?;
+    let arrival = Arrival::of(&program, &home)?;
+    println!(
+        "installed from packages: first joint state after {} ms, {} MB (development build)",
+        arrival.first_joint_state.as_millis(),
+        arrival.memory / 1_000_000
+    );
+    let user = |program: &Path, arguments: &[&str]| {
+        let status = home.command(program).args(arguments).status();
+        let status = status.with_context(|| program.display().to_string())?;
+        ensure!(status.success(), "{} {} failed", program.display(), arguments.join(" "));
+        anyhow::Ok(())
+    };
+    user(&program, &["new", "my_robot"])?;
+    let project = home.path().join("my_robot");
+    let manifest = fs::read_to_string(project.join("Cargo.toml"))?;
+    ensure!(manifest.contains("downbeat = { version = \""), "the project depends on no version:\n{manifest}");
+    cargo.run(home.command(env!("CARGO")).arg("build").current_dir(&project))?;
+    let robot = cargo.build.join("debug/my_robot");
+    user(&robot, &["run", "my_robot/robot.toml", "--duration", "1s"])
+}
+
+/// Cargo as a machine without this checkout has it, with a registry of our packages in place of crates.io.
+struct Cargo {
+    home: PathBuf,
+    build: PathBuf,
+}
+
+impl Cargo {
+    /// What was compiled from other packages than the present ones is removed: for cargo, packages of a
+    /// registry never change.
+    fn new() -> anyhow::Result<Self> {
+        let folder = workspace().join("target/install");
+        let (home, build, registry) = (folder.join("cargo"), folder.join("build"), folder.join("registry"));
+        let checksums = registry::write(&registry, &registry::package()?)?;
+        let known = folder.join("packages.sha256");
+        if fs::read_to_string(&known).ok().as_ref() != Some(&checksums) {
+            remove_ours(&home.join("registry/src"), 1)?;
+            remove_ours(&build, 2)?;
+        }
+        fs::create_dir_all(&home)?;
+        let config = format!(
+            "[source.crates-io]\nreplace-with = \"packages\"\n[source.packages]\nlocal-registry = {:?}\n\
+             [profile.dev]\ndebug = false\nstrip = \"symbols\"\n[profile.dev.package.\"*\"]\nopt-level = 0\n",
+            registry.display().to_string()
+        );
+        fs::write(home.join("config.toml"), config)?;
+        fs::write(known, checksums)?;
+        Ok(Self { home, build })
+    }
+
+    /// Runs a command of cargo without the network.
+    fn run(&self, command: &mut Command) -> anyhow::Result<()> {
+        command.args(["--offline", "--quiet"]);
+        command
+            .env("CARGO_HOME", &self.home)
+            .env("CARGO_TARGET_DIR", &self.build)
+            .env("CARGO_INCREMENTAL", "0");
+        let status = command.status().context("cannot run cargo")?;
+        ensure!(status.success(), "{command:?} failed");
+        Ok(())
+    }
+
+    /// Installs the program, for development: the release build of the same packages takes minutes more.
+    fn install(&self) -> anyhow::Result<PathBuf> {
+        let home = Home::new()?;
+        let installed = workspace().join("target/install/installed");
+        let mut command = home.command(env!("CARGO"));
+        command.args(["install", "downbeat", "--debug", "--force", "--root"]).arg(&installed);
+        self.run(&mut command)?;
+        Ok(installed.join("bin/downbeat"))
+    }
+}
+
+/// Removes folders and files with the names of our packages, this deep below a folder.
+fn remove_ours(folder: &Path, depth: usize) -> anyhow::Result<()> {
+    let Ok(entries) = fs::read_dir(folder) else { return Ok(()) };
+    for entry in entries {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        match (name.starts_with("downbeat"), path.is_dir()) {
+            (true, true) => fs::remove_dir_all(&path)?,
+            (true, false) => fs::remove_file(&path)?,
+            (false, true) if depth > 0 => remove_ours(&path, depth - 1)?,
+            (false, _) => {}
+        }
+    }
+    Ok(())
+}

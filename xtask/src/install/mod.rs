@@ -1,0 +1,8 @@
+//! The ways in which a user installs the program, each tried from nothing to joint states on rclpy.
+
+mod arrival;
+mod crates;
+mod registry;
+
+pub(crate) use arrival::{Arrival, Home};
+pub(crate) use crates::cargo_install;
