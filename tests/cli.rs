@@ -29,7 +29,7 @@ fn modules_in_python_are_for_the_program_of_the_wheel() {
     let robot = robot_file(folder.path(), |text| text.replacen("\"stand_nod_wave\"", "\"python\"", 1));
     let output = output_of(&["check", text(&robot)]);
     let message = String::from_utf8(output.stderr).unwrap();
-    let wheel = "build it with `cargo xtask wheel`, install it with `pip install target/wheels/release/downbeat-*.whl`";
+    let wheel = "build it with `cargo xtask wheel`, install it with `pip install target/wheels/release/downbeat_robotics-*.whl`";
     assert!(message.contains(wheel), "{message}");
 }
 

@@ -96,7 +96,7 @@ fn missing_kind_if(kind: &str, is_built_in: impl Fn(&Feature) -> bool) -> Option
     if kind == "python" {
         return Some(
             "modules in Python are for the command `downbeat` of the wheel: build it with `cargo xtask wheel`, install it \
-             with `pip install target/wheels/release/downbeat-*.whl`"
+             with `pip install target/wheels/release/downbeat_robotics-*.whl`"
                 .to_owned(),
         );
     }

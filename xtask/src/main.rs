@@ -2,11 +2,14 @@
 
 mod bags;
 mod budget;
+mod crates;
+mod dist;
 mod fleet;
 mod football;
 mod install;
 mod matrix;
 mod node;
+mod notices;
 mod packaging;
 mod physics;
 mod python;
@@ -82,6 +85,9 @@ enum Command {
         #[arg(long)]
         test: bool,
     },
+    /// The files of a release for one platform, reproducible: tarball and wheel, with hashes and SBOM, under
+    /// target/dist. About half an hour.
+    Dist(dist::DistArguments),
     /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each,
     /// minutes; prints how many succeed. See `--help` behind `--` for options: seeds, tasks, and the engine.
     Physics {
@@ -123,6 +129,7 @@ fn main() -> ExitCode {
         Command::Wheel { test: false, features } => {
             wheel::build(&features).map(|path| println!("{}", path.display()))
         }
+        Command::Dist(arguments) => dist::dist(arguments),
         Command::Physics { arguments } => physics::physics(&arguments),
         Command::Football(arguments) => football::football(&arguments),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),

@@ -24,10 +24,10 @@ pub(crate) fn kilted_interpreter() -> anyhow::Result<PathBuf> {
     environment("target/venv_kilted", "xtask/requirements_kilted.txt")
 }
 
-/// Creates the environment that builds the wheel if it is missing, and returns the path of its interpreter.
-/// It needs none of ROS 2, and any Python that the wheel supports.
-pub(crate) fn tools(packages: &[&str]) -> anyhow::Result<PathBuf> {
-    let venv = workspace().join("target/wheel-tools");
+/// Creates an environment of tools, in a folder of the workspace, if it is missing, and returns the path of
+/// its interpreter. It needs none of ROS 2, and any Python that the wheel supports.
+pub(crate) fn tools(folder: &str, packages: &[&str]) -> anyhow::Result<PathBuf> {
+    let venv = workspace().join(folder);
     let interpreter = venv.join("bin/python");
     let installed = venv.join("installed-requirements.txt");
     let wanted = packages.join("\n");

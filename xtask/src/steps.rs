@@ -29,6 +29,14 @@ pub(crate) fn run_in(folder: &Path, command: &mut Command) -> anyhow::Result<()>
     Ok(())
 }
 
+/// Runs a command in the workspace and returns what it prints on standard output.
+pub(crate) fn output_of(command: &mut Command) -> anyhow::Result<String> {
+    let name = format!("{command:?}");
+    let output = command.current_dir(workspace()).output().with_context(|| format!("cannot run {name}"))?;
+    anyhow::ensure!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).with_context(|| format!("{name} printed no UTF-8"))
+}
+
 /// Runs a command in the workspace. What it prints on standard error from the line with `mark` on is repeated
 /// in the error if it fails.
 pub(crate) fn run_and_repeat(mark: &str, command: &mut Command) -> anyhow::Result<()> {

@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::Context;
 
 use crate::steps::{run, run_in, workspace};
-use crate::{python, skips};
+use crate::{crates, notices, python, skips};
 
 /// What the tests need beside the wheel and what it depends on.
 const TOOLS: [&str; 3] = ["pytest==9.2.0", "mypy==2.4.1", "mcap-ros2-support==0.6.0"];
@@ -16,41 +16,84 @@ const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
 
+/// How a wheel is compiled.
+pub(crate) struct Build<'a> {
+    /// The profile of cargo.
+    pub(crate) profile: &'a str,
+    pub(crate) features: &'a str,
+    /// Further options of maturin.
+    pub(crate) options: &'a [&'a str],
+    /// The folder of the wheel, which has no other files.
+    pub(crate) out: PathBuf,
+    /// Sets the environment of the compilers.
+    pub(crate) environment: &'a dyn Fn(&mut Command) -> anyhow::Result<()>,
+}
+
 /// Builds the wheel for release and returns its path. Without features cargo compiles it with what `cargo
 /// run` in the checkout has compiled already; it shows its progress.
 pub(crate) fn build(features: &[String]) -> anyhow::Result<PathBuf> {
     downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
     let features = features.join(",");
-    let options: &[&str] = if features.is_empty() { &[] } else { &["--features", &features] };
-    pack("release", options)
+    let manifest = ["--manifest-path", "../start/program/wheel/Cargo.toml"];
+    pack(&Build { features: &features, options: &manifest, ..Build::of_checkout("release") })
 }
 
-/// Builds the wheel with a profile of cargo.
-fn pack(profile: &str, options: &[&str]) -> anyhow::Result<PathBuf> {
-    let python = python::tools(&[MATURIN, NUMPY])?;
-    let first = maturin(&python, profile, options)?;
+impl Build<'_> {
+    fn of_checkout(profile: &str) -> Build<'_> {
+        let environment = &|command: &mut Command| {
+            if std::env::var_os("CARGO_TARGET_DIR").is_none() {
+                command.env("CARGO_TARGET_DIR", workspace().join("target"));
+            }
+            Ok(())
+        };
+        let out = workspace().join("target/wheels").join(profile);
+        Build { profile, features: "", options: &[], out, environment }
+    }
+
+    fn maturin(&self, python: &Path, further: &[&str]) -> anyhow::Result<PathBuf> {
+        remove(&self.out)?;
+        let mut command = Command::new(python);
+        command.args(["-m", "maturin", "build", "--profile", self.profile, "--features", self.features]);
+        command.args(self.options).args(further).arg("--out").arg(&self.out);
+        (self.environment)(&mut command)?;
+        run_in(&workspace().join("python"), &mut command)?;
+        let mut built = std::fs::read_dir(&self.out).with_context(|| self.out.display().to_string())?;
+        Ok(built.next().context("maturin built no wheel")??.path())
+    }
+}
+
+/// Builds a wheel and returns its path.
+pub(crate) fn pack(build: &Build) -> anyhow::Result<PathBuf> {
+    let python = tools()?;
+    write_notices(build.features)?;
+    let first = build.maturin(&python, &[])?;
     // The stubs of messages are written by what was just built, and are part of the wheel: it is packed
     // again, not compiled again.
-    let unpacked = workspace().join("target/wheels/unpacked");
-    remove(&unpacked)?;
-    run(Command::new(&python).args(["-m", "zipfile", "--extract"]).args([&first, &unpacked]))?;
-    let sources = workspace().join("python/python/downbeat/msgs");
-    let arguments = ["-m", "downbeat.stubs", "--into"];
-    run(Command::new(&python).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))?;
-    maturin(&python, profile, &[options, &["--quiet"]].concat())
+    write_stubs(&python, &first)?;
+    build.maturin(&python, &["--quiet"])
 }
 
-fn maturin(python: &Path, profile: &str, options: &[&str]) -> anyhow::Result<PathBuf> {
-    let wheels = workspace().join("target/wheels").join(profile);
-    remove(&wheels)?;
-    let mut command = Command::new(python);
-    command.args(["-m", "maturin", "build", "--profile", profile]).args(options).arg("--out").arg(&wheels);
-    if std::env::var_os("CARGO_TARGET_DIR").is_none() {
-        command.env("CARGO_TARGET_DIR", workspace().join("target"));
-    }
-    run_in(&workspace().join("python"), &mut command)?;
-    let mut built = std::fs::read_dir(&wheels).with_context(|| wheels.display().to_string())?;
-    Ok(built.next().context("maturin built no wheel")??.path())
+/// The interpreter that builds wheels.
+pub(crate) fn tools() -> anyhow::Result<PathBuf> {
+    python::tools("target/wheel-tools", &[MATURIN, NUMPY])
+}
+
+/// Writes the stubs of the messages that a wheel for this machine contains into the sources of the package.
+pub(crate) fn write_stubs(python: &Path, wheel: &Path) -> anyhow::Result<()> {
+    let unpacked = workspace().join("target/wheels/unpacked");
+    remove(&unpacked)?;
+    run(Command::new(python).args(["-m", "zipfile", "--extract"]).args([wheel, &unpacked]))?;
+    let sources = workspace().join("python/python/downbeat/msgs");
+    let arguments = ["-m", "downbeat.stubs", "--into"];
+    run(Command::new(python).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))
+}
+
+/// Writes the licences of the crates that a wheel with these features contains into the sources of the
+/// package.
+pub(crate) fn write_notices(features: &str) -> anyhow::Result<()> {
+    let crates = crates::of("downbeat-python", features, "x86_64-unknown-linux-gnu")?;
+    let file = workspace().join("python/THIRD-PARTY.txt");
+    std::fs::write(&file, notices::of(&crates)?).with_context(|| file.display().to_string())
 }
 
 fn remove(folder: &Path) -> anyhow::Result<()> {
@@ -64,7 +107,7 @@ fn remove(folder: &Path) -> anyhow::Result<()> {
 pub(crate) fn test(skips: &skips::Run) -> anyhow::Result<()> {
     let peers = python::interpreter()?;
     // With what the tests of the workspace have compiled.
-    let wheel = pack("dev", &["--manifest-path", "Cargo.toml", "--features", "as_tested"])?;
+    let wheel = pack(&Build { features: "as_tested", ..Build::of_checkout("dev") })?;
     let environment = workspace().join("target/wheel-venv");
     run(Command::new(&peers).args(["-m", "venv", "--clear"]).arg(&environment))?;
     let python = environment.join("bin/python");

@@ -1,0 +1,82 @@
+//! `cargo xtask dist`: what a release consists of, for one target: tarball, Debian package and wheel, with
+//! their hashes, lists of parts (SBOM) and licences.
+//!
+//! The same commit gives the same bytes, wherever the checkout is: times are those of the commit, archives
+//! are sorted, and paths of this machine are replaced.
+
+mod cross;
+mod from_nothing;
+mod program;
+mod release;
+mod sbom;
+mod wheel;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::Context;
+use clap::Args;
+
+use crate::steps::output_of;
+use cross::Target;
+use release::Release;
+
+#[derive(Args)]
+pub(crate) struct DistArguments {
+    /// The platform that the release is for.
+    #[arg(long, default_value_t = Target::X86_64)]
+    target: Target,
+    /// The folder of the files, one for all targets; target/dist if not given.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Only the tarball, without wheel and Debian package.
+    #[arg(long)]
+    program: bool,
+    /// Install from the files that are there already, each into a clean environment, run the demo robot, and
+    /// remove it again.
+    #[arg(long, conflicts_with = "program")]
+    test: bool,
+}
+
+/// Builds the files of a release, or tries those that are there.
+pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
+    let release = Release::new(arguments.target, arguments.out)?;
+    if arguments.test {
+        return from_nothing::test(&release);
+    }
+    let program = program::build(&release)?;
+    let mut files = vec![program.tarball(&release)?];
+    let sbom = release.out.join(format!("{}.cdx.json", release.name()));
+    std::fs::write(&sbom, sbom::of(&program.crates, &release)?)?;
+    files.push(sbom);
+    if !arguments.program {
+        files.push(wheel::build(&release)?);
+        files.push(wheel::sources(&release)?);
+    }
+    sum(&release.out)?;
+    print(&files)
+}
+
+/// Writes SHA256SUMS for all files of the folder.
+fn sum(out: &Path) -> anyhow::Result<()> {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(out)? {
+        let entry = entry?;
+        if entry.file_type()?.is_file() && entry.file_name() != "SHA256SUMS" {
+            names.push(entry.file_name());
+        }
+    }
+    names.sort();
+    let sums = output_of(Command::new("env").arg("--chdir").arg(out).args(["sha256sum", "--"]).args(&names))?;
+    std::fs::write(out.join("SHA256SUMS"), sums).context("cannot write SHA256SUMS")
+}
+
+fn print(files: &[PathBuf]) -> anyhow::Result<()> {
+    for file in files {
+        let size = file.metadata().with_context(|| file.display().to_string())?.len();
+        let sum = output_of(Command::new("sha256sum").arg(file))?;
+        let sum = sum.split_whitespace().next().unwrap_or_default();
+        println!("{:>7.2} MB  {sum}  {}", size as f64 / 1e6, file.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,112 @@
+//! The list of what a program consists of (SBOM), in the form of CycloneDX 1.5.
+//!
+//! Written here, for `cargo-cyclonedx` lists what a workspace may use, not what is compiled into one program
+//! with given features for one target.
+
+use std::collections::BTreeMap;
+use std::process::Command;
+
+use anyhow::Context;
+use serde_json::{Value, json};
+
+use super::release::Release;
+use crate::crates::{Crate, Crates};
+use crate::steps::{output_of, workspace};
+
+/// The SBOM of a program as JSON.
+pub(super) fn of(crates: &Crates, release: &Release) -> anyhow::Result<String> {
+    let lock = std::fs::read_to_string(workspace().join("Cargo.lock")).context("cannot read Cargo.lock")?;
+    let checksums = checksums(&lock);
+    let components: Vec<Value> = crates
+        .crates
+        .iter()
+        .map(|one| component(one, checksums.get(&(one.name.as_str(), one.version.as_str())).copied()))
+        .collect();
+    let dependencies: Vec<Value> = crates
+        .crates
+        .iter()
+        .zip(&crates.uses)
+        .map(|(one, uses)| {
+            let uses: Vec<String> = uses.iter().map(|place| reference(&crates.crates[*place])).collect();
+            json!({ "ref": reference(one), "dependsOn": uses })
+        })
+        .collect();
+    let time = output_of(
+        Command::new("date")
+            .args(["--utc", "+%Y-%m-%dT%H:%M:%SZ", "--date"])
+            .arg(format!("@{}", release.time)),
+    )?;
+    let sbom = json!({
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.5",
+        "version": 1,
+        "metadata": {
+            "timestamp": time.trim(),
+            "component": {
+                "type": "application",
+                "bom-ref": release.name(),
+                "name": "downbeat",
+                "version": release.version,
+                "properties": [{ "name": "cdx:rustc:sbom:target:triple", "value": release.target.triple() }],
+            },
+        },
+        "components": components,
+        "dependencies": dependencies,
+    });
+    Ok(format!("{:#}\n", sbom))
+}
+
+fn component(one: &Crate, checksum: Option<&str>) -> Value {
+    let mut component = json!({
+        "type": "library",
+        "bom-ref": reference(one),
+        "name": one.name,
+        "version": one.version,
+    });
+    if !one.is_ours() {
+        component["purl"] = json!(reference(one));
+    }
+    if let Some(license) = &one.license {
+        // Before SPDX, `/` stood for `OR`.
+        component["licenses"] = json!([{ "expression": license.replace('/', " OR ") }]);
+    }
+    if let Some(checksum) = checksum {
+        component["hashes"] = json!([{ "alg": "SHA-256", "content": checksum }]);
+    }
+    if let Some(repository) = &one.repository {
+        component["externalReferences"] = json!([{ "type": "vcs", "url": repository }]);
+    }
+    component
+}
+
+fn reference(one: &Crate) -> String {
+    format!("pkg:cargo/{}@{}", one.name, one.version)
+}
+
+/// The checksums of a `Cargo.lock` by name and version.
+fn checksums(lock: &str) -> BTreeMap<(&str, &str), &str> {
+    let mut found = BTreeMap::new();
+    for package in lock.split("[[package]]").skip(1) {
+        let field = |key: &str| {
+            package.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(" = \"")?.strip_suffix('"'))
+        };
+        if let (Some(name), Some(version), Some(checksum)) =
+            (field("name"), field("version"), field("checksum"))
+        {
+            found.insert((name, version), checksum);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn checksums_are_those_of_packages_from_a_registry() {
+        let lock = "version = 4\n\n[[package]]\nname = \"ours\"\nversion = \"0.1.0\"\ndependencies = [\n \"theirs\",\n]\n\n\
+                    [[package]]\nname = \"theirs\"\nversion = \"1.2.3\"\nsource = \"registry\"\nchecksum = \"abc\"\n";
+        assert_eq!(checksums(lock), BTreeMap::from([(("theirs", "1.2.3"), "abc")]));
+    }
+}

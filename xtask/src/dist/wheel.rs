@@ -1,0 +1,66 @@
+//! The wheel and the source distribution of a release.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+
+use super::program::without_paths;
+use super::release::{FEATURES, Release, fresh};
+use crate::python;
+use crate::steps::{run, run_in, workspace};
+use crate::wheel::{Build, pack, tools};
+
+/// What checks wheels: that they run on the systems that their name promises, and that PyPI takes them.
+const CHECKS: [&str; 3] = ["abi3audit==0.0.26", "auditwheel==6.8.2", "twine==7.0.0"];
+
+/// The largest that a wheel may be, in bytes: robots are on slow lines.
+const LARGEST: u64 = 45_000_000;
+
+/// Builds the wheel of a release, checks it, and returns its path.
+pub(super) fn build(release: &Release) -> anyhow::Result<PathBuf> {
+    let triple = release.target.triple();
+    let environment = |command: &mut Command| release.compiling(command).map(drop);
+    let wheel = pack(&Build {
+        profile: "release",
+        features: FEATURES,
+        options: &["--locked", "--target", triple, "--compatibility", "manylinux_2_28"],
+        out: release.scratch.join("wheel"),
+        environment: &environment,
+    })?;
+    check(&wheel, release)?;
+    let file = release.out.join(wheel.file_name().context("a wheel without name")?);
+    std::fs::copy(&wheel, &file).with_context(|| format!("cannot write {}", file.display()))?;
+    Ok(file)
+}
+
+fn check(wheel: &Path, release: &Release) -> anyhow::Result<()> {
+    let size = wheel.metadata()?.len();
+    if size > LARGEST {
+        bail!("{} has {size} bytes, more than {LARGEST}", wheel.display());
+    }
+    let unpacked = release.scratch.join("unpacked");
+    fresh(&unpacked)?;
+    let python = python::tools("target/wheel-checks", &CHECKS)?;
+    run(Command::new(&python).args(["-m", "zipfile", "--extract"]).args([wheel, &unpacked]))?;
+    without_paths(&unpacked.join("downbeat/_core.abi3.so"))?;
+    for tool in
+        [["auditwheel", "show"].as_slice(), &["abi3audit", "--strict"], &["twine", "check", "--strict"]]
+    {
+        run(Command::new(&python).arg("-m").args(tool).arg(wheel))?;
+    }
+    Ok(())
+}
+
+/// Packs the sources of the wheel, with those of all crates of ours, and returns the path.
+pub(super) fn sources(release: &Release) -> anyhow::Result<PathBuf> {
+    let folder = release.scratch.join("sdist");
+    fresh(&folder)?;
+    let mut maturin = Command::new(tools()?);
+    maturin.args(["-m", "maturin", "sdist", "--out"]).arg(&folder);
+    run_in(&workspace().join("python"), maturin.env("SOURCE_DATE_EPOCH", release.time.to_string()))?;
+    let name = format!("downbeat_robotics-{}.tar.gz", release.version);
+    let file = release.out.join(&name);
+    std::fs::copy(folder.join(&name), &file).with_context(|| format!("cannot write {}", file.display()))?;
+    Ok(file)
+}
