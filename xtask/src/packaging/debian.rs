@@ -21,7 +21,7 @@ pub(crate) struct About<'a> {
     pub(crate) compression: &'a [&'a str],
 }
 
-/// Makes the package in a folder from what [`arrange`](super::arrange) put into another, and returns its path.
+/// Makes the package in a folder from what [`arrange`](super::arrange) put into another; returns its path.
 pub(crate) fn package(arranged: &Path, about: &About<'_>, out: &Path) -> anyhow::Result<PathBuf> {
     let scratch = tempfile::tempdir()?;
     let root = scratch.path().join("root");
