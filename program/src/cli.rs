@@ -27,6 +27,7 @@ use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
 #[cfg(feature = "view")]
 use super::bag::view::ViewBagArguments;
+use super::doctor::DoctorArguments;
 use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
 use super::network::NetworkArguments;
@@ -80,7 +81,7 @@ impl Cli {
             cli.ros.log.level = Some(level.into());
         }
         let makes_node = match &cli.command {
-            Command::Run(_) | Command::Check(_) => true,
+            Command::Run(_) | Command::Check(_) | Command::Doctor(_) => true,
             Command::Topic(_) | Command::Node(_) | Command::Service(_) | Command::Param(_) => true,
             Command::Action(_) | Command::Lifecycle(_) => true,
             Command::Graph(arguments) => arguments.robot.is_none(),
@@ -93,7 +94,7 @@ impl Cli {
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args is only for commands that create a ROS 2 node: run, check, graph of the network, topic, node, service, param, action, lifecycle, security check, security generate-policy, bag record, bag play, bag replay"
+                "--ros-args is only for commands that create a ROS 2 node: run, check, doctor, graph of the network, topic, node, service, param, action, lifecycle, security check, security generate-policy, bag record, bag play, bag replay"
                     .into(),
             );
         }
@@ -163,6 +164,9 @@ pub(crate) enum Command {
     MatchRobot(super::football::robot::RobotArguments),
     /// Check a robot file and print its contents, without running it.
     Check(CheckArguments),
+    /// Look at this machine and say what a robot needs of it: devices, real-time limits, network, clock and
+    /// disk. Each line says what to do; exit code 1 if there is a problem.
+    Doctor(DoctorArguments),
     /// List the robots that this program carries, or copy one: `run`, `check` and all other commands for
     /// robot files take their names.
     #[command(subcommand)]

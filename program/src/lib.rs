@@ -13,6 +13,7 @@ mod cli;
 mod compose;
 mod describe;
 mod description;
+mod doctor;
 mod emulate;
 mod expose;
 #[cfg(feature = "football")]
@@ -100,6 +101,7 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Match(_) | Command::Vision(_) => not_built("football", ""),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros, &log),
         Command::Robots(command) => robots::run(&command),
+        Command::Doctor(arguments) => doctor::doctor(&arguments, catalog, &ros),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]
         Command::Compose(arguments) => compose::compose(&arguments, catalog),

@@ -10,6 +10,6 @@ pub mod qos;
 pub mod wire;
 
 pub use driver::{
-    EndpointEvent, EventHandler, JoinError, MatchHandler, Options, Participant, Range, Reader, SampleHandler,
-    Security, Writer,
+    EndpointEvent, EventHandler, JoinError, MatchHandler, Options, Participant, Range, Reader, SOCKET_BUFFER,
+    SampleHandler, Security, Writer,
 };

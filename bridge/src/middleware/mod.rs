@@ -32,6 +32,7 @@ pub use endpoint::{
 pub use error::{MiddlewareError, WriteError};
 pub use event::{Aliveness, EndpointEvent, EventHandler, QosPolicyKind};
 pub use options::{DiscoveryRange, Engine, MAX_DOMAIN_ID, OptionsError, ParticipantOptions};
+pub use rtps::SOCKET_BUFFER;
 pub use security::SecurityOptions;
 
 pub use service::{

@@ -17,6 +17,7 @@ mod thread;
 
 pub use endpoint::{EndpointEvent, EventHandler, MatchHandler, SampleHandler};
 pub use options::{JoinError, Options, Range, Security};
+pub use sockets::SOCKET_BUFFER;
 
 use crate::protocol::{self, Counters, CreateError, EndpointConfig, WriteError, WriteOptions};
 use crate::wire::{EndpointData, Guid, GuidPrefix, SequenceNumber, VendorId};

@@ -16,8 +16,8 @@ use socket2::{Domain, Protocol, SockAddr, SockRef, Socket, Type};
 use std::io::{self, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 
-/// Requested size of receive and send buffers.
-const BUFFER: usize = 4 << 20;
+/// The size of receive and send buffers, in bytes, that a participant asks the system for.
+pub const SOCKET_BUFFER: usize = 4 << 20;
 /// Number of datagrams per system call.
 const BATCH: usize = 16;
 /// The most answers of closed ports that are read at once.
@@ -71,12 +71,12 @@ impl Receivers {
         let ((meta_port, user_port), pair) = bind_pair(ports, address)?;
         let mut sockets = pair.map(Receiver::new).into_iter().collect::<Result<Vec<_>, _>>()?;
         let buffer = sockets.iter().map(|receiver| buffer_of(&receiver.socket)).min().unwrap_or_default();
-        if buffer < BUFFER {
+        if buffer < SOCKET_BUFFER {
             tracing::warn!(
                 "the receive buffer of a UDP socket has only {} KiB instead of {} KiB: large messages may have to be sent \
-                 again. Increase the limit with `sysctl -w net.core.rmem_max={BUFFER}`",
+                 again. Increase the limit with `sysctl -w net.core.rmem_max={SOCKET_BUFFER}`",
                 buffer >> 10,
-                BUFFER >> 10
+                SOCKET_BUFFER >> 10
             );
         }
         let multicast = match bind_group(group).and_then(Receiver::new_in) {
@@ -338,7 +338,7 @@ fn socket() -> io::Result<Socket> {
 fn bind(address: SocketAddrV4) -> io::Result<Socket> {
     let socket = socket()?;
     // The system may grant less; the actual size is read back.
-    let _ = socket.set_recv_buffer_size(BUFFER);
+    let _ = socket.set_recv_buffer_size(SOCKET_BUFFER);
     socket.bind(&SockAddr::from(address))?;
     Ok(socket)
 }
@@ -349,7 +349,7 @@ fn bind_group(group: SocketAddrV4) -> io::Result<Socket> {
     socket.set_reuse_address(true)?;
     #[cfg(unix)]
     socket.set_reuse_port(true)?;
-    let _ = socket.set_recv_buffer_size(BUFFER);
+    let _ = socket.set_recv_buffer_size(SOCKET_BUFFER);
     // The socket receives only datagrams to the group, and only on joined interfaces.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     socket.set_multicast_all_v4(false)?;
@@ -360,7 +360,7 @@ fn bind_group(group: SocketAddrV4) -> io::Result<Socket> {
 
 fn sender(address: Ipv4Addr) -> io::Result<UdpSocket> {
     let socket = socket()?;
-    let _ = socket.set_send_buffer_size(BUFFER);
+    let _ = socket.set_send_buffer_size(SOCKET_BUFFER);
     socket.bind(&SockAddr::from(SocketAddrV4::new(address, 0)))?;
     Ok(UdpSocket::from_std(socket.into()))
 }

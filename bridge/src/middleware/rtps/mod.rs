@@ -11,6 +11,7 @@ use super::{
     Sample, SampleHandler, SampleIdentity, SecurityWatch, WriteError, WriteOptions, Writer,
 };
 use bytes::Bytes;
+pub use downbeat_rtps::SOCKET_BUFFER;
 pub use downbeat_rtps::protocol::Counters;
 use downbeat_rtps::protocol::{self, EndpointConfig, LivelinessChange};
 use downbeat_rtps::wire::{
