@@ -6,6 +6,7 @@ use std::process::Command;
 
 use anyhow::Context;
 
+use crate::install::{Arrival, Home};
 use crate::steps::{run, run_in, workspace};
 use crate::{crates, notices, python, skips};
 
@@ -15,14 +16,21 @@ const TABLES: [&str; 2] = ["pandas==3.1.1", "pyarrow==26.0.1"];
 const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
+/// The platform of a checkout's wheel.
+const HERE: &str = "x86_64-unknown-linux-gnu";
 
 /// How a wheel is compiled.
 pub(crate) struct Build<'a> {
     /// The profile of cargo.
     pub(crate) profile: &'a str,
     pub(crate) features: &'a str,
+    /// A triple.
+    pub(crate) target: &'a str,
     /// Further options of maturin.
     pub(crate) options: &'a [&'a str],
+    /// A wheel of the same sources for this machine, if this one is for another: what writes the stubs of
+    /// messages is compiled.
+    pub(crate) stubs: Option<PathBuf>,
     /// The folder of the wheel, which has no other files.
     pub(crate) out: PathBuf,
     /// Sets the environment of the compilers.
@@ -47,7 +55,7 @@ impl Build<'_> {
             Ok(())
         };
         let out = workspace().join("target/wheels").join(profile);
-        Build { profile, features: "", options: &[], out, environment }
+        Build { profile, features: "", target: HERE, options: &[], stubs: None, out, environment }
     }
 
     fn maturin(&self, python: &Path, further: &[&str]) -> anyhow::Result<PathBuf> {
@@ -65,10 +73,14 @@ impl Build<'_> {
 /// Builds a wheel and returns its path.
 pub(crate) fn pack(build: &Build) -> anyhow::Result<PathBuf> {
     let python = tools()?;
-    write_notices(build.features)?;
+    write_notices(build)?;
+    if let Some(wheel) = &build.stubs {
+        write_stubs(&python, wheel)?;
+        return build.maturin(&python, &[]);
+    }
     let first = build.maturin(&python, &[])?;
-    // The stubs of messages are written by what was just built, and are part of the wheel: it is packed
-    // again, not compiled again.
+    // The stubs are written by what was just built, and are part of the wheel: it is packed again, not
+    // compiled again.
     write_stubs(&python, &first)?;
     build.maturin(&python, &["--quiet"])
 }
@@ -79,7 +91,7 @@ pub(crate) fn tools() -> anyhow::Result<PathBuf> {
 }
 
 /// Writes the stubs of the messages that a wheel for this machine contains into the sources of the package.
-pub(crate) fn write_stubs(python: &Path, wheel: &Path) -> anyhow::Result<()> {
+fn write_stubs(python: &Path, wheel: &Path) -> anyhow::Result<()> {
     let unpacked = workspace().join("target/wheels/unpacked");
     remove(&unpacked)?;
     run(Command::new(python).args(["-m", "zipfile", "--extract"]).args([wheel, &unpacked]))?;
@@ -88,10 +100,9 @@ pub(crate) fn write_stubs(python: &Path, wheel: &Path) -> anyhow::Result<()> {
     run(Command::new(python).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))
 }
 
-/// Writes the licences of the crates that a wheel with these features contains into the sources of the
-/// package.
-pub(crate) fn write_notices(features: &str) -> anyhow::Result<()> {
-    let crates = crates::of("downbeat-python", features, "x86_64-unknown-linux-gnu")?;
+/// Writes the licences of the crates that a wheel contains into the sources of the package.
+fn write_notices(build: &Build) -> anyhow::Result<()> {
+    let crates = crates::of("downbeat-python", build.features, build.target)?;
     let file = workspace().join("python/THIRD-PARTY.txt");
     std::fs::write(&file, notices::of(&crates)?).with_context(|| file.display().to_string())
 }
@@ -116,7 +127,11 @@ pub(crate) fn test(skips: &skips::Run) -> anyhow::Result<()> {
     };
     pip(&[&wheel.to_string_lossy()])?;
     // With nothing but the wheel and its dependencies.
-    run(Command::new(environment.join("bin/downbeat")).args(["check", "--kinds"]))?;
+    let program = environment.join("bin/downbeat");
+    run(Command::new(&program).args(["check", "--kinds"]))?;
+    run(Command::new(&program).args(["robots", "list"]))?;
+    let arrival = Arrival::of(&program, &Home::new()?)?;
+    println!("first joint state after {} ms (development build)", arrival.first_joint_state.as_millis());
     pip(&TOOLS)?;
     pip(&TABLES)?;
     let tests = workspace().join("python/tests");

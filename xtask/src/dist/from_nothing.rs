@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 
+use super::cross::Target;
 use super::release::Release;
 use crate::install::{Arrival, Home};
 use crate::wheel;
@@ -27,6 +28,11 @@ struct Figures {
 }
 
 pub(super) fn test(release: &Release) -> anyhow::Result<()> {
+    ensure!(
+        release.target == Target::X86_64,
+        "a release for {} runs on another machine only",
+        release.target
+    );
     println!("{:<8}{:>12}{:>12}{:>20}{:>12}", "way", "install", "size", "first joint state", "memory");
     for way in [Way::Pip, Way::Tarball] {
         let Figures { install, size, arrival } = way.costs(release).with_context(|| way.name())?;

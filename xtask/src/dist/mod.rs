@@ -1,5 +1,5 @@
-//! `cargo xtask dist`: what a release consists of, for one target: tarball, Debian package and wheel, with
-//! their hashes, lists of parts (SBOM) and licences.
+//! `cargo xtask dist`: what a release consists of, for one target: tarball, wheel and its sources, with
+//! hashes, a list of parts (SBOM) and licences.
 //!
 //! The same commit gives the same bytes, wherever the checkout is: times are those of the commit, archives
 //! are sorted, and paths of this machine are replaced.
@@ -29,7 +29,7 @@ pub(crate) struct DistArguments {
     /// The folder of the files, one for all targets; target/dist if not given.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Only the tarball, without wheel and Debian package.
+    /// Only the tarball and its SBOM.
     #[arg(long)]
     program: bool,
     /// Install from the files that are there already, each into a clean environment, run the demo robot, and

@@ -12,8 +12,8 @@ use crate::steps::{output_of, run, workspace};
 
 /// A folder `downbeat-VERSION-TARGET` as it is in the tarball.
 pub(crate) struct Program {
-    /// It has `bin/downbeat`, `share/man/man1/`, `share/completions/` (`downbeat.bash`, `_downbeat`,
-    /// `downbeat.fish`) and `share/doc/downbeat/` (LICENSE, NOTICE, THIRD-PARTY.txt, README.md, CHANGELOG.md).
+    /// It has `bin/downbeat`, `share/man/man1/`, `share/completions/` (`downbeat.bash`, `_downbeat` and
+    /// `downbeat.fish`) and `share/doc/downbeat/` (LICENSE, NOTICE, THIRD-PARTY.txt and pages).
     pub(crate) folder: PathBuf,
     /// What is compiled into it.
     pub(super) crates: Crates,
@@ -52,7 +52,7 @@ pub(super) fn build(release: &Release) -> anyhow::Result<Program> {
 }
 
 impl Program {
-    /// Packs the folder as a tarball and returns its path: sorted, without owners, with the time of the commit.
+    /// Packs the folder as a tarball and returns its path: sorted, without owners, all with one time.
     pub(super) fn tarball(&self, release: &Release) -> anyhow::Result<PathBuf> {
         let file = release.out.join(format!("{}.tar.gz", release.name()));
         let mut tar = Command::new("tar");

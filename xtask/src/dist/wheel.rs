@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, ensure};
 
+use super::cross::Target;
 use super::program::without_paths;
 use super::release::{FEATURES, Release, fresh};
 use crate::python;
@@ -21,10 +22,25 @@ const LARGEST: u64 = 45_000_000;
 pub(super) fn build(release: &Release) -> anyhow::Result<PathBuf> {
     let triple = release.target.triple();
     let environment = |command: &mut Command| release.compiling(command).map(drop);
+    let stubs = match release.target {
+        Target::X86_64 => None,
+        Target::Aarch64 => {
+            let other = format!("downbeat_robotics-{}-cp311-abi3-manylinux_2_28_x86_64.whl", release.version);
+            let other = release.out.join(other);
+            ensure!(
+                other.exists(),
+                "{} is missing: build for x86_64-unknown-linux-gnu first",
+                other.display()
+            );
+            Some(other)
+        }
+    };
     let wheel = pack(&Build {
         profile: "release",
         features: FEATURES,
+        target: triple,
         options: &["--locked", "--target", triple, "--compatibility", "manylinux_2_28"],
+        stubs,
         out: release.scratch.join("wheel"),
         environment: &environment,
     })?;
@@ -36,9 +52,7 @@ pub(super) fn build(release: &Release) -> anyhow::Result<PathBuf> {
 
 fn check(wheel: &Path, release: &Release) -> anyhow::Result<()> {
     let size = wheel.metadata()?.len();
-    if size > LARGEST {
-        bail!("{} has {size} bytes, more than {LARGEST}", wheel.display());
-    }
+    ensure!(size <= LARGEST, "{} has {size} bytes, more than {LARGEST}", wheel.display());
     let unpacked = release.scratch.join("unpacked");
     fresh(&unpacked)?;
     let python = python::tools("target/wheel-checks", &CHECKS)?;
