@@ -85,7 +85,7 @@ enum Command {
         #[arg(long)]
         test: bool,
     },
-    /// The files of a release for one platform, reproducible: tarball and wheel, with hashes and SBOM, under
+    /// The files of a release for one platform: tarball, Debian package and wheel, with hashes and SBOM, under
     /// target/dist. About half an hour.
     Dist(dist::DistArguments),
     /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each,

@@ -36,6 +36,14 @@ impl Target {
         }
     }
 
+    /// The architecture in the words of Debian.
+    pub(crate) fn of_debian(self) -> &'static str {
+        match self {
+            Self::X86_64 => "amd64",
+            Self::Aarch64 => "arm64",
+        }
+    }
+
     /// The command that runs a program of this platform on this machine.
     pub(crate) fn runs(self, program: &Path) -> Command {
         match self {

@@ -9,13 +9,14 @@ use anyhow::{Context, ensure};
 
 use super::cross::Target;
 use super::release::Release;
-use crate::install::{Arrival, Home};
+use crate::install::{Arrival, Home, deb};
 use crate::wheel;
 
 /// How the program comes onto a machine.
 #[derive(Clone, Copy)]
 enum Way {
     Pip,
+    Deb,
     Tarball,
 }
 
@@ -34,7 +35,7 @@ pub(super) fn test(release: &Release) -> anyhow::Result<()> {
         release.target
     );
     println!("{:<8}{:>12}{:>12}{:>20}{:>12}", "way", "install", "size", "first joint state", "memory");
-    for way in [Way::Pip, Way::Tarball] {
+    for way in [Way::Pip, Way::Deb, Way::Tarball] {
         let Figures { install, size, arrival } = way.costs(release).with_context(|| way.name())?;
         println!(
             "{:<8}{:>10.1} s{:>9.1} MB{:>17} ms{:>9.1} MB",
@@ -53,6 +54,7 @@ impl Way {
     fn name(self) -> &'static str {
         match self {
             Self::Pip => "pip",
+            Self::Deb => "deb",
             Self::Tarball => "tarball",
         }
     }
@@ -80,6 +82,7 @@ impl Way {
     fn prepare(self, home: &Home) -> anyhow::Result<()> {
         match self {
             Self::Pip => user(home.command(wheel::tools()?).args(["-m", "venv", "venv"])),
+            Self::Deb => deb::prepare(&home.path().join("root")),
             Self::Tarball => Ok(()),
         }
     }
@@ -92,6 +95,11 @@ impl Way {
                 pip.args(["-m", "pip", "--quiet", "install", "--no-cache-dir", "--only-binary=:all:"]);
                 user(pip.arg("--find-links").arg(&release.out).arg(package))
             }
+            Self::Deb => {
+                let package = format!("downbeat_{}_{}.deb", release.version, release.target.of_debian());
+                let package = release.out.join(package);
+                user(deb::dpkg(&home.path().join("root")).arg("--install").arg(package))
+            }
             Self::Tarball => {
                 let tarball = release.out.join(format!("{}.tar.gz", release.name()));
                 user(home.command("tar").arg("-xzf").arg(tarball))
@@ -102,6 +110,7 @@ impl Way {
     fn program(self, release: &Release, home: &Home) -> PathBuf {
         match self {
             Self::Pip => home.path().join("venv/bin/downbeat"),
+            Self::Deb => home.path().join("root/usr/bin/downbeat"),
             Self::Tarball => home.path().join(release.name()).join("bin/downbeat"),
         }
     }
@@ -112,6 +121,7 @@ impl Way {
                 let pip = ["-m", "pip", "--quiet", "uninstall", "--yes", "downbeat-robotics"];
                 user(home.command(home.path().join("venv/bin/python")).args(pip))
             }
+            Self::Deb => user(deb::dpkg(&home.path().join("root")).args(["--purge", "downbeat"])),
             Self::Tarball => user(home.command("rm").arg("-r").arg(release.name())),
         }
     }

@@ -1,7 +1,7 @@
-//! `cargo xtask dist`: what a release consists of, for one target: tarball, wheel and its sources, with
+//! `cargo xtask dist`: what a release consists of, for one target: tarball, Debian package, wheel and its sources, with
 //! hashes, a list of parts (SBOM) and licences.
 //!
-//! The same commit gives the same bytes, wherever the checkout is: times are those of the commit, archives
+//! The same commit is to give the same bytes, wherever the checkout is: times are those of the commit, archives
 //! are sorted, and paths of this machine are replaced.
 
 mod cross;
@@ -50,6 +50,7 @@ pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
     std::fs::write(&sbom, sbom::of(&program.crates, &release)?)?;
     files.push(sbom);
     if !arguments.program {
+        files.push(program.debian_package(&release)?);
         files.push(wheel::build(&release)?);
         files.push(wheel::sources(&release)?);
     }

@@ -8,12 +8,13 @@ use anyhow::Context;
 use super::release::{FEATURES, Release, cargo_home, fresh};
 use crate::crates::{self, Crates};
 use crate::notices;
-use crate::steps::{output_of, run, workspace};
+use crate::packaging::debian::{self, About};
+use crate::packaging::{arrange, copy, write};
+use crate::steps::{run, workspace};
 
 /// A folder `downbeat-VERSION-TARGET` as it is in the tarball.
 pub(crate) struct Program {
-    /// It has `bin/downbeat`, `share/man/man1/`, `share/completions/` (`downbeat.bash`, `_downbeat` and
-    /// `downbeat.fish`) and `share/doc/downbeat/` (LICENSE, NOTICE, THIRD-PARTY.txt and pages).
+    /// It has what [`arrange`] puts there, and the licences of the crates.
     pub(crate) folder: PathBuf,
     /// What is compiled into it.
     pub(super) crates: Crates,
@@ -30,28 +31,25 @@ pub(super) fn build(release: &Release) -> anyhow::Result<Program> {
 
     let folder = release.scratch.join(release.name());
     fresh(&folder)?;
-    let program = folder.join("bin/downbeat");
-    copy(&built, &program)?;
-    let man = folder.join("share/man/man1");
-    run(release.target.runs(&program).arg("man").arg(&man))?;
-    for (shell, file) in [("bash", "downbeat.bash"), ("zsh", "_downbeat"), ("fish", "downbeat.fish")] {
-        let script = output_of(release.target.runs(&program).args(["completions", shell]))?;
-        write(&folder.join("share/completions").join(file), &script)?;
-    }
+    arrange(&built, &|program| release.target.runs(program), &folder)?;
     let documents = folder.join("share/doc/downbeat");
-    write(&documents.join("THIRD-PARTY.txt"), &notices::of(&crates)?)?;
-    for (from, to) in [
-        ("LICENSE", "LICENSE"),
-        ("msgs/NOTICE", "NOTICE"),
-        ("docs/install.md", "README.md"),
-        ("CHANGELOG.md", "CHANGELOG.md"),
-    ] {
-        copy(&workspace().join(from), &documents.join(to))?;
-    }
+    write(&documents.join("THIRD-PARTY.txt"), notices::of(&crates)?.as_bytes())?;
+    copy(&workspace().join("docs/install.md"), &documents.join("README.md"))?;
     Ok(Program { folder, crates })
 }
 
 impl Program {
+    /// Makes the Debian package and returns its path.
+    pub(super) fn debian_package(&self, release: &Release) -> anyhow::Result<PathBuf> {
+        let about = About {
+            version: &release.version,
+            architecture: release.target.of_debian(),
+            time: release.time,
+            compression: &["-Zxz"],
+        };
+        debian::package(&self.folder, &about, &release.out)
+    }
+
     /// Packs the folder as a tarball and returns its path: sorted, without owners, all with one time.
     pub(super) fn tarball(&self, release: &Release) -> anyhow::Result<PathBuf> {
         let file = release.out.join(format!("{}.tar.gz", release.name()));
@@ -77,20 +75,4 @@ pub(super) fn without_paths(file: &Path) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
-    let bytes = || {
-        std::fs::create_dir_all(to.parent().unwrap_or(to))?;
-        std::fs::copy(from, to)
-    };
-    bytes().map(drop).with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))
-}
-
-fn write(file: &Path, text: &str) -> anyhow::Result<()> {
-    let write = || {
-        std::fs::create_dir_all(file.parent().unwrap_or(file))?;
-        std::fs::write(file, text)
-    };
-    write().with_context(|| format!("cannot write {}", file.display()))
 }

@@ -20,7 +20,7 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
     }
     let home = Home::new()?;
     let arranged = home.path().join("arranged");
-    arrange(program, &[], &arranged)?;
+    arrange(program, &|program| Command::new(program), &arranged)?;
     let about = About {
         version: "0.1.0",
         architecture: architecture()?,
@@ -34,27 +34,15 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
         test_machine::missing("lintian", "install Debian's package lintian");
     }
     let root = home.path().join("root");
-    let dpkg = |arguments: &[&str]| {
-        let mut dpkg = Command::new("dpkg");
-        dpkg.arg(format!("--root={}", root.display())).args(["--force-not-root", "--force-depends"]);
-        // The scripts see the root as DPKG_ROOT, and leave this machine alone.
-        dpkg.args(["--force-script-chrootless", "--log=/dev/null"]).args(arguments);
-        dpkg
-    };
-    for folder in ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers"] {
-        fs::create_dir_all(root.join(folder))?;
-    }
-    for file in ["var/lib/dpkg/status", "var/lib/dpkg/available"] {
-        fs::write(root.join(file), "")?;
-    }
-    run(dpkg(&["--install"]).arg(&package))?;
+    prepare(&root)?;
+    run(dpkg(&root).arg("--install").arg(&package))?;
     let installed = root.join("usr/bin/downbeat");
     let checked =
         home.command(&installed).arg("check").arg(root.join("etc/downbeat/darwin_op.toml")).output()?;
     ensure!(checked.status.success(), "check: {}", String::from_utf8_lossy(&checked.stderr));
     let arrival = Arrival::of(&installed, &home)?;
     println!("from the Debian package: first joint state after {} ms", arrival.first_joint_state.as_millis());
-    run(&mut dpkg(&["--purge", "downbeat"]))?;
+    run(dpkg(&root).args(["--purge", "downbeat"]))?;
     // The user of the service, which systemd's tools put into the root, is removed on a running system only.
     let is_of_system = |path: &PathBuf| {
         let accounts = ["etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock"];
@@ -64,6 +52,26 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
     let left: Vec<_> = files(&root)?.into_iter().filter(|path| !is_of_system(path)).collect();
     ensure!(left.is_empty(), "after the package was purged, these are left: {left:?}");
     Ok(())
+}
+
+/// Makes an empty root for [`dpkg`].
+pub(crate) fn prepare(root: &Path) -> anyhow::Result<()> {
+    for folder in ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers"] {
+        fs::create_dir_all(root.join(folder))?;
+    }
+    for file in ["var/lib/dpkg/status", "var/lib/dpkg/available"] {
+        fs::write(root.join(file), "")?;
+    }
+    Ok(())
+}
+
+/// A command of dpkg for a root without the packages that ours depends on.
+pub(crate) fn dpkg(root: &Path) -> Command {
+    let mut dpkg = Command::new("dpkg");
+    dpkg.arg(format!("--root={}", root.display())).args(["--force-not-root", "--force-depends"]);
+    // The scripts see the root as DPKG_ROOT, and leave this machine alone.
+    dpkg.args(["--force-script-chrootless", "--log=/dev/null"]);
+    dpkg
 }
 
 fn architecture() -> anyhow::Result<&'static str> {

@@ -2,7 +2,7 @@
 
 mod arrival;
 mod crates;
-mod deb;
+pub(crate) mod deb;
 mod registry;
 
 pub(crate) use arrival::{Arrival, Home};

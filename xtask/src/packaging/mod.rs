@@ -3,31 +3,23 @@
 
 pub(crate) mod debian;
 
-use std::ffi::OsString;
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 
-use crate::steps::{run, workspace};
+use crate::steps::{output_of, run, workspace};
 
 /// Puts a program into a folder, as in a tarball: `bin/downbeat`, `share/man/man1/`, `share/completions/`
-/// (`downbeat.bash`, `_downbeat`, `downbeat.fish`), `share/doc/downbeat/`. `runner` is what runs the program
-/// where it is for another processor.
-pub(crate) fn arrange(program: &Path, runner: &[OsString], folder: &Path) -> anyhow::Result<()> {
+/// (`downbeat.bash`, `_downbeat`, `downbeat.fish`), `share/doc/downbeat/`. `runs` is the command that runs it,
+/// which may be for another processor.
+pub(crate) fn arrange(program: &Path, runs: &dyn Fn(&Path) -> Command, folder: &Path) -> anyhow::Result<()> {
     let placed = folder.join("bin/downbeat");
     copy(program, &placed)?;
-    let command = |arguments: &[&str]| {
-        let mut words = runner.iter().map(OsString::as_os_str).chain([placed.as_os_str()]);
-        let mut command = Command::new(words.next().unwrap_or(placed.as_os_str()));
-        command.args(words).args(arguments);
-        command
-    };
-    run(command(&["man"]).arg(folder.join("share/man/man1")))?;
+    run(runs(&placed).arg("man").arg(folder.join("share/man/man1")))?;
     for (shell, file) in [("bash", "downbeat.bash"), ("zsh", "_downbeat"), ("fish", "downbeat.fish")] {
-        let output = command(&["completions", shell]).output().context("cannot run the program")?;
-        ensure!(output.status.success(), "no completions: {}", String::from_utf8_lossy(&output.stderr));
-        write(&folder.join("share/completions").join(file), &output.stdout)?;
+        let script = output_of(runs(&placed).args(["completions", shell]))?;
+        write(&folder.join("share/completions").join(file), script.as_bytes())?;
     }
     let documents = folder.join("share/doc/downbeat");
     for (from, to) in [("LICENSE", "LICENSE"), ("msgs/NOTICE", "NOTICE"), ("CHANGELOG.md", "CHANGELOG.md")] {
