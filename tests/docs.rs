@@ -46,7 +46,7 @@ const PAGES: [&str; 23] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 22] = [
+const ELSEWHERE: [&str; 26] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
@@ -66,6 +66,10 @@ const ELSEWHERE: [&str; 22] = [
     "ros2 topic pub --once /head_by_hand",
     "cargo run --release --features mqtt", // docs/network.md is read with the feature
     "pip install",
+    "cargo install", // cargo xtask crates
+    "apt install",
+    "systemctl ",
+    "journalctl ",
     "cd ",
     "sudo ",
     "duckdb ",

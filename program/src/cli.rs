@@ -167,8 +167,8 @@ pub(crate) enum Command {
     /// Look at this machine and say what a robot needs of it: devices, real-time limits, network, clock and
     /// disk. Each line says what to do; exit code 1 if there is a problem.
     Doctor(DoctorArguments),
-    /// List the robots that this program carries, or copy one: `run`, `check` and all other commands for
-    /// robot files take their names.
+    /// List the robots that this program carries, or copy one: `run`, `check` and other commands for robot
+    /// files take their names; `compose` edits a copy.
     #[command(subcommand)]
     Robots(RobotsCommand),
     /// Describe kinds of modules: what they are for, their settings, topics, services and actions.

@@ -78,11 +78,13 @@ const FEATURES: [Feature; 13] = [
 pub fn built_without(feature: &str) -> String {
     let is_in_wheel = !FEATURES.iter().any(|known| known.name == feature && !known.is_in_wheel);
     let wheel = match is_in_wheel {
-        true => format!(", or install the wheel of `cargo xtask wheel --features {feature}`"),
+        true => {
+            format!(", or install a wheel of a release, or that of `cargo xtask wheel --features {feature}`")
+        }
         false => String::new(),
     };
     format!(
-        "built without \"{feature}\": build with --features {feature} (an app: as a feature of downbeat in its \
+        "built without \"{feature}\": build or `cargo install downbeat` with --features {feature} (an app: as a feature of downbeat in its \
          Cargo.toml){wheel}"
     )
 }
@@ -137,8 +139,8 @@ mod tests {
     #[test]
     fn a_kind_that_is_not_built_in_names_its_feature_and_the_ways_to_have_it() {
         let without = |kind| missing_kind_if(kind, |_| false);
-        let expected = "built without \"physics\": build with --features physics (an app: as a feature of downbeat in its \
-                        Cargo.toml), or install the wheel of `cargo xtask wheel --features physics`";
+        let expected = "built without \"physics\": build or `cargo install downbeat` with --features physics (an app: as a feature of \
+                        downbeat in its Cargo.toml), or install a wheel of a release, or that of `cargo xtask wheel --features physics`";
         assert_eq!(without("darwin_op_simulator").unwrap(), expected);
         assert!(without("walk_to").unwrap().starts_with("built without \"football\": "));
         assert!(without("game_controller").unwrap().starts_with("built without \"leagues\": "));

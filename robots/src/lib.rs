@@ -148,7 +148,7 @@ pub fn unpack(name: &str) -> Result<PathBuf, Error> {
 
 fn unpack_into(folder: &Path) -> Result<(), Error> {
     for file in FILES {
-        // Read, not trusted: a file that somebody edited here is not what the name of the robot stands for.
+        // Compared: an edited file in the cache is not the robot of that name.
         if fs::read(folder.join(file.path)).is_ok_and(|content| content == file.text.as_bytes()) {
             continue;
         }
@@ -178,25 +178,17 @@ fn write(folder: &Path, file: &File) -> Result<PathBuf, Error> {
     let path = folder.join(file.path);
     let parent = path.parent().unwrap_or(folder);
     let written = fs::create_dir_all(parent).and_then(|()| {
-        let mut new = tempfile::Builder::new().permissions(readable()).tempfile_in(parent)?;
+        let mut builder = tempfile::Builder::new();
+        // As other new files, which the user's mask restricts.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut new = builder.tempfile_in(parent)?;
         new.write_all(file.text.as_bytes())?;
         new.persist(&path).map_err(|error| error.error)?;
         Ok(())
     });
     written.map_err(|error| Error::Unwritable { path: path.clone(), error })?;
     Ok(path)
-}
-
-/// As other new files, which the user's mask restricts.
-#[cfg(unix)]
-fn readable() -> fs::Permissions {
-    use std::os::unix::fs::PermissionsExt;
-    fs::Permissions::from_mode(0o666)
-}
-
-#[cfg(not(unix))]
-fn readable() -> fs::Permissions {
-    unreachable!("temporary files have no modes here")
 }
 
 #[cfg(test)]
@@ -274,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn an_edited_file_in_the_cache_is_not_taken_for_the_robot() {
+    fn an_edited_file_in_the_cache_is_replaced() {
         let folder = tempfile::tempdir().unwrap();
         unpack_into(folder.path()).unwrap();
         let file = folder.path().join("darwin_op.toml");

@@ -85,8 +85,8 @@ enum Command {
         #[arg(long)]
         test: bool,
     },
-    /// The files of a release for one platform: tarball, Debian package and wheel, with hashes and SBOM, under
-    /// target/dist. About half an hour.
+    /// The files of a release for one platform: tarball, Debian package and wheel, with hashes and SBOM,
+    /// under target/dist. About half an hour.
     Dist(dist::DistArguments),
     /// The tasks of the simulated Darwin OP (walk, turn, kick, get up, ...) in 20 perturbed worlds each,
     /// minutes; prints how many succeed. See `--help` behind `--` for options: seeds, tasks, and the engine.

@@ -87,7 +87,7 @@ fn licences(one: &Crate) -> anyhow::Result<Vec<String>> {
     }
     anyhow::ensure!(
         license == "MIT",
-        "no file has the text of its licence ({license:?}): teach xtask/src/dist/notices.rs where it is"
+        "no file has the text of its licence ({license:?}): teach xtask/src/notices.rs where it is"
     );
     let authors = match one.authors.as_slice() {
         [] => format!("the authors of {}", one.name),

@@ -212,7 +212,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let runner = program(
             folder.path(),
-            "echo \"$@\"; echo 'the page is http://127.0.0.1:7/'; echo 'open in a browser: http://127.0.0.1:7/#token=abc' >&2; trap 'echo bye; exit 0' INT; while :; do sleep 0.05; done",
+            "trap 'echo bye; exit 0' INT; echo \"$@\"; echo 'the page is http://127.0.0.1:7/'; echo 'open in a browser: http://127.0.0.1:7/#token=abc' >&2; while :; do sleep 0.05; done",
         );
         let mut robot = RobotProcess::start(&runner, Path::new("r.toml"), Some("bag".into())).unwrap();
         wait(|| robot.url().is_some());

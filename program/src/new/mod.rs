@@ -61,6 +61,12 @@ pub(crate) fn new(arguments: &NewArguments) -> anyhow::Result<()> {
         write(&folder.join(path), content.as_bytes())?;
     }
     println!("{} is ready. Next:\n", folder.display());
+    if let Some(Origin::Release) = origin {
+        eprintln!(
+            "it depends on version {} of downbeat; --git URL --rev REV takes another source",
+            env!("CARGO_PKG_VERSION")
+        );
+    }
     println!("    cd {}", folder.display());
     arguments.template.commands().iter().for_each(|command| println!("    {command}"));
     Ok(())

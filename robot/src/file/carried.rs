@@ -12,7 +12,7 @@ use super::RobotFileError;
 /// The path of a robot file that a user names: a path, or where no such file exists the name of a carried
 /// robot, whose files are then written into the cache.
 pub(super) fn located(path: &Path) -> Result<Cow<'_, Path>, RobotFileError> {
-    let Some(name) = path.to_str().filter(|name| is_name(name)).filter(|_| !path.exists()) else {
+    let Some(name) = path.to_str().filter(|name| is_name(name)).filter(|_| !path.is_file()) else {
         return Ok(path.into());
     };
     let error = match downbeat_robots::unpack(name) {
@@ -26,6 +26,9 @@ pub(super) fn located(path: &Path) -> Result<Cow<'_, Path>, RobotFileError> {
         },
         _ => format!("; `downbeat robots copy {name} FOLDER` writes them where you like"),
     };
+    if path.exists() {
+        return Ok(path.into()); // a folder, which the reader reports
+    }
     let reason = format!("there is no such file, and {error}{remedy}");
     Err(Error::Unreadable { what: "the robot file", path: path.to_owned(), reason }.into())
 }

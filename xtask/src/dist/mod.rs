@@ -1,8 +1,8 @@
-//! `cargo xtask dist`: what a release consists of, for one target: tarball, Debian package, wheel and its sources, with
-//! hashes, a list of parts (SBOM) and licences.
+//! `cargo xtask dist`: what a release consists of, for one target: tarball, Debian package, wheel and its
+//! sources, with hashes, a list of parts (SBOM) and licences.
 //!
-//! The same commit is to give the same bytes, wherever the checkout is: times are those of the commit, archives
-//! are sorted, and paths of this machine are replaced.
+//! The same commit is to give the same bytes, wherever the checkout is: times are those of the commit,
+//! archives are sorted, and paths of this machine are replaced.
 
 mod cross;
 mod from_nothing;

@@ -32,7 +32,7 @@ impl Release {
         let time = output_of(Command::new("git").args(["log", "-1", "--format=%ct"]))?;
         let time = time.trim().parse().with_context(|| format!("git gave {time:?} as time of the commit"))?;
         if !output_of(Command::new("git").args(["status", "--porcelain"]))?.is_empty() {
-            eprintln!("xtask: there are changes that are not committed: nobody can build these files again");
+            eprintln!("xtask: there are changes that are not committed: these files cannot be reproduced");
         }
         let version = crates::version()?;
         Ok(Self {

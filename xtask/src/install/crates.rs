@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, ensure};
 
@@ -32,6 +32,14 @@ pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
     let manifest = fs::read_to_string(project.join("Cargo.toml"))?;
     ensure!(manifest.contains("downbeat = { version = \""), "the project depends on no version:\n{manifest}");
     cargo.run(home.command(env!("CARGO")).arg("build").current_dir(&project))?;
+    let mut again = home.command(env!("CARGO"));
+    again.args(["build", "--message-format", "json"]).current_dir(&project).stdout(Stdio::piped());
+    let again = cargo.prepared(&mut again).output().context("cannot run cargo")?;
+    let anew = String::from_utf8_lossy(&again.stdout)
+        .lines()
+        .filter(|line| line.contains("\"fresh\":false"))
+        .count();
+    ensure!(again.status.success() && anew == 0, "a second build compiles {anew} crates again");
     let robot = cargo.build.join("debug/my_robot");
     user(&robot, &["run", "my_robot/robot.toml", "--duration", "1s"])?;
     Ok(program)
@@ -69,14 +77,18 @@ impl Cargo {
         Ok(Self { home, build })
     }
 
-    /// Runs a command of cargo without the network.
-    fn run(&self, command: &mut Command) -> anyhow::Result<()> {
+    /// A command of cargo without the network.
+    fn prepared<'a>(&self, command: &'a mut Command) -> &'a mut Command {
         command.args(["--offline", "--quiet"]);
         command
             .env("CARGO_HOME", &self.home)
             .env("CARGO_TARGET_DIR", &self.build)
-            .env("CARGO_INCREMENTAL", "0");
-        let status = command.status().context("cannot run cargo")?;
+            .env("CARGO_INCREMENTAL", "0")
+    }
+
+    /// Runs a command of cargo without the network.
+    fn run(&self, command: &mut Command) -> anyhow::Result<()> {
+        let status = self.prepared(command).status().context("cannot run cargo")?;
         ensure!(status.success(), "{command:?} failed");
         Ok(())
     }

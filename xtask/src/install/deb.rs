@@ -85,7 +85,8 @@ fn architecture() -> anyhow::Result<&'static str> {
 /// All files below a folder, relative to it.
 fn files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let output =
-        Command::new("find").args([".", "-type", "f", "-printf", "%P\\n"]).current_dir(folder).output();
+        Command::new("find").args([".", "!", "-type", "d", "-printf", "%P\\n"]).current_dir(folder).output();
     let output = output.context("cannot run find")?;
+    ensure!(output.status.success(), "find: {}", String::from_utf8_lossy(&output.stderr));
     Ok(String::from_utf8(output.stdout)?.lines().map(Into::into).collect())
 }

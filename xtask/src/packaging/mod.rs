@@ -11,8 +11,8 @@ use anyhow::Context;
 use crate::steps::{output_of, run, workspace};
 
 /// Puts a program into a folder, as in a tarball: `bin/downbeat`, `share/man/man1/`, `share/completions/`
-/// (`downbeat.bash`, `_downbeat`, `downbeat.fish`), `share/doc/downbeat/`. `runs` is the command that runs it,
-/// which may be for another processor.
+/// (`downbeat.bash`, `_downbeat`, `downbeat.fish`), `share/doc/downbeat/`. `runs` is the command that runs
+/// it, which may be for another processor.
 pub(crate) fn arrange(program: &Path, runs: &dyn Fn(&Path) -> Command, folder: &Path) -> anyhow::Result<()> {
     let placed = folder.join("bin/downbeat");
     copy(program, &placed)?;
