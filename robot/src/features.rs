@@ -170,7 +170,8 @@ mod tests {
             let is_named = full.contains(&format!("\"{}\"", feature.name));
             assert_eq!(is_named, feature.is_in_wheel, "{}", feature.name);
             let itself = format!("\n{0} = [\"downbeat/{0}\"]\n", feature.name);
-            assert_eq!(manifest.contains(&itself), feature.is_in_wheel, "{}", feature.name);
+            // Others may be added to a wheel: SQLite is in those of releases.
+            assert!(manifest.contains(&itself) || !feature.is_in_wheel, "{}", feature.name);
         }
     }
 

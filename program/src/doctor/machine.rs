@@ -67,7 +67,7 @@ fn disk(facts: &Facts) -> Option<Finding> {
                   [record] deletes the oldest files of a run";
     Some(match free {
         ..HARDLY_ANY => Finding::problem(AREA, found, remedy),
-        ..LITTLE => Finding::warn(AREA, found, remedy),
+        HARDLY_ANY..LITTLE => Finding::warn(AREA, found, remedy),
         _ => Finding::ok(AREA, found),
     })
 }
