@@ -28,7 +28,7 @@ pub(super) fn package() -> anyhow::Result<BTreeMap<String, PathBuf>> {
     }
     let mut command = Command::new(env!("CARGO"));
     // Each is compiled when it is installed, from the same file.
-    command.args(["package", "--workspace", "--no-verify", "--allow-dirty", "--offline", "--quiet"]);
+    command.args(["package", "--workspace", "--no-verify", "--allow-dirty", "--quiet"]);
     for package in members.iter().filter(|package| !is_published(package)) {
         command.args(["--exclude", &name(package)]);
     }
@@ -128,7 +128,8 @@ fn entry(package: &Value, checksum: &str) -> Value {
 
 fn metadata(arguments: &[&str]) -> anyhow::Result<Value> {
     let mut command = Command::new(env!("CARGO"));
-    command.args(["metadata", "--format-version", "1", "--offline"]).args(arguments);
+    // Not offline: cargo downloads what other platforms need, which a build has left out.
+    command.args(["metadata", "--format-version", "1"]).args(arguments);
     let output = command.current_dir(workspace()).output().context("cannot run cargo metadata")?;
     ensure!(output.status.success(), "cargo metadata: {}", String::from_utf8_lossy(&output.stderr));
     Ok(serde_json::from_slice(&output.stdout)?)
