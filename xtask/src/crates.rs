@@ -112,3 +112,31 @@ pub(crate) fn of(package: &str, features: &str, target: &str) -> anyhow::Result<
     }
     Ok(Crates { crates, uses })
 }
+
+/// The checksums of a `Cargo.lock` by name and version.
+pub(crate) fn checksums(lock: &str) -> BTreeMap<(&str, &str), &str> {
+    let mut found = BTreeMap::new();
+    for package in lock.split("[[package]]").skip(1) {
+        let field = |key: &str| {
+            package.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(" = \"")?.strip_suffix('"'))
+        };
+        if let (Some(name), Some(version), Some(checksum)) =
+            (field("name"), field("version"), field("checksum"))
+        {
+            found.insert((name, version), checksum);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn checksums_are_those_of_packages_from_a_registry() {
+        let lock = "version = 4\n\n[[package]]\nname = \"ours\"\nversion = \"0.1.0\"\ndependencies = [\n \"theirs\",\n]\n\n\
+                    [[package]]\nname = \"theirs\"\nversion = \"1.2.3\"\nsource = \"registry\"\nchecksum = \"abc\"\n";
+        assert_eq!(checksums(lock), BTreeMap::from([(("theirs", "1.2.3"), "abc")]));
+    }
+}

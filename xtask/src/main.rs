@@ -70,7 +70,7 @@ enum Command {
     /// The Debian package of what `crates` installs, checked, installed into an empty root, run and removed.
     /// Part of the test run.
     Deb {
-        /// This program, in place of one that is installed from the packages first.
+        /// Package this program, instead of installing one from the packages first.
         #[arg(long)]
         program: Option<std::path::PathBuf>,
     },

@@ -1,4 +1,4 @@
-//! What is true of this machine and of the user who asks.
+//! The facts about this machine, and about the user who runs the command.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -3,14 +3,13 @@
 //! Written here, for `cargo-cyclonedx` lists what a workspace may use, not what is compiled into one program
 //! with given features for one target.
 
-use std::collections::BTreeMap;
 use std::process::Command;
 
 use anyhow::Context;
 use serde_json::{Value, json};
 
 use super::release::Release;
-use crate::crates::{Crate, Crates};
+use crate::crates::{Crate, Crates, checksums};
 use crate::steps::{output_of, workspace};
 
 /// The SBOM of a program as JSON.
@@ -81,32 +80,4 @@ fn component(one: &Crate, checksum: Option<&str>) -> Value {
 
 fn reference(one: &Crate) -> String {
     format!("pkg:cargo/{}@{}", one.name, one.version)
-}
-
-/// The checksums of a `Cargo.lock` by name and version.
-fn checksums(lock: &str) -> BTreeMap<(&str, &str), &str> {
-    let mut found = BTreeMap::new();
-    for package in lock.split("[[package]]").skip(1) {
-        let field = |key: &str| {
-            package.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(" = \"")?.strip_suffix('"'))
-        };
-        if let (Some(name), Some(version), Some(checksum)) =
-            (field("name"), field("version"), field("checksum"))
-        {
-            found.insert((name, version), checksum);
-        }
-    }
-    found
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn checksums_are_those_of_packages_from_a_registry() {
-        let lock = "version = 4\n\n[[package]]\nname = \"ours\"\nversion = \"0.1.0\"\ndependencies = [\n \"theirs\",\n]\n\n\
-                    [[package]]\nname = \"theirs\"\nversion = \"1.2.3\"\nsource = \"registry\"\nchecksum = \"abc\"\n";
-        assert_eq!(checksums(lock), BTreeMap::from([(("theirs", "1.2.3"), "abc")]));
-    }
 }

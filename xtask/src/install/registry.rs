@@ -13,6 +13,7 @@ use anyhow::{Context, bail, ensure};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 
+use crate::crates::checksums;
 use crate::steps::{run, workspace};
 
 /// Packages everything that is published and returns the packages by their names.
@@ -50,7 +51,8 @@ pub(super) fn write(folder: &Path, ours: &BTreeMap<String, PathBuf>) -> anyhow::
     }
     fs::create_dir_all(folder.join("index"))?;
     let downloaded = downloaded()?;
-    let checksums = locked()?;
+    let lock = fs::read_to_string(workspace().join("Cargo.lock")).context("cannot read Cargo.lock")?;
+    let checksums = checksums(&lock);
     let mut all = String::new();
     for package in metadata(&["--locked"])?["packages"].as_array().context("no packages")? {
         let text = |key: &str| package[key].as_str().unwrap_or_default();
@@ -65,9 +67,9 @@ pub(super) fn write(folder: &Path, ours: &BTreeMap<String, PathBuf>) -> anyhow::
                 (Some(file), checksum)
             }
             (_, false) => {
-                let checksum = checksums.get(&(name.to_owned(), version.to_owned()));
+                let checksum = checksums.get(&(name, version));
                 let checksum = checksum.with_context(|| format!("Cargo.lock has no checksum of {name}"))?;
-                (downloaded.get(&file_name), checksum.clone())
+                (downloaded.get(&file_name), (*checksum).to_owned())
             }
             (None, true) => continue, // not published
         };
@@ -133,19 +135,6 @@ fn metadata(arguments: &[&str]) -> anyhow::Result<Value> {
     let output = command.current_dir(workspace()).output().context("cannot run cargo metadata")?;
     ensure!(output.status.success(), "cargo metadata: {}", String::from_utf8_lossy(&output.stderr));
     Ok(serde_json::from_slice(&output.stdout)?)
-}
-
-/// The checksums in Cargo.lock, by name and version.
-fn locked() -> anyhow::Result<BTreeMap<(String, String), String>> {
-    let text = fs::read_to_string(workspace().join("Cargo.lock"))?;
-    let packages = text.split("[[package]]").filter_map(|package| {
-        let value = |key: &str| {
-            let line = package.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "))?;
-            Some(line.trim_matches('"').to_owned())
-        };
-        Some(((value("name")?, value("version")?), value("checksum")?))
-    });
-    Ok(packages.collect())
 }
 
 /// The packages that cargo has downloaded, by the names of their files.

@@ -32,7 +32,7 @@ fn message(prefix: GuidPrefix, writer: EntityId, number: i64, payload: &[u8]) ->
     datagram
 }
 
-/// The announcement of another participant, changed to name one that does not exist.
+/// The announcement of a participant that does not exist, made from that of another one.
 fn announcement(of: &ParticipantData, prefix: GuidPrefix, address: SocketAddrV4) -> Vec<u8> {
     let mut data = of.clone();
     data.prefix = prefix;
