@@ -7,6 +7,10 @@
 mod app;
 pub mod modules;
 
+/// Sines and the like that give the same bits on every machine, for modules whose recorded runs replay on
+/// another one; those of `std` are the C library's.
+pub use libm;
+
 pub use app::{App, AppError};
 pub use downbeat_bags as bags;
 pub use downbeat_bridge as bridge;

@@ -102,7 +102,8 @@ fn errors_in_a_robot_file_contain_file_line_and_the_nearest_name() {
 
 #[test]
 fn invalid_arguments_are_refused_with_a_reason() {
-    let cases: [(&[&str], &str); 10] = [
+    let cases: [(&[&str], &str); 11] = [
+        (&["compose", "darwin_op"], "by `downbeat robots copy darwin_op FOLDER`, then `downbeat compose"),
         (&["run", "no/such.toml"], "cannot read the robot file no/such.toml"),
         (&["run", "robots/darwin_op.toml", "--domain", "400"], "0 to 232"),
         (&["bag", "info", "no/such/bag"], "no/such/bag"),
@@ -128,6 +129,17 @@ fn invalid_arguments_are_refused_with_a_reason() {
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {message}");
         assert!(message.contains(expected), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn a_listed_robot_can_be_checked_if_this_program_lacks_no_feature_for_it() {
+    let listed: serde_json::Value = serde_json::from_str(&text_of(&["robots", "list", "--json"])).unwrap();
+    for robot in listed.as_array().unwrap() {
+        let name = robot["name"].as_str().unwrap();
+        let is_complete = robot["missing_features"].as_array().unwrap().is_empty();
+        let checked = output_of(&["check", name]);
+        assert_eq!(checked.status.success(), is_complete, "{robot}: {checked:?}");
     }
 }
 

@@ -1,10 +1,12 @@
 //! `downbeat robots`
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use downbeat_files::suggestion;
-use downbeat_robots::{Error, robots};
+use downbeat_robot::features::missing_feature;
+use downbeat_robots::{Error, kinds_of, robots};
 use serde_json::json;
 
 #[derive(Subcommand)]
@@ -36,18 +38,30 @@ pub(crate) fn run(command: &RobotsCommand) -> anyhow::Result<()> {
     match command {
         RobotsCommand::List { json: true } => {
             let listed = robots().map(|robot| {
-                json!({ "name": robot.name, "about": robot.about, "command": format!("downbeat {} {}", robot.command, robot.name) })
+                let command = format!("downbeat {} {}", robot.command, robot.name);
+                let missing = missing_features(robot.name)?;
+                Ok(json!({ "name": robot.name, "about": robot.about, "command": command, "missing_features": missing }))
             });
-            println!("{}", serde_json::to_string_pretty(&listed.collect::<Vec<_>>())?);
+            println!("{}", serde_json::to_string_pretty(&listed.collect::<Result<Vec<_>, Error>>()?)?);
         }
         RobotsCommand::List { json: false } => {
             for robot in robots() {
                 println!("downbeat {} {}\n    {}", robot.command, robot.name, robot.about);
+                let missing = missing_features(robot.name)?;
+                if !missing.is_empty() {
+                    let missing: Vec<_> = missing.into_iter().collect();
+                    println!("    (Not in this program, built without {}.)", missing.join(", "));
+                }
             }
         }
         RobotsCommand::Copy(arguments) => copy(arguments)?,
     }
     Ok(())
+}
+
+/// What a program needs beside the features of this one in order to run a robot.
+fn missing_features(robot: &str) -> Result<BTreeSet<&'static str>, Error> {
+    Ok(kinds_of(robot)?.into_iter().filter_map(missing_feature).collect())
 }
 
 fn copy(arguments: &CopyArguments) -> anyhow::Result<()> {

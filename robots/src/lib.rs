@@ -104,6 +104,17 @@ pub fn files_of(name: &str) -> Result<BTreeSet<&'static File>, Error> {
     Ok(found)
 }
 
+/// The kinds of modules of a robot, in its file and those that it names.
+///
+/// # Errors
+/// If there is no such robot.
+pub fn kinds_of(name: &str) -> Result<BTreeSet<&'static str>, Error> {
+    let files = files_of(name)?;
+    let robots = files.iter().filter(|file| file.path.ends_with(".toml"));
+    let quoted = |line: &'static str| line.strip_prefix("kind = \"")?.strip_suffix('"');
+    Ok(robots.flat_map(|file| file.text.lines().map(str::trim_end).filter_map(quoted)).collect())
+}
+
 /// True if a setting of the file is the path to the other one.
 fn names(file: &File, other: &File) -> bool {
     if !file.path.ends_with(".toml") {
@@ -251,6 +262,13 @@ mod tests {
             ["darwin_op.urdf", "football/player.scxml", "football/seeing_player.toml", "seeing_match.toml"]
         );
         assert!(matches!(files_of("op3_motions"), Err(Error::Unknown(_))), "no robot");
+    }
+
+    #[test]
+    fn the_kinds_of_a_robot_are_those_of_all_its_files() {
+        let kinds = kinds_of("match").unwrap();
+        assert!(kinds.contains("football_match") && kinds.contains("walk_to"), "{kinds:?}");
+        assert!(!kinds_of("darwin_op").unwrap().contains("football_match"));
     }
 
     #[test]

@@ -65,6 +65,14 @@ struct Node {
     dependencies: Vec<String>,
 }
 
+/// The folder in which cargo keeps what it downloads.
+pub(crate) fn cargo_home() -> anyhow::Result<PathBuf> {
+    match std::env::var_os("CARGO_HOME") {
+        Some(home) => Ok(home.into()),
+        None => Ok(std::env::home_dir().context("neither CARGO_HOME nor HOME is set")?.join(".cargo")),
+    }
+}
+
 /// The version of the workspace.
 pub(crate) fn version() -> anyhow::Result<String> {
     let text = output_of(Command::new(env!("CARGO")).args(["metadata", "--format-version=1", "--no-deps"]))?;

@@ -1,9 +1,11 @@
 //! Developer commands. `cargo xtask test` runs all checks that a change must pass.
 
+mod aarch64;
 mod bags;
 mod budget;
 mod crates;
 mod dist;
+mod files;
 mod fleet;
 mod football;
 mod install;
@@ -61,6 +63,9 @@ enum Command {
         #[arg(long, default_value_t = 10_000_000)]
         rounds: u64,
     },
+    /// The tests of executor, messages, bags and the RTPS engine on aarch64 under qemu; and recorded runs, of
+    /// each processor on the other, bit for bit. About an hour, most of which builds.
+    Aarch64,
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
@@ -117,6 +122,7 @@ fn main() -> ExitCode {
         Command::Wire => wire::wire(),
         Command::Fleet => fleet::fleet(),
         Command::Security { rounds } => security::security(rounds),
+        Command::Aarch64 => aarch64::aarch64(),
         Command::Bags => bags::bags(),
         Command::Crates => install::cargo_install().map(drop),
         Command::Deb { program } => program

@@ -10,6 +10,7 @@ mod templates;
 mod tests;
 
 use std::io::{BufRead, Write};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -26,6 +27,7 @@ use downbeat_robot::Catalog;
 use downbeat_view::{Ask, Host, PageOptions, ViewOptions, ViewServer};
 
 pub(crate) fn compose(arguments: &ComposeArguments, catalog: &Catalog) -> anyhow::Result<()> {
+    refuse_carried(&arguments.robot)?;
     let stop = Stop::new()?;
     let composer = Composer::open(&arguments.robot, catalog.clone(), runner()?)
         .with_context(|| format!("cannot open {}", arguments.robot.display()))?;
@@ -37,6 +39,18 @@ pub(crate) fn compose(arguments: &ComposeArguments, catalog: &Catalog) -> anyhow
     // Threads that answer questions may keep the composer itself.
     composer.stop_robot();
     result
+}
+
+/// Robots inside the program are read, not edited.
+fn refuse_carried(robot: &Path) -> anyhow::Result<()> {
+    let name = robot.to_str().filter(|name| !robot.exists() && downbeat_robots::find(name).is_some());
+    match name {
+        None => Ok(()),
+        Some(name) => anyhow::bail!(
+            "{name} is a robot inside this program, which cannot be edited: write it into a folder by `downbeat robots copy {name} \
+             FOLDER`, then `downbeat compose FOLDER/{name}.toml`"
+        ),
+    }
 }
 
 /// This program, for robots.

@@ -1,6 +1,7 @@
 //! `cargo xtask dist --test`: each way of installing, in a clean environment, up to the joint states of the
 //! demo robot at a subscriber of ROS 2, and back.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -9,12 +10,14 @@ use anyhow::{Context, ensure};
 
 use super::cross::Target;
 use super::release::Release;
-use crate::install::{Arrival, Home, deb};
+use crate::files;
+use crate::install::{Arrival, Home, cargo_install_for_release, deb};
 use crate::wheel;
 
 /// How the program comes onto a machine.
 #[derive(Clone, Copy)]
 enum Way {
+    Cargo,
     Pip,
     Deb,
     Tarball,
@@ -35,7 +38,7 @@ pub(super) fn test(release: &Release) -> anyhow::Result<()> {
         release.target
     );
     println!("{:<8}{:>12}{:>12}{:>20}{:>12}", "way", "install", "size", "first joint state", "memory");
-    for way in [Way::Pip, Way::Deb, Way::Tarball] {
+    for way in [Way::Pip, Way::Deb, Way::Tarball, Way::Cargo] {
         let Figures { install, size, arrival } = way.costs(release).with_context(|| way.name())?;
         println!(
             "{:<8}{:>10.1} s{:>9.1} MB{:>17} ms{:>9.1} MB",
@@ -53,6 +56,7 @@ pub(super) fn test(release: &Release) -> anyhow::Result<()> {
 impl Way {
     fn name(self) -> &'static str {
         match self {
+            Self::Cargo => "cargo",
             Self::Pip => "pip",
             Self::Deb => "deb",
             Self::Tarball => "tarball",
@@ -62,20 +66,44 @@ impl Way {
     fn costs(self, release: &Release) -> anyhow::Result<Figures> {
         let home = Home::new()?;
         self.prepare(&home)?;
-        let before = size(&files(home.path())?);
+        let before = files::below(home.path())?;
         let started = Instant::now();
         self.install(release, &home)?;
         let install = started.elapsed();
-        let size = size(&files(home.path())?) - before;
+        let size = self.size(&home)? - files::size(&before);
         let arrival = Arrival::of(&self.program(release, &home), &home)?;
         self.remove(release, &home)?;
-        for file in files(home.path())? {
-            let path = file.path.strip_prefix(home.path())?;
-            let is_ours = path.to_string_lossy().contains("downbeat");
-            let is_cache = path.starts_with(".cache/downbeat");
-            ensure!(is_cache || !is_ours, "{} is left after removal", path.display());
-        }
+        let before: BTreeSet<_> = before.into_iter().map(|file| file.path).collect();
+        let left = files::below(home.path())?.into_iter().map(|file| file.path);
+        let left: Vec<_> = left.filter(|path| !before.contains(path) && !self.keeps(path)).collect();
+        ensure!(left.is_empty(), "these are left after removal: {left:?}");
         Ok(Figures { install, size, arrival })
+    }
+
+    /// What it needs on the disk, with what was there before, in bytes.
+    fn size(self, home: &Home) -> anyhow::Result<u64> {
+        // Not what cargo downloaded and compiled on the way.
+        let folder =
+            if let Self::Cargo = self { home.path().join("installed") } else { home.path().to_owned() };
+        Ok(files::size(&files::below(&folder)?))
+    }
+
+    /// True for a file that may be left, for it is not of downbeat alone.
+    fn keeps(self, path: &Path) -> bool {
+        let is_cache_of_robots = path.starts_with(".cache/downbeat");
+        let is_of_others = match self {
+            Self::Cargo => {
+                // What cargo downloaded and compiled, and its lists of installed programs, which are empty.
+                let of_cargo = ["cargo", "build", "registry", "packages.sha256"];
+                of_cargo.iter().any(|known| path.starts_with(known))
+                    || path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(".crates"))
+            }
+            // What Python compiled of pip when it ran.
+            Self::Pip => path.extension().is_some_and(|extension| extension == "pyc"),
+            Self::Deb => path.strip_prefix("root").is_ok_and(deb::is_of_system),
+            Self::Tarball => false,
+        };
+        is_cache_of_robots || is_of_others
     }
 
     /// Makes what a user has before.
@@ -83,12 +111,13 @@ impl Way {
         match self {
             Self::Pip => user(home.command(wheel::tools()?).args(["-m", "venv", "venv"])),
             Self::Deb => deb::prepare(&home.path().join("root")),
-            Self::Tarball => Ok(()),
+            Self::Cargo | Self::Tarball => Ok(()),
         }
     }
 
     fn install(self, release: &Release, home: &Home) -> anyhow::Result<()> {
         match self {
+            Self::Cargo => cargo_install_for_release(home.path()).map(drop),
             Self::Pip => {
                 let package = format!("downbeat-robotics=={}", release.version);
                 let mut pip = home.command(home.path().join("venv/bin/python"));
@@ -109,6 +138,7 @@ impl Way {
 
     fn program(self, release: &Release, home: &Home) -> PathBuf {
         match self {
+            Self::Cargo => home.path().join("installed/bin/downbeat"),
             Self::Pip => home.path().join("venv/bin/downbeat"),
             Self::Deb => home.path().join("root/usr/bin/downbeat"),
             Self::Tarball => home.path().join(release.name()).join("bin/downbeat"),
@@ -117,8 +147,12 @@ impl Way {
 
     fn remove(self, release: &Release, home: &Home) -> anyhow::Result<()> {
         match self {
+            Self::Cargo => {
+                let mut cargo = home.command("cargo");
+                user(cargo.args(["uninstall", "--quiet", "downbeat", "--root", "installed"]))
+            }
             Self::Pip => {
-                let pip = ["-m", "pip", "--quiet", "uninstall", "--yes", "downbeat-robotics"];
+                let pip = ["-m", "pip", "--quiet", "uninstall", "--yes", "downbeat-robotics", "numpy"];
                 user(home.command(home.path().join("venv/bin/python")).args(pip))
             }
             Self::Deb => user(deb::dpkg(&home.path().join("root")).args(["--purge", "downbeat"])),
@@ -132,27 +166,4 @@ fn user(command: &mut Command) -> anyhow::Result<()> {
     let status = command.status().with_context(|| format!("cannot run {command:?}"))?;
     ensure!(status.success(), "{command:?} failed: {status}");
     Ok(())
-}
-
-struct File {
-    path: PathBuf,
-    size: u64,
-}
-
-fn size(files: &[File]) -> u64 {
-    files.iter().map(|file| file.size).sum()
-}
-
-/// All files below a folder.
-fn files(folder: &Path) -> anyhow::Result<Vec<File>> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
-        let entry = entry?;
-        let metadata = entry.metadata()?;
-        match metadata.is_dir() {
-            true => found.extend(files(&entry.path())?),
-            false => found.push(File { path: entry.path(), size: metadata.len() }),
-        }
-    }
-    Ok(found)
 }

@@ -4,7 +4,7 @@
 //! The same commit is to give the same bytes, wherever the checkout is: times are those of the commit,
 //! archives are sorted, and paths of this machine are replaced.
 
-mod cross;
+pub(crate) mod cross;
 mod from_nothing;
 mod program;
 mod release;
@@ -56,6 +56,12 @@ pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
     }
     sum(&release.out)?;
     print(&files)
+}
+
+/// Builds the program of a release and returns its path.
+pub(crate) fn program(target: Target) -> anyhow::Result<PathBuf> {
+    let release = Release::new(target, None)?;
+    Ok(program::build(&release)?.folder.join("bin/downbeat"))
 }
 
 /// Writes SHA256SUMS for all files of the folder.

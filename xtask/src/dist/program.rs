@@ -5,8 +5,8 @@ use std::process::Command;
 
 use anyhow::Context;
 
-use super::release::{FEATURES, Release, cargo_home, fresh};
-use crate::crates::{self, Crates};
+use super::release::{FEATURES, Release, fresh};
+use crate::crates::{self, Crates, cargo_home};
 use crate::notices;
 use crate::packaging::debian::{self, About};
 use crate::packaging::{arrange, copy, write};

@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::Context;
 
 use super::cross::{self, Target};
-use crate::crates;
+use crate::crates::{self, cargo_home};
 use crate::steps::{output_of, workspace};
 
 /// The features of the program and the wheel beside the default ones: all but `rustdds`, a second DDS engine
@@ -67,14 +67,6 @@ impl Release {
         command.env("SOURCE_DATE_EPOCH", self.time.to_string()).env("CARGO_INCREMENTAL", "0");
         command.env("CARGO_TARGET_DIR", workspace().join("target"));
         Ok(command.envs(cross::environment(self.target)?))
-    }
-}
-
-/// The folder in which cargo keeps the sources of crates.
-pub(super) fn cargo_home() -> anyhow::Result<PathBuf> {
-    match std::env::var_os("CARGO_HOME") {
-        Some(home) => Ok(home.into()),
-        None => Ok(std::env::home_dir().context("neither CARGO_HOME nor HOME is set")?.join(".cargo")),
     }
 }
 

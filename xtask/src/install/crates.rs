@@ -12,8 +12,8 @@ use crate::steps::workspace;
 /// Packages the crates, installs the program from the packages, runs the robot that it carries, and builds
 /// and runs a project that it makes. Nothing of the checkout is used but the packages.
 pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
-    let cargo = Cargo::new()?;
-    let program = cargo.install()?;
+    let cargo = Cargo::new(&workspace().join("target/install"))?;
+    let program = cargo.install(&workspace().join("target/install/installed"), &["--debug"])?;
     let home = Home::new()?;
     let arrival = Arrival::of(&program, &home)?;
     println!(
@@ -45,6 +45,12 @@ pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
     Ok(program)
 }
 
+/// Installs the program as a user does, for release, from nothing but the packages, below a folder. Returns
+/// its path.
+pub(crate) fn cargo_install_for_release(folder: &Path) -> anyhow::Result<PathBuf> {
+    Cargo::new(folder)?.install(&folder.join("installed"), &[])
+}
+
 /// Cargo as a machine without this checkout has it, with a registry of our packages in place of crates.io.
 struct Cargo {
     home: PathBuf,
@@ -52,10 +58,9 @@ struct Cargo {
 }
 
 impl Cargo {
-    /// What was compiled from other packages than the present ones is removed: for cargo, packages of a
-    /// registry never change.
-    fn new() -> anyhow::Result<Self> {
-        let folder = workspace().join("target/install");
+    /// All its files are below the folder. What was compiled from other packages than the present ones is
+    /// removed: for cargo, packages of a registry never change.
+    fn new(folder: &Path) -> anyhow::Result<Self> {
         let (home, build, registry) = (folder.join("cargo"), folder.join("build"), folder.join("registry"));
         let checksums = registry::write(&registry, &registry::package()?)?;
         let known = folder.join("packages.sha256");
@@ -93,12 +98,10 @@ impl Cargo {
         Ok(())
     }
 
-    /// Installs the program, for development: the release build of the same packages takes minutes more.
-    fn install(&self) -> anyhow::Result<PathBuf> {
+    fn install(&self, installed: &Path, options: &[&str]) -> anyhow::Result<PathBuf> {
         let home = Home::new()?;
-        let installed = workspace().join("target/install/installed");
         let mut command = home.command(env!("CARGO"));
-        command.args(["install", "downbeat", "--debug", "--force", "--root"]).arg(&installed);
+        command.args(["install", "downbeat", "--force"]).args(options).arg("--root").arg(installed);
         self.run(&mut command)?;
         Ok(installed.join("bin/downbeat"))
     }

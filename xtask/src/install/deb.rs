@@ -1,12 +1,13 @@
 //! The Debian package, installed into an empty root.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 
 use super::{Arrival, Home};
+use crate::files;
 use crate::packaging::arrange;
 use crate::packaging::debian::{self, About};
 use crate::steps::{run, workspace};
@@ -44,14 +45,16 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
     println!("from the Debian package: first joint state after {} ms", arrival.first_joint_state.as_millis());
     run(dpkg(&root).args(["--purge", "downbeat"]))?;
     // The user of the service, which systemd's tools put into the root, is removed on a running system only.
-    let is_of_system = |path: &PathBuf| {
-        let accounts = ["etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock"];
-        path.starts_with("var/lib/dpkg")
-            || accounts.iter().any(|known| path.to_string_lossy().starts_with(known))
-    };
-    let left: Vec<_> = files(&root)?.into_iter().filter(|path| !is_of_system(path)).collect();
+    let left: Vec<_> = files::below(&root)?.into_iter().map(|file| file.path).collect();
+    let left: Vec<_> = left.iter().filter(|path| !is_of_system(path)).collect();
     ensure!(left.is_empty(), "after the package was purged, these are left: {left:?}");
     Ok(())
+}
+
+/// True for a file in a root that dpkg and the tools for accounts keep, whatever is installed.
+pub(crate) fn is_of_system(path: &Path) -> bool {
+    let accounts = ["etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock"];
+    path.starts_with("var/lib/dpkg") || accounts.iter().any(|known| path.to_string_lossy().starts_with(known))
 }
 
 /// Makes an empty root for [`dpkg`].
@@ -80,13 +83,4 @@ fn architecture() -> anyhow::Result<&'static str> {
         "aarch64" => Ok("arm64"),
         other => anyhow::bail!("no name of Debian is known for {other}"),
     }
-}
-
-/// All files below a folder, relative to it.
-fn files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let output =
-        Command::new("find").args([".", "!", "-type", "d", "-printf", "%P\\n"]).current_dir(folder).output();
-    let output = output.context("cannot run find")?;
-    ensure!(output.status.success(), "find: {}", String::from_utf8_lossy(&output.stderr));
-    Ok(String::from_utf8(output.stdout)?.lines().map(Into::into).collect())
 }

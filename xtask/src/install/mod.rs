@@ -6,5 +6,5 @@ pub(crate) mod deb;
 mod registry;
 
 pub(crate) use arrival::{Arrival, Home};
-pub(crate) use crates::cargo_install;
+pub(crate) use crates::{cargo_install, cargo_install_for_release};
 pub(crate) use deb::debian_package;

@@ -13,7 +13,7 @@ use anyhow::{Context, bail, ensure};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 
-use crate::crates::checksums;
+use crate::crates::{cargo_home, checksums};
 use crate::steps::{run, workspace};
 
 /// Packages everything that is published and returns the packages by their names.
@@ -139,9 +139,7 @@ fn metadata(arguments: &[&str]) -> anyhow::Result<Value> {
 
 /// The packages that cargo has downloaded, by the names of their files.
 fn downloaded() -> anyhow::Result<BTreeMap<String, PathBuf>> {
-    let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
-    let home = home.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")));
-    let cache = home.context("neither CARGO_HOME nor HOME is set")?.join("registry/cache");
+    let cache = cargo_home()?.join("registry/cache");
     let mut found = BTreeMap::new();
     for registry in fs::read_dir(&cache).with_context(|| cache.display().to_string())? {
         for file in fs::read_dir(registry?.path())? {

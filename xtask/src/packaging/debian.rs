@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, ensure};
 
 use super::{copy, write};
+use crate::files;
 use crate::steps::{run, workspace};
 
 /// What the package says of itself.
@@ -74,7 +75,7 @@ fn control(root: &Path, about: &About<'_>) -> anyhow::Result<()> {
     let values = [
         ("@VERSION@", about.version.to_owned()),
         ("@ARCHITECTURE@", about.architecture.to_owned()),
-        ("@SIZE@", (size(root)? / 1024).to_string()),
+        ("@SIZE@", (files::size(&files::below(root)?) / 1024).to_string()),
         ("@HOMEPAGE@", homepage()?),
     ];
     let text = values.iter().fold(text, |text, (name, value)| text.replace(name, value));
@@ -147,16 +148,6 @@ fn compressed(content: &[u8]) -> anyhow::Result<Vec<u8>> {
         writes.join().map_err(|_| anyhow::anyhow!("gzip"))??;
         Ok(output.stdout)
     })
-}
-
-/// Bytes of all files below a folder.
-fn size(folder: &Path) -> anyhow::Result<u64> {
-    let mut sum = 0;
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        sum += if path.is_dir() { size(&path)? } else { path.metadata()?.len() };
-    }
-    Ok(sum)
 }
 
 /// The modes that Debian expects, whatever the user's mask is.

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use downbeat::executor::log::{info, warn_every};
 use downbeat::executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
+use downbeat::libm;
 use downbeat::msgs::geometry_msgs::msg::Twist;
 use downbeat::msgs::nav_msgs::msg::Odometry;
 
@@ -60,7 +61,7 @@ impl Module for Patrol {
 impl Patrol {
     fn measure(&mut self, odometry: Received<'_, Odometry>, _: &mut Context<'_, Ports>) {
         let (position, q) = (&odometry.pose.pose.position, &odometry.pose.pose.orientation);
-        self.pose = Some(Pose { x: position.x, y: position.y, heading: 2.0 * q.z.atan2(q.w) });
+        self.pose = Some(Pose { x: position.x, y: position.y, heading: 2.0 * libm::atan2(q.z, q.w) });
     }
 
     fn pass_on(&mut self, command: Received<'_, Twist>, ctx: &mut Context<'_, Ports>) {
@@ -79,9 +80,10 @@ impl Patrol {
             return warn_every!(ctx, Duration::from_secs(5), "no odometry: do the wheels answer?");
         };
         let corner = *self.corner.get_or_insert(pose);
-        let (driven, turned) = ((pose.x - corner.x).hypot(pose.y - corner.y), pose.heading - corner.heading);
+        let driven = libm::hypot(pose.x - corner.x, pose.y - corner.y);
+        let turned = pose.heading - corner.heading;
         // The heading jumps from pi to -pi.
-        let turned = turned.sin().atan2(turned.cos());
+        let turned = libm::atan2(libm::sin(turned), libm::cos(turned));
         let mut command = Twist::default();
         if turned >= FRAC_PI_2 - 0.05 {
             self.corners += 1;
@@ -106,7 +108,7 @@ mod tests {
     fn at(x: f64, heading: f64) -> Odometry {
         let mut odometry = Odometry::default();
         odometry.pose.pose.position.x = x;
-        (odometry.pose.pose.orientation.z, odometry.pose.pose.orientation.w) = (heading / 2.0).sin_cos();
+        (odometry.pose.pose.orientation.z, odometry.pose.pose.orientation.w) = libm::sincos(heading / 2.0);
         odometry
     }
 

@@ -1,0 +1,95 @@
+//! `cargo xtask aarch64`: what is claimed of the processor of a Raspberry Pi, under qemu on this machine.
+//! Nothing is timed.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, ensure};
+use serde_json::Value;
+
+use crate::dist::cross::{Target, environment};
+use crate::dist::program;
+use crate::steps::{Steps, output_of, run, workspace};
+
+const WALK: [&str; 2] =
+    ["bags/recordings/darwin_op_walk_simulated.toml", "bags/recordings/darwin_op_walk_simulated"];
+const MATCH: &str = "robots/match.toml";
+/// The simulated length of a match.
+const LENGTH: &str = "20s";
+
+/// Runs the tests of what everything stands on, and replays on each processor what the other one recorded.
+pub(crate) fn aarch64() -> anyhow::Result<()> {
+    ensure!(
+        test_machine::has_program("qemu-aarch64-static"),
+        "qemu-aarch64-static is missing; on Debian: apt install qemu-user-static libc6:arm64"
+    );
+    let mut steps = Steps::default();
+    steps.step("tests of executor, messages, bags and the RTPS engine", tests);
+    let mut programs = Vec::new();
+    steps.step("programs for both processors", || {
+        for target in [Target::X86_64, Target::Aarch64] {
+            programs.push(Machine { target, program: program(target)? });
+        }
+        Ok(())
+    });
+    if let [x86_64, aarch64] = programs.as_slice() {
+        steps.step("the recorded walk, on aarch64", || {
+            // The bag lacks what its robot file does not record.
+            let except = ["--except", "ground_truth/*", "simulation", "simulator/**"];
+            aarch64.replays(Path::new(WALK[0]), Path::new(WALK[1]), &except)
+        });
+        for (records, replays) in [(x86_64, aarch64), (aarch64, x86_64)] {
+            let name = format!("a match recorded on {}, on {}", records.target, replays.target);
+            steps.step(&name, || {
+                let folder = tempfile::tempdir()?;
+                let bag = folder.path().join("match");
+                records.records(&bag)?;
+                replays.replays(Path::new(MATCH), &bag, &["--simulators"])
+            });
+        }
+    }
+    steps.finish()
+}
+
+fn tests() -> anyhow::Result<()> {
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args(["test", "--no-fail-fast", "--lib", "--tests", "--target", Target::Aarch64.triple()]);
+    cargo.args(["executor", "msgs", "bags", "rtps"].map(|name| format!("--package=downbeat-{name}")));
+    cargo.envs(environment(Target::Aarch64)?).env_remove("DOWNBEAT_STRICT");
+    cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER", "qemu-aarch64-static -L /");
+    // The emulator is slow enough with code that is optimised.
+    cargo.env("CARGO_PROFILE_DEV_OPT_LEVEL", "1").env("CARGO_PROFILE_DEV_DEBUG", "false");
+    cargo.env("CARGO_TARGET_DIR", workspace().join("target/aarch64")).env("CARGO_INCREMENTAL", "0");
+    run(&mut cargo)
+}
+
+/// A processor with the program of a release for it.
+struct Machine {
+    target: Target,
+    program: PathBuf,
+}
+
+impl Machine {
+    fn command(&self) -> Command {
+        let mut command = self.target.runs(&self.program);
+        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        command
+    }
+
+    fn records(&self, bag: &Path) -> anyhow::Result<()> {
+        run(self.command().args(["match", MATCH, "--fast", "--duration", LENGTH, "--record"]).arg(bag))
+    }
+
+    /// Replays a bag: no message may be different.
+    fn replays(&self, robot: &Path, bag: &Path, options: &[&str]) -> anyhow::Result<()> {
+        let mut replay = self.command();
+        replay.args(["bag", "replay"]).args([robot, bag]).args(["--strict", "--json"]).args(options);
+        let printed = output_of(&mut replay)?;
+        let report = printed.find('{').map_or("", |start| &printed[start..]);
+        let report: Value = serde_json::from_str(report).context("the replay has no report")?;
+        let (compared, different) = (&report["compared"], &report["different"]);
+        println!("{different} of {compared} messages are different");
+        ensure!(*different == 0 && compared.as_u64() > Some(0), "{report:#}");
+        Ok(())
+    }
+}
