@@ -17,7 +17,8 @@ const MATURIN: &str = "maturin==1.16.0";
 /// The package needs it, and so does writing the stubs.
 const NUMPY: &str = "numpy>=1.24";
 /// The platform of a checkout's wheel.
-const HERE: &str = "x86_64-unknown-linux-gnu";
+const HERE: &str =
+    if cfg!(target_arch = "aarch64") { "aarch64-unknown-linux-gnu" } else { "x86_64-unknown-linux-gnu" };
 
 /// How a wheel is compiled.
 pub(crate) struct Build<'a> {
