@@ -11,11 +11,13 @@ use crate::dist::cross::{Target, environment};
 use crate::dist::program;
 use crate::steps::{Steps, output_of, run, workspace};
 
-const WALK: [&str; 2] =
-    ["bags/recordings/darwin_op_walk_simulated.toml", "bags/recordings/darwin_op_walk_simulated"];
+/// A bag and, beside it, its robot file.
+const WALK: &str = "bags/recordings/darwin_op_walk_simulated";
 const MATCH: &str = "robots/match.toml";
+/// A match that begins soon, so that it has shots and falls.
+const SOON: [&str; 2] = ["-p", "match.ready_s:=5"];
 /// The simulated length of a match.
-const LENGTH: &str = "20s";
+const LENGTH: &str = "40s";
 
 /// Runs the tests of what everything stands on, and replays on each processor what the other one recorded.
 pub(crate) fn aarch64() -> anyhow::Result<()> {
@@ -36,7 +38,7 @@ pub(crate) fn aarch64() -> anyhow::Result<()> {
         steps.step("the recorded walk, on aarch64", || {
             // The bag lacks what its robot file does not record.
             let except = ["--except", "ground_truth/*", "simulation", "simulator/**"];
-            aarch64.replays(Path::new(WALK[0]), Path::new(WALK[1]), &except)
+            aarch64.replays(&Path::new(WALK).with_extension("toml"), Path::new(WALK), &except)
         });
         for (records, replays) in [(x86_64, aarch64), (aarch64, x86_64)] {
             let name = format!("a match recorded on {}, on {}", records.target, replays.target);
@@ -44,7 +46,8 @@ pub(crate) fn aarch64() -> anyhow::Result<()> {
                 let folder = tempfile::tempdir()?;
                 let bag = folder.path().join("match");
                 records.records(&bag)?;
-                replays.replays(Path::new(MATCH), &bag, &["--simulators"])
+                let again = [&["--simulators"], SOON.as_slice()].concat();
+                replays.replays(Path::new(MATCH), &bag, &again)
             });
         }
     }
@@ -77,7 +80,9 @@ impl Machine {
     }
 
     fn records(&self, bag: &Path) -> anyhow::Result<()> {
-        run(self.command().args(["match", MATCH, "--fast", "--duration", LENGTH, "--record"]).arg(bag))
+        let mut plays = self.command();
+        plays.args(["match", MATCH, "--fast", "--duration", LENGTH]).args(SOON);
+        run(plays.arg("--record").arg(bag))
     }
 
     /// Replays a bag: no message may be different.
