@@ -2,6 +2,7 @@
 
 mod audit;
 mod bags;
+mod book;
 mod budget;
 mod crates;
 mod dist;
@@ -49,6 +50,10 @@ enum Command {
         #[arg(long, value_name = "FOLDER")]
         db: Option<std::path::PathBuf>,
     },
+    /// README.md and docs/ as a site with search, and the documentation of the crates, under
+    /// target/book/html.
+    /// Fails if a link leads nowhere.
+    Book,
     /// What a default build costs: its crates, and the code of ours as the tests compile it. Part of the test
     /// run, which fails if it is more than 10 % above the recorded numbers.
     Budget {
@@ -122,6 +127,7 @@ fn main() -> ExitCode {
         Command::Test => test::test(),
         Command::Tidy => tidy::tidy(),
         Command::Audit { db } => audit::audit(db.as_deref()),
+        Command::Book => book::book(),
         Command::Budget { record: false } => budget::check(test::ALL),
         Command::Budget { record: true } => budget::record(test::ALL),
         Command::Skips => skips::print_latest(),
