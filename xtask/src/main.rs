@@ -1,7 +1,9 @@
 //! Developer commands. `cargo xtask test` runs all checks that a change must pass.
 
 mod aarch64;
+mod audit;
 mod bags;
+mod book;
 mod budget;
 mod crates;
 mod dist;
@@ -9,10 +11,12 @@ mod files;
 mod fleet;
 mod football;
 mod install;
+mod markdown;
 mod matrix;
 mod node;
 mod notices;
 mod packaging;
+mod paths;
 mod physics;
 mod python;
 mod security;
@@ -41,6 +45,17 @@ enum Command {
     Test,
     /// The rules of the layout: what may use what, links, the code map. Part of the test run.
     Tidy,
+    /// What other people's crates permit (licences), versions that are there twice, and where they come from,
+    /// which is part of the test run; and known vulnerabilities and yanked versions.
+    Audit {
+        /// A clone of the RustSec advisory database. Without one, it is downloaded.
+        #[arg(long, value_name = "FOLDER")]
+        db: Option<std::path::PathBuf>,
+    },
+    /// README.md and docs/ as a site with search, and the documentation of the crates, under
+    /// target/book/html.
+    /// Fails if a link leads nowhere.
+    Book,
     /// What a default build costs: its crates, and the code of ours as the tests compile it. Part of the test
     /// run, which fails if it is more than 10 % above the recorded numbers.
     Budget {
@@ -116,6 +131,8 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Test => test::test(),
         Command::Tidy => tidy::tidy(),
+        Command::Audit { db } => audit::audit(db.as_deref()),
+        Command::Book => book::book(),
         Command::Budget { record: false } => budget::check(test::ALL),
         Command::Budget { record: true } => budget::record(test::ALL),
         Command::Skips => skips::print_latest(),

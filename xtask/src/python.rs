@@ -25,7 +25,8 @@ pub(crate) fn kilted_interpreter() -> anyhow::Result<PathBuf> {
 }
 
 /// Creates an environment of tools, in a folder of the workspace, if it is missing, and returns the path of
-/// its interpreter. It needs none of ROS 2, and any Python that the wheel supports.
+/// its interpreter. It needs none of ROS 2, and any Python that the wheel supports. `packages` are lines of a
+/// requirements file.
 pub(crate) fn tools(folder: &str, packages: &[&str]) -> anyhow::Result<PathBuf> {
     let venv = workspace().join(folder);
     let interpreter = venv.join("bin/python");
@@ -36,11 +37,16 @@ pub(crate) fn tools(folder: &str, packages: &[&str]) -> anyhow::Result<PathBuf> 
     }
     let candidates = ["python3", "python3.13", "python3.12", "python3.11", "python"];
     let Some(python) = candidates.into_iter().find(|candidate| version_of(candidate) >= Some(OLDEST)) else {
-        bail!("the Python package needs Python 3.11 or later, and none of {} is one", candidates.join(", "));
+        bail!("{} needs Python 3.11 or later, and none of {} is one", venv.display(), candidates.join(", "));
     };
-    eprintln!("xtask: installing {} into {}", packages.join(" and "), venv.display());
+    let names: Vec<&str> = packages.iter().filter_map(|package| package.split(' ').next()).collect();
+    eprintln!("xtask: installing {} into {}", names.join(" and "), venv.display());
     run(Command::new(python).args(["-m", "venv", "--clear"]).arg(&venv))?;
-    run(Command::new(&interpreter).args(["-m", "pip", "install", "--quiet"]).args(packages))?;
+    // Only a file may have hashes.
+    let requirements = venv.join("requirements.txt");
+    std::fs::write(&requirements, &wanted).with_context(|| requirements.display().to_string())?;
+    let pip = ["-m", "pip", "install", "--quiet", "--requirement"];
+    run(Command::new(&interpreter).args(pip).arg(&requirements))?;
     std::fs::write(&installed, wanted).with_context(|| installed.display().to_string())?;
     Ok(interpreter)
 }

@@ -1,5 +1,6 @@
 //! The list of the tests that a run skipped.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -21,6 +22,18 @@ impl Run {
     /// The environment variable that lets the tests of a command append to this list.
     pub(crate) fn variable(&self) -> (&'static str, &PathBuf) {
         (test_machine::LIST, &self.file)
+    }
+
+    /// Lists a step that is skipped for a reason.
+    ///
+    /// # Errors
+    /// In a strict run, which skips nothing.
+    pub(crate) fn missing(&self, step: &str, reason: &str) -> anyhow::Result<()> {
+        anyhow::ensure!(!test_machine::is_strict(), "{reason}");
+        eprintln!("skipped: {step}: {reason}");
+        let mut list = std::fs::File::options().append(true).open(&self.file)?;
+        writeln!(list, "{}\t{step}", reason.replace(['\n', '\t'], " "))
+            .with_context(|| self.file.display().to_string())
     }
 
     pub(crate) fn print(&self) -> anyhow::Result<()> {

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::matrix::Notes;
 use crate::steps::{Steps, run, run_and_repeat, workspace};
-use crate::{budget, install, node, python, skips, tidy, wheel};
+use crate::{audit, budget, install, node, python, skips, tidy, wheel};
 
 /// The steps of new users, which the tests of pages and templates write down.
 struct FirstHour(PathBuf);
@@ -68,6 +68,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     let mut steps = Steps::default();
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     steps.step("the layout", tidy::tidy);
+    steps.step("licences, versions and origins of crates", || audit::in_test_run(&skips));
     steps.step("clippy", || {
         let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
         let others = "downbeat/sqlite,benches/zenoh,benches-ros2/security,benches-ros2/zenoh";

@@ -1,5 +1,6 @@
 //! The packages of the workspace and what they depend on, as Cargo sees them.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -20,6 +21,8 @@ pub(super) struct Package {
     pub(super) roots: Vec<PathBuf>,
     /// The packages of the workspace that it is built with; tests may use more.
     uses: Vec<String>,
+    /// Features that docs.rs is told to enable and that it does not have.
+    undocumented: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -33,6 +36,8 @@ struct Described {
     manifest_path: PathBuf,
     targets: Vec<Target>,
     dependencies: Vec<Dependency>,
+    features: BTreeMap<String, Vec<String>>,
+    metadata: serde_json::Value,
 }
 
 #[derive(Deserialize)]
@@ -65,6 +70,18 @@ impl Workspace {
         Ok(Self { packages: packages.into_iter().map(Package::from).collect() })
     }
 
+    /// Features for docs.rs that no package has: its build would fail, after the release.
+    pub(super) fn unknown_features(&self) -> Problems {
+        let unknown = |package: &Package| {
+            let Package { name, undocumented, .. } = package;
+            let problem = |feature| {
+                format!("{name}: docs.rs is to enable its feature {feature}, which it does not have")
+            };
+            undocumented.iter().map(problem).collect::<Problems>()
+        };
+        self.packages.iter().flat_map(unknown).collect()
+    }
+
     /// Dependencies that `allowed` does not list: for each package those that it may use.
     pub(super) fn arrows_between_packages(&self, allowed: &[(&str, &[&str])]) -> Problems {
         let mut problems = Problems::new();
@@ -89,7 +106,9 @@ impl Workspace {
 
 impl From<Described> for Package {
     fn from(described: Described) -> Self {
-        let Described { name, manifest_path, targets, dependencies } = described;
+        let Described { name, manifest_path, targets, dependencies, features, metadata } = described;
+        let for_docs = metadata["docs"]["rs"]["features"].as_array().into_iter().flatten();
+        let for_docs = for_docs.filter_map(|feature| feature.as_str());
         let is_product = |target: &Target| {
             target.kind.iter().any(|kind| matches!(kind.as_str(), "lib" | "bin" | "cdylib" | "proc-macro"))
         };
@@ -99,6 +118,10 @@ impl From<Described> for Package {
             name,
             folder: manifest_path.parent().unwrap_or(Path::new("")).to_owned(),
             roots: targets.into_iter().filter(is_product).map(|target| target.src_path).collect(),
+            undocumented: for_docs
+                .filter(|feature| !features.contains_key(*feature))
+                .map(str::to_owned)
+                .collect(),
             uses: dependencies.into_iter().filter(used).map(|dependency| dependency.name).collect(),
         }
     }
@@ -110,11 +133,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_dependency_that_is_not_listed_is_a_problem_and_one_of_tests_is_not() {
+    fn dependencies_that_are_not_listed_and_features_that_are_missing_are_problems() {
         let dependency = |name: &str, kind: Option<&str>| serde_json::json!({"name": name, "kind": kind, "path": format!("/{name}")});
         let package = |name: &str, dependencies: Vec<serde_json::Value>| {
             serde_json::json!({
                 "name": name, "manifest_path": format!("/{name}/Cargo.toml"), "targets": [], "dependencies": dependencies,
+                "features": {"can": []}, "metadata": {"docs": {"rs": {"features": ["can", name]}}},
             })
         };
         let metadata = serde_json::json!({"packages": [
@@ -129,5 +153,8 @@ mod tests {
         assert!(problems[0].starts_with("engine: depends on robot"), "{problems:?}");
         assert!(problems[1].starts_with("robot: the list"), "{problems:?}");
         assert!(problems[2].starts_with("old: "), "{problems:?}");
+        let features = workspace.unknown_features();
+        assert_eq!(features.len(), 3, "{features:?}");
+        assert!(features[1].contains("its feature wire,"), "{features:?}");
     }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::Problems;
+use crate::markdown::{Link, anchors, links};
 
 pub(super) fn problems(root: &Path) -> anyhow::Result<Problems> {
     let read =
@@ -15,9 +16,9 @@ pub(super) fn problems(root: &Path) -> anyhow::Result<Problems> {
     for page in &pages {
         let name = page.strip_prefix(root).unwrap_or(page).display().to_string();
         let text = read(&name)?;
-        for (link, line) in links(&text) {
-            if !page.with_file_name(link).exists() {
-                problems.push(format!("{name}:{line}: the link {link} leads nowhere"));
+        for link in links(&text) {
+            if let Err(reason) = follow(page, &text, &link) {
+                problems.push(format!("{name}:{}: the link {} {reason}", link.line, &text[link.place]));
             }
         }
     }
@@ -62,25 +63,19 @@ fn without_purpose(manifest: &str) -> Problems {
     problems
 }
 
-/// Relative links of a page with their lines, without what follows `#`. Code is left out.
-fn links(text: &str) -> Vec<(&str, usize)> {
-    let mut found = Vec::new();
-    let mut is_code = false;
-    for (line, number) in text.lines().zip(1..) {
-        if line.trim_start().starts_with("```") {
-            is_code = !is_code;
-        }
-        if is_code {
-            continue;
-        }
-        for after in line.split("](").skip(1) {
-            let link = after.split([')', '#']).next().unwrap_or_default();
-            if !link.is_empty() && !link.contains("://") && !link.starts_with("mailto:") {
-                found.push((link, number));
-            }
-        }
+/// Whether a link of a page leads to a file or folder, and to a heading of it.
+fn follow(page: &Path, text: &str, link: &Link) -> Result<(), &'static str> {
+    let target = if link.path.is_empty() { page.to_owned() } else { page.with_file_name(link.path) };
+    if !target.exists() {
+        return Err("leads nowhere");
     }
-    found
+    let Some(anchor) = link.anchor else { return Ok(()) };
+    let headings = if link.path.is_empty() {
+        anchors(text)
+    } else {
+        anchors(&std::fs::read_to_string(&target).map_err(|_| "names a heading of what is no page")?)
+    };
+    if headings.iter().any(|heading| heading == anchor) { Ok(()) } else { Err("names no heading there") }
 }
 
 /// The pages of the project.
@@ -105,13 +100,22 @@ fn is_left_out(folder: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use super::*;
 
     #[test]
-    fn relative_links_outside_of_code_are_found() {
-        let text =
-            "See [a](docs/a.md#part), [b](https://b.org) and [c](#here).\n```\n[d](d.md)\n```\n[e](../e.md)";
-        assert_eq!(links(text), [("docs/a.md", 1), ("../e.md", 5)]);
+    fn a_link_leads_to_a_file_and_its_heading() {
+        let folder = tempfile::tempdir().unwrap();
+        let page = folder.path().join("page.md");
+        std::fs::write(folder.path().join("other.md"), "# Other\n## A part\n").unwrap();
+        let problems = |text: &str| -> Vec<_> {
+            links(text).iter().filter_map(|link| follow(&page, text, link).err()).collect()
+        };
+        std::fs::write(&page, "").unwrap();
+        assert!(problems("# Here\n[a](other.md) [b](other.md#a-part) [c](#here) [d](.)\n").is_empty());
+        assert_eq!(problems("[a](gone.md)\n"), ["leads nowhere"]);
+        assert_eq!(problems("[a](other.md#gone) [b](#gone)\n"), ["names no heading there"; 2]);
+        assert_eq!(problems("[a](.#part)\n"), ["names a heading of what is no page"]);
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! Lines of source files: included files, the width of comments, and `unsafe` without its reason.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
 use super::Problems;
 use super::packages::Package;
 use super::safety;
+use crate::paths::normal;
 
 /// The width of comments, as rustfmt has it for code.
 const WIDTH: usize = 110;
@@ -33,6 +34,9 @@ pub(super) fn problems(root: &Path, package: &Package) -> anyhow::Result<Problem
             is_code ^= line.trim_start().trim_start_matches(['/', '!']).trim_start().starts_with("```");
             if !is_code && is_wide_comment(line) {
                 problems.push(format!("{}: a comment wider than {WIDTH} columns", at()));
+            }
+            if let Some(path) = (!is_code).then(|| linked_file(line)).flatten() {
+                problems.push(format!("{}: a link to {path}, which docs.rs does not have", at()));
             }
             let outside = included(line)
                 .filter(|path| !normal(&file.with_file_name(path)).starts_with(&package.folder));
@@ -68,27 +72,36 @@ fn is_wide_comment(line: &str) -> bool {
     is_comment && !cannot_break && line.chars().count() > WIDTH
 }
 
+/// The file that a documentation comment links to by its path. Paths of Rust have `::`.
+fn linked_file(line: &str) -> Option<&str> {
+    let comment = line.trim_start();
+    let text = comment.strip_prefix("///").or_else(|| comment.strip_prefix("//!"))?;
+    let targets = text.split("](").skip(1).filter_map(|after| after.split(')').next());
+    let is_path = |target: &&str| !target.contains("://") && target.contains(['/', '.']);
+    targets.filter(is_path).find(|target| !target.contains("::"))
+}
+
 /// The path in an `include_str!` or `include_bytes!`.
 fn included(line: &str) -> Option<&str> {
     let (_, after) = line.split_once("include_str!(").or_else(|| line.split_once("include_bytes!("))?;
     after.trim_start().strip_prefix('"')?.split('"').next()
 }
 
-/// Without `..`.
-fn normal(path: &Path) -> PathBuf {
-    let mut normal = PathBuf::new();
-    for component in path.components() {
-        match component {
-            Component::ParentDir => drop(normal.pop()),
-            other => normal.push(other),
-        }
-    }
-    normal
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn links_to_files_in_documentation_are_found() {
+        assert_eq!(
+            linked_file("    /// See [a](crate::a), [b](https://b.org) and [c](../c.md)."),
+            Some("../c.md")
+        );
+        assert_eq!(linked_file("//! See [the page](docs/log.md)."), Some("docs/log.md"));
+        for line in ["/// [a](Self::b)", "// [a](b/c.md) of no reader", "let a = \"[a](b/c.md)\";"] {
+            assert_eq!(linked_file(line), None, "{line}");
+        }
+    }
 
     #[test]
     fn included_files_and_wide_comments_are_found() {
