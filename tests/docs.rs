@@ -19,13 +19,14 @@ use downbeat::modules::humanoid::Humanoid;
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 23] = [
+const PAGES: [&str; 24] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
     "docs/darwin_op.md",
     "docs/football.md",
     "docs/foxglove.md",
+    "docs/install.md",
     "docs/libraries.md",
     "docs/log.md",
     "docs/ros2_commands.md",
@@ -46,7 +47,7 @@ const PAGES: [&str; 23] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 26] = [
+const ELSEWHERE: [&str; 36] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
@@ -67,6 +68,16 @@ const ELSEWHERE: [&str; 26] = [
     "cargo run --release --features mqtt", // docs/network.md is read with the feature
     "pip install",
     "cargo install", // cargo xtask crates
+    "colcon ",       // cargo xtask colcon, as the next four
+    "ros2 run downbeat ",
+    "ros2 launch ",
+    "git clone",
+    "mkdir -p ros_ws",
+    ". ",
+    "python3 -m venv",
+    "sha256sum ", // cargo xtask dist --test, as the next two
+    "tar ",
+    "export PATH",
     "apt install",
     "systemctl ",
     "journalctl ",

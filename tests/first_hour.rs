@@ -99,6 +99,14 @@ fn readme(heading: &str) -> Vec<String> {
     block.split("```").next().unwrap().lines().map(str::to_owned).collect()
 }
 
+/// The elements of a manifest of ROS, with their texts.
+fn package_xml(path: &Path) -> Vec<[String; 2]> {
+    let text = std::fs::read_to_string(path).unwrap().replace("<?xml-model", "<?other");
+    let package = roxmltree::Document::parse(&text).unwrap();
+    let elements = package.descendants().filter(roxmltree::Node::is_element);
+    elements.filter_map(|node| Some([node.tag_name().name(), node.text()?].map(str::to_owned))).collect()
+}
+
 #[test]
 fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
     let mut user = User::new("rust");
@@ -149,12 +157,19 @@ fn projects_compile_only_their_own_crates_and_work_as_the_readme_says() {
     assert!(compiled == ["my_msgs"] && text.contains("2 passed"), "{compiled:?}: {text}");
     let (text, _) = user.types("downbeat interface show my_msgs/msg/HeadTilt --from my_msgs");
     assert!(text.contains("is_at_limit"), "{text}");
-    let package = std::fs::read_to_string(user.folder.join("my_msgs/package.xml")).unwrap();
-    let package = package.replace("<?xml-model", "<?other");
-    let package = roxmltree::Document::parse(&package).unwrap();
-    let text =
-        |tag: &str| package.descendants().find(|node| node.has_tag_name(tag)).and_then(|node| node.text());
-    assert_eq!([text("name"), text("member_of_group")], [Some("my_msgs"), Some("rosidl_interface_packages")]);
+    let package = package_xml(&user.folder.join("my_msgs/package.xml"));
+    assert!(package.contains(&["name", "my_msgs"].map(str::to_owned)), "{package:?}");
+    let group = ["member_of_group", "rosidl_interface_packages"].map(str::to_owned);
+    assert!(package.contains(&group), "{package:?}");
+
+    // `cargo xtask colcon` builds it as a package of ROS.
+    user.begins("my_ros", "ros");
+    let (text, compiled) = user.types("cargo test --release");
+    assert!(compiled == ["my_ros"] && text.contains("2 passed"), "{compiled:?}: {text}");
+    let package = package_xml(&user.folder.join("package.xml"));
+    for line in [["name", "my_ros"], ["build_type", "ament_cargo"]] {
+        assert!(package.contains(&line.map(str::to_owned)), "{package:?}");
+    }
 
     user.begins("my_module", "module");
     let (text, compiled) = user.types("cargo test --release");

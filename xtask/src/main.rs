@@ -94,6 +94,9 @@ enum Command {
         #[arg(long)]
         program: Option<std::path::PathBuf>,
     },
+    /// A ROS workspace in a clean folder: colcon builds the checkout and a project of the template `ros`,
+    /// which are run, by launch files too, and removed. Part of the test run.
+    Colcon,
     /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features
     /// it shares what the first command of the README has compiled.
     Wheel {
@@ -145,6 +148,7 @@ fn main() -> ExitCode {
         Command::Deb { program } => program
             .map_or_else(install::cargo_install, Ok)
             .and_then(|program| install::debian_package(&program)),
+        Command::Colcon => install::ros_workspace(),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true, .. } => {
             skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))

@@ -110,6 +110,8 @@ pub(crate) enum Template {
     Messages,
     /// A library with a module, for several robots.
     Module,
+    /// The first one as a package of a ROS workspace, for colcon and ros2 launch.
+    Ros,
 }
 
 /// A path within the project, and its content.
@@ -225,6 +227,21 @@ const MODULE: &[File] = &[
     file!("src/level_head.rs", "robot/src/level_head.rs"),
 ];
 
+const ROS: &[File] = &[
+    file!("Cargo.toml", "ros/Cargo.toml.template"),
+    file!("package.xml", "ros/package.xml"),
+    file!("README.md", "ros/README.md"),
+    file!(".gitignore", "shared/gitignore"),
+    file!("rustfmt.toml", "shared/rustfmt.toml"), // `colcon test` checks the format
+    file!("launch/my_robot.launch.py", "ros/launch/my_robot.launch.py"),
+    file!("robot.toml", "robot/robot.toml"),
+    file!("src/main.rs", "robot/src/main.rs"),
+    file!("src/level_head.rs", "robot/src/level_head.rs"),
+    file!("src/simulated_imu.rs", "robot/src/simulated_imu.rs"),
+    file!("tests/field_run/metadata.yaml", "robot/tests/field_run/metadata.yaml"),
+    file!("tests/field_run/field_run_0.mcap", "robot/tests/field_run/field_run_0.mcap"),
+];
+
 impl Template {
     /// Its files.
     fn files(self) -> &'static [File] {
@@ -237,6 +254,7 @@ impl Template {
             Self::Cpp => CPP,
             Self::Messages => MESSAGES,
             Self::Module => MODULE,
+            Self::Ros => ROS,
         }
     }
 
@@ -248,7 +266,7 @@ impl Template {
     /// The first commands to run in the project.
     fn commands(self) -> &'static [&'static str] {
         match self {
-            Self::Robot | Self::Rover | Self::Arm => {
+            Self::Robot | Self::Rover | Self::Arm | Self::Ros => {
                 &["cargo run --release -- run robot.toml", "cargo test --release"]
             }
             Self::Camera | Self::Python => &["downbeat run robot.toml", "python -m pytest"],

@@ -4,9 +4,9 @@ use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 
 use crate::python;
 
@@ -35,7 +35,7 @@ impl Home {
     }
 }
 
-/// What `downbeat run darwin_op` did for a subscriber of rclpy that was there before.
+/// What a robot did for a subscriber of rclpy that was there before.
 #[derive(Debug)]
 pub(crate) struct Arrival {
     /// From the start of the program to the first joint state at the subscriber.
@@ -47,26 +47,33 @@ pub(crate) struct Arrival {
 impl Arrival {
     /// Runs the robot with an installed program.
     pub(crate) fn of(program: &Path, home: &Home) -> anyhow::Result<Self> {
+        Self::at("/joint_states", 20, home.command(program).args(["run", "darwin_op"]))
+    }
+
+    /// Runs a command that starts a robot, up to its first message on a topic of joint states, and interrupts
+    /// it.
+    pub(crate) fn at(topic: &str, joints: usize, robot: &mut Command) -> anyhow::Result<Self> {
         let domain = test_machine::free_domain().to_string();
         let variables = [("ROS_DOMAIN_ID", domain.as_str()), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")];
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/install/first_joint_state.py");
         let mut subscriber = Command::new(python::interpreter()?);
-        subscriber.arg(script).arg("60").envs(variables).stdout(Stdio::piped());
+        subscriber.arg(script).args(["60", topic]).envs(variables).stdout(Stdio::piped());
         let mut subscriber = Ended(subscriber.spawn().context("cannot run Python")?);
         let output = subscriber.0.stdout.take().context("the subscriber has no output")?;
         let mut lines = BufReader::new(output).lines();
         let mut next = || lines.next().context("the subscriber ended")?.context("its output");
         ensure!(next()? == "ready", "the subscriber is not ready");
         let start = SystemTime::now().duration_since(UNIX_EPOCH)?;
-        let mut robot = home.command(program);
-        robot.args(["run", "darwin_op"]).envs(variables).stdout(Stdio::null());
-        let robot = Ended(robot.spawn().with_context(|| program.display().to_string())?);
-        let line = next().context("`downbeat run darwin_op` sent no joint state to rclpy")?;
-        let (time, joints) = line.split_once(' ').context("the subscriber's line")?;
-        ensure!(joints == "20", "a joint state of {joints} joints");
+        robot.envs(variables).stdout(Stdio::null());
+        let mut running = Ended(robot.spawn().with_context(|| format!("cannot run {robot:?}"))?);
+        let line = next().with_context(|| format!("{robot:?} sent nothing on {topic} to rclpy"))?;
+        let (time, found) = line.split_once(' ').context("the subscriber's line")?;
+        ensure!(found.parse() == Ok(joints), "a joint state of {found} joints on {topic}");
         let first_joint_state = Duration::from_secs_f64(time.parse()?).saturating_sub(start);
         std::thread::sleep(Duration::from_secs(1));
-        Ok(Self { first_joint_state, memory: most_memory(robot.0.id())? })
+        let memory = most_memory(running.0.id())?;
+        running.interrupt().with_context(|| format!("{robot:?}, interrupted"))?;
+        Ok(Self { first_joint_state, memory })
     }
 }
 
@@ -81,6 +88,23 @@ fn most_memory(process: u32) -> anyhow::Result<u64> {
 
 /// A process that ends with this.
 struct Ended(Child);
+
+impl Ended {
+    /// Interrupts the process as Ctrl-C does, and waits until it ends.
+    fn interrupt(&mut self) -> anyhow::Result<()> {
+        let sent = Command::new("kill").args(["-INT", &self.0.id().to_string()]).status()?;
+        ensure!(sent.success(), "kill failed: {sent}");
+        let end = Instant::now() + Duration::from_secs(30);
+        loop {
+            match self.0.try_wait()? {
+                Some(status) if status.success() => return Ok(()),
+                Some(status) => bail!("it ended with {status}"),
+                None if Instant::now() > end => bail!("it runs on"),
+                None => std::thread::sleep(Duration::from_millis(20)),
+            }
+        }
+    }
+}
 
 impl Drop for Ended {
     fn drop(&mut self) {

@@ -1,4 +1,4 @@
-"""Prints "ready", then the time of the first joint state as Unix seconds and the number of its joints."""
+"""Prints "ready", then the time of the first joint state as Unix seconds and the number of its joints. Arguments: seconds, topic."""
 
 import sys
 import time
@@ -11,7 +11,7 @@ rclpy.init()
 node = rclpy.create_node("newcomer")
 first = []
 node.create_subscription(
-    JointState, "/joint_states", lambda message: first.append((time.time(), len(message.name))), qos_profile_sensor_data
+    JointState, sys.argv[2], lambda message: first.append((time.time(), len(message.name))), qos_profile_sensor_data
 )
 print("ready", flush=True)
 end = time.monotonic() + float(sys.argv[1])

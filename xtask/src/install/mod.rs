@@ -1,10 +1,12 @@
 //! The ways in which a user installs the program, each tried from nothing to joint states on rclpy.
 
 mod arrival;
+mod colcon;
 mod crates;
 pub(crate) mod deb;
 mod registry;
 
 pub(crate) use arrival::{Arrival, Home};
+pub(crate) use colcon::ros_workspace;
 pub(crate) use crates::{cargo_install, cargo_install_for_release};
 pub(crate) use deb::debian_package;

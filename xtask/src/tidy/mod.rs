@@ -3,6 +3,7 @@
 //! `layers.rs` holds the lists of what may use what.
 
 mod layers;
+mod lock;
 mod packages;
 mod pages;
 mod safety;
@@ -59,6 +60,7 @@ fn problems(root: &Path, workspace: &Workspace) -> anyhow::Result<Problems> {
     }
     problems.extend(layers::circles(&circles, &tied));
     problems.extend(pages::problems(root)?);
+    problems.extend(lock::problems(root)?);
     // The folders of some packages are in those of the root package.
     problems.sort();
     problems.dedup();

@@ -62,7 +62,13 @@ pub enum BuildError {
     #[error(
         "no package `{package}` with interfaces is installed: {}",
         if searched.is_empty() { "AMENT_PREFIX_PATH is not set, source the setup file of ROS 2 first".into() }
-        else { format!("searched `share` below {}", list(searched)) }
+        else {
+            format!(
+                "searched `share` below {}; source the setup file of the workspace that has it, or, if colcon builds both, \
+                 name it in a <depend> of package.xml",
+                list(searched)
+            )
+        }
     )]
     NotInstalled {
         /// The package.
