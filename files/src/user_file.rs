@@ -7,6 +7,7 @@ use std::fs::{File, Metadata};
 use std::io::{self, Read};
 use std::path::Path;
 
+use crate::FileKind;
 use crate::lines::line_of;
 
 /// The largest file that is read as a whole, in bytes.
@@ -76,31 +77,15 @@ pub fn read_text_within(path: impl AsRef<Path>, most: u64) -> io::Result<String>
 }
 
 fn require_regular(metadata: &Metadata) -> io::Result<()> {
-    if metadata.is_file() {
-        return Ok(());
-    }
-    let kind = if metadata.is_dir() { io::ErrorKind::IsADirectory } else { io::ErrorKind::InvalidInput };
-    Err(io::Error::new(kind, format!("it is {}, and only regular files are read", name_of(metadata))))
-}
-
-#[cfg(unix)]
-fn name_of(metadata: &Metadata) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    let kind = metadata.file_type();
-    if kind.is_dir() {
-        "a directory"
-    } else if kind.is_fifo() {
-        "a pipe"
-    } else if kind.is_socket() {
-        "a socket"
-    } else {
-        "a device"
-    }
-}
-
-#[cfg(not(unix))]
-fn name_of(metadata: &Metadata) -> &'static str {
-    if metadata.is_dir() { "a directory" } else { "something else" }
+    let (kind, name) = match FileKind::of(metadata) {
+        FileKind::Regular => return Ok(()),
+        FileKind::Directory => (io::ErrorKind::IsADirectory, "a directory"),
+        FileKind::Pipe => (io::ErrorKind::InvalidInput, "a pipe"),
+        FileKind::Socket => (io::ErrorKind::InvalidInput, "a socket"),
+        FileKind::CharacterDevice | FileKind::BlockDevice => (io::ErrorKind::InvalidInput, "a device"),
+        FileKind::Other => (io::ErrorKind::InvalidInput, "something else"),
+    };
+    Err(io::Error::new(kind, format!("it is {name}, and only regular files are read")))
 }
 
 #[cfg(test)]

@@ -40,6 +40,8 @@ mod servo;
 mod statistics;
 mod status;
 mod stop;
+#[cfg_attr(not(unix), path = "system_elsewhere.rs")]
+mod system;
 mod top;
 #[cfg(any(feature = "plots", feature = "top"))]
 mod topic_field;

@@ -7,8 +7,6 @@ use std::fmt;
 use std::io::{self, ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use rustix::io::Errno;
-
 use super::logging::Stream;
 use super::screen::Screen;
 use super::stop::requested::{self, OutputEnd};
@@ -61,8 +59,7 @@ pub(crate) fn has_failed() -> bool {
 
 fn output_failed(error: &io::Error) {
     let is_unread = error.kind() == ErrorKind::BrokenPipe;
-    // A terminal that was closed gives EIO.
-    let is_reported = !is_unread && error.raw_os_error() != Some(Errno::IO.raw_os_error());
+    let is_reported = !is_unread && !is_of_closed_terminal(error);
     if is_reported && !HAS_FAILED.swap(true, Ordering::Relaxed) {
         print_error(format_args!("downbeat: cannot write to standard output: {error}\n"));
     }
@@ -73,6 +70,12 @@ fn output_failed(error: &io::Error) {
             std::process::exit(is_reported.into())
         }
     }
+}
+
+/// Whether a stream ended because its terminal was closed.
+pub(crate) fn is_of_closed_terminal(error: &io::Error) -> bool {
+    const EIO: i32 = 5; // the same on every Unix
+    cfg!(unix) && error.raw_os_error() == Some(EIO)
 }
 
 /// Writes to standard error, unless it is closed, and waits until it is written.

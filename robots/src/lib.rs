@@ -189,6 +189,7 @@ fn write(folder: &Path, file: &File) -> Result<PathBuf, Error> {
     let path = folder.join(file.path);
     let parent = path.parent().unwrap_or(folder);
     let written = fs::create_dir_all(parent).and_then(|()| {
+        #[cfg_attr(not(unix), expect(unused_mut, reason = "files have no mode"))]
         let mut builder = tempfile::Builder::new();
         // As other new files, which the user's mask restricts.
         #[cfg(unix)]

@@ -18,6 +18,7 @@ mod notices;
 mod packaging;
 mod paths;
 mod physics;
+mod portability;
 mod python;
 mod security;
 mod skips;
@@ -124,6 +125,9 @@ enum Command {
     /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the
     /// falls or the physics; then runs the tests that replay it.
     RecordWalk,
+    /// Checks the program for Windows and macOS, some minutes. Needs the sources of the standard library, of
+    /// Debian's package rust-web-src.
+    Portability,
     /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,
     /// Only the npm packages under target/node; prints their folder, or nothing if there is no Node.js.
@@ -159,6 +163,7 @@ fn main() -> ExitCode {
         Command::Dist(arguments) => dist::dist(arguments),
         Command::Physics { arguments } => physics::physics(&arguments),
         Command::Football(arguments) => football::football(&arguments),
+        Command::Portability => portability::portability(),
         Command::Python => python::interpreter().map(|path| println!("{}", path.display())),
         Command::Node => {
             node::modules().map(|path| path.iter().for_each(|path| println!("{}", path.display())))

@@ -1,8 +1,8 @@
 //! For use in modules: why a serial port cannot be opened, and what to do.
 
-use std::fs::{self, FileType};
+use downbeat_files::FileKind;
+use std::fs;
 use std::io::{self, ErrorKind};
-use std::os::unix::fs::FileTypeExt;
 
 /// Checks that a path is that of a device, before it is opened as a serial port.
 ///
@@ -14,11 +14,19 @@ pub fn check_port(path: &str) -> Result<(), String> {
             "no serial port is given: name one, such as /dev/ttyUSB0 (ls /dev/serial/by-id)".to_owned()
         );
     }
-    let found = fs::metadata(path).map_err(|error| port_refusal(path, &error))?.file_type();
-    if found.is_char_device() {
+    if cfg!(windows) {
+        // Ports there have names, such as COM3, and no files.
         return Ok(());
     }
-    Err(format!("{path} is {}, not a serial port: name a device, such as /dev/ttyUSB0", what_is(found)))
+    let metadata = fs::metadata(path).map_err(|error| port_refusal(path, &error))?;
+    let what = match FileKind::of(&metadata) {
+        FileKind::CharacterDevice => return Ok(()),
+        FileKind::Directory => "a folder",
+        FileKind::Regular => "a regular file",
+        FileKind::BlockDevice => "a disk",
+        FileKind::Pipe | FileKind::Socket | FileKind::Other => "a socket or pipe",
+    };
+    Err(format!("{path} is {what}, not a serial port: name a device, such as /dev/ttyUSB0"))
 }
 
 /// A sentence that says why a serial port could not be opened, and what to do.
@@ -41,15 +49,6 @@ pub fn port_refusal(path: &str, error: &io::Error) -> String {
 /// ENOTTY: a device that is no line to other devices. The crate of serial ports keeps only these words of it.
 fn is_no_terminal(error: &io::Error) -> bool {
     error.raw_os_error() == Some(25) || error.to_string().contains("Not a typewriter")
-}
-
-fn what_is(kind: FileType) -> &'static str {
-    match kind {
-        kind if kind.is_dir() => "a folder",
-        kind if kind.is_file() => "a regular file",
-        kind if kind.is_block_device() => "a disk",
-        _ => "a socket or pipe",
-    }
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@
 
 mod call;
 mod instance;
+#[cfg_attr(not(unix), path = "isolated/elsewhere.rs")]
 mod isolated;
 mod kinds;
 mod library;
@@ -70,9 +71,8 @@ impl Default for LibraryOptions {
 /// # Errors
 /// The sentence of a [`LibraryError`], what the module gave as the reason, or why there is no child process.
 pub fn load(options: &LibraryOptions) -> Result<Box<dyn Foreign>, String> {
-    let module = match options.is_isolated {
-        false => Box::new(module::LibraryModule::load(options)?) as Box<dyn Foreign>,
-        true => Box::new(isolated::IsolatedModule::start(options)?),
-    };
-    Ok(module)
+    match options.is_isolated {
+        false => Ok(Box::new(module::LibraryModule::load(options)?)),
+        true => isolated::start(options),
+    }
 }

@@ -2,11 +2,9 @@
 
 use downbeat_library_host::parent;
 use parking_lot::Mutex;
-use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
@@ -67,7 +65,7 @@ impl RobotProcess {
         // Standard input is kept open: the robot ends with this process, however that ends.
         command.arg("--with-parent").stdin(Stdio::piped());
         // In a group of its own: Ctrl-C is for this process, which stops its robot.
-        command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped());
+        parent::in_own_group(&mut command).stdout(Stdio::piped()).stderr(Stdio::piped());
         let failed = |error: std::io::Error| format!("cannot start {}: {error}", runner.program.display());
         let mut child = parent::spawn(command).map_err(failed)?;
         let output = Arc::new(Mutex::new(Output::default()));
@@ -116,11 +114,8 @@ impl RobotProcess {
     /// Asks it to stop, as Ctrl-C does, and waits until it has.
     pub(super) fn stop(&mut self) {
         let deadline = Instant::now() + PATIENCE;
-        if self.is_running()
-            && let Some(pid) = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw)
-        {
-            // It may have ended by itself.
-            let _ = kill_process(pid, Signal::INT);
+        if self.is_running() {
+            parent::ask_to_stop(&mut self.child);
         }
         while self.is_running() && Instant::now() < deadline {
             std::thread::sleep(LOOK);

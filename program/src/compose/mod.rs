@@ -15,10 +15,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
-use rustix::io::Errno;
 use serde_json::{Value, json};
 
 use crate::cli::ComposeArguments;
+use crate::output::is_of_closed_terminal;
 use crate::own_command::own_command;
 use crate::stop::Stop;
 use child::Runner;
@@ -103,7 +103,7 @@ fn answer_lines(composer: &Composer) -> anyhow::Result<()> {
     for line in std::io::stdin().lock().lines() {
         let line = match line {
             // The terminal was closed.
-            Err(error) if error.raw_os_error() == Some(Errno::IO.raw_os_error()) => break,
+            Err(error) if is_of_closed_terminal(&error) => break,
             line => line.context("cannot read standard input")?,
         };
         let answer = match serde_json::from_str::<Value>(&line) {

@@ -3,13 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Read;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use rustix::fs::Access as Permission;
+use crate::system;
 
 /// What was read. What could not be read is `None`, or empty.
 #[derive(Clone, Debug, Default)]
@@ -114,13 +113,12 @@ impl Facts {
             .collect();
         let is_dangling = |name: &&str| variables.get(*name).is_some_and(|path| !Path::new(path).exists());
         let folder = std::env::current_dir().unwrap_or_default();
-        let free = rustix::fs::statvfs(&folder).ok();
         let mut facts = Self {
             dangling: PATHS.into_iter().filter(is_dangling).collect(),
             variables,
             c_library: answer("getconf", &["GNU_LIBC_VERSION"]),
-            highest_priority: highest_priority(),
-            free_bytes: free.map(|free| free.f_bavail.saturating_mul(free.f_frsize)),
+            highest_priority: system::highest_priority(),
+            free_bytes: system::free_bytes(&folder),
             folder,
             devices: devices(Path::new("/"), named),
             interfaces: interfaces(),
@@ -239,13 +237,14 @@ fn access(root: &Path, device: &Path) -> Access {
     let Ok(metadata) = fs::metadata(device) else { return Access::Missing };
     // Joysticks are only read.
     let is_input = device.starts_with(root.join("dev/input"));
-    let write = if is_input { Permission::empty() } else { Permission::WRITE_OK };
-    if rustix::fs::access(device, Permission::READ_OK | write).is_ok() {
+    let is_allowed = if is_input { system::may_read(device) } else { system::may_write(device) };
+    if is_allowed {
         return Access::Granted;
     }
     let users = text(&root.join("etc/passwd")).unwrap_or_default();
     let groups = text(&root.join("etc/group")).unwrap_or_default();
-    refusal(metadata.mode(), metadata.gid(), &user_name(&users), &groups)
+    let (mode, group) = system::mode_and_group(&metadata);
+    refusal(mode, group, &user_name(&users), &groups)
 }
 
 /// Why a user may not open a device of this mode and group; `groups` is the text of /etc/group.
@@ -263,7 +262,7 @@ fn refusal(mode: u32, group: u32, user: &str, groups: &str) -> Access {
 
 /// The name of the user, in the text of /etc/passwd.
 fn user_name(users: &str) -> String {
-    let id = rustix::process::getuid().as_raw().to_string();
+    let Some(id) = system::user().map(|id| id.to_string()) else { return String::new() };
     let mut users = users.lines().map(|line| line.split(':').collect::<Vec<_>>());
     let user = users.find(|user| user.get(2).is_some_and(|of_user| *of_user == id));
     user.map(|user| user[0].to_owned()).unwrap_or_default()
@@ -274,21 +273,6 @@ fn latency(root: &Path, device: &Path) -> Option<(u32, PathBuf)> {
     let device = fs::canonicalize(device).ok()?;
     let file = Path::new("/sys/bus/usb-serial/devices").join(device.file_name()?).join("latency_timer");
     Some((number(&root.join(file.strip_prefix("/").ok()?))?, file))
-}
-
-#[cfg(target_os = "linux")]
-fn highest_priority() -> u64 {
-    use rustix::process::{Resource, geteuid, getrlimit};
-    const HIGHEST: u64 = 99;
-    if geteuid().is_root() {
-        return HIGHEST;
-    }
-    getrlimit(Resource::Rtprio).current.map_or(HIGHEST, |limit| limit.min(HIGHEST))
-}
-
-#[cfg(not(target_os = "linux"))]
-fn highest_priority() -> u64 {
-    0
 }
 
 fn python() -> Option<Python> {

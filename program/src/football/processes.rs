@@ -6,13 +6,10 @@
 //! so none is left when this one ends, however it ends.
 
 use std::ffi::OsString;
-use std::fs::DirBuilder;
 use std::io::{BufRead, BufReader, Read};
 use std::net::UdpSocket;
 use std::num::NonZeroUsize;
-use std::os::unix::fs::DirBuilderExt;
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -22,11 +19,13 @@ use bytes::Bytes;
 use downbeat_library_host::parent;
 use downbeat_match::Team;
 use downbeat_network::udp::keep_free_port;
+use tempfile::TempDir;
 
 use super::robot::EVERYBODY;
 use crate::logging::Stream;
 use crate::own_command::own_command;
 use crate::screen::Screen;
+use crate::system;
 use downbeat_bridge::middleware::{MAX_DOMAIN_ID, ParticipantOptions};
 use downbeat_bridge::ros::{MessageType, Node, NodeName, Participant, RemapRules};
 use downbeat_edge::Interfaces;
@@ -41,7 +40,7 @@ use downbeat_robot::{ModuleEntry, Place, RobotFile};
 pub(super) struct Prepared {
     robots: Vec<Entrant>,
     /// Of the ports of the buses.
-    folder: Folder,
+    folder: TempDir,
     control_port: u16,
     answer_port: u16,
     team_ports: [u16; 2],
@@ -74,9 +73,6 @@ struct Robot {
     output: Option<JoinHandle<()>>,
     has_ended: bool,
 }
-
-/// A folder that nobody else may look into.
-struct Folder(PathBuf);
 
 /// How long the processes may take to end.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -131,8 +127,9 @@ impl Prepared {
             let problem = "robots in processes of their own know the field only from pictures: give the match \"camera_hz\", such as 10.0";
             bail!("{}", file.error_at(&place, problem));
         }
-        let folder = Folder::new()?;
-        file.furnish("football_match", "", [("ports", folder.0.display().to_string().into())])?;
+        let folder = system::private_folder("downbeat_match_")
+            .context("cannot create a folder for the ports of the robots")?;
+        file.furnish("football_match", "", [("ports", folder.path().display().to_string().into())])?;
         let ports = "cannot find free UDP ports";
         let mut kept: Vec<_> =
             std::iter::repeat_with(keep_free_port).take(4).collect::<Result<_, _>>().context(ports)?;
@@ -196,7 +193,7 @@ impl Prepared {
             let prepared = &processes._prepared;
             let mut command = Command::new(&program);
             command.args(&before).arg("match-robot").arg(file).arg(name).args(arguments);
-            command.arg("--port").arg(prepared.folder.0.join(name));
+            command.arg("--port").arg(prepared.folder.path().join(name));
             let team_port = prepared.team_ports[usize::from(*team == Team::Red)];
             let numbers = [
                 ("--domain", domain),
@@ -218,7 +215,8 @@ impl Prepared {
                 }
             }
             // In a group of its own: Ctrl-C is for the match, which ends its robots.
-            command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).process_group(0);
+            parent::in_own_group(&mut command);
+            command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
             let mut child =
                 parent::spawn(command).with_context(|| format!("cannot start a process for {name}"))?;
             let (input, log) = (child.stdin.take(), child.stderr.take());
@@ -294,22 +292,6 @@ impl Processes {
 impl Drop for Processes {
     fn drop(&mut self) {
         self.end();
-    }
-}
-
-impl Folder {
-    fn new() -> anyhow::Result<Self> {
-        let path = std::env::temp_dir().join(format!("downbeat_match_{}", std::process::id()));
-        let created = DirBuilder::new().mode(0o700).create(&path);
-        created.with_context(|| format!("cannot create {} for the ports of the robots", path.display()))?;
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        // The links in it lead nowhere by now.
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 

@@ -17,6 +17,7 @@ use tracing_subscriber::prelude::*;
 use tracing_subscriber::registry::LookupSpan;
 
 use super::screen::Screen;
+use super::system;
 use downbeat_bridge::rosout::{LogLine, LoggerLevels, LoggerNames, Rosout, Severity};
 use downbeat_robot::running::{LogTail, NodeLog};
 use downbeat_robot::{LogArguments, LogLevel, RobotFile};
@@ -227,7 +228,11 @@ impl Console {
             Colors::Always => true,
             Colors::Never => false,
         };
-        let is_journal = options.journal.is_some() && options.journal == identity(options.stream);
+        let identity = match options.stream {
+            Stream::Error => system::identity_of_error(),
+            Stream::Output => system::identity_of_output(),
+        };
+        let is_journal = options.journal.is_some() && options.journal == identity;
         let format = if is_journal { &options.journal_format } else { &options.format };
         Self {
             format: format.clone(),
@@ -260,15 +265,6 @@ impl Console {
         text.push_str("\x1b[0m\n");
         text
     }
-}
-
-/// Device and inode of a stream, as `JOURNAL_STREAM` has them.
-fn identity(stream: Stream) -> Option<String> {
-    let status = match stream {
-        Stream::Error => rustix::fs::fstat(std::io::stderr()),
-        Stream::Output => rustix::fs::fstat(std::io::stdout()),
-    };
-    status.ok().map(|status| format!("{}:{}", status.st_dev, status.st_ino))
 }
 
 /// Puts the priority of syslog before each line: the journal takes every line as an entry.

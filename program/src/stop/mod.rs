@@ -14,6 +14,8 @@ mod hurry;
 mod keyboard;
 pub(crate) mod requested;
 mod requests;
+#[cfg_attr(not(unix), path = "signals_elsewhere.rs")]
+mod signals;
 mod trace;
 
 use std::io;
@@ -23,8 +25,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
-use signal_hook::iterator::Signals;
 
 use super::output;
 #[cfg(doc)]
@@ -33,6 +33,7 @@ use keyboard::restore_terminal;
 pub(crate) use keyboard::{Key, Keyboard};
 use requested::{ENDS_WITH_OUTPUT, HANDLED, REQUESTED};
 use requests::{Meaning, ONE_REQUEST};
+pub(super) use signals::on_signals;
 
 /// A request to stop. All values share the requests of the process.
 pub(crate) struct Stop {
@@ -62,7 +63,7 @@ impl Stop {
     /// other end of standard input. If stopping takes longer than `patience`, this process ends in a hurry.
     #[cfg(any(feature = "football", feature = "view"))]
     pub(crate) fn with_parent(self, patience: Duration) -> anyhow::Result<Self> {
-        downbeat_library_host::parent::signal_at_its_end(downbeat_library_host::parent::TERMINATE)
+        downbeat_library_host::parent::terminate_at_its_end()
             .context("cannot watch the process that started this one")?;
         let wait = move || {
             // Nothing is said, and an error is an end too.
@@ -93,7 +94,7 @@ impl Stop {
 fn handle_signals() -> io::Result<()> {
     on_signals(|signal| {
         let meaning = REQUESTED.requests.lock().take(Instant::now());
-        if meaning != Meaning::End && signal == SIGQUIT {
+        if meaning != Meaning::End && signals::asks_what_runs(signal) {
             print_trace();
         }
         match meaning {
@@ -106,16 +107,6 @@ fn handle_signals() -> io::Result<()> {
             Meaning::End => end_now(128 + signal),
         }
     })
-}
-
-/// Handles the signals that ask a process to end, except a SIGHUP that whoever started this process wants to
-/// be ignored (`nohup`).
-pub(super) fn on_signals(handle: impl Fn(i32) + Send + 'static) -> io::Result<()> {
-    let all = [SIGINT, SIGTERM, SIGQUIT, SIGHUP];
-    let handled = all.into_iter().filter(|&signal| signal != SIGHUP || !is_ignored(signal));
-    let mut signals = Signals::new(handled)?;
-    let wait = move || signals.forever().for_each(handle);
-    thread::Builder::new().name("signals".to_owned()).spawn(wait).map(drop)
 }
 
 /// Ends the process if the command does not notice the request, since it writes to a terminal that was halted
@@ -151,12 +142,4 @@ fn in_background(name: &str, task: impl FnOnce() + Send + 'static) {
 pub(super) fn end_now(code: i32) -> ! {
     restore_terminal();
     signal_hook::low_level::exit(code)
-}
-
-/// Whether the process was started with this signal ignored. Safe code can find out on Linux only.
-fn is_ignored(signal: i32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
-    mask & (1 << (signal - 1)) != 0
 }

@@ -1,12 +1,12 @@
 //! The client side of the inspection socket.
 
 use std::io::{self, BufRead, BufReader, Write};
-use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
 use downbeat_executor::{Graph, Snapshot};
 use serde::de::DeserializeOwned;
 
+use super::sockets::UnixStream;
 use super::{Answer, Request, RunningRobot, TopicValues};
 use crate::EndpointReport;
 use crate::table::NumberField;

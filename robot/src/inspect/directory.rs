@@ -2,66 +2,17 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::fs::{self, DirBuilder, File};
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
-use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::FlockOperation;
+use super::error::{ClaimError, DirectoryError};
+use super::sockets::{UnixStream, create_private, default_directory, is_alive};
 
 /// A directory with the sockets of one user's robots. Other users have no access to it.
 #[derive(Clone, Debug)]
 pub struct SocketDirectory {
     path: PathBuf,
-}
-
-/// Error while opening the directory for sockets.
-#[derive(Debug, thiserror::Error)]
-pub enum DirectoryError {
-    /// The directory cannot be created or read.
-    #[error("cannot use {} for the sockets of running robots: {source}", path.display())]
-    Io {
-        /// The path of the directory.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: io::Error,
-    },
-    /// Other users could create sockets in the directory or connect to them.
-    #[error(
-        "{} is not private: it belongs to user {owner} and has mode {mode:03o}; remove it, or make it yours with \
-         mode 700",
-        path.display()
-    )]
-    NotPrivate {
-        /// The path of the directory.
-        path: PathBuf,
-        /// The id of the user that owns it.
-        owner: u32,
-        /// The permission bits.
-        mode: u32,
-    },
-}
-
-/// Error while a robot claims a node name.
-#[derive(Debug, thiserror::Error)]
-pub enum ClaimError {
-    /// Another robot has the name.
-    #[error(
-        "{holder} runs on this machine as {node} in domain {domain} already, and two nodes of one name disturb each other; \
-         stop that one, or give this one another name (--ros-args -r __node:=NAME), namespace (ROS_NAMESPACE) or domain"
-    )]
-    Taken {
-        /// The name.
-        node: String,
-        /// The domain.
-        domain: u16,
-        /// Name and process id of the robot that has the name.
-        holder: String,
-    },
-    /// The directory with the locks cannot be used.
-    #[error(transparent)]
-    Directory(#[from] DirectoryError),
 }
 
 /// The claim of one robot on a node name on this machine: a lock file, which the operating system unlocks
@@ -96,11 +47,7 @@ impl SocketDirectory {
     /// # Errors
     /// Returns an error if the directory cannot be created or is not private.
     pub fn open() -> Result<Self, DirectoryError> {
-        let runtime = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
-        Self::open_at(match runtime.filter(|path| path.is_absolute()) {
-            Some(runtime) => runtime.join("downbeat"),
-            None => std::env::temp_dir().join(format!("downbeat-{}", user())),
-        })
+        Self::open_at(default_directory())
     }
 
     /// Opens the directory at `path` and creates it if it does not exist.
@@ -108,20 +55,7 @@ impl SocketDirectory {
     /// # Errors
     /// Returns an error if the directory cannot be created or is not private.
     pub fn open_at(path: PathBuf) -> Result<Self, DirectoryError> {
-        let io_error = |source| DirectoryError::Io { path: path.clone(), source };
-        match DirBuilder::new().mode(0o700).create(&path) {
-            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(io_error(error)),
-            Ok(()) | Err(_) => {}
-        }
-        // Does not follow a link, which another user may have created.
-        let metadata = fs::symlink_metadata(&path).map_err(io_error)?;
-        if !metadata.is_dir() {
-            return Err(io_error(io::ErrorKind::NotADirectory.into()));
-        }
-        let (owner, mode) = (metadata.uid(), metadata.mode() & 0o777);
-        if owner != user() || mode & 0o077 != 0 {
-            return Err(DirectoryError::NotPrivate { path, owner, mode });
-        }
+        create_private(&path)?;
         Ok(Self { path })
     }
 
@@ -199,7 +133,7 @@ impl SocketDirectory {
         // Not truncated: the file contains the holder of the lock.
         let open = File::options().read(true).write(true).create(true).truncate(false).open(&path);
         let mut file = open.map_err(io_error)?;
-        if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+        if file.try_lock().is_err() {
             let mut holder = String::new();
             file.read_to_string(&mut holder).map_err(io_error)?;
             return Err(ClaimError::Taken { node: node.to_owned(), domain, holder });
@@ -227,18 +161,9 @@ fn holder_of(text: &str) -> Option<(&str, u32)> {
     Some((name, pid.parse().ok()?))
 }
 
-fn is_alive(pid: u32) -> bool {
-    let pid = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw);
-    pid.is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok())
-}
-
 fn name_and_pid(file: &OsStr) -> Option<(String, u32)> {
     let (name, pid) = file.to_str()?.strip_suffix(".sock")?.rsplit_once('-')?;
     Some((name.to_owned(), pid.parse().ok()?))
-}
-
-fn user() -> u32 {
-    rustix::process::getuid().as_raw()
 }
 
 #[cfg(test)]

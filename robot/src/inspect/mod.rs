@@ -39,7 +39,10 @@
 
 mod client;
 mod directory;
+mod error;
 mod server;
+#[cfg_attr(not(unix), path = "sockets_elsewhere.rs")]
+mod sockets;
 mod watch;
 
 use std::time::Duration;
@@ -50,7 +53,8 @@ use serde_json::value::RawValue;
 
 use crate::EndpointReport;
 pub use client::{Client, ClientError};
-pub use directory::{ClaimError, DirectoryError, NodeClaim, RunningRobot, SocketDirectory};
+pub use directory::{NodeClaim, RunningRobot, SocketDirectory};
+pub use error::{ClaimError, DirectoryError};
 pub use server::{InspectionServer, ServerError};
 pub use watch::{FieldValues, TopicValues, Watch};
 

@@ -35,7 +35,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("downbeat-view", &["downbeat-bags", "downbeat-edge", "downbeat-executor", "downbeat-msgs"]),
     ("test-machine", &[]),
     ("downbeat-conformance", &["downbeat-bridge", "downbeat-msgs", "downbeat-zenoh", "test-machine"]),
-    ("downbeat-device", &["downbeat-executor", "downbeat-msgs"]),
+    ("downbeat-device", &["downbeat-executor", "downbeat-files", "downbeat-msgs"]),
     ("downbeat-kind", &["downbeat-device", "downbeat-edge", "downbeat-executor", "downbeat-msgs"]),
     ("downbeat-imu-filter", &["downbeat-executor", "downbeat-kind", "downbeat-msgs"]),
     ("downbeat-actions", &["downbeat-executor", "downbeat-msgs"]),
@@ -71,7 +71,14 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ),
     (
         "downbeat-sensors",
-        &["downbeat-device", "downbeat-executor", "downbeat-kind", "downbeat-msgs", "downbeat-servos"],
+        &[
+            "downbeat-device",
+            "downbeat-executor",
+            "downbeat-files",
+            "downbeat-kind",
+            "downbeat-msgs",
+            "downbeat-servos",
+        ],
     ),
     (
         "downbeat-network",

@@ -56,8 +56,13 @@ impl From<String> for Problem {
     }
 }
 
+/// Starts a child process and lets it load the library.
+pub(crate) fn start(options: &LibraryOptions) -> Result<Box<dyn Foreign>, String> {
+    Ok(Box::new(IsolatedModule::start(options)?))
+}
+
 impl IsolatedModule {
-    pub(crate) fn start(options: &LibraryOptions) -> Result<Self, String> {
+    fn start(options: &LibraryOptions) -> Result<Self, String> {
         let watch = options.is_reloaded.then(|| Watch::new(&options.path));
         let process = Process::start(&options.path)?;
         let mut started = Self { process, options: options.clone(), watch, names: Names::new() };

@@ -5,7 +5,6 @@ use crate::parent;
 use parking_lot::{Condvar, Mutex};
 use std::ffi::OsString;
 use std::io::{self, PipeReader, Read, pipe};
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 use std::sync::mpsc::channel;
@@ -86,7 +85,7 @@ impl Process {
         let (its_input, writer) = pipe().map_err(failed)?;
         let (reader, its_output) = pipe().map_err(failed)?;
         // In a group of its own: Ctrl-C is for the robot, which ends its children.
-        command.stdin(its_input).stdout(its_output).process_group(0);
+        parent::in_own_group(&mut command).stdin(its_input).stdout(its_output);
         let child = parent::spawn(command).map_err(failed)?;
         let greeted = read_within(reader, PATIENCE);
         let is_ready = greeted.as_ref().is_some_and(|(_, read)| *read > 0);

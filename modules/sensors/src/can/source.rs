@@ -2,7 +2,6 @@
 
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Write};
-use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -167,7 +166,7 @@ impl Source for SocketCan {
         let (socket, interface) = self.open.as_mut().ok_or("the bus is not open")?;
         let lost = |error: std::io::Error| lost(interface, &error);
         let mut frames = Vec::new();
-        if !kernel::wait(socket.as_fd(), WAIT).map_err(lost)? {
+        if !kernel::wait(socket, WAIT).map_err(lost)? {
             return Ok(frames);
         }
         while frames.len() < MOST_FRAMES * LENGTH {

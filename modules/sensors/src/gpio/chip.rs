@@ -5,7 +5,6 @@
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
-use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -81,14 +80,14 @@ impl Source for Chip {
 
     fn edges(&mut self) -> Result<Vec<Edge>, String> {
         let inputs: Vec<_> =
-            self.requested.iter().filter(|line| line.is_input).map(|line| line.file.as_fd()).collect();
+            self.requested.iter().filter(|line| line.is_input).map(|line| &line.file).collect();
         if inputs.is_empty() || !kernel::wait_for_any(&inputs, WAIT).map_err(|error| lost(&error))? {
             return Ok(Vec::new());
         }
         let mut edges = Vec::new();
         for (index, line) in self.requested.iter_mut().enumerate().filter(|(_, line)| line.is_input) {
             let mut bytes = [0; EVENT * MOST_EVENTS];
-            if !kernel::wait(line.file.as_fd(), Duration::ZERO).map_err(|error| lost(&error))? {
+            if !kernel::wait(&line.file, Duration::ZERO).map_err(|error| lost(&error))? {
                 continue; // reading would wait
             }
             let length = match line.file.read(&mut bytes) {

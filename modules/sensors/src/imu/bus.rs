@@ -4,11 +4,11 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Write};
-use std::os::unix::fs::FileTypeExt;
 use std::time::{Duration, Instant};
 
 use downbeat_device::Device;
 use downbeat_executor::Time;
+use downbeat_files::FileKind;
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_servos::servo_emulator::{Fault, FaultSchedule};
 use parking_lot::Mutex;
@@ -139,7 +139,7 @@ fn open(path: &str, buses: &EmulatedBuses) -> Result<Open, String> {
         return Err("no I²C bus is given: set \"bus\" to a device such as /dev/i2c-1".to_owned());
     }
     match fs::metadata(path) {
-        Ok(metadata) if !metadata.file_type().is_char_device() => {
+        Ok(metadata) if FileKind::of(&metadata) != FileKind::CharacterDevice => {
             let kind = if metadata.is_dir() { "a folder" } else { "a regular file" };
             return Err(format!(
                 "{path} is {kind}, not an I²C bus: set \"bus\" to a device such as /dev/i2c-1"

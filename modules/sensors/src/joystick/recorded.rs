@@ -2,11 +2,11 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, Read};
-use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use std::time::Duration;
 
 use downbeat_executor::Time;
+use downbeat_files::FileKind;
 
 use super::events::{ABSOLUTE, Axis, Button, Event, KEY, LENGTH, Layout, Receiver};
 use super::source::Source;
@@ -43,7 +43,7 @@ impl Source for RecordedEvents {
         let failed = |error: std::io::Error| format!("opening the events {device}: {error}");
         let from = if device.is_empty() {
             Origin::Nothing
-        } else if std::fs::metadata(device).map_err(failed)?.file_type().is_fifo() {
+        } else if FileKind::of(&std::fs::metadata(device).map_err(failed)?) == FileKind::Pipe {
             Origin::Pipe(kernel::open_without_waiting(Path::new(device), true).map_err(failed)?)
         } else {
             let mut bytes = Vec::new();

@@ -2,7 +2,6 @@
 
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read};
-use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -185,7 +184,7 @@ impl Source for Evdev {
 
     fn read(&mut self, _now: Time, most: Duration) -> Result<Vec<u8>, String> {
         let file = self.open.as_mut().ok_or(CLOSED)?;
-        if !kernel::wait(file.as_fd(), most).map_err(|error| lost(&error))? {
+        if !kernel::wait(file, most).map_err(|error| lost(&error))? {
             return Ok(Vec::new());
         }
         let mut bytes = vec![0; MOST_BYTES];

@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io::{self, ErrorKind};
-use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
 use std::time::Duration;
 
@@ -39,14 +38,13 @@ pub(crate) mod gpio {
     use super::{Request, unsupported};
     use std::fs::File;
     use std::io;
-    use std::os::fd::AsFd;
 
     pub(crate) const CHIP_INFO: Request<68> = Request(());
     pub(crate) const LINE_INFO: Request<256> = Request(());
     pub(crate) const GET_VALUES: Request<16> = Request(());
     pub(crate) const SET_VALUES: Request<16> = Request(());
 
-    pub(crate) fn request_line(_chip: impl AsFd, _bytes: &mut [u8; 592]) -> io::Result<File> {
+    pub(crate) fn request_line(_chip: &File, _bytes: &mut [u8; 592]) -> io::Result<File> {
         Err(unsupported())
     }
 }
@@ -64,7 +62,7 @@ pub(crate) const MAPPED: u32 = 1;
 pub(crate) struct Mapping(());
 
 impl Mapping {
-    pub(crate) fn new(_device: impl AsFd, _length: usize, _offset: u64) -> io::Result<Self> {
+    pub(crate) fn new(_device: &File, _length: usize, _offset: u64) -> io::Result<Self> {
         Err(unsupported())
     }
 
@@ -74,14 +72,14 @@ impl Mapping {
 }
 
 pub(crate) fn request<const LENGTH: usize>(
-    _device: impl AsFd,
+    _device: &File,
     _request: Request<LENGTH>,
     _bytes: &mut [u8; LENGTH],
 ) -> io::Result<()> {
     Err(unsupported())
 }
 
-pub(crate) fn buffer(_device: impl AsFd, _about: BufferRequest, _index: u32) -> io::Result<[u8; 88]> {
+pub(crate) fn buffer(_device: &File, _about: BufferRequest, _index: u32) -> io::Result<[u8; 88]> {
     Err(unsupported())
 }
 
@@ -90,11 +88,11 @@ pub(crate) fn open_without_waiting(_path: &Path, _is_written: bool) -> io::Resul
     Err(unsupported())
 }
 
-pub(crate) fn wait(_device: BorrowedFd<'_>, _most: Duration) -> io::Result<bool> {
+pub(crate) fn wait(_device: &File, _most: Duration) -> io::Result<bool> {
     Err(unsupported())
 }
 
-pub(crate) fn wait_for_any(_devices: &[BorrowedFd<'_>], _most: Duration) -> io::Result<bool> {
+pub(crate) fn wait_for_any(_devices: &[&File], _most: Duration) -> io::Result<bool> {
     Err(unsupported())
 }
 
@@ -115,5 +113,8 @@ pub(crate) fn can_socket(_interface: u32, _filters: &[(u32, u32)], _receives_own
 }
 
 fn unsupported() -> io::Error {
-    io::Error::new(ErrorKind::Unsupported, "devices of this kind are supported on 64-bit Linux only")
+    io::Error::new(
+        ErrorKind::Unsupported,
+        "devices of this kind are supported on 64-bit Linux only; on other systems use emulated ones",
+    )
 }

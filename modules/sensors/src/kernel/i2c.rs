@@ -1,12 +1,12 @@
 //! Requests to I²C buses, on Linux of any size.
 
+use std::fs::File;
 use std::io;
-use std::os::fd::AsFd;
 
 /// Directs reads and writes of a bus to the chip at this address.
 #[cfg(target_os = "linux")]
 #[expect(unsafe_code, reason = "an ioctl that rustix does not have")]
-pub(crate) fn select(bus: impl AsFd, address: u8) -> io::Result<()> {
+pub(crate) fn select(bus: &File, address: u8) -> io::Result<()> {
     /// `I2C_SLAVE` of linux/i2c-dev.h.
     const SELECT: rustix::ioctl::Opcode = 0x0703;
     // SAFETY: `I2C_SLAVE` takes an integer and accesses no memory of this process.
@@ -18,6 +18,8 @@ pub(crate) fn select(bus: impl AsFd, address: u8) -> io::Result<()> {
 }
 
 #[cfg(not(target_os = "linux"))]
-pub(crate) fn select(_bus: impl AsFd, _address: u8) -> io::Result<()> {
-    Err(io::ErrorKind::Unsupported.into())
+pub(crate) fn select(_bus: &File, _address: u8) -> io::Result<()> {
+    let reason =
+        "I²C buses of this machine are supported on Linux only; on other systems use an emulated one";
+    Err(io::Error::new(io::ErrorKind::Unsupported, reason))
 }

@@ -4,7 +4,7 @@
 use std::ffi::c_void;
 use std::fs::File;
 use std::io;
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
 use std::path::Path;
 use std::time::Duration;
 
@@ -239,15 +239,14 @@ pub(crate) fn open_without_waiting(path: &Path, is_written: bool) -> io::Result<
 }
 
 /// Waits until there is something to read, or an error, for that long at most.
-pub(crate) fn wait(device: BorrowedFd<'_>, most: Duration) -> io::Result<bool> {
+pub(crate) fn wait(device: &File, most: Duration) -> io::Result<bool> {
     wait_for_any(&[device], most)
 }
 
 /// The same for any of several devices.
-pub(crate) fn wait_for_any(devices: &[BorrowedFd<'_>], most: Duration) -> io::Result<bool> {
+pub(crate) fn wait_for_any(devices: &[&File], most: Duration) -> io::Result<bool> {
     let timeout = rustix::time::Timespec::try_from(most).map_err(io::Error::other)?;
-    let mut all: Vec<_> =
-        devices.iter().map(|device| PollFd::from_borrowed_fd(*device, PollFlags::IN)).collect();
+    let mut all: Vec<_> = devices.iter().map(|device| PollFd::new(*device, PollFlags::IN)).collect();
     match rustix::event::poll(&mut all, Some(&timeout)) {
         Ok(count) => Ok(count > 0),
         Err(rustix::io::Errno::INTR) => Ok(false),

@@ -12,8 +12,9 @@ pub(crate) mod i2c;
 
 use std::fs::File;
 use std::io;
-use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
+
+use downbeat_files::FileKind;
 
 pub(crate) use linux::*;
 
@@ -33,7 +34,7 @@ pub(crate) fn open_device(path: &Path, is_written: bool, what: &str, group: &str
         _ => format!("opening {at}: {error}"),
     };
     let found = std::fs::metadata(path).map_err(failed)?;
-    if !found.file_type().is_char_device() {
+    if FileKind::of(&found) != FileKind::CharacterDevice {
         let kind = if found.is_dir() { "folder" } else { "file" };
         return Err(format!("{at} is a {kind}, not the device file of a {what}"));
     }
@@ -42,7 +43,8 @@ pub(crate) fn open_device(path: &Path, is_written: bool, what: &str, group: &str
 
 /// Whether an error says that a file is no device of the kind that the request is for: `ENOTTY`.
 pub(crate) fn is_foreign(error: &io::Error) -> bool {
-    error.raw_os_error() == Some(rustix::io::Errno::NOTTY.raw_os_error())
+    const ENOTTY: i32 = 25; // the same on every Unix
+    error.raw_os_error() == Some(ENOTTY)
 }
 
 /// Whether the name of a device that nothing has is the path of a file, from the working directory.

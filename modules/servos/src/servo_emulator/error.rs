@@ -12,6 +12,12 @@ pub enum EmulatorError {
         /// The error of the operating system.
         source: io::Error,
     },
+    /// This system has no pseudo terminals.
+    #[error(
+        "emulated devices behind pseudo terminals work on Linux and macOS only; here name a port in memory, such as \
+         memory:robot, in the emulator and in the module that opens it"
+    )]
+    Unsupported,
     /// The link cannot be created.
     #[error("linking {} to the emulator's port: {source}; choose an unused path", link.display())]
     Link {

@@ -57,6 +57,7 @@ mod memory;
 mod module;
 mod options;
 mod ports;
+#[cfg_attr(not(unix), path = "pseudo_terminal_elsewhere.rs")]
 mod pseudo_terminal;
 mod random;
 mod servos;

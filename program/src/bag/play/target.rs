@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use bytes::Bytes;
 use clap::ValueEnum;
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::stop::Stop;
+use crate::system;
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{Player, RecordedTopic, TopicDescription};
 use downbeat_bridge::limiter::Limiter;
@@ -34,15 +34,8 @@ const OTHER_FILES: u64 = 200;
 /// The number of topics that a process can publish, after raising the limit of open files for `wanted` of
 /// them.
 fn most_topics(wanted: usize) -> usize {
-    let mut limit = getrlimit(Resource::Nofile);
     let needed = OTHER_FILES + FILES_OF_PUBLISHER * wanted.min(MOST_TOPICS) as u64;
-    if limit.current.is_some_and(|current| current < needed) {
-        let raised = Rlimit { current: Some(limit.maximum.unwrap_or(needed).min(needed)), ..limit };
-        if setrlimit(Resource::Nofile, raised).is_ok() {
-            limit.current = raised.current;
-        }
-    }
-    let files = limit.current.unwrap_or(u64::MAX).saturating_sub(OTHER_FILES);
+    let files = system::raise_open_files(needed).saturating_sub(OTHER_FILES);
     MOST_TOPICS.min(usize::try_from(files / FILES_OF_PUBLISHER).unwrap_or(usize::MAX))
 }
 

@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io;
-use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::Duration;
 
@@ -66,6 +65,6 @@ impl Driver for DeviceFile {
     }
 
     fn wait(&mut self, most: Duration) -> io::Result<bool> {
-        kernel::wait(self.file.as_fd(), most)
+        kernel::wait(&self.file, most)
     }
 }

@@ -1,31 +1,18 @@
-//! Keys of the terminal, read one by one.
+//! Single keys from a terminal of Unix. On other systems, `terminal_elsewhere.rs`.
 
 use std::io::{self, Read};
-use std::sync::mpsc::{self, Receiver};
 
 use parking_lot::Mutex;
 use rustix::process::getpgrp;
 use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcgetpgrp, tcsetattr};
 
-/// A key with a function in some command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Key {
-    Space,
-    Right,
-    Up,
-    Down,
-}
+use super::key::Key;
 
-/// Reads single keys until it is dropped. Ctrl-C still interrupts the program.
-pub(crate) struct Keyboard {
-    keys: Receiver<Key>,
-}
-
-/// The original state of the terminal while a [`Keyboard`] is open.
+/// The original state of the terminal while its keys are read.
 static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 
 /// Restores the terminal; also called when the process exits without dropping.
-pub(super) fn restore_terminal() {
+pub(in crate::stop) fn restore_terminal() {
     // In the background, the terminal belongs to another process, and changing it would halt this one
     // (SIGTTOU).
     if let Some(before) = BEFORE.lock().take().filter(|_| is_in_foreground()) {
@@ -38,32 +25,19 @@ fn is_in_foreground() -> bool {
     tcgetpgrp(io::stdin()).is_ok_and(|group| group == getpgrp())
 }
 
-impl Keyboard {
-    /// `None` if standard input is not a terminal, or another process is in its foreground.
-    pub(crate) fn open() -> Option<Self> {
-        let before = is_in_foreground().then(|| tcgetattr(io::stdin()).ok()).flatten()?;
-        let mut by_key = before.clone();
-        by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-        let (sender, keys) = mpsc::channel();
-        *BEFORE.lock() = Some(before);
-        let keyboard = Self { keys };
-        tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()?;
-        let read = move || forward(io::stdin(), |key| sender.send(key).is_ok());
-        // It waits for keys until the process exits.
-        let started = std::thread::Builder::new().name("keyboard".to_owned()).spawn(read);
-        started.is_ok().then_some(keyboard)
-    }
-
-    /// Returns a key pressed since the last call.
-    pub(crate) fn pressed(&self) -> Option<Key> {
-        self.keys.try_recv().ok()
-    }
+/// Lets the terminal pass on single keys. `None` if standard input is not a terminal, or another process is
+/// in its foreground.
+pub(super) fn prepare() -> Option<()> {
+    let before = is_in_foreground().then(|| tcgetattr(io::stdin()).ok()).flatten()?;
+    let mut by_key = before.clone();
+    by_key.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+    *BEFORE.lock() = Some(before);
+    tcsetattr(io::stdin(), OptionalActions::Now, &by_key).ok()
 }
 
-impl Drop for Keyboard {
-    fn drop(&mut self) {
-        restore_terminal();
-    }
+/// Passes keys on until `send` returns false or the terminal ends.
+pub(super) fn forward_keys(send: impl FnMut(Key) -> bool) {
+    forward(io::stdin(), send);
 }
 
 fn forward(mut input: impl Read, mut send: impl FnMut(Key) -> bool) {

@@ -1,15 +1,16 @@
 //! Notifies the service manager that started the program: `sd_notify(3)` of systemd.
 
-use std::io;
-use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixDatagram};
+#[cfg_attr(not(target_os = "linux"), path = "notify_elsewhere.rs")]
+mod notify;
+
 use std::time::{Duration, Instant};
 
 use downbeat_executor::{CoreHandle, Receipt};
+use notify::NotifySocket;
 
 /// The service manager, if one started the program.
 pub(crate) struct Service {
-    socket: Option<(UnixDatagram, SocketAddr)>,
+    socket: Option<NotifySocket>,
     /// The time within which it expects a sign of life.
     watchdog: Option<Duration>,
     /// What the core has yet to answer.
@@ -28,7 +29,7 @@ impl Service {
 
     fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Self {
         let socket = variable("NOTIFY_SOCKET").filter(|path| !path.is_empty()).and_then(|path| {
-            let opened = open(&path);
+            let opened = NotifySocket::open(&path);
             opened
                 .inspect_err(|error| {
                     tracing::warn!("cannot notify the service manager: NOTIFY_SOCKET={path}: {error}");
@@ -81,30 +82,19 @@ impl Service {
     }
 
     fn send(&self, text: &str) {
-        let Some((socket, address)) = &self.socket else { return };
-        if let Err(error) = socket.send_to_addr(text.as_bytes(), address) {
+        let Some(socket) = &self.socket else { return };
+        if let Err(error) = socket.send(text) {
             tracing::debug!("cannot send {text:?} to the service manager: {error}");
         }
     }
 }
 
-/// An address is a path, or after `@` a name without a file.
-fn open(address: &str) -> io::Result<(UnixDatagram, SocketAddr)> {
-    let address = match address.strip_prefix('@') {
-        Some(name) => SocketAddr::from_abstract_name(name)?,
-        None => SocketAddr::from_pathname(address)?,
-    };
-    let socket = UnixDatagram::unbound()?;
-    // A manager that does not read must not stop the robot.
-    socket.set_nonblocking(true)?;
-    // Found missing here, and not once per message.
-    socket.connect_addr(&address)?;
-    Ok((socket, address))
-}
-
-#[cfg(test)]
+#[cfg(all(test, target_os = "linux"))]
 mod tests {
     #![allow(clippy::unwrap_used)]
+
+    use std::os::linux::net::SocketAddrExt;
+    use std::os::unix::net::{SocketAddr, UnixDatagram};
 
     use downbeat_executor::{Context, Core, Module, ModuleOptions, Setup, SetupError};
 
