@@ -4,14 +4,14 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, ensure};
 
 use super::cross::Target;
 use super::release::Release;
 use crate::files;
-use crate::install::{Arrival, Home, cargo_install_for_release, deb};
+use crate::install::{Arrival, Figures, Home, cargo_install_for_release, deb, ros_workspace_for_release};
 use crate::wheel;
 
 /// How the program comes onto a machine.
@@ -23,32 +23,17 @@ enum Way {
     Tarball,
 }
 
-/// What a way costs.
-struct Figures {
-    install: Duration,
-    /// On the disk, in bytes.
-    size: u64,
-    arrival: Arrival,
-}
-
 pub(super) fn test(release: &Release) -> anyhow::Result<()> {
     ensure!(
         release.target == Target::X86_64,
         "a release for {} runs on another machine only",
         release.target
     );
-    println!("{:<8}{:>12}{:>12}{:>20}{:>12}", "way", "install", "size", "first joint state", "memory");
+    Figures::print_header();
     for way in [Way::Pip, Way::Deb, Way::Tarball, Way::Cargo] {
-        let Figures { install, size, arrival } = way.costs(release).with_context(|| way.name())?;
-        println!(
-            "{:<8}{:>10.1} s{:>9.1} MB{:>17} ms{:>9.1} MB",
-            way.name(),
-            install.as_secs_f64(),
-            size as f64 / 1e6,
-            arrival.first_joint_state.as_millis(),
-            arrival.memory as f64 / 1e6,
-        );
+        way.costs(release).with_context(|| way.name())?.print(way.name());
     }
+    ros_workspace_for_release().context("colcon")?.print("colcon");
     println!("removed again: nothing is left but the files of the robot in ~/.cache/downbeat");
     Ok(())
 }

@@ -77,6 +77,31 @@ impl Arrival {
     }
 }
 
+/// What a way of installing costs.
+pub(crate) struct Figures {
+    pub(crate) install: Duration,
+    /// On the disk, in bytes.
+    pub(crate) size: u64,
+    pub(crate) arrival: Arrival,
+}
+
+impl Figures {
+    /// The line above those of [`print`](Self::print).
+    pub(crate) fn print_header() {
+        println!("{:<8}{:>12}{:>12}{:>20}{:>12}", "way", "install", "size", "first joint state", "memory");
+    }
+
+    pub(crate) fn print(&self, way: &str) {
+        println!(
+            "{way:<8}{:>10.1} s{:>9.1} MB{:>17} ms{:>9.1} MB",
+            self.install.as_secs_f64(),
+            self.size as f64 / 1e6,
+            self.arrival.first_joint_state.as_millis(),
+            self.arrival.memory as f64 / 1e6,
+        );
+    }
+}
+
 /// The largest resident size of a process so far, in bytes.
 fn most_memory(process: u32) -> anyhow::Result<u64> {
     let path = PathBuf::from(format!("/proc/{process}/status"));

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 
-use super::{Arrival, Home};
+use super::{Arrival, Figures, Home};
+use crate::crates::cargo_home;
 use crate::steps::workspace;
 use crate::{files, python};
 
@@ -43,23 +44,15 @@ pub(crate) fn ros_workspace() -> anyhow::Result<()> {
 
     let listed = succeeds(&mut ros.colcon(&["list", "--names-only"]))?;
     ensure!(listed == "downbeat\n", "colcon finds other packages than downbeat: {listed}");
-    let install = ros.build("downbeat")?;
-    let arrival = Arrival::at("/joint_states", 20, &mut ros.ros2("run downbeat downbeat run darwin_op")?)?;
-    println!("{:<8}{:>12}{:>12}{:>20}{:>12}", "way", "install", "size", "first joint state", "memory");
-    println!(
-        "{:<8}{:>10.1} s{:>9.1} MB{:>17} ms{:>9.1} MB  (development build of compiled packages)",
-        "colcon",
-        install.as_secs_f64(),
-        files::size(&files::below(&ros.path("install/downbeat"))?) as f64 / 1e6,
-        arrival.first_joint_state.as_millis(),
-        arrival.memory as f64 / 1e6,
-    );
+    println!("a development build, of compiled packages:");
+    Figures::print_header();
+    ros.install(&[])?.print("colcon");
     let launch = "launch downbeat darwin_op.launch.py namespace:=left";
     Arrival::at("/left/joint_states", 20, &mut ros.ros2(launch)?)?;
 
     succeeds(&mut ros.ros2("run downbeat downbeat new src/my_robot --template ros")?)?;
     ros.use_interfaces()?;
-    let build = ros.build("my_robot")?;
+    let build = ros.build("my_robot", &[])?;
     println!("a project of the template: built in {:.1} s", build.as_secs_f64());
     let launch = "launch my_robot my_robot.launch.py namespace:=left gain:=0.5";
     Arrival::at("/left/head/joint_commands", 1, &mut ros.ros2(launch)?)?;
@@ -84,6 +77,14 @@ pub(crate) fn ros_workspace() -> anyhow::Result<()> {
     let again = again.context("cannot run sh")?;
     ensure!(again.status.success(), "built again: {}", String::from_utf8_lossy(&again.stderr));
     ros.remove()
+}
+
+/// Builds the checkout for release as a user does, runs it, and removes it.
+pub(crate) fn ros_workspace_for_release() -> anyhow::Result<Figures> {
+    let ros = RosWorkspace::new(&python::tools("target/venv_colcon", &TOOLS)?)?;
+    let figures = ros.install(&["--cargo-args", "--release"])?;
+    ros.remove()?;
+    Ok(figures)
 }
 
 /// A workspace whose `src` has the checkout, on top of another one that has interfaces only.
@@ -122,9 +123,7 @@ impl RosWorkspace {
         command.env("PATH", &self.search).env("AMENT_PREFIX_PATH", self.path("underlay"));
         command.env("TMPDIR", self.path("tmp"));
         command.env("CARGO_BUILD_BUILD_DIR", workspace().join("target")).env("CARGO_NET_OFFLINE", "true");
-        let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
-        let cargo_home = cargo_home.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")));
-        command.envs(cargo_home.map(|folder| ("CARGO_HOME", folder)));
+        command.envs(cargo_home().ok().map(|folder| ("CARGO_HOME", folder)));
         // Other profiles would compile everything again.
         let is_shared = |name: &OsStr| {
             name.to_str()
@@ -140,10 +139,19 @@ impl RosWorkspace {
         command
     }
 
+    /// Builds downbeat and runs it.
+    fn install(&self, options: &[&str]) -> anyhow::Result<Figures> {
+        let install = self.build("downbeat", options)?;
+        let mut robot = self.ros2("run downbeat downbeat run darwin_op")?;
+        let arrival = Arrival::at("/joint_states", 20, &mut robot)?;
+        let size = files::size(&files::below(&self.path("install/downbeat"))?);
+        Ok(Figures { install, size, arrival })
+    }
+
     /// Builds a package and returns how long that took.
-    fn build(&self, package: &str) -> anyhow::Result<Duration> {
+    fn build(&self, package: &str, options: &[&str]) -> anyhow::Result<Duration> {
         let started = Instant::now();
-        succeeds(&mut self.colcon(&["build", "--packages-select", package]))?;
+        succeeds(self.colcon(&["build", "--packages-select", package]).args(options))?;
         Ok(started.elapsed())
     }
 
