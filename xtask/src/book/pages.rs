@@ -30,7 +30,7 @@ impl Pages {
     /// Those that the tables of docs/README.md name in their first column, under its headings.
     pub(super) fn of_repository(root: &Path) -> anyhow::Result<Self> {
         let mut pages = Self { root: root.to_owned(), parts: Vec::new() };
-        let index = pages.read(Path::new(INDEX))?;
+        let index = read(root, Path::new(INDEX))?;
         for line in index.lines() {
             if let Some((2, title)) = heading(line) {
                 pages.parts.push((title, Vec::new()));
@@ -46,22 +46,9 @@ impl Pages {
             }
         }
         let mut known: BTreeSet<PathBuf> = pages.all().map(Path::to_owned).collect();
-        for part in 0..pages.parts.len() {
-            for chapter in 0..pages.parts[part].1.len() {
-                let page = pages.parts[part].1[chapter].page.clone();
-                let text = pages.read(&page)?;
-                let folder = page.parent().unwrap_or(Path::new(""));
-                let linked = links(&text).into_iter().map(|link| readme(root, target(&page, &link)));
-                let is_readme = |page: &Path| page.ends_with("README.md") && root.join(page).is_file();
-                let below = linked.filter(|to| {
-                    page.ends_with("README.md")
-                        && folder != Path::new("")
-                        && to.starts_with(folder)
-                        && is_readme(to)
-                });
-                let below = below.filter(|to| known.insert(to.clone())).collect();
-                pages.parts[part].1[chapter].below = below;
-            }
+        for chapter in pages.parts.iter_mut().flat_map(|(_, chapters)| chapters) {
+            chapter.below = below(root, &chapter.page)?;
+            chapter.below.retain(|page| known.insert(page.clone()));
         }
         Ok(pages)
     }
@@ -72,15 +59,11 @@ impl Pages {
         [Path::new("README.md"), Path::new(INDEX)].into_iter().chain(listed.map(PathBuf::as_path))
     }
 
-    fn read(&self, page: &Path) -> anyhow::Result<String> {
-        std::fs::read_to_string(self.root.join(page)).with_context(|| page.display().to_string())
-    }
-
     /// Writes the pages, their pictures and the table of contents. `crates` is the page about the crates.
     pub(super) fn write(&self, to: &Path, repository: &str, crates: &str) -> anyhow::Result<()> {
         let known: BTreeSet<&Path> = self.all().collect();
         for page in &known {
-            let text = self.read(page)?;
+            let text = read(&self.root, page)?;
             for link in links(&text) {
                 let picture = target(page, &link);
                 if is_picture(&picture) {
@@ -116,7 +99,7 @@ impl Pages {
     /// The table of contents as mdBook reads it.
     fn summary(&self) -> anyhow::Result<String> {
         let entry = |page: &Path| -> anyhow::Result<String> {
-            let text = self.read(page)?;
+            let text = read(&self.root, page)?;
             let title = text.lines().find_map(heading).context("no heading");
             let (_, title) = title.with_context(|| page.display().to_string())?;
             Ok(format!("[{title}]({})", place(page).display()))
@@ -135,6 +118,20 @@ impl Pages {
         summary.push_str("\n# Rust\n\n- [Crates](crates.md)\n");
         Ok(summary)
     }
+}
+
+fn read(root: &Path, page: &Path) -> anyhow::Result<String> {
+    std::fs::read_to_string(root.join(page)).with_context(|| page.display().to_string())
+}
+
+/// The READMEs that a README links to in folders below its own.
+fn below(root: &Path, page: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let folder = page.parent().unwrap_or(page);
+    let text = if page.ends_with("README.md") { read(root, page)? } else { String::new() };
+    let linked = links(&text).into_iter().map(|link| readme(root, target(page, &link)));
+    let is_below =
+        |to: &PathBuf| to.starts_with(folder) && to.ends_with("README.md") && root.join(to).is_file();
+    Ok(linked.filter(is_below).collect())
 }
 
 /// The path of what a link of a page leads to.
