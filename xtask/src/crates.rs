@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::Context;
 use serde::Deserialize;
 
-use crate::steps::output_of;
+use crate::steps::{output_of, workspace};
 
 /// A crate, ours or another's.
 #[derive(Deserialize)]
@@ -81,6 +81,15 @@ pub(crate) fn version() -> anyhow::Result<String> {
     let downbeat = packages.iter().find(|package| package["name"] == "downbeat");
     let version = downbeat.and_then(|package| package["version"].as_str());
     Ok(version.context("cargo metadata does not list downbeat")?.to_owned())
+}
+
+/// The address of the repository, as the workspace gives it.
+pub(crate) fn repository() -> anyhow::Result<String> {
+    let manifest =
+        std::fs::read_to_string(workspace().join("Cargo.toml")).context("cannot read Cargo.toml")?;
+    let line = manifest.lines().find_map(|line| line.strip_prefix("repository = \""));
+    let address = line.and_then(|line| line.split('"').next()).context("Cargo.toml has no repository")?;
+    Ok(address.to_owned())
 }
 
 /// The crates that are compiled into a package of the workspace, itself among them: no procedural macros, and

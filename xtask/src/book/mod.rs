@@ -13,6 +13,7 @@ use std::process::Command;
 use anyhow::Context;
 use serde::Deserialize;
 
+use crate::crates::repository;
 use crate::steps::{output_of, run, workspace};
 use crate::test::ALL;
 use pages::Pages;
@@ -24,7 +25,6 @@ const MDBOOK: &str = "0.5.4";
 struct Package {
     name: String,
     description: Option<String>,
-    repository: Option<String>,
     publish: Option<Vec<String>>,
 }
 
@@ -36,14 +36,13 @@ pub(crate) fn book() -> anyhow::Result<()> {
     let root = workspace();
     let folder = root.join("target/book");
     let packages = published()?;
-    let repository = packages.iter().find_map(|package| package.repository.as_deref());
-    let repository = repository.context("no package has an address of the repository")?;
+    let repository = repository()?;
     if folder.exists() {
         std::fs::remove_dir_all(&folder).with_context(|| folder.display().to_string())?;
     }
     let pages = Pages::of_repository(&root)?;
-    pages.write(&folder.join("src"), repository, &api_page(&packages))?;
-    let settings = include_str!("book.toml").replace("REPOSITORY", repository);
+    pages.write(&folder.join("src"), &repository, &api_page(&packages))?;
+    let settings = include_str!("book.toml").replace("REPOSITORY", &repository);
     std::fs::write(folder.join("book.toml"), settings)?;
     std::fs::write(folder.join("wide.css"), include_str!("wide.css"))?;
     run(Command::new(mdbook()?).arg("build").arg(&folder))?;

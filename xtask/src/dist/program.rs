@@ -7,10 +7,11 @@ use anyhow::Context;
 
 use super::release::{FEATURES, Release, fresh};
 use crate::crates::{self, Crates, cargo_home};
-use crate::notices;
 use crate::packaging::debian::{self, About};
-use crate::packaging::{arrange, copy, write};
+use crate::packaging::{arrange, write};
+use crate::paths::normal;
 use crate::steps::{run, workspace};
+use crate::{markdown, notices};
 
 /// A folder `downbeat-VERSION-TARGET` as it is in the tarball.
 pub(crate) struct Program {
@@ -34,8 +35,20 @@ pub(super) fn build(release: &Release) -> anyhow::Result<Program> {
     arrange(&built, &|program| release.target.runs(program), &folder)?;
     let documents = folder.join("share/doc/downbeat");
     write(&documents.join("THIRD-PARTY.txt"), notices::of(&crates)?.as_bytes())?;
-    copy(&workspace().join("docs/install.md"), &documents.join("README.md"))?;
+    write(&documents.join("README.md"), how_to_install()?.as_bytes())?;
     Ok(Program { folder, crates })
+}
+
+/// docs/install.md for readers who have no checkout: its links lead to the address of the repository.
+fn how_to_install() -> anyhow::Result<String> {
+    let page = Path::new("docs/install.md");
+    let text = std::fs::read_to_string(workspace().join(page)).with_context(|| page.display().to_string())?;
+    let repository = crates::repository()?;
+    Ok(markdown::with_targets(&text, |link| {
+        let anchor = link.anchor.map(|anchor| format!("#{anchor}")).unwrap_or_default();
+        let path = normal(&page.with_file_name(link.path));
+        (!link.path.is_empty()).then(|| format!("{repository}/blob/main/{}{anchor}", path.display()))
+    }))
 }
 
 impl Program {

@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, ensure};
 
 use super::{copy, write};
+use crate::crates::repository;
 use crate::files;
 use crate::steps::{run, workspace};
 
@@ -76,7 +77,7 @@ fn control(root: &Path, about: &About<'_>) -> anyhow::Result<()> {
         ("@VERSION@", about.version.to_owned()),
         ("@ARCHITECTURE@", about.architecture.to_owned()),
         ("@SIZE@", (files::size(&files::below(root)?) / 1024).to_string()),
-        ("@HOMEPAGE@", homepage()?),
+        ("@HOMEPAGE@", repository()?),
     ];
     let text = values.iter().fold(text, |text, (name, value)| text.replace(name, value));
     write(&root.join("DEBIAN/control"), text.as_bytes())?;
@@ -90,14 +91,6 @@ fn control(root: &Path, about: &About<'_>) -> anyhow::Result<()> {
         .output()?;
     ensure!(sums.status.success(), "md5sum: {}", String::from_utf8_lossy(&sums.stderr));
     write(&root.join("DEBIAN/md5sums"), &sums.stdout)
-}
-
-/// The `repository` of the workspace.
-fn homepage() -> anyhow::Result<String> {
-    let manifest = fs::read_to_string(workspace().join("Cargo.toml"))?;
-    let line = manifest.lines().find_map(|line| line.strip_prefix("repository = \""));
-    let address = line.and_then(|line| line.split('"').next()).context("Cargo.toml has no repository")?;
-    Ok(address.to_owned())
 }
 
 /// Debian's form of a changelog: what changed is in the project's own.
