@@ -1,8 +1,8 @@
-//! What stands behind a path.
+//! Types of files.
 
 use std::fs::Metadata;
 
-/// What stands behind a path, after its links.
+/// The type of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// A regular file.
@@ -22,7 +22,7 @@ pub enum FileKind {
 }
 
 impl FileKind {
-    /// The kind that the metadata of a file tell.
+    /// The type of the file with this metadata.
     #[must_use]
     pub fn of(metadata: &Metadata) -> Self {
         if metadata.is_file() {
@@ -32,6 +32,21 @@ impl FileKind {
         } else {
             special(metadata)
         }
+    }
+}
+
+impl std::fmt::Display for FileKind {
+    /// With its article, for sentences.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Regular => "a regular file",
+            Self::Directory => "a folder",
+            Self::Pipe => "a pipe",
+            Self::Socket => "a socket",
+            Self::CharacterDevice => "a device",
+            Self::BlockDevice => "a disk",
+            Self::Other => "no regular file",
+        })
     }
 }
 
@@ -55,4 +70,30 @@ fn special(metadata: &Metadata) -> FileKind {
 #[cfg(not(unix))]
 fn special(_: &Metadata) -> FileKind {
     FileKind::Other
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn each_type_of_file_is_known() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("file"), "").unwrap();
+        let _socket = std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(at("pipe")).status().unwrap().success());
+        std::os::unix::fs::symlink(at("pipe"), at("link")).unwrap();
+        let of = |path: &Path| FileKind::of(&path.metadata().unwrap()).to_string();
+        assert_eq!(of(Path::new("/dev/null")), "a device");
+        assert_eq!(of(folder.path()), "a folder");
+        assert_eq!(
+            ["file", "socket", "pipe", "link"].map(|name| of(&at(name))),
+            ["a regular file", "a socket", "a pipe", "a pipe"]
+        );
+        let link = at("link").symlink_metadata().unwrap();
+        assert_eq!(FileKind::of(&link), FileKind::Other);
+    }
 }

@@ -102,7 +102,7 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         #[cfg(not(feature = "football"))]
         Command::Match(_) | Command::Vision(_) => not_built("football", ""),
         Command::Check(arguments) => check::check(&arguments, catalog, &ros, &log),
-        Command::Robots(command) => robots::run(&command),
+        Command::Robots(command) => robots::run(&command, catalog),
         Command::Doctor(arguments) => doctor::doctor(&arguments, catalog, &ros),
         Command::Describe(arguments) => describe::describe(&arguments, catalog, &ros),
         #[cfg(feature = "view")]

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use downbeat_files::suggestion;
-use downbeat_robot::features::missing_feature;
+use downbeat_robot::Catalog;
+use downbeat_robot::features::missing_kinds;
 use downbeat_robots::{Error, kinds_of, robots};
 use serde_json::json;
 
@@ -34,12 +35,12 @@ pub(crate) struct CopyArguments {
     force: bool,
 }
 
-pub(crate) fn run(command: &RobotsCommand) -> anyhow::Result<()> {
+pub(crate) fn run(command: &RobotsCommand, catalog: &Catalog) -> anyhow::Result<()> {
     match command {
         RobotsCommand::List { json: true } => {
             let listed = robots().map(|robot| {
                 let command = format!("downbeat {} {}", robot.command, robot.name);
-                let missing = missing_features(robot.name)?;
+                let missing = missing_features(robot.name, catalog)?;
                 Ok(json!({ "name": robot.name, "about": robot.about, "command": command, "missing_features": missing }))
             });
             println!("{}", serde_json::to_string_pretty(&listed.collect::<Result<Vec<_>, Error>>()?)?);
@@ -47,10 +48,9 @@ pub(crate) fn run(command: &RobotsCommand) -> anyhow::Result<()> {
         RobotsCommand::List { json: false } => {
             for robot in robots() {
                 println!("downbeat {} {}\n    {}", robot.command, robot.name, robot.about);
-                let missing = missing_features(robot.name)?;
+                let missing: Vec<_> = missing_features(robot.name, catalog)?.into_iter().collect();
                 if !missing.is_empty() {
-                    let missing: Vec<_> = missing.into_iter().collect();
-                    println!("    (Not in this program, built without {}.)", missing.join(", "));
+                    println!("    (Not in this program: build it with --features {}.)", missing.join(","));
                 }
             }
         }
@@ -59,9 +59,11 @@ pub(crate) fn run(command: &RobotsCommand) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What a program needs beside the features of this one in order to run a robot.
-fn missing_features(robot: &str) -> Result<BTreeSet<&'static str>, Error> {
-    Ok(kinds_of(robot)?.into_iter().filter_map(missing_feature).collect())
+/// The features that this program lacks and a robot needs.
+fn missing_features(robot: &str, catalog: &Catalog) -> Result<BTreeSet<&'static str>, Error> {
+    let kinds = kinds_of(robot)?;
+    let missing = missing_kinds(catalog).into_iter().filter(|(kind, _)| kinds.contains(kind));
+    Ok(missing.map(|(_, feature)| feature).collect())
 }
 
 fn copy(arguments: &CopyArguments) -> anyhow::Result<()> {

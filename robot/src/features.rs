@@ -110,12 +110,6 @@ fn missing_kind_if(kind: &str, is_built_in: impl Fn(&Feature) -> bool) -> Option
     }
 }
 
-/// The feature that a program lacks in order to have a kind.
-pub fn missing_feature(kind: &str) -> Option<&'static str> {
-    let feature = FEATURES.iter().find(|feature| feature.kinds.contains(&kind))?;
-    (!feature.is_built_in).then_some(feature.name)
-}
-
 /// The kinds that this program lacks, with the features that have them, by name.
 pub fn missing_kinds(catalog: &Catalog) -> Vec<(&'static str, &'static str)> {
     let kinds = FEATURES.iter().filter(|feature| !feature.is_built_in).flat_map(|feature| {

@@ -111,8 +111,11 @@ pub fn files_of(name: &str) -> Result<BTreeSet<&'static File>, Error> {
 pub fn kinds_of(name: &str) -> Result<BTreeSet<&'static str>, Error> {
     let files = files_of(name)?;
     let robots = files.iter().filter(|file| file.path.ends_with(".toml"));
-    let quoted = |line: &'static str| line.strip_prefix("kind = \"")?.strip_suffix('"');
-    Ok(robots.flat_map(|file| file.text.lines().map(str::trim_end).filter_map(quoted)).collect())
+    // Other tables, such as that of the launcher, have kinds too.
+    let modules =
+        robots.flat_map(|file| file.text.split("\n[").filter(|table| table.starts_with("[module]]")));
+    let quoted = |line: &'static str| line.strip_prefix("kind = \"")?.split('"').next();
+    Ok(modules.flat_map(|table| table.lines().filter_map(quoted)).collect())
 }
 
 /// True if a setting of the file is the path to the other one.
@@ -269,6 +272,7 @@ mod tests {
     fn the_kinds_of_a_robot_are_those_of_all_its_files() {
         let kinds = kinds_of("match").unwrap();
         assert!(kinds.contains("football_match") && kinds.contains("walk_to"), "{kinds:?}");
+        assert!(!kinds.contains("pool"), "a launcher: {kinds:?}");
         assert!(!kinds_of("darwin_op").unwrap().contains("football_match"));
     }
 

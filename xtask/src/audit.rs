@@ -1,5 +1,4 @@
-//! `cargo xtask audit`: what the crates of others permit, where they come from, and what is known against
-//! them.
+//! `cargo xtask audit`: licences and origins of the crates of others, and known vulnerabilities.
 //!
 //! cargo-deny checks; its rules and the reasons of each exception are in deny.toml.
 
@@ -39,9 +38,15 @@ pub(crate) fn audit(database: Option<&Path>) -> anyhow::Result<()> {
     let advisories = match advisories(&program, database) {
         Ok(date) => {
             println!("advisories as of {date}:");
-            run(Command::new(&program).args(["--offline", "--workspace", "check", "advisories"]))
+            let offline = database.map(|_| "--offline");
+            run(Command::new(&program).args(offline).args([
+                "--workspace",
+                "check",
+                "--disable-fetch",
+                "advisories",
+            ]))
         }
-        Err(error) if database.is_none() => {
+        Err(error) if database.is_none() && !test_machine::is_strict() => {
             println!(
                 "NOT CHECKED: known vulnerabilities and yanked versions, for there is no database of them. Clone \
                  {ADVISORIES} where it can be reached, and give the folder with --db. {error:#}"

@@ -46,8 +46,8 @@ enum Command {
     Test,
     /// The rules of the layout: what may use what, links, the code map. Part of the test run.
     Tidy,
-    /// What other people's crates permit (licences), versions that are there twice, and where they come from,
-    /// which is part of the test run; and known vulnerabilities and yanked versions.
+    /// Licences, duplicate versions and origins of the crates of others, which is part of the test run; and
+    /// known vulnerabilities and yanked versions.
     Audit {
         /// A clone of the RustSec advisory database. Without one, it is downloaded.
         #[arg(long, value_name = "FOLDER")]
@@ -151,12 +151,10 @@ fn main() -> ExitCode {
         Command::Crates => install::cargo_install().map(drop),
         Command::Deb { program } => program
             .map_or_else(install::cargo_install, Ok)
-            .and_then(|program| install::debian_package(&program)),
-        Command::Colcon => install::ros_workspace(),
+            .and_then(|program| with_skips(|skips| install::debian_package(&program, skips))),
+        Command::Colcon => with_skips(install::ros_workspace),
         Command::RecordWalk => walk::record(),
-        Command::Wheel { test: true, .. } => {
-            skips::Run::new().and_then(|skips| wheel::test(&skips).and_then(|()| skips.print()))
-        }
+        Command::Wheel { test: true, .. } => with_skips(wheel::test),
         Command::Wheel { test: false, features } => {
             wheel::build(&features).map(|path| println!("{}", path.display()))
         }
@@ -176,4 +174,12 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Runs tests, and lists those that were skipped.
+fn with_skips(tests: impl FnOnce(&skips::Run) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    let skips = skips::Run::new()?;
+    let tested = tests(&skips);
+    skips.print()?;
+    tested
 }

@@ -123,9 +123,9 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     steps.step("the Python package", || wheel::test(&skips));
     steps.step("crates as they would be published, and a Debian package of them", || {
-        install::cargo_install().and_then(|program| install::debian_package(&program))
+        install::cargo_install().and_then(|program| install::debian_package(&program, &skips))
     });
-    steps.step("a ROS workspace, built by colcon", install::ros_workspace);
+    steps.step("a ROS workspace, built by colcon", || install::ros_workspace(&skips));
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));

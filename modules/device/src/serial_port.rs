@@ -19,14 +19,10 @@ pub fn check_port(path: &str) -> Result<(), String> {
         return Ok(());
     }
     let metadata = fs::metadata(path).map_err(|error| port_refusal(path, &error))?;
-    let what = match FileKind::of(&metadata) {
-        FileKind::CharacterDevice => return Ok(()),
-        FileKind::Directory => "a folder",
-        FileKind::Regular => "a regular file",
-        FileKind::BlockDevice => "a disk",
-        FileKind::Pipe | FileKind::Socket | FileKind::Other => "a socket or pipe",
-    };
-    Err(format!("{path} is {what}, not a serial port: name a device, such as /dev/ttyUSB0"))
+    match FileKind::of(&metadata) {
+        FileKind::CharacterDevice => Ok(()),
+        what => Err(format!("{path} is {what}, not a serial port: name a device, such as /dev/ttyUSB0")),
+    }
 }
 
 /// A sentence that says why a serial port could not be opened, and what to do.

@@ -110,7 +110,7 @@ pub(crate) enum Template {
     Messages,
     /// A library with a module, for several robots.
     Module,
-    /// The first one as a package of a ROS workspace, for colcon and ros2 launch.
+    /// A robot as a package of a ROS workspace, for colcon and `ros2 launch`.
     Ros,
 }
 

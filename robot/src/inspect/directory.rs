@@ -2,7 +2,7 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -133,7 +133,11 @@ impl SocketDirectory {
         // Not truncated: the file contains the holder of the lock.
         let open = File::options().read(true).write(true).create(true).truncate(false).open(&path);
         let mut file = open.map_err(io_error)?;
-        if file.try_lock().is_err() {
+        let locked = file.try_lock();
+        if let Err(TryLockError::Error(error)) = locked {
+            return Err(io_error(error).into());
+        }
+        if locked.is_err() {
             let mut holder = String::new();
             file.read_to_string(&mut holder).map_err(io_error)?;
             return Err(ClaimError::Taken { node: node.to_owned(), domain, holder });

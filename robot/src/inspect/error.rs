@@ -30,7 +30,7 @@ pub enum DirectoryError {
     },
     /// This system has no Unix sockets.
     #[error(
-        "commands that look into a running robot (top, trace, graph, expose) work on Linux and macOS only; here look at the \
+        "commands that look into a running robot (top, trace, view, expose) work on Linux and macOS only; here look at the \
          robot's page (`downbeat run ROBOT --view`) or at its topics"
     )]
     Unsupported,

@@ -39,7 +39,7 @@ pub use recording::RecordPlan;
 pub(crate) use recording::{RECORDED_FROM, SIMULATED_TIME};
 pub use rehearsal::{Rehearsal, RehearsedNetwork};
 
-use crate::inspect::{ClaimError, InspectionServer, SocketDirectory};
+use crate::inspect::{ClaimError, DirectoryError, InspectionServer, SocketDirectory};
 use crate::recorder::RecorderError;
 use crate::ros_recorder::ServeError;
 use crate::{ClockChoice, Robot, RobotFile, RobotFileError};
@@ -411,6 +411,11 @@ pub fn add_diagnostics(core: &mut Core, file: &RobotFile) -> Result<Option<Proce
 fn inspection(name: &str, robot: Arc<InspectedRobot>) -> Option<InspectionServer> {
     let unseen =
         |error: &dyn std::error::Error| tracing::warn!("`downbeat top` will not see this robot: {error}");
-    let directory = SocketDirectory::open().inspect_err(|error| unseen(error)).ok()?;
+    let directory = SocketDirectory::open().inspect_err(|error| match error {
+        // Nothing that a user can change: who wants to look into the robot is told then.
+        DirectoryError::Unsupported => tracing::debug!("{error}"),
+        _ => unseen(error),
+    });
+    let directory = directory.ok()?;
     InspectionServer::start(&directory, name, robot).inspect_err(|error| unseen(error)).ok()
 }

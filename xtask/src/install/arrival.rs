@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -58,13 +59,13 @@ impl Arrival {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/install/first_joint_state.py");
         let mut subscriber = Command::new(python::interpreter()?);
         subscriber.arg(script).args(["60", topic]).envs(variables).stdout(Stdio::piped());
-        let mut subscriber = Ended(subscriber.spawn().context("cannot run Python")?);
+        let mut subscriber = Ended(subscriber.process_group(0).spawn().context("cannot run Python")?);
         let output = subscriber.0.stdout.take().context("the subscriber has no output")?;
         let mut lines = BufReader::new(output).lines();
         let mut next = || lines.next().context("the subscriber ended")?.context("its output");
         ensure!(next()? == "ready", "the subscriber is not ready");
         let start = SystemTime::now().duration_since(UNIX_EPOCH)?;
-        robot.envs(variables).stdout(Stdio::null());
+        robot.envs(variables).stdout(Stdio::null()).process_group(0);
         let mut running = Ended(robot.spawn().with_context(|| format!("cannot run {robot:?}"))?);
         let line = next().with_context(|| format!("{robot:?} sent nothing on {topic} to rclpy"))?;
         let (time, found) = line.split_once(' ').context("the subscriber's line")?;
@@ -111,7 +112,7 @@ fn most_memory(process: u32) -> anyhow::Result<u64> {
     Ok(kilobytes * 1024)
 }
 
-/// A process that ends with this.
+/// A process that ends with this, with its group, which it leads.
 struct Ended(Child);
 
 impl Ended {
@@ -133,8 +134,10 @@ impl Ended {
 
 impl Drop for Ended {
     fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        if let Ok(None) = self.0.try_wait() {
+            // A launcher has started the robot in its group.
+            let _ = Command::new("kill").args(["-KILL", "--", &format!("-{}", self.0.id())]).status();
+            let _ = self.0.wait();
+        }
     }
 }

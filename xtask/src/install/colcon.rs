@@ -11,6 +11,7 @@ use anyhow::{Context, ensure};
 
 use super::{Arrival, Figures, Home};
 use crate::crates::cargo_home;
+use crate::skips::Run;
 use crate::steps::workspace;
 use crate::{files, python};
 
@@ -29,14 +30,10 @@ const TOOLS: [&str; 7] = [
 const LOCK: &str = "start/program/Cargo.lock";
 
 /// Builds, runs and removes a workspace. What is compiled is shared with the checkout.
-pub(crate) fn ros_workspace() -> anyhow::Result<()> {
+pub(crate) fn ros_workspace(skips: &Run) -> anyhow::Result<()> {
     let tools = match python::tools("target/venv_colcon", &TOOLS) {
-        Err(error) if !test_machine::is_strict() => {
-            eprintln!("xtask: {error:#}");
-            test_machine::missing("colcon", "pip could not install colcon-ros-cargo");
-            return Ok(());
-        }
-        tools => tools?,
+        Ok(tools) => tools,
+        Err(error) => return skips.missing("cargo xtask colcon", &format!("colcon is missing ({error:#})")),
     };
     let lock = workspace().join(LOCK);
     let lock_before = fs::read(&lock).context(LOCK)?;
@@ -47,6 +44,7 @@ pub(crate) fn ros_workspace() -> anyhow::Result<()> {
     println!("a development build, of compiled packages:");
     Figures::print_header();
     ros.install(&[])?.print("colcon");
+    ensure!(fs::read(&lock)? == lock_before, "{LOCK} is stale: run `cargo run -- --version` and commit it");
     let launch = "launch downbeat darwin_op.launch.py namespace:=left";
     Arrival::at("/left/joint_states", 20, &mut ros.ros2(launch)?)?;
 
@@ -71,7 +69,7 @@ pub(crate) fn ros_workspace() -> anyhow::Result<()> {
     let tests = ["test", "--packages-select", "my_robot", "--return-code-on-test-failure"];
     succeeds(&mut ros.colcon(&tests))?;
 
-    // A workspace that is sourced offers its packages to all that colcon builds.
+    // A workspace that is sourced offers its packages to all that colcon builds, and cargo notes them.
     let again = ros.sourced("exec colcon build").output();
     fs::write(&lock, lock_before)?;
     let again = again.context("cannot run sh")?;
@@ -79,7 +77,7 @@ pub(crate) fn ros_workspace() -> anyhow::Result<()> {
     ros.remove()
 }
 
-/// Builds the checkout for release as a user does, runs it, and removes it.
+/// Builds the checkout for release as a user does, with what is compiled already, runs it, and removes it.
 pub(crate) fn ros_workspace_for_release() -> anyhow::Result<Figures> {
     let ros = RosWorkspace::new(&python::tools("target/venv_colcon", &TOOLS)?)?;
     let figures = ros.install(&["--cargo-args", "--release"])?;

@@ -7,23 +7,24 @@ use std::process::Command;
 use anyhow::ensure;
 
 use super::{Arrival, Home};
-use crate::files;
 use crate::packaging::arrange;
 use crate::packaging::debian::{self, About};
+use crate::skips::Run;
 use crate::steps::{run, workspace};
+use crate::{crates, files};
 
 /// Packages an installed program, unpacks the package as dpkg does, runs what it has, and removes it again:
 /// nothing is left. Lintian, where it is installed, finds nothing.
-pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
+pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> {
     if !test_machine::has_program("dpkg-deb") {
-        test_machine::missing("dpkg-deb", "a Debian package can be made on Debian and Ubuntu");
-        return Ok(());
+        let reason = "dpkg-deb is missing: a Debian package can be made on Debian and Ubuntu";
+        return skips.missing("cargo xtask deb", reason);
     }
     let home = Home::new()?;
     let arranged = home.path().join("arranged");
     arrange(program, &|program| Command::new(program), &arranged)?;
     let about = About {
-        version: "0.1.0",
+        version: &crates::version()?,
         architecture: architecture()?,
         time: 1_700_000_000,
         compression: &["-Zgzip", "-z1"],
@@ -32,7 +33,10 @@ pub(crate) fn debian_package(program: &Path) -> anyhow::Result<()> {
     if test_machine::has_program("lintian") {
         run(Command::new("lintian").args(["--fail-on", "error,warning"]).arg(&package))?;
     } else {
-        test_machine::missing("lintian", "install Debian's package lintian");
+        skips.missing(
+            "lintian of the Debian package",
+            "lintian is missing: install Debian's package lintian",
+        )?;
     }
     let root = home.path().join("root");
     prepare(&root)?;

@@ -107,8 +107,10 @@ def launch(package, file, *arguments):
     description = runpy.run_path(path)["generate_launch_description"]()
     state = Launch(dict(argument.split(":=", 1) for argument in arguments))
     nodes = [node for node in (entity.start(state) for entity in description.entities) if node]
-    signal.signal(signal.SIGINT, lambda number, _: [node.send_signal(number) for node in nodes])
-    sys.exit(max(node.wait() for node in nodes))
+    for request in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(request, lambda number, _: [node.send_signal(number) for node in nodes])
+    codes = [node.wait() for node in nodes]
+    sys.exit(1 if any(codes) else 0)
 
 
 if __name__ == "__main__":

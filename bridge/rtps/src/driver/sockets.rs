@@ -212,7 +212,7 @@ impl Senders {
         // Without it, Linux does not report closed ports to sockets that send to many addresses. Elsewhere
         // they are not reported. The state is that of another socket, because creating it disables IP
         // fragmentation.
-        #[cfg(unix)]
+        #[cfg(any(target_os = "linux", target_os = "android"))]
         UdpSocketState::new((&sender(address)?).into())?.enable_transport_errors((&unicast).into())?;
         let refusals = Vec::new();
         Ok(Self { unicast, refusals, multicast: Vec::new(), address, log: LogLimit::default() })

@@ -15,7 +15,7 @@ pub fn child() -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Without an effect.
+/// Does nothing: libraries cannot run in child processes here.
 pub fn set_child_command(_command: impl IntoIterator<Item = OsString>) {}
 
 pub(crate) fn start(options: &LibraryOptions) -> Result<Box<dyn Foreign>, String> {

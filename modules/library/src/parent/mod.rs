@@ -4,8 +4,9 @@
 //! child also asks the system for a signal, which comes even if another process has inherited that end of the
 //! pipe.
 
-#[cfg_attr(not(unix), path = "windows.rs")]
-mod unix;
+#[cfg_attr(unix, path = "unix.rs")]
+#[cfg_attr(windows, path = "windows.rs")]
+mod system;
 
 use std::io;
 use std::process::{Child, Command};
@@ -13,8 +14,8 @@ use std::sync::OnceLock;
 use std::sync::mpsc::{Sender, channel};
 
 #[cfg(unix)]
-pub(crate) use unix::end_with_it;
-pub use unix::{ask_to_stop, in_own_group, terminate_at_its_end};
+pub(crate) use system::end_with_it;
+pub use system::{ask_to_stop, in_own_group, terminate_at_its_end};
 
 type Request = (Command, Sender<io::Result<Child>>);
 

@@ -27,8 +27,15 @@ pub fn in_own_group(command: &mut Command) -> &mut Command {
     command.process_group(0)
 }
 
-/// Asks a child to stop, as Ctrl-C does. One that has ended, or is about to, is not asked.
+/// Asks a child to stop, as Ctrl-C does. Does nothing if the child has ended.
+///
+/// Where there are no signals, the end of its standard input asks it: the child has to be started with a pipe
+/// as standard input, which the parent has not taken out of [`Child`], and to stop at its end.
 pub fn ask_to_stop(child: &mut Child) {
+    // The number of one that has ended may be that of another process.
+    if !matches!(child.try_wait(), Ok(None)) {
+        return;
+    }
     if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
         let _ = kill_process(pid, Signal::INT);
     }

@@ -1,13 +1,13 @@
-//! Processes of Windows, which has no signals: the end of a pipe says all.
+//! Processes of Windows, which has no signals: closing the standard input of a child asks it to stop.
 
 use std::io;
 use std::os::windows::process::CommandExt;
 use std::process::{Child, Command};
 
-/// Without an effect.
+/// Does nothing: the end of the pipe to its parent says that the parent has ended.
 ///
 /// # Errors
-/// None.
+/// Never.
 pub fn terminate_at_its_end() -> io::Result<()> {
     Ok(())
 }
@@ -18,7 +18,8 @@ pub fn in_own_group(command: &mut Command) -> &mut Command {
     command.creation_flags(CREATE_NEW_PROCESS_GROUP)
 }
 
-/// Asks a child to stop, by the end of its standard input.
+/// Asks a child to stop, by the end of its standard input: it has to be started with a pipe as standard
+/// input, which the parent has not taken out of [`Child`], and to stop at its end.
 pub fn ask_to_stop(child: &mut Child) {
     child.stdin = None;
 }

@@ -138,11 +138,12 @@ fn open(path: &str, buses: &EmulatedBuses) -> Result<Open, String> {
     if path.is_empty() {
         return Err("no I²C bus is given: set \"bus\" to a device such as /dev/i2c-1".to_owned());
     }
+    kernel::i2c::check_supported().map_err(|error| error.to_string())?;
     match fs::metadata(path) {
         Ok(metadata) if FileKind::of(&metadata) != FileKind::CharacterDevice => {
-            let kind = if metadata.is_dir() { "a folder" } else { "a regular file" };
             return Err(format!(
-                "{path} is {kind}, not an I²C bus: set \"bus\" to a device such as /dev/i2c-1"
+                "{path} is {}, not an I²C bus: set \"bus\" to a device such as /dev/i2c-1",
+                FileKind::of(&metadata)
             ));
         }
         Err(error) => return Err(remedy(path, &error)),

@@ -104,6 +104,16 @@ pub(crate) fn is_gone(_error: &io::Error) -> bool {
     false
 }
 
+pub(crate) fn is_foreign(_error: &io::Error) -> bool {
+    false
+}
+
+/// # Errors
+/// Always: a sentence.
+pub(crate) fn check_supported() -> io::Result<()> {
+    Err(unsupported())
+}
+
 pub(crate) fn is_full(_error: &io::Error) -> bool {
     false
 }

@@ -17,8 +17,19 @@ pub(crate) fn select(bus: &File, address: u8) -> io::Result<()> {
     Ok(())
 }
 
+/// Whether there are buses on this system.
+#[cfg(target_os = "linux")]
+pub(crate) fn check_supported() -> io::Result<()> {
+    Ok(())
+}
+
 #[cfg(not(target_os = "linux"))]
 pub(crate) fn select(_bus: &File, _address: u8) -> io::Result<()> {
+    check_supported()
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn check_supported() -> io::Result<()> {
     let reason =
         "I²C buses of this machine are supported on Linux only; on other systems use an emulated one";
     Err(io::Error::new(io::ErrorKind::Unsupported, reason))

@@ -4,7 +4,7 @@
 use std::ffi::c_void;
 use std::fs::File;
 use std::io;
-use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::path::Path;
 use std::time::Duration;
 
@@ -78,7 +78,7 @@ pub(crate) mod input {
 pub(crate) mod gpio {
     use std::fs::File;
     use std::io;
-    use std::os::fd::{AsFd, FromRawFd, OwnedFd};
+    use std::os::fd::{FromRawFd, OwnedFd};
 
     use super::{Request, request};
     use crate::kernel::i32_at;
@@ -90,7 +90,7 @@ pub(crate) mod gpio {
     pub(crate) const SET_VALUES: Request<16> = Request::exchange(0xb4, 15);
 
     /// Requests lines, by a `gpio_v2_line_request`: the file through which they are used.
-    pub(crate) fn request_line(chip: impl AsFd, bytes: &mut [u8; 592]) -> io::Result<File> {
+    pub(crate) fn request_line(chip: &File, bytes: &mut [u8; 592]) -> io::Result<File> {
         super::put_u32(bytes, 588, u32::MAX);
         request(chip, LINE, bytes)?;
         let descriptor = i32_at(bytes, 588);
@@ -110,7 +110,7 @@ pub(crate) mod gpio {
 
 /// Sends a request to a device and receives its answer in the same bytes.
 pub(crate) fn request<const LENGTH: usize>(
-    device: impl AsFd,
+    device: &File,
     request: Request<LENGTH>,
     bytes: &mut [u8; LENGTH],
 ) -> io::Result<()> {
@@ -181,7 +181,7 @@ pub(crate) const MAPPED: u32 = 1;
 
 /// Sends a request about a buffer for capture in mapped memory, so that the structure, a `v4l2_buffer`, has
 /// no pointer.
-pub(crate) fn buffer(device: impl AsFd, about: BufferRequest, index: u32) -> io::Result<[u8; 88]> {
+pub(crate) fn buffer(device: &File, about: BufferRequest, index: u32) -> io::Result<[u8; 88]> {
     let mut bytes = [0; 88];
     put_u32(&mut bytes, 0, index);
     put_u32(&mut bytes, 4, CAPTURE);
@@ -201,7 +201,7 @@ unsafe impl Send for Mapping {}
 
 impl Mapping {
     /// Maps memory of a device for reading.
-    pub(crate) fn new(device: impl AsFd, length: usize, offset: u64) -> io::Result<Self> {
+    pub(crate) fn new(device: &File, length: usize, offset: u64) -> io::Result<Self> {
         // SAFETY: the kernel chooses the place, so no memory of the process is replaced.
         let start = unsafe {
             rustix::mm::mmap(std::ptr::null_mut(), length, ProtFlags::READ, MapFlags::SHARED, device, offset)
@@ -265,6 +265,16 @@ pub(crate) fn age(seconds: u64, nanoseconds: u64) -> Option<Duration> {
 pub(crate) fn is_gone(error: &io::Error) -> bool {
     let gone = [rustix::io::Errno::NODEV, rustix::io::Errno::NXIO];
     gone.iter().any(|errno| error.raw_os_error() == Some(errno.raw_os_error()))
+}
+
+/// Whether an error says that a file is no device of the kind that the request is for: `ENOTTY`.
+pub(crate) fn is_foreign(error: &io::Error) -> bool {
+    error.raw_os_error() == Some(rustix::io::Errno::NOTTY.raw_os_error())
+}
+
+/// Whether devices can be opened on this system.
+pub(crate) fn check_supported() -> io::Result<()> {
+    Ok(())
 }
 
 /// Whether an error says that a queue of a driver is full: `ENOBUFS`.

@@ -24,6 +24,7 @@ pub(crate) use linux::*;
 /// A sentence with what is wrong and what to do. `what` names the device (a camera), `group` the group whose
 /// members may use it.
 pub(crate) fn open_device(path: &Path, is_written: bool, what: &str, group: &str) -> Result<File, String> {
+    check_supported().map_err(|error| error.to_string())?;
     let at = path.display();
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => format!("there is no {at}; is the {what} plugged in?"),
@@ -35,16 +36,9 @@ pub(crate) fn open_device(path: &Path, is_written: bool, what: &str, group: &str
     };
     let found = std::fs::metadata(path).map_err(failed)?;
     if FileKind::of(&found) != FileKind::CharacterDevice {
-        let kind = if found.is_dir() { "folder" } else { "file" };
-        return Err(format!("{at} is a {kind}, not the device file of a {what}"));
+        return Err(format!("{at} is {}, not the device file of a {what}", FileKind::of(&found)));
     }
     open_without_waiting(path, is_written).map_err(failed)
-}
-
-/// Whether an error says that a file is no device of the kind that the request is for: `ENOTTY`.
-pub(crate) fn is_foreign(error: &io::Error) -> bool {
-    const ENOTTY: i32 = 25; // the same on every Unix
-    error.raw_os_error() == Some(ENOTTY)
 }
 
 /// Whether the name of a device that nothing has is the path of a file, from the working directory.
@@ -145,7 +139,7 @@ mod tests {
         let refusal = |path: &Path| open_device(path, true, "camera", "video").unwrap_err();
         assert!(refusal(&file).contains("is the camera plugged in?"), "{}", refusal(&file));
         std::fs::write(&file, "").unwrap();
-        assert!(refusal(&file).ends_with("video0 is a file, not the device file of a camera"));
+        assert!(refusal(&file).ends_with("video0 is a regular file, not the device file of a camera"));
         assert!(refusal(folder.path()).contains(" is a folder, "));
         assert!(open_device(Path::new("/dev/null"), true, "camera", "video").is_ok());
     }

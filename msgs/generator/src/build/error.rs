@@ -64,8 +64,8 @@ pub enum BuildError {
         if searched.is_empty() { "AMENT_PREFIX_PATH is not set, source the setup file of ROS 2 first".into() }
         else {
             format!(
-                "searched `share` below {}; source the setup file of the workspace that has it, or, if colcon builds both, \
-                 name it in a <depend> of package.xml",
+                "searched `share` below {}; source the setup file of the workspace that has it, or, if colcon builds \
+                 that package and this one, name it in a <depend> of package.xml",
                 list(searched)
             )
         }

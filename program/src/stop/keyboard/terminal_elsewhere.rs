@@ -1,4 +1,4 @@
-//! Single keys from other terminals, whose state stays as it is.
+//! Single keys from terminals of other systems, whose state is not changed.
 
 use std::io::{self, IsTerminal};
 
