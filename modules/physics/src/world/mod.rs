@@ -19,7 +19,8 @@ use std::time::Duration;
 /// What computes how the bodies move.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Engine {
-    /// rapier, which is part of the program: the same options give the same bits on every machine.
+    /// rapier, which is part of the program: the same options give the same bits, in a world with several
+    /// robots only on the same kind of processor.
     #[default]
     Rapier,
     /// MuJoCo, a second opinion. It needs the feature `mujoco` and its library, in the file that

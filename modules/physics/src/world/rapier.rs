@@ -1,8 +1,8 @@
 //! The engine rapier.
 //!
 //! rapier works in single precision. With its feature `enhanced-determinism`, the same world and the same
-//! steps give the same bits, in every process and on every machine; another version, step or seed gives
-//! another path.
+//! steps give the same bits, in every process, and for worlds with one robot on x86-64 and aarch64; another
+//! version, step or seed gives another path.
 //!
 //! # References
 //! rapier3d 0.36.1: `Multibody` (reduced coordinates, armature and dry friction per degree of freedom).
