@@ -52,7 +52,10 @@ pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
     if !arguments.program {
         files.push(program.debian_package(&release)?);
         files.push(wheel::build(&release)?);
-        files.push(wheel::sources(&release)?);
+        // With the licences of that platform; one serves all.
+        if release.target == Target::X86_64 {
+            files.push(wheel::sources(&release)?);
+        }
     }
     sum(&release.out)?;
     print(&files)
