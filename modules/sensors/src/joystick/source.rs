@@ -280,7 +280,7 @@ mod tests {
         let unnamed = source.open("No Such Stick").unwrap_err();
         assert!(unnamed.starts_with("there is no joystick \"No Such Stick\"; "), "{unnamed}");
         let file = source.open("Cargo.toml").unwrap_err();
-        assert_eq!(file, "Cargo.toml is a file, not the device file of a joystick");
+        assert_eq!(file, "Cargo.toml is a regular file, not the device file of a joystick");
         assert_eq!(source.read(Time::ZERO, Duration::ZERO), Err(CLOSED.to_owned()));
     }
 }

@@ -286,7 +286,7 @@ fn a_device_that_is_a_file_is_told() {
         pass(&mut live.probe, 100);
         last_status(&live.diagnostics).1
     };
-    assert!(told(&file).contains("is a file, not the device file of a camera"), "{}", told(&file));
+    assert!(told(&file).contains("is a regular file, not the device file of a camera"), "{}", told(&file));
     assert!(told(folder.path()).contains("is a folder"));
     assert!(told(&folder.path().join("none")).contains("is the camera plugged in?"));
     assert!(told(Path::new("/dev/null")).contains("is no video device"));

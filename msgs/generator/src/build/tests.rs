@@ -116,7 +116,7 @@ fn installed_packages_are_found_by_name() {
             .error(&Build::new().installed("no_msgs"))
             .replace(&space.folder.path().display().to_string(), ""),
         "no package `no_msgs` with interfaces is installed: searched `share` below empty, ament; source the setup file of \
-         the workspace that has it, or, if colcon builds both, name it in a <depend> of package.xml"
+         the workspace that has it, or, if colcon builds that package and this one, name it in a <depend> of package.xml"
     );
 }
 

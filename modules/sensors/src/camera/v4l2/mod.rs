@@ -141,6 +141,6 @@ mod tests {
         let no_camera = refusal("/dev/null").unwrap_err();
         assert!(no_camera.starts_with("/dev/null is no video device"), "{no_camera}");
         let file = refusal("Cargo.toml").unwrap_err();
-        assert!(file.starts_with("Cargo.toml is a file, not the device file of a camera"), "{file}");
+        assert!(file.starts_with("Cargo.toml is a regular file, not the device file of a camera"), "{file}");
     }
 }
