@@ -412,7 +412,7 @@ fn inspection(name: &str, robot: Arc<InspectedRobot>) -> Option<InspectionServer
     let unseen =
         |error: &dyn std::error::Error| tracing::warn!("`downbeat top` will not see this robot: {error}");
     let directory = SocketDirectory::open().inspect_err(|error| match error {
-        // Nothing that a user can change: who wants to look into the robot is told then.
+        // A user cannot change this. The command that looks into the robot reports it.
         DirectoryError::Unsupported => tracing::debug!("{error}"),
         _ => unseen(error),
     });

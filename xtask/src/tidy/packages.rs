@@ -21,7 +21,7 @@ pub(super) struct Package {
     pub(super) roots: Vec<PathBuf>,
     /// The packages of the workspace that it is built with; tests may use more.
     uses: Vec<String>,
-    /// Features that docs.rs is told to enable and that it does not have.
+    /// Features that its settings for docs.rs name, and that it does not have.
     undocumented: Vec<String>,
 }
 

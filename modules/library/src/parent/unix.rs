@@ -27,7 +27,7 @@ pub fn in_own_group(command: &mut Command) -> &mut Command {
     command.process_group(0)
 }
 
-/// Asks a child to stop, as Ctrl-C does. Does nothing if the child has ended.
+/// Asks a child to stop, as Ctrl-C does. A child that has ended is left alone.
 ///
 /// Where there are no signals, the end of its standard input asks it: the child has to be started with a pipe
 /// as standard input, which the parent has not taken out of [`Child`], and to stop at its end.
