@@ -484,6 +484,18 @@ fn services_are_called_both_ways() {
     let attachment = Attachment::parse(&unhex(&query["attachment"])).unwrap();
     let own = router.tokens().into_iter().find(|token| token.contains("/SC/%/%ns1/golden/%theirs/")).unwrap();
     assert_eq!((attachment.sequence_number, attachment.gid), (1, gid(&own)));
+
+    // A request that finds no way is sent again.
+    let lossy = node.client::<SetBool>("/lossy", QosProfile::SERVICES).unwrap();
+    router.done(
+        &json!({"do": "announce", "token": token.replace("theirs", "lossy").replace("/0/1/SS", "/0/2/SS")}),
+    );
+    let reply = hex(cdr::to_vec(&expected));
+    router.done(&json!({"do": "serve", "key": key_of_service("lossy"), "reply": reply, "lost": 2}));
+    assert!(lossy.wait_for_service(WATCHDOG));
+    assert_eq!(lossy.call_and_wait(&SetBoolRequest { data: true }, WATCHDOG).unwrap(), expected);
+    let attachment = Attachment::parse(&unhex(&router.next("query")["attachment"])).unwrap();
+    assert_eq!(attachment.sequence_number, 1);
 }
 
 #[test]

@@ -48,8 +48,14 @@ def attachment(number, gid="11" * 16):
     return struct.pack("<qq", number, time.time_ns()) + bytes([16]) + bytes.fromhex(gid)
 
 
-def serve(key, reply, complete=True):
+def serve(key, reply, complete=True, lost=0):
+    """Does not answer the first queries, as if they had found no way."""
+    left = [lost]
+
     def answer(query):
+        if left[0] > 0:
+            left[0] -= 1
+            return
         say(kind="query", key=str(query.key_expr), payload=hexadecimal(query.payload), attachment=hexadecimal(query.attachment))
         asked = bytes(query.attachment)
         query.reply(key, bytes.fromhex(reply), attachment=asked[:8] + struct.pack("<q", time.time_ns()) + asked[16:])

@@ -1,7 +1,8 @@
-//! Asks writers for samples that are missing, until they answer.
+//! Asks again what nobody has answered: writers for samples that are missing, servers for replies.
 //!
-//! A subscription of zenoh-ext asks once. After an outage the way to a writer may be there for its samples
-//! before it is there for questions; nobody answers then, and the samples would be lost.
+//! Zenoh asks once. After an outage, or while a session still links with others, the way to a writer may be
+//! there for its samples, or a server may be announced, before there is a way for questions. Nobody answers
+//! then, and samples or replies would be lost.
 
 use crate::middleware::Gid;
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, unbounded};
@@ -12,8 +13,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
-/// How long to wait before each question, while nothing comes. After the last one what is missing is lost.
-const WAITS: [Duration; 6] = [
+/// How long to wait before each question, while nothing comes. After the last one nothing is expected.
+pub(super) const WAITS: [Duration; 6] = [
     Duration::from_millis(200),
     Duration::from_millis(500),
     Duration::from_secs(1),
@@ -25,9 +26,22 @@ const WAITS: [Duration; 6] = [
 /// An answer that takes longer is asked for again, from where it ended.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// The thread that asks, from the first gap on.
+/// The thread that asks, from the first open question on.
 #[derive(Default)]
-pub(super) struct Repairs(OnceLock<Option<Sender<Gap>>>);
+pub(super) struct Repairs(OnceLock<Option<Sender<Box<dyn Question>>>>);
+
+/// Something that is asked until it is answered.
+pub(super) trait Question: Send {
+    /// How long to wait before the first `go_on`.
+    fn first_wait(&self) -> Duration {
+        WAITS[0]
+    }
+
+    /// Asks, or gives up. Returns itself, and when to go on, if something is still missing.
+    fn go_on(self: Box<Self>) -> Option<(Duration, Box<dyn Question>)>;
+    /// There is no thread that asks.
+    fn is_refused(self: Box<Self>);
+}
 
 /// A subscription that waits for samples.
 pub(super) trait Incomplete: Send + Sync {
@@ -97,41 +111,43 @@ impl Drop for Answering {
 }
 
 impl Repairs {
-    pub(super) fn ask(&self, gap: Gap) {
-        let gaps = self.0.get_or_init(|| {
-            // Unbounded: a writer of a subscription has one gap at a time, and writers are bounded.
-            let (sender, gaps) = unbounded();
-            let run = move || ask_until_answered(&gaps);
+    pub(super) fn ask(&self, question: impl Question + 'static) {
+        let questions = self.0.get_or_init(|| {
+            // Unbounded: a writer of a subscription has one gap at a time, and writers are bounded; so are
+            // the open calls of a client.
+            let (sender, questions) = unbounded();
+            let run = move || ask_until_answered(&questions);
             let thread = std::thread::Builder::new().name("downbeat-zenoh-repair".into()).spawn(run);
             thread.is_ok().then_some(sender)
         });
-        let refused = match gaps {
-            Some(gaps) => gaps.send(gap).err().map(|error| error.0),
-            None => Some(gap),
+        let question: Box<dyn Question> = Box::new(question);
+        let refused = match questions {
+            Some(questions) => questions.send(question).err().map(|error| error.0),
+            None => Some(question),
         };
-        if let Some(of) = refused.as_ref().and_then(|gap| gap.of.upgrade()) {
-            refused.iter().for_each(|gap| of.give_up(gap.writer));
+        if let Some(question) = refused {
+            question.is_refused();
         }
     }
 }
 
-fn ask_until_answered(gaps: &Receiver<Gap>) {
-    let mut waiting = Vec::<(Instant, Gap)>::new();
+fn ask_until_answered(questions: &Receiver<Box<dyn Question>>) {
+    let mut waiting = Vec::<(Instant, Box<dyn Question>)>::new();
     loop {
         let next = waiting.iter().map(|(due, _)| *due).min();
         let received = match next {
-            Some(due) => gaps.recv_deadline(due),
-            None => gaps.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            Some(due) => questions.recv_deadline(due),
+            None => questions.recv().map_err(|_| RecvTimeoutError::Disconnected),
         };
         match received {
-            Ok(gap) => waiting.push((Instant::now() + WAITS[0], gap)),
+            Ok(question) => waiting.push((Instant::now() + question.first_wait(), question)),
             Err(RecvTimeoutError::Timeout) => {
                 let now = Instant::now();
-                for (due, gap) in std::mem::take(&mut waiting) {
+                for (due, question) in std::mem::take(&mut waiting) {
                     if due > now {
-                        waiting.push((due, gap));
-                    } else if let Some((wait, gap)) = gap.go_on() {
-                        waiting.push((now + wait, gap));
+                        waiting.push((due, question));
+                    } else if let Some((wait, question)) = question.go_on() {
+                        waiting.push((now + wait, question));
                     }
                 }
             }
@@ -151,29 +167,6 @@ impl Gap {
     ) -> Self {
         let ahead = number_in_zenoh.wrapping_sub(low_bits(number));
         Self { of, writer, source, ahead, attempts: 0, asked: None }
-    }
-
-    /// Asks, or gives up. Returns itself, and when to go on, if something is still missing.
-    fn go_on(mut self) -> Option<(Duration, Self)> {
-        let of = self.of.upgrade()?;
-        let after = of.last_before_gap(self.writer)?;
-        let asked = self.asked.as_ref();
-        let is_over = asked.is_none_or(|asked| asked.answer.is_over.load(Ordering::Acquire));
-        let is_whole = asked.is_some_and(|asked| asked.answer.is_whole.load(Ordering::Acquire));
-        let has_moved = asked.is_some_and(|asked| asked.after != after);
-        self.attempts = if has_moved { 0 } else { self.attempts + 1 };
-        // What the writer does not keep any more does not come.
-        if (is_whole && !has_moved) || self.attempts >= WAITS.len() {
-            of.give_up(self.writer);
-            of.last_before_gap(self.writer)?;
-            self.attempts = 0;
-        }
-        if is_over {
-            self.ask(&of.session()?, after);
-        } else if let Some(asked) = self.asked.as_mut() {
-            asked.after = after;
-        }
-        Some((WAITS[self.attempts], self))
     }
 
     fn ask(&mut self, session: &Session, after: i64) {
@@ -197,6 +190,36 @@ impl Gap {
             tracing::debug!(%error, question, "missing samples cannot be asked for");
         }
         self.asked = Some(Asked { after, answer });
+    }
+}
+
+impl Question for Gap {
+    fn go_on(mut self: Box<Self>) -> Option<(Duration, Box<dyn Question>)> {
+        let of = self.of.upgrade()?;
+        let after = of.last_before_gap(self.writer)?;
+        let asked = self.asked.as_ref();
+        let is_over = asked.is_none_or(|asked| asked.answer.is_over.load(Ordering::Acquire));
+        let is_whole = asked.is_some_and(|asked| asked.answer.is_whole.load(Ordering::Acquire));
+        let has_moved = asked.is_some_and(|asked| asked.after != after);
+        self.attempts = if has_moved { 0 } else { self.attempts + 1 };
+        // What the writer does not keep any more does not come.
+        if (is_whole && !has_moved) || self.attempts >= WAITS.len() {
+            of.give_up(self.writer);
+            of.last_before_gap(self.writer)?;
+            self.attempts = 0;
+        }
+        if is_over {
+            self.ask(&of.session()?, after);
+        } else if let Some(asked) = self.asked.as_mut() {
+            asked.after = after;
+        }
+        Some((WAITS[self.attempts], self))
+    }
+
+    fn is_refused(self: Box<Self>) {
+        if let Some(of) = self.of.upgrade() {
+            of.give_up(self.writer);
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Servers and clients of services.
 
 use super::domain::{Announcement, Domain, now_ns, of_service};
+use super::repair::{Question, WAITS};
 use super::topics::payload;
 use crate::middleware::rtps::is_cdr;
 use crate::middleware::{
@@ -13,9 +14,9 @@ use downbeat_zenoh::zenoh::qos::CongestionControl;
 use downbeat_zenoh::zenoh::query::{ConsolidationMode, Querier, Query, QueryTarget, Queryable, Reply};
 use downbeat_zenoh::zenoh::{Error, Wait};
 use parking_lot::Mutex;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
 
 /// The longest time that a query stays open. `rmw_zenoh_cpp` waits 600 s, and for results of actions for
 /// ever.
@@ -120,7 +121,7 @@ impl ServiceReply for QueryReply {
 pub(super) struct ZenohClient {
     announcement: Announcement,
     domain: Arc<Domain>,
-    service: ServiceEndpoint,
+    service: Arc<ServiceEndpoint>,
     /// Knows whether a server is reached. `None` while the hash of the service is unknown.
     querier: Mutex<Option<Arc<Querier<'static>>>>,
 }
@@ -133,7 +134,7 @@ impl ZenohClient {
         let client = Self {
             announcement,
             domain: Arc::clone(domain),
-            service: service.clone(),
+            service: Arc::new(service.clone()),
             querier: Mutex::default(),
         };
         client.querier();
@@ -144,7 +145,7 @@ impl ZenohClient {
     fn querier(&self) -> Option<Arc<Querier<'static>>> {
         let mut querier = self.querier.lock();
         if querier.is_none() {
-            let ServiceEndpoint { name, type_name, type_hash, .. } = &self.service;
+            let ServiceEndpoint { name, type_name, type_hash, .. } = &*self.service;
             let hash = match type_hash {
                 Some(hash) => Some(hash.clone()),
                 None if self.announced() == 0 => return None,
@@ -210,35 +211,115 @@ impl ServiceClient for ZenohClient {
         let querier = self.querier().ok_or_else(|| WriteError::Engine("no server is known".to_owned()))?;
         let attachment =
             Attachment { sequence_number: number, source_time_ns: now_ns(), gid: self.announcement.gid.0 };
-        let first = Mutex::new(Some(on_reply));
-        let (domain, name) = (Arc::downgrade(&self.domain), self.service.name.clone());
-        let take = move |reply: Reply| {
-            let received = match reply.result() {
-                Ok(sample) => payload(sample.payload()),
-                Err(_) => Err("the server answers with an error"),
-            };
-            match received {
-                Ok(cdr) => {
-                    let on_reply = first.lock().take();
-                    if let Some(on_reply) = on_reply {
-                        on_reply(cdr);
-                    }
-                }
-                Err(reason) => {
-                    domain.upgrade().into_iter().for_each(|domain| domain.skipped.count(&name, reason));
-                }
-            }
+        let request = Request {
+            domain: Arc::downgrade(&self.domain),
+            service: Arc::clone(&self.service),
+            servers: self.domain.graph.matched(self.announcement.gid),
+            querier: Arc::downgrade(&querier),
+            cdr: cdr.clone(),
+            attachment,
+            until: Instant::now() + timeout.min(LONGEST_QUERY),
+            attempts: 0,
+            on_reply: Some(on_reply),
         };
-        let session = self.domain.session.clone();
-        self.domain.outbox.send(cdr.len(), move || {
-            let get = session.get(querier.key_expr()).target(QueryTarget::AllComplete);
-            let get = get.consolidation(ConsolidationMode::None).congestion_control(CongestionControl::Block);
-            let get = get.timeout(timeout.min(LONGEST_QUERY)).payload(cdr).callback(take);
-            if let Err(error) = get.attachment(attachment.to_bytes().as_slice()).wait() {
-                tracing::debug!(%error, "a request was not sent");
-            }
-        })
+        self.domain.outbox.send(cdr.len(), move || request.ask())
     }
+}
+
+/// A request until its reply, or until it is too late for one.
+struct Request {
+    domain: Weak<Domain>,
+    service: Arc<ServiceEndpoint>,
+    /// Those that were there when it was sent.
+    servers: Vec<Gid>,
+    /// That of the client, which may be gone.
+    querier: Weak<Querier<'static>>,
+    cdr: Bytes,
+    attachment: Attachment,
+    until: Instant,
+    attempts: usize,
+    /// `None` after the first reply.
+    on_reply: Option<Box<dyn FnOnce(Bytes) + Send + Sync>>,
+}
+
+impl Request {
+    fn ask(self) {
+        let (Some(domain), Some(querier)) = (self.domain.upgrade(), self.querier.upgrade()) else { return };
+        let get = domain.session.get(querier.key_expr()).target(QueryTarget::AllComplete);
+        let get = get.consolidation(ConsolidationMode::None).congestion_control(CongestionControl::Block);
+        let timeout = self.until.saturating_duration_since(Instant::now());
+        let get = get.timeout(timeout).payload(self.cdr.clone());
+        let get = get.attachment(self.attachment.to_bytes().as_slice());
+        let asked = Asked(Mutex::new(Some(self)));
+        if let Err(error) = get.callback(move |reply| asked.take(reply)).wait() {
+            tracing::debug!(%error, "a request was not sent");
+        }
+    }
+
+    fn take(&mut self, reply: &Reply) {
+        let received = match reply.result() {
+            Ok(sample) => payload(sample.payload()),
+            Err(_) => Err("the server answers with an error"),
+        };
+        match received {
+            Ok(cdr) => {
+                if let Some(on_reply) = self.on_reply.take() {
+                    on_reply(cdr);
+                }
+            }
+            Err(reason) => {
+                if let Some(domain) = self.domain.upgrade() {
+                    domain.skipped.count(&self.service.name, reason);
+                }
+            }
+        }
+    }
+
+    /// Whether the servers that were to answer are still those that were there.
+    fn are_its_servers_there(&self) -> bool {
+        let is_known = |domain: Arc<Domain>| self.servers.iter().all(|server| domain.graph.is_known(*server));
+        self.domain.upgrade().is_some_and(is_known)
+    }
+}
+
+/// Takes what is answered. Dropped when nothing follows.
+struct Asked(Mutex<Option<Request>>);
+
+impl Asked {
+    fn take(&self, reply: Reply) {
+        if let Some(request) = &mut *self.0.lock() {
+            request.take(&reply);
+        }
+    }
+}
+
+impl Drop for Asked {
+    fn drop(&mut self) {
+        let Some(request) = self.0.get_mut().take() else { return };
+        let domain = request.domain.upgrade().filter(|_| request.on_reply.is_some());
+        if let Some(domain) = domain {
+            domain.repairs.ask(request);
+        }
+    }
+}
+
+/// A request that ended without a reply found no way to its server.
+impl Question for Request {
+    fn first_wait(&self) -> Duration {
+        WAITS[self.attempts.min(WAITS.len() - 1)]
+    }
+
+    /// A server that was restarted is not asked: the one before may have done what it was asked for.
+    fn go_on(mut self: Box<Self>) -> Option<(Duration, Box<dyn Question>)> {
+        self.attempts += 1;
+        if self.attempts <= WAITS.len() && Instant::now() < self.until && self.are_its_servers_there() {
+            tracing::debug!(service = self.service.name, "a request without a reply is sent again");
+            self.ask();
+        }
+        None
+    }
+
+    fn is_refused(self: Box<Self>) {}
 }
 
 fn refused(kind: &'static str, service: &ServiceEndpoint, error: &Error) -> MiddlewareError {
