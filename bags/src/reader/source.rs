@@ -1,7 +1,7 @@
 //! The source of a bag file's bytes: on disk, or in memory.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Cursor, Read, Seek, Write};
+use std::io::{self, BufReader, BufWriter, Cursor, Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ impl Source {
             Self::Temporary(path) => File::open(&**path)?,
             Self::Memory(bytes) => return Ok(Box::new(Cursor::new(bytes.clone()))),
         };
-        Ok(Box::new(BufReader::new(file)))
+        Ok(Box::new(BufReader::new(At { file, position: 0 })))
     }
 
     pub(super) fn length(&self) -> io::Result<u64> {
@@ -66,6 +66,43 @@ impl Source {
             Self::Memory(_) => None,
         }
     }
+}
+
+/// A file with a position of its own. That of the system is shared by the processes that a process forks, as
+/// a debugger does.
+struct At {
+    file: File,
+    position: u64,
+}
+
+impl Read for At {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = read_at(&self.file, bytes, self.position)?;
+        self.position += count as u64;
+        Ok(count)
+    }
+}
+
+impl Seek for At {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let position = match to {
+            SeekFrom::Start(position) => Some(position),
+            SeekFrom::End(by) => self.file.metadata()?.len().checked_add_signed(by),
+            SeekFrom::Current(by) => self.position.checked_add_signed(by),
+        };
+        self.position = position.ok_or_else(|| io::Error::from(io::ErrorKind::InvalidInput))?;
+        Ok(self.position)
+    }
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, bytes: &mut [u8], position: u64) -> io::Result<usize> {
+    std::os::unix::fs::FileExt::read_at(file, bytes, position)
+}
+
+#[cfg(windows)]
+fn read_at(file: &File, bytes: &mut [u8], position: u64) -> io::Result<usize> {
+    std::os::windows::fs::FileExt::seek_read(file, bytes, position)
 }
 
 /// Stores bytes to be read later: in memory while they are few, else in a temporary file.

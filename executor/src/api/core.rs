@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::exchange::{Messages, add_built_in};
-use crate::module::MESSAGES;
+use crate::module::{MESSAGES, ModuleCell, Place};
 use crate::{
     Clock, Core, CoreHandle, Graph, Idle, Launcher, Linear, Mechanism, Overrun, RunError, SystemClock,
     ThreadError, Version,
@@ -120,5 +120,45 @@ impl Core {
     #[must_use]
     pub fn graph(&self) -> Graph {
         Graph::of(&self.stage, &self.state, &self.mechanisms)
+    }
+
+    /// What a module that runs inside the cycle shows of itself ([`Module::debug`](crate::Module::debug)), at
+    /// most 64 KiB. `None` if it shows nothing, runs on a thread of its own, or is not there.
+    ///
+    /// ```
+    /// use std::fmt;
+    /// use downbeat_executor::{Core, ManualClock, Module, Setup, SetupError, Time};
+    ///
+    /// #[derive(Debug)]
+    /// struct Counter {
+    ///     count: u32,
+    /// }
+    ///
+    /// impl Module for Counter {
+    ///     type Ports = ();
+    ///
+    ///     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+    ///         setup.each_run(|counter, _| counter.count += 1);
+    ///         Ok(())
+    ///     }
+    ///
+    ///     fn debug(&self) -> Option<&dyn fmt::Debug> {
+    ///         Some(self)
+    ///     }
+    /// }
+    ///
+    /// let mut core = Core::new().with_clock(ManualClock::new(Time::ZERO));
+    /// core.add("counter", Counter { count: 0 })?;
+    /// core.cycle()?;
+    /// core.cycle()?; // The module runs for the first time.
+    /// assert_eq!(core.debug("counter").unwrap(), "Counter {\n    count: 1,\n}");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn debug(&self, module: &str) -> Option<String> {
+        match self.state.members.find(module)?.id.place {
+            Place::Attached(slot) => self.stage.cells.look(slot, ModuleCell::debug)?,
+            Place::Detached(_) => None,
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! A module and its callbacks behind a trait object.
 
+use std::fmt;
+
 use super::causes::Causes;
 use super::port::ModuleIo;
 use crate::{Context, Module, SettingValue, Time, Transition, TransitionError};
@@ -13,6 +15,7 @@ pub(crate) trait Behaviour: Send {
     fn always(&self) -> Causes;
     /// Checks a new value of a setting.
     fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String>;
+    fn debug(&self) -> Option<&dyn fmt::Debug>;
 }
 
 pub(crate) type Callback<M> = Box<dyn FnMut(&mut M, &mut Context<'_, <M as Module>::Ports>) + Send>;
@@ -114,5 +117,9 @@ impl<M: Module> Behaviour for ModuleBehaviour<M> {
     fn accept_setting(&mut self, setting: usize, value: &SettingValue) -> Result<(), String> {
         let mut checks = self.steps.checks.iter_mut().filter(|(index, _)| *index == setting);
         checks.try_for_each(|(_, check)| check(&mut self.module, value))
+    }
+
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        self.module.debug()
     }
 }

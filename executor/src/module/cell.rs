@@ -2,6 +2,7 @@
 
 use std::any::Any;
 use std::collections::VecDeque;
+use std::fmt::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -120,6 +121,19 @@ impl ModuleCell {
         let check = AssertUnwindSafe(|| behaviour.accept_setting(setting, value));
         catch_unwind(check)
             .unwrap_or_else(|panic| Err(format!("the module's check of it panicked: {}", end_of(panic))))
+    }
+
+    /// The module as it describes itself; `None` if it does not.
+    pub(crate) fn debug(&self) -> Option<String> {
+        let behaviour = self.behaviour.as_ref()?;
+        let describe = || {
+            let mut text = Limited::default();
+            // An error is the end of the space.
+            let _ = write!(text, "{:#?}", behaviour.debug()?);
+            Some(text.finish())
+        };
+        catch_unwind(AssertUnwindSafe(describe))
+            .unwrap_or_else(|panic| Some(format!("its Debug panicked: {}", end_of(panic))))
     }
 
     /// Adds causes of a run. Returns true if the module has to run now, regardless of due times.
@@ -391,6 +405,35 @@ impl ModuleCell {
         let name = Arc::clone(&self.io.name);
         self.is_plain = false;
         self.io.changed(ModuleChange::Inactive { module: &name, failure: self.failure.as_ref() });
+    }
+}
+
+/// The most bytes of a description.
+const MOST_DESCRIBED: usize = 64 * 1024;
+
+/// Text up to [`MOST_DESCRIBED`] bytes.
+#[derive(Default)]
+struct Limited {
+    text: String,
+    is_cut: bool,
+}
+
+impl Limited {
+    fn finish(mut self) -> String {
+        if self.is_cut {
+            self.text.push_str("\n…");
+        }
+        self.text
+    }
+}
+
+impl Write for Limited {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let room = MOST_DESCRIBED.saturating_sub(self.text.len());
+        let end = (0..=room.min(text.len())).rev().find(|&end| text.is_char_boundary(end)).unwrap_or(0);
+        self.text.push_str(&text[..end]);
+        self.is_cut = end < text.len();
+        if self.is_cut { Err(fmt::Error) } else { Ok(()) }
     }
 }
 

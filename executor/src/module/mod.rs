@@ -38,6 +38,8 @@ pub(crate) use setup::Given;
 pub use setup::Setup;
 pub(crate) use uses::{Direction, Use, UseEnds};
 
+use std::fmt;
+
 use crate::SetupError;
 
 /// A unit of robot software: state, and callbacks that the executor calls with `&mut self`.
@@ -137,4 +139,10 @@ pub trait Module: Send + Sized + 'static {
     /// To finalized, from every state: the last callback, when the module is removed or the core stops. Does
     /// not run after a panic. Messages published here still reach observers.
     fn shutdown(&mut self, _ctx: &mut Context<'_, Self::Ports>) {}
+
+    /// What a debugger shows of the module, see [`Core::debug`](crate::Core::debug): `Some(self)` of a module
+    /// that is `Debug`, or a part of it.
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        None
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::iter::Peekable;
+use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::{BagMessage, Messages, Reader, Selection, TopicId};
@@ -14,110 +15,184 @@ use super::{MOST_CYCLES, PlaybackError};
 use crate::ReplayedTime;
 use crate::encoding::RecordedType;
 
-/// A core with its input from a bag.
-pub(crate) struct Follower<'a> {
-    pub(crate) core: &'a mut Core,
-    pub(crate) clock: &'a ManualClock,
+/// What a core does with a bag, cycle by cycle.
+pub(crate) struct Follower {
+    pub(crate) clock: ManualClock,
     pub(crate) inputs: Inputs,
     pub(crate) settings: SettingsChanges,
     pub(crate) events: Events,
     /// Which versions of modules are in force.
     pub(crate) reached: ReplayedTime,
+    course: Course,
 }
 
-impl Follower<'_> {
-    /// Runs the core until the end of the bag, then stops it. If the bag contains the cycle times, cycles run
-    /// at exactly these times and each input joins in the cycle in which it was recorded. Otherwise messages
-    /// are published at their times: in one cycle per message time if the bag was recorded in a robot, else
-    /// with timers that fire at their exact times in between.
-    ///
-    /// `after_cycle` is called after each cycle and after the end, with the messages of other topics that the
-    /// inputs have come upon. Returns the number of cycles in the bag.
-    pub(crate) fn run(
-        &mut self,
+/// What is left of the cycles.
+enum Course {
+    /// At exactly these times.
+    Recorded {
+        times: Arc<[i64]>,
+        /// The number of the first cycle.
+        first: u64,
+        /// Where the next one is in `times`.
+        next: usize,
+        /// See [`Cycles::end`].
+        end: i64,
+    },
+    /// One at the time of each message.
+    OfMessages {
+        messages: Messages,
+        last: Option<i64>,
+    },
+    /// Whenever something is due.
+    Unknown {
+        /// The time of the next message, or of the end of the bag, if it is known.
+        target: Option<i64>,
+        /// Of the bag.
+        end: i64,
+        is_last: bool,
+        /// The last cycle, and how many there were at its time.
+        instant: Time,
+        cycles: u32,
+    },
+    Over,
+}
+
+impl Follower {
+    /// If the bag contains the cycle times, cycles run at exactly these times and each input joins in the
+    /// cycle in which it was recorded. Otherwise messages are published at their times: in one cycle per
+    /// message time if the bag was recorded in a robot, else with timers that fire at their exact times in
+    /// between.
+    pub(crate) fn new(
         reader: &Reader,
         cycles: &Cycles,
-        mut after_cycle: impl FnMut(Vec<BagMessage>),
-    ) -> Result<u64, PlaybackError> {
-        let first = cycles.first_number();
-        let mut count = first;
-        match cycles {
-            Cycles::Recorded { times, .. } => {
-                if let Some(begin) = cycles.begin() {
-                    self.inputs.skip_before(begin)?;
-                    self.events.skip_before(first);
-                }
-                for at_one_time in times.chunk_by(|one, other| one == other) {
-                    let last = count + at_one_time.len() as u64 - 1;
-                    for &time in at_one_time {
-                        let moment = Moment { cycle: count, time, last };
-                        self.events.give(self.core, |event| event.cycle <= count)?;
-                        self.inputs.give_in(moment)?;
-                        self.settings.give(self.core, |change| change.is_due(moment))?;
-                        self.cycle(time)?;
-                        count += 1;
-                        after_cycle(self.inputs.take_others());
-                    }
-                }
-                self.clock.set(Time::from_nanos(cycles.end()));
+        clock: ManualClock,
+        mut inputs: Inputs,
+        settings: SettingsChanges,
+        mut events: Events,
+        reached: ReplayedTime,
+    ) -> Result<Self, PlaybackError> {
+        if let Some(begin) = cycles.begin() {
+            inputs.skip_before(begin)?;
+            events.skip_before(cycles.first_number());
+        }
+        let course = match cycles {
+            Cycles::Recorded { times, first, end } => {
+                Course::Recorded { times: Arc::clone(times), first: *first, next: 0, end: *end }
             }
             Cycles::OfMessages => {
-                let mut last = None;
-                for message in reader.messages(Selection::all())? {
-                    let time = message?.log_time;
-                    if last.replace(time) != Some(time) {
-                        self.events.give(self.core, |event| event.stamp.as_nanos() <= time)?;
-                        self.give(time)?;
-                        self.cycle(time)?;
-                        count += 1;
-                        after_cycle(self.inputs.take_others());
-                    }
-                }
+                Course::OfMessages { messages: reader.messages(Selection::all())?, last: None }
             }
             Cycles::Unknown => {
-                while let Some(time) = self.inputs.next_time()? {
-                    self.run_until(Time::from_nanos(time))?;
-                    self.give(time)?;
-                    after_cycle(self.inputs.take_others());
-                }
-                self.run_until(Time::from_nanos(reader.end_time().unwrap_or(0)))?;
+                let (end, instant) = (reader.end_time().unwrap_or(0), clock.now());
+                Course::Unknown { target: None, end, is_last: false, instant, cycles: 0 }
             }
+        };
+        Ok(Self { clock, inputs, settings, events, reached, course })
+    }
+
+    /// Runs the core until the end of the bag, then stops it.
+    ///
+    /// `after_cycle` is called after each cycle and after the end, with the messages of other topics that the
+    /// inputs have come upon. Returns the number of cycles.
+    pub(crate) fn run(
+        &mut self,
+        core: &mut Core,
+        mut after_cycle: impl FnMut(Vec<BagMessage>),
+    ) -> Result<u64, PlaybackError> {
+        let mut count = 0;
+        while self.step(core)? {
+            count += 1;
+            after_cycle(self.inputs.take_others());
         }
-        self.core.stop();
+        core.stop();
         after_cycle(self.inputs.take_others());
-        Ok(count - first)
+        Ok(count)
+    }
+
+    /// Runs the next cycle. Returns false, with the clock at its end, if there is none.
+    pub(crate) fn step(&mut self, core: &mut Core) -> Result<bool, PlaybackError> {
+        match &mut self.course {
+            Course::Recorded { times, first, next, end } => {
+                let Some(&time) = times.get(*next) else {
+                    self.clock.set(Time::from_nanos(*end));
+                    self.course = Course::Over;
+                    return Ok(false);
+                };
+                let cycle = *first + *next as u64;
+                let later = times.iter().skip(*next + 1).take_while(|later| **later == time).count();
+                *next += 1;
+                let moment = Moment { cycle, time, last: cycle + later as u64 };
+                self.events.give(core, |event| event.cycle <= cycle)?;
+                self.inputs.give_in(moment)?;
+                self.settings.give(core, |change| change.is_due(moment))?;
+                self.cycle(core, time)?;
+                Ok(true)
+            }
+            Course::OfMessages { messages, last } => {
+                for message in messages.by_ref() {
+                    let time = message?.log_time;
+                    if last.replace(time) != Some(time) {
+                        self.events.give(core, |event| event.stamp.as_nanos() <= time)?;
+                        self.give(core, time)?;
+                        self.cycle(core, time)?;
+                        return Ok(true);
+                    }
+                }
+                self.course = Course::Over;
+                Ok(false)
+            }
+            Course::Unknown { .. } => self.step_to_what_is_due(core),
+            Course::Over => Ok(false),
+        }
     }
 
     /// Runs a cycle. Its inputs were applied before, so that they join in its sync phase as they did when
     /// they were recorded.
-    fn cycle(&mut self, time: i64) -> Result<(), PlaybackError> {
+    fn cycle(&mut self, core: &mut Core, time: i64) -> Result<(), PlaybackError> {
         self.clock.set(Time::from_nanos(time));
         self.reached.set(time);
-        Ok(self.core.cycle()?)
+        Ok(core.cycle()?)
     }
 
     /// Applies all messages and settings up to that time.
-    fn give(&mut self, time: i64) -> Result<(), PlaybackError> {
+    fn give(&mut self, core: &Core, time: i64) -> Result<(), PlaybackError> {
         self.inputs.give(time)?;
-        self.settings.give(self.core, |change| change.message.stamp.as_nanos() <= time)
+        self.settings.give(core, |change| change.message.stamp.as_nanos() <= time)
     }
 
-    /// Runs what is due before `end`, then advances the clock to `end`.
-    fn run_until(&mut self, end: Time) -> Result<(), PlaybackError> {
-        let (mut instant, mut cycles) = (self.clock.now(), 0);
-        while let Some(event) =
-            self.core.next_event().filter(|&event| event < end || event == self.clock.now())
-        {
-            self.clock.set(event);
-            self.core.cycle()?;
-            cycles = if event == instant { cycles + 1 } else { 0 };
-            instant = event;
-            if cycles > MOST_CYCLES {
-                return Err(PlaybackError::Restless(instant));
+    /// Runs the next cycle that is due by itself, before the next message or with it.
+    fn step_to_what_is_due(&mut self, core: &mut Core) -> Result<bool, PlaybackError> {
+        loop {
+            let Course::Unknown { target, end, is_last, instant, cycles } = &mut self.course else {
+                return Ok(false);
+            };
+            let goal = match *target {
+                Some(goal) => goal,
+                None => {
+                    let next = self.inputs.next_time()?;
+                    *is_last = next.is_none();
+                    *target.insert(next.unwrap_or(*end))
+                }
+            };
+            let (now, goal_time) = (self.clock.now(), Time::from_nanos(goal));
+            if let Some(event) = core.next_event().filter(|&event| event < goal_time || event == now) {
+                self.clock.set(event);
+                *cycles = if event == *instant { *cycles + 1 } else { 0 };
+                *instant = event;
+                if *cycles > MOST_CYCLES {
+                    return Err(PlaybackError::Restless(event));
+                }
+                core.cycle()?;
+                return Ok(true);
             }
+            self.clock.set(goal_time);
+            *target = None;
+            if *is_last {
+                self.course = Course::Over;
+                return Ok(false);
+            }
+            self.give(core, goal)?;
         }
-        self.clock.set(end);
-        Ok(())
     }
 }
 
@@ -166,7 +241,7 @@ impl Inputs {
     }
 
     /// The messages of the other topics that were read since the last call.
-    fn take_others(&mut self) -> Vec<BagMessage> {
+    pub(crate) fn take_others(&mut self) -> Vec<BagMessage> {
         std::mem::take(&mut self.others)
     }
 

@@ -1,6 +1,7 @@
 //! What a bag contains about the recorded run: its cycles and changed settings.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::{Reader, Selection, TopicId};
@@ -102,7 +103,7 @@ pub(crate) enum Cycles {
         /// The number of the first one: not 0 if the recording began while the robot ran, or the bag is a
         /// part of another.
         first: u64,
-        times: Vec<i64>,
+        times: Arc<[i64]>,
         /// See [`Cycles::end`].
         end: i64,
     },
@@ -141,7 +142,7 @@ impl Cycles {
         // In simulated time the robot stopped at the time of the last cycle, else later.
         let has_all_of_last = is_whole && !was_in_simulated_time(reader);
         let end = if has_all_of_last { last.saturating_add(1) } else { last };
-        Ok(Self::Recorded { first, times, end })
+        Ok(Self::Recorded { first, times: times.into(), end })
     }
 
     /// The first cycle that a bag may begin with: that of its first message if cycles before that are older

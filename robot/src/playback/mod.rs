@@ -18,7 +18,7 @@ use events::Events;
 use journals::{Cycles, Extract, SettingsChanges};
 
 pub use steps::{ReplayedSteps, replay_module};
-pub(crate) use steps::{first_step, replay_steps};
+pub(crate) use steps::{StepFollower, first_step, replay_steps};
 
 /// Error while playing a bag into a core, or replaying a module from its recorded runs.
 #[derive(Debug, thiserror::Error)]
@@ -137,8 +137,8 @@ pub fn play_into(
     }
     let has_events = !events.is_empty();
     let reached = ReplayedTime::default();
-    let mut follower = Follower { core, clock, inputs, settings, events, reached };
-    follower.run(reader, &cycles, |_| {})?;
+    let mut follower = Follower::new(reader, &cycles, clock.clone(), inputs, settings, events, reached)?;
+    follower.run(core, |_| {})?;
     match follower.inputs.given() {
         0 if !has_events => Err(PlaybackError::NothingToPlay),
         played => Ok(played),

@@ -55,42 +55,86 @@ pub(crate) fn replay_steps(
     reached: &ReplayedTime,
     services: Option<WiredServices<'_>>,
 ) -> Result<ReplayedSteps, PlaybackError> {
-    let steps = steps_of(module, reader, extract)?;
-    let mut inputs = Inputs::open(core, reader, extract, &steps)?;
-    let mut settings = SettingsChanges::read(reader, extract, &Cycles::Unknown, |name| name == module)?;
-    let recorded = extract.messages(reader, journal::EVENTS)?;
-    let mut events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module, services)?;
-    // A message or setting that is applied before a cycle joins in its sync phase and is received in the next
-    // one.
-    for (position, Lived { step, .. }) in steps.iter().enumerate() {
-        reached.set(step.stamp.as_nanos());
-        if let Some(next) = steps.get(position + 1) {
-            next.passed_by.iter().try_for_each(|step| inputs.pass_by(step))?;
-            let next = &next.step;
-            inputs.give(next)?;
+    let mut follower = StepFollower::new(core, clock, reader, extract, module, reached, services)?;
+    while follower.step(core)? {}
+    // Delivers what the last run published to the subscribers.
+    core.stop();
+    Ok(follower.done())
+}
+
+/// What a core with one detached module does with a bag, run by run.
+pub(crate) struct StepFollower {
+    module: String,
+    clock: ManualClock,
+    steps: Vec<Lived>,
+    /// The position of the next run.
+    next: usize,
+    inputs: Inputs,
+    settings: SettingsChanges,
+    events: Events,
+    reached: ReplayedTime,
+}
+
+impl StepFollower {
+    pub(crate) fn new(
+        core: &mut Core,
+        clock: &ManualClock,
+        reader: &Reader,
+        extract: &mut Extract,
+        module: &str,
+        reached: &ReplayedTime,
+        services: Option<WiredServices<'_>>,
+    ) -> Result<Self, PlaybackError> {
+        let steps = steps_of(module, reader, extract)?;
+        let inputs = Inputs::open(core, reader, extract, &steps)?;
+        let settings = SettingsChanges::read(reader, extract, &Cycles::Unknown, |name| name == module)?;
+        let recorded = extract.messages(reader, journal::EVENTS)?;
+        let events = Events::of_detached(core, recorded.as_deref(), extract.interfaces(), module, services)?;
+        let (module, clock, reached) = (module.to_owned(), clock.clone(), reached.clone());
+        Ok(Self { module, clock, steps, next: 0, inputs, settings, events, reached })
+    }
+
+    /// The next run; `None` after the last one.
+    pub(crate) fn next(&self) -> Option<&ModuleStep> {
+        self.steps.get(self.next).map(|lived| &lived.step)
+    }
+
+    /// Makes the next run. Returns false if there is none.
+    pub(crate) fn step(&mut self, core: &mut Core) -> Result<bool, PlaybackError> {
+        let Some(Lived { step, .. }) = self.steps.get(self.next) else { return Ok(false) };
+        self.next += 1;
+        self.reached.set(step.stamp.as_nanos());
+        // A message or setting that is applied before a cycle joins in its sync phase and is received in the
+        // next one.
+        if let Some(Lived { step: next, passed_by }) = self.steps.get(self.next) {
+            passed_by.iter().try_for_each(|step| self.inputs.pass_by(step))?;
+            self.inputs.give(next)?;
             if next.step == 0 {
                 // If the module has replaced itself, it is refused.
-                drop(core.handle().restart(module));
-                reached.set(next.stamp.as_nanos());
+                drop(core.handle().restart(&self.module));
+                self.reached.set(next.stamp.as_nanos());
             }
             // The run counter restarts when the module is restarted.
             let run = (next.stamp.as_nanos(), next.step);
-            settings.give(core, |change| (change.message.stamp.as_nanos(), change.message.step) <= run)?;
-            events.take(core, next.step)?;
+            self.settings
+                .give(core, |change| (change.message.stamp.as_nanos(), change.message.step) <= run)?;
+            self.events.take(core, next.step)?;
         }
-        clock.set(Time::from_nanos(step.stamp.as_nanos()));
+        self.clock.set(Time::from_nanos(step.stamp.as_nanos()));
         if step.is_stop {
             core.stop();
         } else {
             core.cycle()?;
         }
+        Ok(true)
     }
-    // Delivers what the last run published to the subscribers.
-    core.stop();
-    let (is_whole, last) = steps.last().map_or((false, Time::ZERO), |last| {
-        (last.step.is_stop, Time::from_nanos(last.step.stamp.as_nanos()))
-    });
-    Ok(ReplayedSteps { count: steps.len(), is_whole, last })
+
+    fn done(&self) -> ReplayedSteps {
+        let (is_whole, last) = self.steps.last().map_or((false, Time::ZERO), |last| {
+            (last.step.is_stop, Time::from_nanos(last.step.stamp.as_nanos()))
+        });
+        ReplayedSteps { count: self.steps.len(), is_whole, last }
+    }
 }
 
 /// The time of the first run of a module, in nanoseconds of the robot's time.

@@ -160,6 +160,12 @@ impl Comparisons {
         }
     }
 
+    /// The first difference so far on topics whose messages come from one module.
+    pub(super) fn first_difference(&self) -> Option<&Difference> {
+        let differences = self.topics.values().filter_map(|topic| topic.report.first.as_ref());
+        differences.min_by_key(|difference| difference.time)
+    }
+
     /// Compares the remaining messages.
     pub(super) fn finish(mut self) -> Result<Vec<TopicReport>, PlaybackError> {
         while self.read_next().is_continue() {}

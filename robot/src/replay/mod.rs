@@ -28,6 +28,7 @@ mod plan;
 mod planning;
 mod report;
 mod runs;
+mod session;
 mod wiring;
 
 use std::time::Instant;
@@ -40,7 +41,8 @@ use crate::journal;
 use crate::playback::PlaybackError;
 use crate::playback::journals::Extract;
 use crate::{
-    LastVersion, ReplaySection, RobotFile, RobotFileError, Sources, VersionsInBag, use_recorded_settings,
+    ChangedSetting, LastVersion, ReplaySection, RobotFile, RobotFileError, Sources, VersionsInBag,
+    use_recorded_settings,
 };
 use calls::Calls;
 use comparison::Comparisons;
@@ -49,6 +51,7 @@ use plan::Plan;
 pub use report::{
     Difference, LeftOut, NotCompared, NotComparedReason, NotSame, ReplayReport, Strictness, TopicReport, What,
 };
+pub use session::{ReplaySession, SessionInfo, ShownMessage, Standing};
 
 /// What to replay and how exactly to compare.
 #[derive(Clone, Debug, Default)]
@@ -164,16 +167,7 @@ pub fn replay(
     options: &ReplayOptions,
 ) -> Result<ReplayReport, ReplayError> {
     let started = Instant::now();
-    let mut file = file.on_any_machine();
-    let settings = reader.metadata().map_or_else(Vec::new, |bag| use_recorded_settings(&mut file, bag));
-    let mut extract = Extract::new(&file.catalog.interfaces);
-    let mut made = Vec::new();
-    if file.modules.iter().any(|module| module.kind.is_foreign()) {
-        extract.read_journals(reader)?;
-        made = extract.messages(reader, journal::EVENTS)?.unwrap_or_default();
-    }
-    let versions = VersionsInBag::use_in(&mut file, reader, &made, options.last_version);
-    let plan = Plan::make(&file, reader, options, versions.reached.clone(), &mut extract)?;
+    let Prepared { file, settings, versions, plan, mut extract } = Prepared::new(file, reader, options)?;
     let mut comparisons = Comparisons::new(reader, &plan, &options.rules, &file.catalog.interfaces)?;
     let mut calls = Calls::default();
     if let Some(events) = extract.messages(reader, journal::EVENTS)? {
@@ -195,17 +189,10 @@ pub fn replay(
     };
     let mut topics = comparisons.finish()?;
     topics.extend(calls.finish(&plan, &options.rules));
+    let notes = notes(&versions, &plan);
     let mut not_compared = plan.not_compared;
     coverage::move_empty(&mut topics, &mut not_compared);
     let sources = Sources::of(&file);
-    let mut notes = versions.notes.clone();
-    if plan.cycles.begin().is_some() {
-        notes.push(
-            "the bag begins while the robot ran: modules start anew there, so what depends on their state or the phase of their \
-             timers differs"
-                .to_owned(),
-        );
-    }
     Ok(ReplayReport {
         changed_sources: reader
             .metadata()
@@ -227,4 +214,43 @@ pub fn replay(
         bag_duration: reader.duration(),
         took: started.elapsed(),
     })
+}
+
+/// What a replay needs before a module runs.
+struct Prepared {
+    file: RobotFile,
+    /// Those that differ from the recording.
+    settings: Vec<ChangedSetting>,
+    versions: VersionsInBag,
+    plan: Plan,
+    extract: Extract,
+}
+
+impl Prepared {
+    fn new(file: RobotFile, reader: &Reader, options: &ReplayOptions) -> Result<Self, ReplayError> {
+        let mut file = file.on_any_machine();
+        let settings = reader.metadata().map_or_else(Vec::new, |bag| use_recorded_settings(&mut file, bag));
+        let mut extract = Extract::new(&file.catalog.interfaces);
+        let mut made = Vec::new();
+        if file.modules.iter().any(|module| module.kind.is_foreign()) {
+            extract.read_journals(reader)?;
+            made = extract.messages(reader, journal::EVENTS)?.unwrap_or_default();
+        }
+        let versions = VersionsInBag::use_in(&mut file, reader, &made, options.last_version);
+        let plan = Plan::make(&file, reader, options, versions.reached.clone(), &mut extract)?;
+        Ok(Self { file, settings, versions, plan, extract })
+    }
+}
+
+/// Sentences about what a replay of this bag cannot do.
+fn notes(versions: &VersionsInBag, plan: &Plan) -> Vec<String> {
+    let mut notes = versions.notes.clone();
+    if plan.cycles.begin().is_some() {
+        notes.push(
+            "the bag begins while the robot ran: modules start anew there, so what depends on their state or the phase of their \
+             timers differs"
+                .to_owned(),
+        );
+    }
+    notes
 }

@@ -1,6 +1,7 @@
 //! The plan of a replay: which modules run, what they receive and what is compared.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use downbeat_edge::{KnownService, KnownType};
 
@@ -52,6 +53,13 @@ impl Plan {
 
     pub(super) fn services(&self) -> WiredServices<'_> {
         WiredServices { types: &self.service_types, servers: &self.servers }
+    }
+
+    /// The topics that are compared and that these modules publish, with their types.
+    pub(super) fn published_by(&self, is_one: impl Fn(&str) -> bool) -> Vec<(Arc<str>, KnownType)> {
+        let outputs = self.outputs.iter();
+        let outputs = outputs.filter(|(_, output)| output.modules.iter().any(|name| is_one(name)));
+        outputs.filter_map(|(topic, output)| Some((topic.as_str().into(), output.message_type?))).collect()
     }
 
     /// The replayed modules that publish a topic.

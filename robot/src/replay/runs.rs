@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::Reader;
-use downbeat_edge::CoreAccess;
+use downbeat_edge::{CoreAccess, KnownType};
 use downbeat_executor::{
     self as executor, Core, Inbox, ManualClock, OutletInbox, Received, SetupError, Time,
 };
@@ -38,7 +38,7 @@ pub(super) fn attached(
     let is_replayed = |module: &str| plan.attached.iter().any(|name| name == module);
     core = build(file, reader, plan, extract, core, is_replayed)?;
     let interfaces = &file.catalog.interfaces;
-    let captured = Captured::add(&mut core, plan, is_replayed)?;
+    let captured = Captured::add(&mut core, plan.published_by(is_replayed))?;
     let names = plan.inputs.iter().map(String::as_str);
     let inputs = Inputs::open(&mut core, reader, names, comparisons.fed_topics(), extract)?;
     let settings = SettingsChanges::read(reader, extract, &plan.cycles, is_replayed)?;
@@ -46,8 +46,8 @@ pub(super) fn attached(
     let recorded = extract.messages(reader, journal::EVENTS)?;
     let events = Events::of_core(&mut core, recorded.as_deref(), interfaces, Some(plan.services()))?;
     let reached = plan.reached.clone();
-    let mut follower = Follower { core: &mut core, clock: &clock, inputs, settings, events, reached };
-    let cycles = follower.run(reader, &plan.cycles, |recorded| {
+    let mut follower = Follower::new(reader, &plan.cycles, clock, inputs, settings, events, reached)?;
+    let cycles = follower.run(&mut core, |recorded| {
         recorded.into_iter().for_each(|message| comparisons.recorded(message));
         let before_end = captured.take().into_iter().filter(|replayed| replayed.time < end);
         before_end.for_each(|replayed| comparisons.replayed(replayed));
@@ -73,7 +73,7 @@ pub(super) fn detached(
     plan.reached.set(first_step(reader, extract, name)?.unwrap_or(i64::MIN));
     let core = Core::new().with_clock(clock.clone());
     let mut core = build(file, reader, plan, extract, core, |module| module == name)?;
-    let captured = Captured::add(&mut core, plan, |module| module == name)?;
+    let captured = Captured::add(&mut core, plan.published_by(|module| module == name))?;
     let steps = replay_steps(&mut core, &clock, reader, extract, name, &plan.reached, Some(plan.services()));
     let steps =
         steps.map_err(|source| ReplayError::Steps { module: name.to_owned(), source: Box::new(source) })?;
@@ -94,7 +94,7 @@ pub(super) fn detached(
 
 /// Adds the wanted modules to a core. Modules that drive a device get its recorded answers, unless the device
 /// is simulated again.
-fn build(
+pub(super) fn build(
     file: &RobotFile,
     reader: &Reader,
     plan: &Plan,
@@ -132,7 +132,7 @@ fn build(
 
 /// The captured messages that have not been taken yet.
 #[derive(Clone, Default)]
-struct Captured(Arc<Mutex<Contents>>);
+pub(super) struct Captured(Arc<Mutex<Contents>>);
 
 #[derive(Default)]
 struct Contents {
@@ -141,14 +141,12 @@ struct Contents {
 }
 
 impl Captured {
-    /// Captures what these modules publish, also those that join later.
-    fn add(core: &mut Core, plan: &Plan, is_replayed: impl Fn(&str) -> bool) -> Result<Self, SetupError> {
+    /// Captures the messages of these topics, which may come to be later, and the events of modules.
+    pub(super) fn add(
+        core: &mut Core,
+        topics: impl IntoIterator<Item = (Arc<str>, KnownType)>,
+    ) -> Result<Self, SetupError> {
         let captured = Self::default();
-        let topics =
-            plan.outputs.iter().filter(|(_, output)| output.modules.iter().any(|name| is_replayed(name)));
-        let topics: Vec<(Arc<str>, _)> = topics
-            .filter_map(|(topic, output)| Some((topic.as_str().into(), output.message_type?)))
-            .collect();
         let inbox = OutletInbox::new("replay", Inbox::KeepAll);
         for (topic, message_type) in topics {
             let (captured, name) = (captured.clone(), Arc::clone(&topic));
@@ -166,11 +164,11 @@ impl Captured {
         Ok(captured)
     }
 
-    fn take(&self) -> Vec<Replayed> {
+    pub(super) fn take(&self) -> Vec<Replayed> {
         std::mem::take(&mut self.0.lock().messages)
     }
 
-    fn take_events(&self) -> Vec<ModuleEvent> {
+    pub(super) fn take_events(&self) -> Vec<ModuleEvent> {
         std::mem::take(&mut self.0.lock().events)
     }
 }

@@ -573,6 +573,15 @@ impl Core {
     pub fn topics(&self) -> impl Iterator<Item = &TopicInfo> {
         self.stage.views.topics.infos()
     }
+
+    /// Passes the messages of the last cycle to the sinks of outlets now, not in the next cycle: for programs
+    /// that look at a core between cycles. Concerns only a core whose clock does not run by itself; other
+    /// sinks have threads.
+    pub fn run_sinks(&mut self) {
+        if let Some(messages) = self.mechanisms.get_mut::<Messages>(MESSAGES) {
+            messages.outlets.run_waiting();
+        }
+    }
 }
 
 impl CoreHandle {
