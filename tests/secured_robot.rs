@@ -1,5 +1,6 @@
 //! A robot with a keystore of `ros2 security`: driven by Cyclone DDS with the same keystore, and neither seen
 //! nor heard by anybody else.
+#![cfg(all(feature = "cli", feature = "security"))]
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

@@ -15,6 +15,8 @@ use downbeat_robot::inspect::Request;
 use super::bag::check::CheckBagArguments;
 use super::bag::convert::ConvertArguments;
 use super::bag::cut::CutArguments;
+#[cfg(unix)]
+use super::bag::debug::DebugArguments;
 use super::bag::diff::DiffArguments;
 use super::bag::export::ExportArguments;
 use super::bag::info::InfoArguments;
@@ -87,14 +89,12 @@ impl Cli {
             Command::Graph(arguments) => arguments.robot.is_none(),
             #[cfg(feature = "security")]
             Command::Security(command) => command.reads_robot(),
-            Command::Bag(command) => {
-                matches!(command, BagCommand::Record(_) | BagCommand::Play(_) | BagCommand::Replay(_))
-            }
+            Command::Bag(command) => command.makes_node(),
             _ => false,
         };
         if !makes_node && !cli.ros.is_empty() {
             refuse(
-                "--ros-args is only for commands that create a ROS 2 node: run, check, doctor, graph of the network, topic, node, service, param, action, lifecycle, security check, security generate-policy, bag record, bag play, bag replay"
+                "--ros-args is only for commands that create a ROS 2 node: run, check, doctor, graph of the network, topic, node, service, param, action, lifecycle, security check, security generate-policy, bag record, bag play, bag replay, bag debug"
                     .into(),
             );
         }
@@ -484,6 +484,17 @@ pub(crate) enum GraphFormat {
     Mermaid,
 }
 
+impl BagCommand {
+    /// Whether the arguments of a ROS 2 program concern the command.
+    fn makes_node(&self) -> bool {
+        #[cfg(unix)]
+        if matches!(self, Self::Debug(_)) {
+            return true;
+        }
+        matches!(self, Self::Record(_) | Self::Play(_) | Self::Replay(_))
+    }
+}
+
 #[derive(Subcommand)]
 pub(crate) enum BagCommand {
     /// Print the contents of a bag, like `ros2 bag info`.
@@ -503,6 +514,13 @@ pub(crate) enum BagCommand {
     /// follow their recorded runs. If a message differs, the first difference is printed with its time, topic
     /// and field, and the exit code is 1.
     Replay(ReplayArguments),
+    /// Walk through a recorded run: stand at a cycle, see which modules ran and why, what they received,
+    /// published and held, and go on or back.
+    ///
+    /// The modules run as in `bag replay`, once to the end, which leaves checkpoints; from then on every cycle
+    /// is near. Type `help` for the commands.
+    #[cfg(unix)]
+    Debug(Box<DebugArguments>),
     /// Read a whole bag and report problems.
     Check(CheckBagArguments),
     /// Create a complete bag from the readable parts of an interrupted or damaged one.

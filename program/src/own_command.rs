@@ -1,6 +1,8 @@
 //! This program as a command, for processes of its own.
 
 use std::path::PathBuf;
+#[cfg(unix)]
+use std::process::Command;
 
 use anyhow::Context;
 
@@ -16,4 +18,13 @@ pub(crate) fn own_command(command: &str) -> anyhow::Result<(PathBuf, Vec<String>
         .unwrap_or_else(|_| std::env::args().collect());
     let script = line.into_iter().skip(1).take_while(|word| word != command);
     Ok((program, script.filter(|_| is_interpreter).collect()))
+}
+
+/// This program with the command line with which it was started.
+#[cfg(unix)]
+pub(crate) fn this_command() -> anyhow::Result<Command> {
+    let (program, script) = own_command("bag")?;
+    let mut command = Command::new(program);
+    command.args(script).args(std::env::args_os().skip_while(|word| word != "bag"));
+    Ok(command)
 }

@@ -5,6 +5,8 @@ mod chart;
 pub(super) mod check;
 pub(super) mod convert;
 pub(super) mod cut;
+#[cfg(unix)]
+pub(super) mod debug;
 pub(super) mod diff;
 pub(super) mod export;
 pub(super) mod info;

@@ -10,15 +10,16 @@ use downbeat_robot::replay::{
     Difference, ReplayOptions, ReplayReport, Simulators, Strictness, TopicReport, What,
     replay as replay_robot,
 };
-use downbeat_robot::{Catalog, ChangedSetting, LastVersion, LauncherChoice, RosArgs};
+use downbeat_robot::{Catalog, ChangedSetting, LastVersion, LauncherChoice, RobotFile, RosArgs};
 use serde_json::{Value, json};
 
 use super::open;
 use crate::logging::Log;
 use crate::parameters::ParameterArguments;
 
+/// What is replayed, for the commands that replay.
 #[derive(Args)]
-pub(crate) struct ReplayArguments {
+pub(crate) struct ReplayedArguments {
     /// The robot file of the recording. Settings have the values with which the recording began, unless
     /// --param or --params-file give others.
     #[arg(value_name = "ROBOT.toml")]
@@ -39,14 +40,6 @@ pub(crate) struct ReplayArguments {
     /// Exclude these topics from the comparison: names, or patterns such as "camera/*".
     #[arg(long, num_args = 1.., value_name = "TOPIC", value_parser = TopicPattern::new)]
     pub(crate) except: Vec<TopicPattern>,
-    /// Fail if a topic of the chosen modules was not compared. Topics of --except and topics of plain Rust
-    /// types, which no bag contains, are only listed.
-    #[arg(long)]
-    pub(crate) strict: bool,
-    /// Run the modules on one thread (linear), on n threads (pool:4) or each on its own (threads), instead of
-    /// the robot file's launcher. The result is the same.
-    #[arg(long)]
-    pub(crate) launcher: Option<LauncherChoice>,
     /// Run the simulators of the robot again too, from their seeds, and compare what they publish: the bag
     /// must be of simulated time (`--fast`). Modules that drive a simulated device then drive it again,
     /// instead of running on its recorded answers.
@@ -56,11 +49,53 @@ pub(crate) struct ReplayArguments {
     /// now.
     #[arg(long)]
     pub(crate) recorded_sources: bool,
+    #[command(flatten)]
+    pub(crate) parameters: ParameterArguments,
+}
+
+impl ReplayedArguments {
+    /// Reads the robot file and opens the bag.
+    pub(crate) fn open(
+        &self,
+        catalog: &Catalog,
+        ros: &RosArgs,
+        log: &Log,
+    ) -> anyhow::Result<(RobotFile, Reader, ReplayOptions)> {
+        let file = self.parameters.read_robot(&self.robot, catalog, ros)?;
+        log.name_after(&file)?;
+        let reader = open(&self.bag)?;
+        warn_of_lost_messages(&reader);
+        let given = if self.modules.is_empty() { &file.replay.modules } else { &self.modules };
+        let rules = file.replay.rules.iter().chain(&self.tolerance).chain(&self.ignore).cloned();
+        let options = ReplayOptions {
+            modules: given.clone(),
+            rules: rules.collect(),
+            except: file.replay.except.iter().chain(&self.except).cloned().collect(),
+            simulators: if self.simulators { Simulators::RunAgain } else { Simulators::LeftOut },
+            last_version: match self.recorded_sources {
+                true => LastVersion::AsRecorded,
+                false => LastVersion::AsItIs,
+            },
+        };
+        Ok((file, reader, options))
+    }
+}
+
+#[derive(Args)]
+pub(crate) struct ReplayArguments {
+    #[command(flatten)]
+    pub(crate) replayed: ReplayedArguments,
+    /// Fail if a topic of the chosen modules was not compared. Topics of --except and topics of plain Rust
+    /// types, which no bag contains, are only listed.
+    #[arg(long)]
+    pub(crate) strict: bool,
+    /// Run the modules on one thread (linear), on n threads (pool:4) or each on its own (threads), instead of
+    /// the robot file's launcher. The result is the same.
+    #[arg(long)]
+    pub(crate) launcher: Option<LauncherChoice>,
     /// Print the report as JSON.
     #[arg(long)]
     pub(crate) json: bool,
-    #[command(flatten)]
-    pub(crate) parameters: ParameterArguments,
 }
 
 pub(crate) fn replay(
@@ -69,20 +104,10 @@ pub(crate) fn replay(
     ros: &RosArgs,
     log: &Log,
 ) -> anyhow::Result<()> {
-    let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
-    log.name_after(&file)?;
+    let (mut file, reader, options) = arguments.replayed.open(catalog, ros, log)?;
     if let Some(launcher) = arguments.launcher.clone() {
         file.launcher.choice = launcher;
     }
-    let reader = open(&arguments.bag)?;
-    warn_of_lost_messages(&reader);
-    let given = if arguments.modules.is_empty() { &file.replay.modules } else { &arguments.modules };
-    let (tolerances, ignored) = (&arguments.tolerance, &arguments.ignore);
-    let rules = file.replay.rules.iter().chain(tolerances).chain(ignored).cloned().collect();
-    let except = file.replay.except.iter().chain(&arguments.except).cloned().collect();
-    let simulators = if arguments.simulators { Simulators::RunAgain } else { Simulators::LeftOut };
-    let last_version = if arguments.recorded_sources { LastVersion::AsRecorded } else { LastVersion::AsItIs };
-    let options = ReplayOptions { modules: given.clone(), rules, except, simulators, last_version };
     let report = replay_robot(file, &reader, &options)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&as_json(&report))?);

@@ -106,6 +106,12 @@ impl ModuleEntry {
         self.kind.is_emulated() || (self.kind.uses_device() && is_in_memory)
     }
 
+    /// True for a module that runs in a process of its own.
+    #[must_use]
+    pub fn is_isolated(&self) -> bool {
+        self.source.is_set("isolate", false).unwrap_or(false)
+    }
+
     /// True for a module in another language that is loaded again when its files change.
     pub(crate) fn reloads(&self) -> bool {
         self.kind.reloads(&self.source)

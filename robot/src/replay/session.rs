@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use downbeat_bags::Reader;
 use downbeat_edge::KnownType;
-use downbeat_executor::{Clock, Core, ManualClock, SettingInfo, Time};
+use downbeat_executor::{Clock, Core, ManualClock, SettingInfo, Time, TraceCause};
 
 use super::comparison::{Comparisons, Replayed};
 use super::report::{Difference, LeftOut};
@@ -36,6 +36,8 @@ pub struct ReplaySession {
     position: u64,
     /// How many messages there were on each topic.
     counts: BTreeMap<Arc<str>, u64>,
+    /// The last message of each topic.
+    latest: BTreeMap<Arc<str>, ShownMessage>,
     /// What happened in the last cycle and in that before it.
     last: Standing,
     before: Standing,
@@ -61,6 +63,8 @@ pub struct SessionInfo {
     pub notes: Vec<String>,
     /// The number of cycles; `None` if the bag does not say.
     pub cycles: Option<u64>,
+    /// When the bag begins.
+    pub start: Time,
     /// The number of the first cycle: not 0 if the bag begins while the robot ran.
     pub first_cycle: u64,
 }
@@ -79,8 +83,24 @@ pub struct Standing {
     pub cycle: u64,
     /// Its time.
     pub time: Time,
-    /// The messages that were published in it, by modules and from the bag, in order.
+    /// The runs of modules, in the order of their effects.
+    pub runs: Vec<SessionRun>,
+    /// The messages that were published in it. Those of a topic are in order: first those from the bag, then
+    /// those of each run.
     pub messages: Vec<ShownMessage>,
+}
+
+/// A run of a module.
+#[derive(Clone, Debug)]
+pub struct SessionRun {
+    /// The module.
+    pub module: Arc<str>,
+    /// Why it ran.
+    pub causes: Vec<TraceCause>,
+    /// The number of the run of a detached module.
+    pub step: Option<u64>,
+    /// How many messages it published on which topics.
+    pub published: Vec<(Arc<str>, u32)>,
 }
 
 /// A message of a cycle.
@@ -90,6 +110,8 @@ pub struct ShownMessage {
     pub topic: Arc<str>,
     /// Its number on the topic, from 0.
     pub number: u64,
+    /// When it was published.
+    pub time: Time,
     message_type: KnownType,
     cdr: Bytes,
 }
@@ -163,6 +185,7 @@ impl ReplaySession {
                 Cycles::Recorded { times, .. } => Some(times.len() as u64),
                 Cycles::OfMessages | Cycles::Unknown => None,
             },
+            start: Time::from_nanos(reader.start_time().unwrap_or(start)),
             first_cycle: plan.cycles.first_number(),
             modules: plan.attached,
             detached: plan.detached,
@@ -181,6 +204,7 @@ impl ReplaySession {
             types,
             position: 0,
             counts: BTreeMap::new(),
+            latest: BTreeMap::new(),
             last: Standing { time: Time::from_nanos(start), ..Standing::default() },
             before: Standing::default(),
             about,
@@ -209,6 +233,17 @@ impl ReplaySession {
     #[must_use]
     pub fn before(&self) -> &Standing {
         &self.before
+    }
+
+    /// The topics of messages that can be read, without the leading slash, with their types.
+    #[must_use]
+    pub fn types(&self) -> &BTreeMap<Arc<str>, KnownType> {
+        &self.types
+    }
+
+    /// The last message of each topic.
+    pub fn latest(&self) -> impl Iterator<Item = &ShownMessage> {
+        self.latest.values()
     }
 
     /// The first difference from the bag so far.
@@ -267,7 +302,7 @@ impl ReplaySession {
                 drop(captured.take_events());
             }
         }
-        let standing = Standing { cycle, time, messages };
+        let standing = Standing { cycle, time, runs: Vec::new(), messages };
         self.before = std::mem::replace(&mut self.last, standing);
         Ok(true)
     }
@@ -278,11 +313,9 @@ impl ReplaySession {
         let count = self.counts.entry(Arc::clone(&replayed.topic)).or_default();
         let number = *count;
         *count += 1;
-        Some(ShownMessage {
-            topic: Arc::clone(&replayed.topic),
-            number,
-            message_type,
-            cdr: replayed.cdr.clone(),
-        })
+        let (topic, time) = (Arc::clone(&replayed.topic), Time::from_nanos(replayed.time));
+        let message = ShownMessage { topic, number, time, message_type, cdr: replayed.cdr.clone() };
+        self.latest.insert(Arc::clone(&message.topic), message.clone());
+        Some(message)
     }
 }

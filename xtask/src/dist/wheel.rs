@@ -1,7 +1,7 @@
 //! The wheel and the source distribution of a release.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, ensure};
 
@@ -74,6 +74,12 @@ pub(super) fn sources(release: &Release) -> anyhow::Result<PathBuf> {
     maturin.args(["-m", "maturin", "sdist", "--out"]).arg(&folder);
     run_in(&workspace().join("python"), maturin.env("SOURCE_DATE_EPOCH", release.time.to_string()))?;
     let name = format!("downbeat_robotics-{}.tar.gz", release.version);
+    // Cargo reads all manifests in it, as whoever builds from it does.
+    run(Command::new("tar").arg("-xzf").arg(folder.join(&name)).arg("-C").arg(&folder))?;
+    let unpacked = folder.join(format!("downbeat_robotics-{}", release.version));
+    let mut cargo = Command::new("cargo");
+    cargo.args(["metadata", "--format-version", "1", "--locked"]).stdout(Stdio::null());
+    run_in(&unpacked, &mut cargo)?;
     let file = release.out.join(&name);
     std::fs::copy(folder.join(&name), &file).with_context(|| format!("cannot write {}", file.display()))?;
     Ok(file)

@@ -1,0 +1,316 @@
+//! A process that replays a bag for the debugger, and copies itself for checkpoints.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use downbeat_executor::TraceCause;
+use downbeat_msgs::dynamic::{DynamicMessage, YamlStyle};
+use downbeat_robot::replay::{ReplaySession, ShownMessage, Standing};
+
+use super::fork::{self, Forked};
+use super::protocol::{About, Cycle, Link, Message, Messages, Module, Order, Passed, Report, Role, Run};
+
+/// How many cycles of the first pass are told at a time.
+const TOLD_TOGETHER: usize = 1000;
+
+/// How long the first pass runs between two checkpoints, at first; and after how many checkpoints that
+/// doubles.
+const FIRST_INTERVAL: Duration = Duration::from_millis(50);
+const DOUBLED_AFTER: u32 = 64;
+
+/// Carries out orders until the debugger ends.
+pub(super) fn serve(
+    session: ReplaySession,
+    socket: &Path,
+    no_checkpoints: Option<String>,
+) -> anyhow::Result<()> {
+    let mut engine = Engine { link: connect(socket)?, session, socket: socket.to_owned(), is_copy: false };
+    engine.begin(Role::First)?;
+    let about = engine.about(no_checkpoints);
+    engine.link.send(&Report::About(Box::new(about)))?;
+    let served = engine.serve();
+    if engine.is_copy {
+        fork::end();
+    }
+    served
+}
+
+fn connect(socket: &Path) -> anyhow::Result<Link> {
+    let stream = UnixStream::connect(socket)
+        .with_context(|| format!("cannot reach the debugger at {}", socket.display()))?;
+    Ok(Link::new(stream))
+}
+
+struct Engine {
+    session: ReplaySession,
+    link: Link,
+    socket: PathBuf,
+    /// Of another engine.
+    is_copy: bool,
+}
+
+impl Engine {
+    fn begin(&mut self, role: Role) -> anyhow::Result<()> {
+        let here = Report::Here { process: std::process::id(), position: self.session.position(), role };
+        self.link.send(&here)
+    }
+
+    fn serve(&mut self) -> anyhow::Result<()> {
+        while let Some(order) = self.link.receive()? {
+            fork::forget_copies();
+            let report = match self.obey(order) {
+                Ok(Some(report)) => report,
+                Ok(None) => continue,
+                Err(error) => Report::Failed { problem: format!("{error:#}") },
+            };
+            self.link.send(&report)?;
+        }
+        Ok(())
+    }
+
+    fn obey(&mut self, order: Order) -> anyhow::Result<Option<Report>> {
+        Ok(Some(match order {
+            Order::Pass => self.pass()?,
+            Order::Go { to, checkpoints } => self.go(to, &checkpoints)?,
+            Order::Search { condition, to, stops } => self.search(&condition, to, stops)?,
+            Order::Fork { number } => {
+                self.fork(Role::Copy(number))?;
+                return Ok(None);
+            }
+            Order::Show => Report::Cycle(Box::new(self.cycle())),
+            Order::Print { topic } => Report::Message(self.message(&topic)?),
+            Order::Module { name } => Report::Module(Module {
+                settings: self.session.settings(&name).map(|settings| {
+                    settings.into_iter().map(|setting| (setting.name, setting.value.to_string())).collect()
+                }),
+                state: self.session.debug(&name),
+                name,
+            }),
+        }))
+    }
+
+    /// Makes a copy of this process, which connects to the debugger. In the copy, the order is over.
+    fn fork(&mut self, role: Role) -> anyhow::Result<Forked> {
+        let forked = fork::fork().context("cannot make a checkpoint")?;
+        if let Forked::Copy = forked {
+            self.is_copy = true;
+            self.link = connect(&self.socket)?;
+            self.begin(role)?;
+        }
+        Ok(forked)
+    }
+
+    /// Makes a copy that waits for orders where this process is, while this one goes on.
+    fn leave_checkpoint(&mut self, role: Role) -> anyhow::Result<()> {
+        if let Forked::Copy = self.fork(role)? {
+            // Not back into the order of the original.
+            let _ = self.serve();
+            fork::end();
+        }
+        Ok(())
+    }
+
+    fn done(&self, is_at_end: bool) -> Report {
+        Report::Done { position: self.session.position(), is_at_end }
+    }
+
+    fn go(&mut self, to: u64, checkpoints: &[u64]) -> anyhow::Result<Report> {
+        while self.session.position() < to {
+            if checkpoints.contains(&self.session.position()) {
+                self.leave_checkpoint(Role::Near)?;
+            }
+            if !self.session.step()? {
+                return Ok(self.done(true));
+            }
+        }
+        Ok(self.done(false))
+    }
+
+    fn pass(&mut self) -> anyhow::Result<Report> {
+        let mut index = Index::default();
+        let (mut interval, mut left, mut last) = (FIRST_INTERVAL, 0, Instant::now());
+        self.leave_checkpoint(Role::Spread)?;
+        while self.session.step()? {
+            index.add(&self.session);
+            if index.passed.times.len() >= TOLD_TOGETHER || index.passed.difference.is_some() {
+                self.link.send(&Report::Passed(index.take()))?;
+            }
+            if last.elapsed() >= interval {
+                self.leave_checkpoint(Role::Spread)?;
+                left += 1;
+                if left == DOUBLED_AFTER {
+                    (interval, left) = (interval * 2, DOUBLED_AFTER / 2);
+                }
+                last = Instant::now();
+            }
+        }
+        self.link.send(&Report::Passed(index.take()))?;
+        Ok(self.done(true))
+    }
+
+    fn search(&mut self, _: &str, _: u64, _: bool) -> anyhow::Result<Report> {
+        anyhow::bail!("no conditions yet")
+    }
+
+    fn about(&self, no_checkpoints: Option<String>) -> About {
+        let about = self.session.about();
+        let left_out = about.left_out.iter().map(|left| format!("{left} does not run"));
+        let settings = about.changed_settings.iter().map(ToString::to_string);
+        let missing =
+            about.missing_inputs.iter().map(|topic| format!("the bag lacks {topic}, which modules received"));
+        About {
+            robot: about.robot.clone(),
+            modules: about.modules.clone(),
+            detached: about.detached.clone(),
+            topics: self
+                .session
+                .types()
+                .iter()
+                .map(|(topic, of)| (topic.to_string(), of.name().to_owned()))
+                .collect(),
+            notes: about.notes.iter().cloned().chain(left_out).chain(settings).chain(missing).collect(),
+            cycles: about.cycles,
+            first_cycle: about.first_cycle,
+            start_ns: about.start.as_nanos(),
+            no_checkpoints,
+        }
+    }
+
+    fn cycle(&self) -> Cycle {
+        let standing = self.session.standing();
+        let (runs, given) = runs_of(standing, self.session.before());
+        Cycle {
+            position: self.session.position(),
+            cycle: standing.cycle,
+            time_ns: standing.time.as_nanos(),
+            runs,
+            given,
+            difference: self.session.first_difference().map(ToString::to_string),
+        }
+    }
+
+    fn message(&self, topic: &str) -> anyhow::Result<Option<Message>> {
+        let topic = topic.trim_start_matches('/');
+        let Some(message) = self.session.latest().find(|message| *message.topic == *topic) else {
+            return Ok(None);
+        };
+        let of = message.message_type().dynamic();
+        let of = of.with_context(|| format!("the definition of {} is not known", message.type_name()))?;
+        let yaml = DynamicMessage::from_cdr(&of, message.cdr())?.as_message().to_yaml(&YamlStyle::default());
+        Ok(Some(Message {
+            topic: topic.to_owned(),
+            type_name: message.type_name().to_owned(),
+            number: message.number,
+            time_ns: message.time.as_nanos(),
+            yaml: yaml.to_string(),
+        }))
+    }
+}
+
+/// The runs of a cycle with what they received and published, and what came from the bag.
+fn runs_of(standing: &Standing, before: &Standing) -> (Vec<Run>, Vec<Messages>) {
+    // Those of a topic come in the order of the runs, behind those from the bag.
+    let mut left: BTreeMap<&str, Vec<&ShownMessage>> = BTreeMap::new();
+    for message in standing.messages.iter().rev() {
+        left.entry(&*message.topic).or_default().push(message);
+    }
+    let of_modules = |topic: &str| -> u64 {
+        let published = standing.runs.iter().filter(|run| run.step.is_none()).flat_map(|run| &run.published);
+        published.filter(|(of, _)| **of == *topic).map(|(_, count)| u64::from(*count)).sum()
+    };
+    let mut given = Vec::new();
+    for (topic, messages) in &mut left {
+        let count = (messages.len() as u64).saturating_sub(of_modules(topic));
+        let of_bag =
+            messages.split_off(messages.len().saturating_sub(usize::try_from(count).unwrap_or(usize::MAX)));
+        if let Some(first) = of_bag.last() {
+            given.push(Messages { topic: (*topic).to_owned(), first: first.number, count });
+        }
+    }
+    let runs = standing.runs.iter().map(|run| {
+        let mut published = Vec::new();
+        for (topic, count) in &run.published {
+            let Some(messages) = left.get_mut(&**topic) else { continue };
+            let of_run = messages.split_off(messages.len().saturating_sub(*count as usize));
+            if let Some(first) = of_run.last() {
+                published.push(Messages {
+                    topic: topic.to_string(),
+                    first: first.number,
+                    count: of_run.len() as u64,
+                });
+            }
+        }
+        Run {
+            module: run.module.to_string(),
+            causes: run.causes.iter().map(ToString::to_string).collect(),
+            step: run.step,
+            received: received_by(&run.causes, before),
+            published,
+        }
+    });
+    (runs.collect(), given)
+}
+
+/// The messages of the cycle before for which a module ran.
+fn received_by(causes: &[TraceCause], before: &Standing) -> Vec<Messages> {
+    let topics = causes.iter().filter_map(|cause| match cause {
+        TraceCause::Messages(topic) => Some(topic),
+        _ => None,
+    });
+    let messages = |topic: &Arc<str>| {
+        let mut of_topic = before.messages.iter().filter(|message| message.topic == *topic);
+        let first = of_topic.next()?.number;
+        Some(Messages { topic: topic.to_string(), first, count: 1 + of_topic.count() as u64 })
+    };
+    topics.filter_map(messages).collect()
+}
+
+/// What the first pass tells, collected.
+#[derive(Default)]
+struct Index {
+    modules: BTreeMap<Arc<str>, u32>,
+    topics: BTreeMap<Arc<str>, u32>,
+    has_difference: bool,
+    passed: Passed,
+}
+
+impl Index {
+    fn add(&mut self, session: &ReplaySession) {
+        let standing = session.standing();
+        let Self { modules, topics, passed, .. } = self;
+        passed.times.push(standing.time.as_nanos());
+        let runs = standing.runs.iter().map(|run| number(modules, &run.module, &mut passed.new_modules));
+        let runs: BTreeSet<u32> = runs.collect();
+        passed.runs.push(runs.into_iter().collect());
+        let mut counts = BTreeMap::<u32, u32>::new();
+        for message in &standing.messages {
+            *counts.entry(number(topics, &message.topic, &mut passed.new_topics)).or_default() += 1;
+        }
+        passed.messages.push(counts.into_iter().collect());
+        if !self.has_difference
+            && let Some(difference) = session.first_difference()
+        {
+            self.has_difference = true;
+            self.passed.difference = Some(difference.to_string());
+        }
+    }
+
+    fn take(&mut self) -> Passed {
+        std::mem::take(&mut self.passed)
+    }
+}
+
+/// The number of a name; a new one is told.
+fn number(numbers: &mut BTreeMap<Arc<str>, u32>, name: &Arc<str>, new: &mut Vec<String>) -> u32 {
+    if let Some(&number) = numbers.get(name) {
+        return number;
+    }
+    let number = u32::try_from(numbers.len()).unwrap_or(u32::MAX);
+    numbers.insert(Arc::clone(name), number);
+    new.push(name.to_string());
+    number
+}
