@@ -12,6 +12,7 @@ use downbeat_robot::RosArgs;
 use downbeat_robot::features::built_without;
 use downbeat_robot::inspect::Request;
 
+use super::bag::bisect::BisectArguments;
 use super::bag::check::CheckBagArguments;
 use super::bag::convert::ConvertArguments;
 use super::bag::cut::CutArguments;
@@ -521,6 +522,8 @@ pub(crate) enum BagCommand {
     /// is near. Type `help` for the commands.
     #[cfg(unix)]
     Debug(Box<DebugArguments>),
+    /// Find the revision in git from which on a replay differs from a bag, by `git bisect`.
+    Bisect(BisectArguments),
     /// Read a whole bag and report problems.
     Check(CheckBagArguments),
     /// Create a complete bag from the readable parts of an interrupted or damaged one.

@@ -137,6 +137,7 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, catalog, &ros, &log),
         #[cfg(unix)]
         Command::Bag(BagCommand::Debug(arguments)) => bag::debug::debug(&arguments, catalog, &ros, &log),
+        Command::Bag(BagCommand::Bisect(arguments)) => bag::bisect::bisect(&arguments),
         Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments, catalog),
         Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),
         Command::Bag(BagCommand::Reindex(arguments)) => bag::reindex::reindex(&arguments),

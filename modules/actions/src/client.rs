@@ -21,6 +21,15 @@ pub struct ActionClient<A: Action> {
     goals: Vec<SentGoal>,
 }
 
+impl<A: Action> std::fmt::Debug for ActionClient<A> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ActionClient")
+            .field("action", &self.action)
+            .field("goals", &self.goals)
+            .finish_non_exhaustive()
+    }
+}
+
 /// A goal whose end is not known yet.
 #[derive(Clone, Copy, Debug)]
 struct SentGoal {

@@ -36,6 +36,16 @@ pub struct Goal<A: Action> {
     bytes: usize,
 }
 
+impl<A: Action> std::fmt::Debug for ActionServer<A> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let goals = self.goals.iter().map(|goal| (goal.id, goal.status));
+        f.debug_struct("ActionServer")
+            .field("action", &self.action)
+            .field("goals", &goals.collect::<Vec<_>>())
+            .finish_non_exhaustive()
+    }
+}
+
 struct Keys<A: Action> {
     feedback: Publication<A::FeedbackMessage>,
     status: Publication<GoalStatusArray>,

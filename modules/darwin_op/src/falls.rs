@@ -38,7 +38,7 @@ use std::fmt;
 use std::time::Duration;
 
 /// Detects falls and gets the robot up; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Falls {
     state: State,
     is_tilted: bool,
@@ -228,6 +228,10 @@ impl Module for Falls {
             })
             .declare(setup, "play_motion", &mut self.get_ups)?;
         Ok(ports)
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

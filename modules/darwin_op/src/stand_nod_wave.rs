@@ -33,7 +33,7 @@ use std::f64::consts::PI;
 use std::time::Duration;
 
 /// Stands up, then nods and waves; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct StandNodWave {
     /// The start time and pose of the motion.
     begun: Option<(Time, Pose)>,
@@ -77,6 +77,10 @@ impl Module for StandNodWave {
         setup.subscribe("joint_states", Self::on_joint_states)?;
         setup.every(CYCLE, Self::tick)?;
         Ok(ports)
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

@@ -40,7 +40,7 @@ pub fn kinds() -> Vec<Kind> {
 }
 
 /// Adds the orientation to IMU data; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct ImuFilter {
     filter: OrientationFilter,
     rest: Rest,
@@ -161,6 +161,10 @@ impl Module for ImuFilter {
         };
         setup.subscribe("imu/data_raw", Self::on_raw)?;
         Ok(ports)
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

@@ -35,7 +35,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// Merges joint states; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct JointStateMerger {
     sources: Vec<Source>,
     /// By name: the source whose value applies.
@@ -48,7 +48,7 @@ pub struct JointStateMerger {
     is_scheduled: bool,
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Source {
     topic: String,
     /// In the order in which they came first.
@@ -57,6 +57,7 @@ struct Source {
     is_silent: bool,
 }
 
+#[derive(Debug)]
 struct Joint {
     name: String,
     values: Values,
@@ -301,6 +302,10 @@ impl Module for JointStateMerger {
             source.heard_at = ctx.now();
         }
         Ok(())
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

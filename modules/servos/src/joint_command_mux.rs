@@ -30,7 +30,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Decides which commands joints get; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct JointCommandMux {
     joints: Joints,
     stale: Stale,
@@ -107,6 +107,10 @@ impl Module for JointCommandMux {
             })?;
         }
         Ok(ports)
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

@@ -1,5 +1,6 @@
 //! `downbeat bag`, one file for each command.
 
+pub(super) mod bisect;
 #[cfg(feature = "plots")]
 mod chart;
 pub(super) mod check;
@@ -22,6 +23,7 @@ pub(super) mod replay;
 mod select;
 #[cfg(feature = "view")]
 pub(super) mod view;
+mod what_if;
 
 use std::path::Path;
 

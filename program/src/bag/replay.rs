@@ -14,6 +14,7 @@ use downbeat_robot::{Catalog, ChangedSetting, LastVersion, LauncherChoice, Robot
 use serde_json::{Value, json};
 
 use super::open;
+use super::what_if::what_if;
 use crate::logging::Log;
 use crate::parameters::ParameterArguments;
 
@@ -96,6 +97,14 @@ pub(crate) struct ReplayArguments {
     /// Print the report as JSON.
     #[arg(long)]
     pub(crate) json: bool,
+    /// What if: replay twice, with this change and without, and say where the two runs part:
+    /// gait.period=0.7, period=0.7 if only one module has it, brain=other.scxml for another version of a
+    /// module's file, or robot=OTHER.toml. May be given more than once.
+    #[arg(long, value_name = "CHANGE", conflicts_with_all = ["strict", "json", "launcher"])]
+    pub(crate) with: Vec<String>,
+    /// The new folder for a report of --with in Markdown, with plots of both runs over each other.
+    #[arg(long, value_name = "FOLDER", requires = "with")]
+    pub(crate) report: Option<PathBuf>,
 }
 
 pub(crate) fn replay(
@@ -104,6 +113,10 @@ pub(crate) fn replay(
     ros: &RosArgs,
     log: &Log,
 ) -> anyhow::Result<()> {
+    if !arguments.with.is_empty() {
+        let report = arguments.report.as_deref();
+        return what_if(&arguments.replayed, &arguments.with, report, catalog, ros, log);
+    }
     let (mut file, reader, options) = arguments.replayed.open(catalog, ros, log)?;
     if let Some(launcher) = arguments.launcher.clone() {
         file.launcher.choice = launcher;

@@ -55,6 +55,51 @@ impl RobotFile {
         self.set(name.trim(), value, place, false)
     }
 
+    /// Applies `module.setting=value`, or `setting=value` of the only module for which `has_setting` is true, or
+    /// `module=file`: another version of the file of a module in another language.
+    ///
+    /// # Errors
+    /// Returns an error if the module, the setting or the file does not exist.
+    pub fn change(&mut self, change: &str, has_setting: impl Fn(&str, &str) -> bool) -> Result<()> {
+        let place = Place::Argument(change.to_owned());
+        let Some((name, value)) = change.split_once('=') else {
+            return Err(self.error_at(&place, "expected module.setting=value, setting=value or module=file"));
+        };
+        let (name, value) = (name.trim_end_matches(':').trim(), value.trim());
+        if let Some(module) = self.modules.iter_mut().find(|module| module.name == name) {
+            let file = Path::new(value);
+            let replaced = module.kind.source_files(&module.source).into_iter().next();
+            let problem = match replaced {
+                Some(_) if !file.is_file() => format!("there is no file {value}"),
+                Some(replaced) => {
+                    module.source.replaced.insert(replaced, file.to_owned());
+                    return Ok(());
+                }
+                None => format!("\"{name}\" is compiled into the program; a setting is named {name}.setting"),
+            };
+            return Err(self.error_at(&place, problem));
+        }
+        let name = if name.contains('.') {
+            name.to_owned()
+        } else {
+            let with_it = self.modules.iter().filter(|module| has_setting(&module.name, name));
+            match with_it.map(|module| module.name.as_str()).collect::<Vec<_>>().as_slice() {
+                [module] => format!("{module}.{name}"),
+                [] => {
+                    let names = self.modules.iter().map(|module| module.name.as_str());
+                    let hint = suggestion(name, names);
+                    let problem = format!("no module is named \"{name}\" or has such a setting{hint}");
+                    return Err(self.error_at(&place, problem));
+                }
+                several => {
+                    let problem = format!("{} have \"{name}\"; write module.{name}", several.join(" and "));
+                    return Err(self.error_at(&place, problem));
+                }
+            }
+        };
+        self.set_from_argument(&format!("{name}:={value}"))
+    }
+
     pub(crate) fn set_from_parameters(&mut self, source: &Arc<Source>) -> Result<()> {
         let node = self.node_name()?.to_string();
         let nodes = parameters_of_nodes(source)?;

@@ -16,7 +16,7 @@ use crate::playback::cycles::{Follower, Inputs};
 use crate::playback::events::Events;
 use crate::playback::journals::{Cycles, SettingsChanges};
 use crate::playback::{StepFollower, first_step};
-use crate::{ChangedSetting, LauncherChoice, RobotFile, journal};
+use crate::{ChangedSetting, LauncherChoice, RobotFile, VersionsInBag, journal};
 
 /// A replay that goes on one cycle at a time, and shows what happened in it.
 ///
@@ -42,6 +42,8 @@ pub struct ReplaySession {
     last: Standing,
     before: Standing,
     about: SessionInfo,
+    /// Has files of modules.
+    _versions: VersionsInBag,
 }
 
 /// What is known of a session before it begins.
@@ -208,6 +210,7 @@ impl ReplaySession {
             last: Standing { time: Time::from_nanos(start), ..Standing::default() },
             before: Standing::default(),
             about,
+            _versions: versions,
         })
     }
 

@@ -97,6 +97,19 @@ impl VersionsInBag {
             if !module.kind.is_foreign() {
                 continue;
             }
+            if !module.source.replaced.is_empty() {
+                // Another version was asked for.
+                let joined = Joined {
+                    from: i64::MIN,
+                    reloaded_at: None,
+                    failure: None,
+                    replaced: module.source.replaced.clone(),
+                };
+                let reached = in_bag.reached.clone();
+                let versions = Versions { versions: vec![joined], reached, current: AtomicUsize::new(0) };
+                module.versions.recorded = Some(Arc::new(versions));
+                continue;
+            }
             let start = starts.remove(&module.name);
             let later = made_of(&module.name, events).chain(logged_of(&module.name, &logged));
             let recorded = in_force(start, later, reader.start_time());

@@ -50,7 +50,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Walks; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Gait {
     stage: Stage,
     /// Whether the robot was told to get ready, and whether it follows `cmd_vel`.
@@ -312,6 +312,10 @@ impl Module for Gait {
         })?;
         setup.every(CYCLE, Self::tick)?;
         Ok(ports)
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

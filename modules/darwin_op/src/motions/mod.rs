@@ -51,7 +51,7 @@ use std::time::Duration;
 pub const DARWIN_OP: &str = include_str!("../../darwin_op_motions.toml");
 
 /// Plays key-frame motions; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct MotionPlayer {
     motions: Motions,
     server: ActionServer<PlayMotion>,
@@ -71,6 +71,7 @@ pub struct Ports {
 }
 
 /// A motion that plays or waits.
+#[derive(Debug)]
 struct Playing {
     name: String,
     motion: Arc<Motion>,
@@ -272,6 +273,10 @@ impl Module for MotionPlayer {
             .declare(setup, "play_motion", &mut self.server)?;
         setup.every(CYCLE, Self::tick)?;
         Ok(ports)
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

@@ -57,7 +57,7 @@ use std::time::Duration;
 /// until what is seen tells which is right. When the referee sets the robots up, it may have been put back to
 /// a start: that is followed beside what was believed before. Landmarks are not used while the robot is
 /// penalised.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Localisation {
     hypotheses: Option<Hypotheses>,
     starts: Vec<Pose>,
@@ -93,6 +93,7 @@ pub struct Ports {
     robot_timeout: Setting<f64>,
 }
 
+#[derive(Debug)]
 struct Seeing {
     at: Time,
     landmarks: Landmarks,
@@ -101,7 +102,7 @@ struct Seeing {
 }
 
 /// What of the state of the game matters here.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 struct Game {
     state: u8,
     own_half_is_left: bool,
@@ -557,6 +558,10 @@ impl Module for Localisation {
                 "s; after which an unseen robot is forgotten",
             )?,
         })
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

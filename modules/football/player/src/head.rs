@@ -31,7 +31,7 @@ use std::f64::consts::TAU;
 use std::time::Duration;
 
 /// Controls the head; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Head {
     mode: Mode,
     beliefs: Beliefs,
@@ -133,5 +133,9 @@ impl Module for Head {
             sweep_s: setup.setting_in("sweep_s", 4.0, 0.5..=60.0, "s; a sweep there and back")?,
             height: setup.setting_in("height", 0.29, 0.1..=1.0, "m; base_link above the floor")?,
         })
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }

@@ -44,7 +44,7 @@ use glam::DVec2;
 use std::time::Duration;
 
 /// Team play; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Team {
     beliefs: Beliefs,
     pose: PoseWithCovariance,
@@ -75,7 +75,7 @@ pub struct Ports {
 }
 
 /// The messages sent so far.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Sent {
     at: Option<Time>,
     count: u64,
@@ -353,6 +353,10 @@ impl Module for Team {
             walk: setup.setting_in("walk", 0.1, 0.01..=2.0, "m/s; speed of walking")?,
             turn: setup.setting_in("turn", 0.5, 0.05..=6.0, "rad/s; speed of turning")?,
         })
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

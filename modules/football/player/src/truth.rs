@@ -25,7 +25,7 @@ use downbeat_servos::servo_emulator::Random;
 use glam::DVec2;
 
 /// Publishes the truth with noise; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct TruthBeliefs {
     random: Option<Random>,
     place: Option<Place>,
@@ -148,5 +148,9 @@ impl Module for TruthBeliefs {
             )?,
             range: setup.setting_in("range", 20.0, 0.1..=100.0, "m; the ball is seen up to this distance")?,
         })
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }

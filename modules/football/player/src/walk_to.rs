@@ -38,7 +38,7 @@ use glam::DVec2;
 use std::time::Duration;
 
 /// Walks to places; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct WalkTo {
     goal: Goal,
     beliefs: Beliefs,
@@ -483,6 +483,10 @@ impl Module for WalkTo {
             state: setup.publish("walk_to/state")?,
             settings: SettingKeys::declare(setup)?,
         })
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

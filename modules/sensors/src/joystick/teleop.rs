@@ -42,7 +42,7 @@ use crate::diagnostics::header;
 const PERIOD: Duration = Duration::from_millis(20);
 
 /// Drives with a joystick; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct JoyTeleop {
     /// While driving: when `joy` came last.
     driving_since: Option<Time>,
@@ -138,6 +138,10 @@ impl Module for JoyTeleop {
 
     fn shutdown(&mut self, ctx: &mut Context<'_, Ports>) {
         self.stop(ctx);
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

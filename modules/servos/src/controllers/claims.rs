@@ -104,6 +104,12 @@ pub(super) struct OwnClaims {
     has_lost: bool,
 }
 
+impl std::fmt::Debug for OwnClaims {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("OwnClaims").finish_non_exhaustive()
+    }
+}
+
 impl OwnClaims {
     /// Declares, in a setup, that the controller commands these joints on a topic of its own.
     pub(super) fn declare<M: Module>(setup: &mut Setup<'_, M>, topic: &str, joints: &[String]) -> Self {

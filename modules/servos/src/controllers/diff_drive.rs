@@ -58,7 +58,7 @@ use downbeat_msgs::tf2_msgs::msg::TFMessage;
 use downbeat_transforms::wrapped;
 
 /// Drives a base with wheels on two sides; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct DiffDriveController {
     sides: [Vec<Wheel>; 2],
     asked: Option<(Time, Velocity)>,
@@ -73,6 +73,7 @@ pub struct DiffDriveController {
     claims: OwnClaims,
 }
 
+#[derive(Debug)]
 struct Wheel {
     name: String,
     /// In rad, in the last state that had it.
@@ -387,6 +388,10 @@ impl Module for DiffDriveController {
         }
         self.claims.give_back(ctx);
         Ok(())
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

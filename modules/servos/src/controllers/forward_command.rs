@@ -31,7 +31,7 @@ use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::std_msgs::msg::Float64MultiArray;
 
 /// Passes commands on to joints; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct ForwardCommandController {
     joints: Vec<String>,
     interface: Interface,
@@ -146,6 +146,10 @@ impl Module for ForwardCommandController {
         }
         self.claims.give_back(ctx);
         Ok(())
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 

@@ -58,7 +58,7 @@ use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
 
 /// Follows trajectories of joints; see the [module page](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct JointTrajectoryController {
     server: ActionServer<FollowJointTrajectory>,
     joints: Vec<String>,
@@ -76,6 +76,7 @@ pub struct JointTrajectoryController {
 const LONGEST_WAIT: Duration = Duration::from_secs(60);
 
 /// A trajectory on its way.
+#[derive(Debug)]
 struct Following {
     trajectory: Trajectory,
     start: Time,
@@ -454,6 +455,10 @@ impl Module for JointTrajectoryController {
         }
         self.claims.give_back(ctx);
         Ok(())
+    }
+
+    fn debug(&self) -> Option<&dyn std::fmt::Debug> {
+        Some(self)
     }
 }
 
