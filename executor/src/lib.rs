@@ -136,8 +136,8 @@
 //!    that does not run by itself, the work runs here, to its end
 //! 3. **settings**: values are checked and applied, in the order of the requests
 //! 4. **messaging**: inlets, in the order in which they were made; detached modules, in the order in which
-//!    their runs ended, each with its [`DetachedStep`]; the modules. Each topic's messages are now the batch
-//!    of the next cycle, and go to the inboxes of [`Outlet`]s
+//!    their runs ended, each with its [`DetachedStep`]; the modules; the account of all runs ([`CycleRuns`]).
+//!    Each topic's messages are now the batch of the next cycle, and go to the inboxes of [`Outlet`]s
 //! 5. **services**: requests go to their servers: first those of [`Caller`]s, then of detached modules, then
 //!    of the others; then answers go to their clients, and callers receive their time-outs
 //! 6. **timers**: when each module has to run next
@@ -181,10 +181,10 @@ pub use cycle::{
 };
 pub use error::{SetupError, Version};
 pub use exchange::{
-    AnyValue, CallError, CallId, CallOrigin, Caller, Client, Completion, DetachedStep, Inlet, InletError,
-    Job, JobError, ModuleCommand, ModuleEvent, ModuleEventKind, Outlet, OutletGate, OutletInbox, Reply,
-    Responder, RestartRefused, ServiceInfo, ServiceType, Setting, SettingRefused, SettingsChange, StandIn,
-    StepInput, Task, UnknownModule,
+    AnyValue, CallError, CallId, CallOrigin, Caller, Client, Completion, CycleRuns, DetachedStep, Inlet,
+    InletError, Job, JobError, ModuleCommand, ModuleEvent, ModuleEventKind, ModuleRun, Outlet, OutletGate,
+    OutletInbox, Published, Reply, Responder, RestartRefused, RunCause, RunCauses, ServiceInfo, ServiceType,
+    Setting, SettingRefused, SettingsChange, StandIn, StepInput, Task, UnknownModule, WiredModule, Wiring,
 };
 pub use launchers::{Linear, Pool, PoolError, Scheduled, Threads};
 pub use module::{

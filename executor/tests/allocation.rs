@@ -6,6 +6,7 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_executor::*;
@@ -73,9 +74,27 @@ impl Module for Node {
     }
 }
 
+/// Counts the runs of all modules.
+struct RunCounter(usize);
+
+impl Module for RunCounter {
+    type Ports = ();
+
+    fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<(), SetupError> {
+        setup.subscribe(CycleRuns::TOPIC, |counter, account: Received<'_, Arc<CycleRuns>>, _| {
+            counter.0 += account.runs.len();
+        })
+    }
+}
+
 fn allocations_in_1000_cycles(launcher: impl Launcher + 'static) -> u64 {
+    allocations_with(launcher, |_| ())
+}
+
+fn allocations_with(launcher: impl Launcher + 'static, prepare: impl FnOnce(&mut Core)) -> u64 {
     let clock = ManualClock::new(Time::ZERO);
     let mut core = Core::new().with_launcher(launcher).with_clock(clock.clone());
+    prepare(&mut core);
     for number in 0..4 {
         core.add(&format!("node {number}"), Node { out: None, rounds: 0, sum: 0 }).unwrap();
     }
@@ -104,6 +123,13 @@ fn a_cycle_of_a_pool_allocates_nothing_in_steady_state() {
 #[test]
 fn a_cycle_with_a_thread_per_module_allocates_nothing_in_steady_state() {
     assert_eq!(allocations_in_1000_cycles(Threads::new()), 0);
+}
+
+#[test]
+fn a_cycle_whose_runs_are_reported_allocates_nothing_in_steady_state() {
+    let options = ModuleOptions { role: Role::Observer, ..ModuleOptions::default() };
+    let report = |core: &mut Core| core.add_with("run counter", RunCounter(0), options).unwrap();
+    assert_eq!(allocations_with(Linear, report), 0);
 }
 
 #[test]

@@ -39,6 +39,8 @@ pub(crate) struct Agenda {
     /// the top.
     due: BinaryHeap<Reverse<(Time, usize)>>,
     every_cycle: Vec<usize>,
+    /// Modules that run in the next cycle, which they do not bring about.
+    later: Vec<(usize, Causes)>,
 }
 
 #[derive(Clone, Copy)]
@@ -69,6 +71,7 @@ impl Agenda {
         self.entries[slot].due = Time::MAX;
         self.entries[slot].causes = Causes::NONE;
         self.ready.retain(|ready| ready.slot != slot);
+        self.later.retain(|&(later, _)| later != slot);
         self.every_cycle.retain(|&every| every != slot);
     }
 
@@ -82,6 +85,11 @@ impl Agenda {
             self.ready.push(Ready { order: entry.order, slot, causes });
         }
         entry.causes.add(causes);
+    }
+
+    /// Schedules the module for the next cycle that takes place for another reason.
+    pub(crate) fn wake_later(&mut self, slot: usize, causes: Causes) {
+        self.later.push((slot, causes));
     }
 
     /// Schedules the module for the first cycle at or after `due`.
@@ -128,6 +136,11 @@ impl Agenda {
         for index in 0..self.every_cycle.len() {
             self.wake(self.every_cycle[index], Causes::WOKEN);
         }
+        for index in 0..self.later.len() {
+            let (slot, causes) = self.later[index];
+            self.wake(slot, causes);
+        }
+        self.later.clear();
         std::mem::swap(&mut self.ready, runnable);
         for ready in &mut *runnable {
             ready.causes = std::mem::take(&mut self.entries[ready.slot].causes);
@@ -191,6 +204,17 @@ mod tests {
             agenda.wake_at(0, Time::from_nanos(1_000_000 + time));
         }
         assert!(agenda.due.len() < 100);
+    }
+
+    #[test]
+    fn a_module_that_is_woken_later_brings_about_no_cycle() {
+        let mut agenda = Agenda::default();
+        agenda.enter(0, 0);
+        slots(&mut agenda, 0);
+        agenda.wake_later(0, Causes::MESSAGES);
+        assert!(!agenda.has_ready());
+        assert_eq!(slots(&mut agenda, 1), [0]);
+        assert!(slots(&mut agenda, 2).is_empty());
     }
 
     #[test]

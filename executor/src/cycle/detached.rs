@@ -329,6 +329,7 @@ impl Runner {
             taken: std::mem::take(&mut self.taken),
             parts: self.cell.io.split_off(),
             span,
+            causes: self.cell.take_ran(),
             was_due,
             overruns: self.cell.meter.take_overruns(),
             state: self.cell.state(),

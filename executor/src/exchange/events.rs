@@ -113,7 +113,7 @@ impl ModuleEvent {
 
 impl Report for ModuleEvent {
     const TOPIC: &'static str = Self::TOPIC;
-    const NUMBER: usize = 2;
+    const NUMBER: usize = 3;
 }
 
 /// True if the topic of events has subscribers.

@@ -12,7 +12,10 @@ mod timers;
 pub use events::{CallOrigin, ModuleCommand, ModuleEvent, ModuleEventKind};
 pub use jobs::{Completion, Job, JobError};
 pub(crate) use messages::Messages;
-pub use messages::{DetachedStep, Inlet, InletError, Outlet, OutletGate, OutletInbox, StepInput};
+pub use messages::{
+    CycleRuns, DetachedStep, Inlet, InletError, ModuleRun, Outlet, OutletGate, OutletInbox, Published,
+    RunCause, RunCauses, StepInput, WiredModule, Wiring,
+};
 pub use modules::{RestartRefused, UnknownModule};
 pub(crate) use services::Services;
 pub use services::{

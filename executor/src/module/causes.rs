@@ -33,10 +33,16 @@ impl Causes {
     pub(crate) const EACH_RUN: Self = Self(1 << 7);
     /// No kind of callback: a transition, the end of a pause, or a run in every cycle.
     pub(crate) const WOKEN: Self = Self(1 << 8);
+    /// The module's first run while it is active.
+    pub(crate) const START: Self = Self(1 << 9);
+    /// Callbacks of transitions ran before the others.
+    pub(crate) const TRANSITION: Self = Self(1 << 10);
+    /// The module's last callback.
+    pub(crate) const STOP: Self = Self(1 << 11);
     /// Causes that follow from time alone.
     pub(crate) const DUE: Self = Self::REPLIES.and(Self::TASKS).and(Self::TIMERS);
     /// The causes of a first run, in which every callback checks for input.
-    pub(crate) const ALL: Self = Self(0x17f);
+    pub(crate) const ALL: Self = Self(0x37f);
 
     /// The number of kinds of callbacks.
     pub(crate) const KINDS: usize = 8;

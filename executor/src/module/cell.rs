@@ -36,6 +36,8 @@ pub(crate) struct ModuleCell {
     pub(crate) meter: ModuleMeter,
     /// The last run in a measured cycle.
     pub(crate) span: Option<Span>,
+    /// The causes of the last run; none if no callback was called.
+    ran: Causes,
 }
 
 type TransitionReceipt = Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>;
@@ -80,6 +82,7 @@ impl ModuleCell {
             failure: None,
             meter,
             span: None,
+            ran: Causes::NONE,
         }
     }
 
@@ -104,6 +107,12 @@ impl ModuleCell {
     /// Takes the message of the panic that ended the module.
     pub(crate) fn take_panic(&mut self) -> Option<String> {
         self.panic.take()
+    }
+
+    /// Takes the causes of the last run, and those of callbacks outside of runs.
+    #[inline]
+    pub(crate) fn take_ran(&mut self) -> Causes {
+        std::mem::take(&mut self.ran)
     }
 
     pub(crate) fn hold(&mut self, hold: Hold) {
@@ -227,6 +236,7 @@ impl ModuleCell {
             }
         }
         causes.add(self.always);
+        self.ran = causes;
         let Self { io, behaviour: Some(behaviour), watch, badge, .. } = self else { return };
         io.run += 1;
         let _worn = badge.wear();
@@ -258,6 +268,7 @@ impl ModuleCell {
             return;
         }
         let transition = Transition::Shutdown;
+        self.ran.add(Causes::STOP);
         self.report(LifeStep::Begins { transition, from: self.state });
         self.guarded(transition, input, now, |behaviour, ctx| {
             // A shutdown cannot fail.
@@ -272,6 +283,7 @@ impl ModuleCell {
     /// Prepares a run that is not plain. Returns `None` if no callback may run.
     #[cold]
     fn prepare(&mut self, causes: Causes, input: Input<'_>, now: Time) -> Option<Causes> {
+        self.ran = Causes::NONE;
         // Messages to a paused or inactive module are dropped.
         self.waiting.add(causes.without(Causes::MESSAGES));
         match self.hold {
@@ -290,11 +302,13 @@ impl ModuleCell {
         self.is_plain = self.hold == Hold::Free;
         let mut all = std::mem::take(&mut self.waiting);
         all.add(causes);
+        all.add(self.ran);
         Some(all)
     }
 
     fn make_transitions(&mut self, input: Input<'_>, now: Time) {
         self.io.ask(TIMERS);
+        self.ran.add(Causes::TRANSITION);
         while let Some((transition, receipt)) = self.transitions.pop_front() {
             let outcome = self.make_transition(transition, input, now);
             if let Err(refused) = &outcome {

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use crossbeam::queue::SegQueue;
 use crossbeam::sync::Unparker;
 
-use super::causes::Asked;
+use super::causes::{Asked, Causes};
 use super::lifecycle::Listeners;
 use crate::observe::{SharedTiming, Span};
 use crate::threads::drop_guarded;
@@ -52,6 +52,8 @@ pub(crate) struct StepOutcome {
     pub(crate) parts: Vec<(usize, Box<dyn Any + Send>)>,
     /// The measured time; `None` if the module was paused.
     pub(crate) span: Option<Span>,
+    /// The causes of the callbacks that the run called.
+    pub(crate) causes: Causes,
     /// True if the run began because of a due time.
     pub(crate) was_due: bool,
     /// The number of runs that exceeded the deadline.

@@ -178,6 +178,10 @@ pub(crate) struct Topics {
     /// The topics that the executor itself publishes, by [`Report::NUMBER`].
     reports: Vec<ReportTopic>,
     has_reports: bool,
+    /// The reports that have subscribers, as bits by [`Report::NUMBER`].
+    heard: u32,
+    /// Counts changes of the topics, their subscribers and the modules.
+    version: u64,
 }
 
 /// A message that the executor itself publishes if the topic has subscribers.
@@ -338,7 +342,23 @@ impl Topics {
         };
         self.free_from = index;
         self.by_name.insert(name, index);
+        self.version += 1;
         Ok(index)
+    }
+
+    /// Changes whenever topics or modules come or go.
+    pub(crate) fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Notes that a module has come or gone.
+    pub(crate) fn module_changed(&mut self) {
+        self.version += 1;
+    }
+
+    /// The names by index, including those of topics that are no longer in use.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &Arc<str>> {
+        self.entries.iter().map(|entry| &entry.info.name)
     }
 
     pub(crate) fn subscribe(&mut self, topic: usize, subscriber: Subscriber) {
@@ -350,6 +370,7 @@ impl Topics {
             }
             _ => {}
         }
+        self.note_heard();
     }
 
     pub(crate) fn unsubscribe(&mut self, topic: usize, subscriber: Subscriber) {
@@ -358,6 +379,7 @@ impl Topics {
             Subscriber::Attached(slot) => attached.retain(|known| *known != slot),
             Subscriber::Detached(_) | Subscriber::Outlet(_) => others.retain(|known| *known != subscriber),
         }
+        self.note_heard();
     }
 
     pub(crate) fn add_user(&mut self, topic: usize) {
@@ -398,16 +420,25 @@ impl Topics {
         topic.iter().for_each(|&topic| self.add_user(topic));
         let outbox = Outbox::<R> { topic: topic.unwrap_or_default(), messages: Vec::new() };
         self.reports.push(ReportTopic { topic, outbox: Box::new(outbox) });
+        self.note_heard();
+    }
+
+    fn note_heard(&mut self) {
+        let is_heard = |report: &ReportTopic| {
+            report.topic.is_some_and(|topic| {
+                let Entry { attached, others, .. } = &self.entries[topic];
+                !(attached.is_empty() && others.is_empty())
+            })
+        };
+        let bits =
+            self.reports.iter().enumerate().map(|(number, report)| u32::from(is_heard(report)) << number);
+        self.heard = bits.sum();
     }
 
     /// True if these reports have a subscriber.
     #[inline]
     pub(crate) fn hears<R: Report>(&self) -> bool {
-        let topic = self.reports.get(R::NUMBER).and_then(|report| report.topic);
-        topic.is_some_and(|topic| {
-            let Entry { attached, others, .. } = &self.entries[topic];
-            !(attached.is_empty() && others.is_empty())
-        })
+        self.heard & (1 << R::NUMBER) != 0
     }
 
     /// Publishes a report in the next sync phase.

@@ -13,7 +13,8 @@ pub const WATCHDOG: Duration = Duration::from_secs(30);
 pub const STEP: Duration = Duration::from_millis(1);
 
 /// The topics of the executor itself.
-pub const OWN_TOPICS: [&str; 3] = [DetachedStep::TOPIC, SettingsChange::TOPIC, ModuleEvent::TOPIC];
+pub const OWN_TOPICS: [&str; 4] =
+    [DetachedStep::TOPIC, SettingsChange::TOPIC, CycleRuns::TOPIC, ModuleEvent::TOPIC];
 
 type SetUp = Box<dyn FnOnce(&mut Setup<'_, Scripted>) -> Result<(), SetupError> + Send>;
 

@@ -175,6 +175,7 @@ impl<'a> SyncPhase<'a> {
 
     /// Drops the module in the given place, and returns its counters.
     pub(crate) fn vacate(&mut self, id: ModuleId) -> Option<ModuleMeter> {
+        self.stage.views.topics.module_changed();
         match id.place {
             Place::Attached(slot) => {
                 self.state.agenda.leave(slot);

@@ -258,9 +258,9 @@ impl Filled<AnyMessage> for Box<dyn AnyOutbox> {
 /// An [`InletPort`] with its type erased.
 pub(crate) trait AnyInlet: Send {
     fn topic(&self) -> usize;
-    /// Moves the waiting messages to the topic. Messages that arrive meanwhile wait for the next cycle, so
-    /// that a busy thread cannot stall this one.
-    fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize));
+    /// Moves the waiting messages to the topic, and returns their number. Messages that arrive meanwhile wait
+    /// for the next cycle, so that a busy thread cannot stall this one.
+    fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize)) -> usize;
     /// True if all clones of the inlet have been dropped, so that no further message can come.
     fn is_orphaned(&self) -> bool;
 }
@@ -270,14 +270,15 @@ impl<T: Send + 'static, O: Filled<T>> AnyInlet for InletPort<T, O> {
         self.outbox.outbox().topic()
     }
 
-    fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize)) {
+    fn drain(&mut self, topics: &mut Topics, now: Time, wake: &mut dyn FnMut(usize)) -> usize {
         let dropped = self.messages.dropped();
         topics.meter_mut(self.topic()).dropped(dropped.saturating_sub(self.dropped));
         self.dropped = dropped;
         let waiting = self.messages.len();
         self.outbox.fill(std::iter::from_fn(|| self.messages.pop()).take(waiting));
-        if !self.outbox.outbox().is_empty() {
-            topics.absorb(self.outbox.outbox_mut(), now, wake);
+        match self.outbox.outbox().is_empty() {
+            true => 0,
+            false => topics.absorb(self.outbox.outbox_mut(), now, wake),
         }
     }
 

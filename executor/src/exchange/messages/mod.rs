@@ -2,6 +2,7 @@
 
 mod inlet;
 mod outlet;
+mod runs;
 
 use std::any::Any;
 use std::collections::VecDeque;
@@ -11,16 +12,19 @@ use inlet::AnyInlet;
 pub use inlet::{Inlet, InletError};
 use outlet::Outlets;
 pub use outlet::{Outlet, OutletGate, OutletInbox};
+use runs::RunLog;
+pub use runs::{CycleRuns, ModuleRun, Published, RunCause, RunCauses, WiredModule, Wiring};
 
+use super::Services;
 use crate::cycle::{Agenda, CoreState, DetachedModule};
 use crate::module::{
-    Asked, Causes, Delivery, Direction, Host, Input, MESSAGES, Place, StepOutcome, Use, UseEnds,
+    Asked, Causes, Delivery, Direction, Host, Input, MESSAGES, Place, SERVICES, StepOutcome, Use, UseEnds,
 };
 use crate::topics::{AnyBatch, AnyOutbox, Batch, Outboxes, Report, Subscriber, Topics, for_each_message};
 use crate::{
     AnyMessage, AnyPublication, AnyReceived, Context, Core, CoreHandle, Mechanism, MessageType, Module,
     ModuleChange, ModuleId, OutletStatistics, Port, Publication, Receipt, Received, Role, Setup, SetupError,
-    Step, SyncPhase, Time, TopicInfo, TraceCause, Version,
+    Stage, Step, SyncPhase, Time, TopicInfo, TraceCause, Version,
 };
 
 /// The order of messages is: those of inlets, in the order in which the inlets were made; those of detached
@@ -31,6 +35,8 @@ pub(crate) struct Messages {
     outlets: Outlets,
     /// Messages of detached modules since the last sync phase.
     joined: VecDeque<(Step, Vec<Box<dyn AnyOutbox>>)>,
+    /// The account of runs, if it has receivers.
+    runs: Option<Box<RunLog>>,
 }
 
 impl Mechanism for Messages {
@@ -50,6 +56,10 @@ impl Mechanism for Messages {
         let SyncPhase { stage, state, mechanisms, now, .. } = &mut *phase;
         let topics = &mut stage.views.topics;
         topics.begin();
+        let notes_runs = topics.hears::<Arc<CycleRuns>>();
+        if notes_runs && let Some(services) = mechanisms.get::<Services>(SERVICES) {
+            self.runs.get_or_insert_default().begin(topics, state, services, *now);
+        }
         if are_inlets_announced {
             self.take_inlets(topics, *now, &mut state.agenda);
         }
@@ -60,18 +70,25 @@ impl Mechanism for Messages {
             self.join_steps(topics, state, *now);
         }
         let messaging = Asked::of(MESSAGES);
-        for asker in &state.askers.list {
-            if asker.asked.has(messaging)
-                && let Some(cell) = stage.cells.get(asker.slot)
-            {
-                let mut messages = 0;
-                cell.io.outboxes.drain(|topic, outbox| {
-                    let wake = |slot| state.agenda.wake(slot, Causes::MESSAGES);
-                    messages += topics.absorb_for(topic, outbox, *now, wake);
-                });
-                cell.meter.published(messages);
+        if notes_runs {
+            self.take_noted(stage, state, *now);
+            // An account includes runs that published nothing, so it does not wait for messages.
+            mechanisms.next.add(messaging);
+        } else {
+            for asker in &state.askers.list {
+                if asker.asked.has(messaging)
+                    && let Some(cell) = stage.cells.get(asker.slot)
+                {
+                    let mut messages = 0;
+                    cell.io.outboxes.drain(|topic, outbox| {
+                        let wake = |slot| state.agenda.wake(slot, Causes::MESSAGES);
+                        messages += topics.absorb_for(topic, outbox, *now, wake);
+                    });
+                    cell.meter.published(messages);
+                }
             }
         }
+        let topics = &mut stage.views.topics;
         topics.finish();
         if topics.is_any_fresh() {
             // The fresh messages must be retired in the next sync phase.
@@ -80,6 +97,11 @@ impl Mechanism for Messages {
         if !topics.shared().is_empty() && self.share(topics, state) {
             mechanisms.begin.add(messaging);
         }
+    }
+
+    fn started(&mut self, phase: &mut SyncPhase<'_>) {
+        phase.topics().open_report::<Arc<CycleRuns>>();
+        phase.mechanisms.next.add(Asked::of(MESSAGES));
     }
 
     fn join(&mut self, step: Step, part: Box<dyn Any + Send>) {
@@ -117,7 +139,10 @@ impl Messages {
     #[inline(never)] // Together with the rest it makes every sync phase slower.
     fn take_inlets(&mut self, topics: &mut Topics, now: Time, agenda: &mut Agenda) {
         for inlet in &mut self.inlets {
-            inlet.drain(topics, now, &mut |slot| agenda.wake(slot, Causes::MESSAGES));
+            let messages = inlet.drain(topics, now, &mut |slot| agenda.wake(slot, Causes::MESSAGES));
+            if let Some(runs) = &mut self.runs {
+                runs.inlet(inlet.topic(), messages);
+            }
         }
         self.inlets.retain(|inlet| {
             let is_orphaned = inlet.is_orphaned();
@@ -126,6 +151,15 @@ impl Messages {
             }
             !is_orphaned
         });
+    }
+
+    /// Takes the messages of the modules inside the cycle, and publishes the account of runs.
+    #[inline(never)]
+    fn take_noted(&mut self, stage: &mut Stage, state: &mut CoreState, now: Time) {
+        if let Some(runs) = &mut self.runs {
+            runs.take_runs(stage, state, now);
+            runs.end(&mut stage.views.topics, state, now);
+        }
     }
 
     /// Passes the batches of this cycle to detached modules and outlets. Returns true if sinks have to run in
@@ -176,7 +210,17 @@ impl Messages {
         let (role, module) = (member.role(), Arc::clone(&member.name));
         let cycle = state.cycle;
         let mut wake = |slot| state.agenda.wake(slot, Causes::MESSAGES);
-        let published = outboxes.iter_mut().map(|outbox| topics.absorb(&mut **outbox, now, &mut wake)).sum();
+        let mut published = 0;
+        for outbox in &mut outboxes {
+            let messages = topics.absorb(&mut **outbox, now, &mut wake);
+            published += messages;
+            if let Some(runs) = &mut self.runs {
+                runs.publishes(outbox.topic(), messages);
+            }
+        }
+        if let Some(runs) = &mut self.runs {
+            runs.stepped(outcome);
+        }
         let mut received = 0;
         for input in &outcome.inputs {
             received += input.received as usize;

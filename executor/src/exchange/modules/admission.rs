@@ -168,6 +168,7 @@ fn make(
 
 fn put(phase: &mut SyncPhase<'_>, member: &Member, cell: ModuleCell) -> Result<(), SetupError> {
     let SyncPhase { stage, state, .. } = phase;
+    stage.views.topics.module_changed();
     match member.id.place {
         Place::Attached(slot) => {
             stage.cells.put(slot, cell);
