@@ -162,7 +162,8 @@ fn unknown_parameters(send: &Send, types: &Types) -> Vec<Problem> {
     unknown.collect()
 }
 
-fn unknown_field(of: &DynamicType, names: &[String]) -> Option<String> {
+/// What is wrong with the names of fields of a type.
+pub(crate) fn unknown_field(of: &DynamicType, names: &[String]) -> Option<String> {
     let (name, rest) = names.split_first()?;
     let Some(field) = of.fields().find(|field| field.name == name) else {
         let known: Vec<&str> = of.fields().map(|field| field.name).collect();

@@ -27,6 +27,7 @@
 mod budget;
 mod chart;
 mod check;
+mod condition;
 mod draw;
 mod expressions;
 mod functions;
@@ -39,6 +40,7 @@ mod world;
 downbeat_msgs::include_interfaces!();
 
 pub use chart::{Chart, ChartError, ChartSetting, DOWNBEAT, Interface, Port, SettingDefault, Timer};
+pub use condition::Condition;
 pub use expressions::Problem;
 pub use interpreter::{Effect, Event, Interpreter, Memory};
 pub use kinds::kinds;

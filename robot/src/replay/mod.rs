@@ -51,7 +51,7 @@ use plan::Plan;
 pub use report::{
     Difference, LeftOut, NotCompared, NotComparedReason, NotSame, ReplayReport, Strictness, TopicReport, What,
 };
-pub use session::{ReplaySession, SessionInfo, SessionRun, ShownMessage, Standing};
+pub use session::{MessageRange, ReplaySession, SessionInfo, SessionRun, ShownMessage, Standing};
 
 /// What to replay and how exactly to compare.
 #[derive(Clone, Debug, Default)]

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use downbeat_bags::Reader;
 use downbeat_edge::{CoreAccess, KnownType};
 use downbeat_executor::{
-    self as executor, Core, Inbox, ManualClock, OutletInbox, Received, SetupError, Time,
+    self as executor, Core, CycleRuns, Inbox, ManualClock, OutletInbox, Received, SetupError, Time,
 };
 use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 use parking_lot::Mutex;
@@ -138,6 +138,7 @@ pub(super) struct Captured(Arc<Mutex<Contents>>);
 struct Contents {
     messages: Vec<Replayed>,
     events: Vec<ModuleEvent>,
+    runs: Option<Arc<CycleRuns>>,
 }
 
 impl Captured {
@@ -166,6 +167,21 @@ impl Captured {
 
     pub(super) fn take(&self) -> Vec<Replayed> {
         std::mem::take(&mut self.0.lock().messages)
+    }
+
+    /// Captures the runs of each cycle, too.
+    pub(super) fn add_runs(&self, core: &mut Core) -> Result<(), SetupError> {
+        let captured = self.clone();
+        let note = move |runs: Received<'_, Arc<CycleRuns>>| {
+            captured.0.lock().runs = Some(Arc::clone(&runs));
+        };
+        core.outlet(CycleRuns::TOPIC, Inbox::KeepAll, note)?.keep();
+        Ok(())
+    }
+
+    /// The runs of the last cycle.
+    pub(super) fn take_runs(&self) -> Option<Arc<CycleRuns>> {
+        self.0.lock().runs.take()
     }
 
     pub(super) fn take_events(&self) -> Vec<ModuleEvent> {

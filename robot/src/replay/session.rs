@@ -1,12 +1,14 @@
 //! A replay that stands at a cycle.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::Reader;
 use downbeat_edge::KnownType;
-use downbeat_executor::{Clock, Core, ManualClock, SettingInfo, Time, TraceCause};
+use downbeat_executor::{Clock, Core, ManualClock, RunCause, RunCauses, SettingInfo, Time};
+use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
 use super::comparison::{Comparisons, Replayed};
 use super::report::{Difference, LeftOut};
@@ -76,6 +78,8 @@ struct Detached {
     core: Core,
     follower: StepFollower,
     captured: Captured,
+    /// How many messages of each topic its runs were given or missed.
+    counts: BTreeMap<String, u64>,
 }
 
 /// What happened in a cycle.
@@ -87,8 +91,9 @@ pub struct Standing {
     pub time: Time,
     /// The runs of modules, in the order of their effects.
     pub runs: Vec<SessionRun>,
-    /// The messages that were published in it. Those of a topic are in order: first those from the bag, then
-    /// those of each run.
+    /// The messages that no run in this session published: they come from the bag.
+    pub given: Vec<MessageRange>,
+    /// All messages that were published in it, those of a topic in order.
     pub messages: Vec<ShownMessage>,
 }
 
@@ -98,11 +103,24 @@ pub struct SessionRun {
     /// The module.
     pub module: Arc<str>,
     /// Why it ran.
-    pub causes: Vec<TraceCause>,
+    pub causes: RunCauses,
     /// The number of the run of a detached module.
     pub step: Option<u64>,
-    /// How many messages it published on which topics.
-    pub published: Vec<(Arc<str>, u32)>,
+    /// The messages that it received.
+    pub received: Vec<MessageRange>,
+    /// The messages that it published.
+    pub published: Vec<MessageRange>,
+}
+
+/// Messages of a topic that follow each other.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MessageRange {
+    /// The topic, without the leading slash.
+    pub topic: Arc<str>,
+    /// The number of the first on the topic, from 0.
+    pub first: u64,
+    /// How many there are.
+    pub count: u64,
 }
 
 /// A message of a cycle.
@@ -160,7 +178,9 @@ impl ReplaySession {
                 StepFollower::new(&mut core, &clock, reader, &mut extract, name, &plan.reached, services);
             let follower = follower
                 .map_err(|source| ReplayError::Steps { module: name.clone(), source: Box::new(source) })?;
-            detached.push(Detached { name: name.clone(), core, follower, captured });
+            captured.add_runs(&mut core)?;
+            let counts = BTreeMap::new();
+            detached.push(Detached { name: name.clone(), core, follower, captured, counts });
         }
         let start = plan.cycles.first().or(reader.start_time()).unwrap_or(0);
         let clock = ManualClock::new(Time::from_nanos(start));
@@ -175,6 +195,7 @@ impl ReplaySession {
             core.topics().filter_map(|topic| Some((Arc::clone(&topic.name), interfaces.message_in(topic)?)));
         types.extend(known.filter(|(_, of)| !of.is_raw()));
         let captured = Captured::add(&mut core, types.iter().map(|(topic, of)| (Arc::clone(topic), *of)))?;
+        captured.add_runs(&mut core)?;
         let changes = SettingsChanges::read(reader, &mut extract, &plan.cycles, is_replayed)?;
         let recorded = extract.messages(reader, journal::EVENTS)?;
         let events = Events::of_core(&mut core, recorded.as_deref(), interfaces, Some(plan.services()))?;
@@ -294,20 +315,94 @@ impl ReplaySession {
             }
         }
         drop(self.captured.take_events());
+        let mut published = Published::of(&messages);
         let time = self.follower.clock.now();
+        let mut runs = self.run_detached(cycle, time, &mut published)?;
+        if let Some(account) = self.captured.take_runs() {
+            // Those inside the cycle published last.
+            let inside = account.runs.iter().rev().map(|run| {
+                let name = |topic: u32| account.wiring.topics.get(topic as usize);
+                let messages = account.published(run).iter().rev();
+                let messages =
+                    messages.filter_map(|messages| published.last(name(messages.topic)?, messages.count));
+                let mut messages: Vec<_> = messages.collect();
+                messages.reverse();
+                let module = account.wiring.modules.get(run.module as usize);
+                let subscribes = module.into_iter().flat_map(|module| &module.subscribes);
+                let has_messages = run.causes.has(RunCause::Messages);
+                let topics = subscribes.filter_map(|topic| name(*topic)).filter(|_| has_messages);
+                SessionRun {
+                    module: module.map_or_else(|| "?".into(), |module| Arc::clone(&module.name)),
+                    causes: run.causes,
+                    step: None,
+                    received: topics.filter_map(|topic| self.last.range(topic)).collect(),
+                    published: messages,
+                }
+            });
+            let mut inside: Vec<_> = inside.collect();
+            inside.reverse();
+            runs.append(&mut inside);
+        }
+        let given = published.rest();
+        let standing = Standing { cycle, time, runs, given, messages };
+        self.before = std::mem::replace(&mut self.last, standing);
+        Ok(true)
+    }
+
+    /// Makes the runs of detached modules that joined in a cycle. What they publish is compared; what others
+    /// receive of them are the messages of the bag.
+    fn run_detached(
+        &mut self,
+        cycle: u64,
+        time: Time,
+        published: &mut Published,
+    ) -> Result<Vec<SessionRun>, ReplayError> {
+        let has_cycles = self.cycles.is_recorded();
+        let has_joined = |step: &&ModuleStep| match has_cycles {
+            true => step.cycle <= cycle,
+            false => step.stamp.as_nanos() <= time.as_nanos(),
+        };
+        let mut runs = Vec::new();
         for detached in &mut self.detached {
-            let Detached { name, core, follower, captured } = detached;
+            let Detached { name, core, follower, captured, counts } = detached;
             let source = |source| ReplayError::Steps { module: name.clone(), source: Box::new(source) };
-            while follower.next().is_some_and(|step| step.cycle <= cycle) {
+            while let Some(step) = follower.next().filter(has_joined) {
+                let number = step.step;
+                let given = step.topics.iter().zip(&step.skipped).zip(&step.counts);
+                let received = given.map(|((topic, skipped), count)| {
+                    let next = counts.entry(topic.clone()).or_default();
+                    let first = *next + u64::from(*skipped);
+                    *next = first + u64::from(*count);
+                    MessageRange { topic: topic.as_str().into(), first, count: u64::from(*count) }
+                });
+                let received = received.filter(|messages| messages.count > 0).collect();
                 follower.step(core).map_err(source)?;
                 core.run_sinks();
                 captured.take().into_iter().for_each(|replayed| self.comparisons.replayed(replayed));
                 drop(captured.take_events());
+                let Some(account) = captured.take_runs() else { continue };
+                let own = account.runs.iter().find(|run| {
+                    account
+                        .wiring
+                        .modules
+                        .get(run.module as usize)
+                        .is_some_and(|module| *module.name == **name)
+                });
+                let Some(run) = own else { continue };
+                let messages = account.published(run).iter();
+                let messages = messages.filter_map(|messages| {
+                    published.first(account.wiring.topics.get(messages.topic as usize)?, messages.count)
+                });
+                runs.push(SessionRun {
+                    module: name.as_str().into(),
+                    causes: run.causes,
+                    step: Some(number),
+                    received,
+                    published: messages.collect(),
+                });
             }
         }
-        let standing = Standing { cycle, time, runs: Vec::new(), messages };
-        self.before = std::mem::replace(&mut self.last, standing);
-        Ok(true)
+        Ok(runs)
     }
 
     /// A captured message as it is shown; `None` if its type is not known.
@@ -320,5 +415,56 @@ impl ReplaySession {
         let message = ShownMessage { topic, number, time, message_type, cdr: replayed.cdr.clone() };
         self.latest.insert(Arc::clone(&message.topic), message.clone());
         Some(message)
+    }
+}
+
+impl Standing {
+    /// The messages of a topic.
+    fn range(&self, topic: &Arc<str>) -> Option<MessageRange> {
+        let mut messages = self.messages.iter().filter(|message| message.topic == *topic);
+        let first = messages.next()?.number;
+        Some(MessageRange { topic: Arc::clone(topic), first, count: 1 + messages.count() as u64 })
+    }
+}
+
+/// The messages of a cycle whose publishers are not known yet, by topic.
+struct Published(BTreeMap<Arc<str>, Range<u64>>);
+
+impl Published {
+    fn of(messages: &[ShownMessage]) -> Self {
+        let mut ranges = BTreeMap::<Arc<str>, Range<u64>>::new();
+        for ShownMessage { topic, number, .. } in messages {
+            let range = ranges.entry(Arc::clone(topic)).or_insert(*number..*number);
+            range.end = number + 1;
+        }
+        Self(ranges)
+    }
+
+    /// Takes the first messages of a topic.
+    fn first(&mut self, topic: &Arc<str>, count: u32) -> Option<MessageRange> {
+        let range = self.0.get_mut(topic)?;
+        let first = range.start;
+        range.start = (first + u64::from(count)).min(range.end);
+        MessageRange::of(topic, first..range.start)
+    }
+
+    /// Takes the last messages of a topic.
+    fn last(&mut self, topic: &Arc<str>, count: u32) -> Option<MessageRange> {
+        let range = self.0.get_mut(topic)?;
+        let end = range.end;
+        range.end = end.saturating_sub(u64::from(count)).max(range.start);
+        MessageRange::of(topic, range.end..end)
+    }
+
+    fn rest(self) -> Vec<MessageRange> {
+        self.0.into_iter().filter_map(|(topic, range)| MessageRange::of(&topic, range)).collect()
+    }
+}
+
+impl MessageRange {
+    /// `None` if the range is empty.
+    fn of(topic: &Arc<str>, range: Range<u64>) -> Option<Self> {
+        let count = range.end.checked_sub(range.start).filter(|count| *count > 0)?;
+        Some(Self { topic: Arc::clone(topic), first: range.start, count })
     }
 }

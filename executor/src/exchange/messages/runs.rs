@@ -1,5 +1,6 @@
 //! The account of runs: which modules ran in a cycle, for what causes, and what they published.
 
+use std::fmt;
 use std::sync::Arc;
 
 use super::Topics;
@@ -131,6 +132,23 @@ impl RunCause {
         Self::Transition,
         Self::Stop,
     ];
+}
+
+impl fmt::Display for RunCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Start => "start",
+            Self::Messages => "messages",
+            Self::Time => "timer",
+            Self::Request => "request",
+            Self::Response => "response",
+            Self::Setting => "setting",
+            Self::Result => "result of a job",
+            Self::Woken => "every cycle",
+            Self::Transition => "transition",
+            Self::Stop => "stop",
+        })
+    }
 }
 
 /// A set of causes.

@@ -7,9 +7,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use downbeat_executor::TraceCause;
+use downbeat_executor::RunCause;
 use downbeat_msgs::dynamic::{DynamicMessage, YamlStyle};
-use downbeat_robot::replay::{ReplaySession, ShownMessage, Standing};
+use downbeat_robot::replay::{MessageRange, ReplaySession, SessionRun};
+#[cfg(feature = "state_machine")]
+use downbeat_state_machine::Condition;
 
 use super::fork::{self, Forked};
 use super::protocol::{About, Cycle, Link, Message, Messages, Module, Order, Passed, Report, Role, Run};
@@ -152,8 +154,37 @@ impl Engine {
         Ok(self.done(true))
     }
 
+    #[cfg(feature = "state_machine")]
+    fn search(&mut self, expression: &str, to: u64, stops: bool) -> anyhow::Result<Report> {
+        let types = self.session.types().iter().filter_map(|(topic, of)| Some((&**topic, of.dynamic()?)));
+        let mut condition = Condition::new(expression, types).map_err(anyhow::Error::msg)?;
+        for message in self.session.latest() {
+            condition.take(&message.topic, message.time, message.cdr());
+        }
+        let mut becomes_true = |session: &ReplaySession| {
+            let standing = session.standing();
+            for message in &standing.messages {
+                condition.take(&message.topic, message.time, message.cdr());
+            }
+            condition.becomes_true(standing.time).map_err(anyhow::Error::msg)
+        };
+        becomes_true(&self.session)?;
+        let mut found = None;
+        while self.session.position() < to && self.session.step()? {
+            if becomes_true(&self.session)? {
+                found = Some(self.session.position());
+                if stops {
+                    break;
+                }
+            }
+        }
+        Ok(Report::Found { position: found, last: self.session.position() })
+    }
+
+    #[cfg(not(feature = "state_machine"))]
     fn search(&mut self, _: &str, _: u64, _: bool) -> anyhow::Result<Report> {
-        anyhow::bail!("no conditions yet")
+        use downbeat_robot::features::built_without;
+        anyhow::bail!("conditions are not in this program, {}", built_without("state_machine"))
     }
 
     fn about(&self, no_checkpoints: Option<String>) -> About {
@@ -182,13 +213,12 @@ impl Engine {
 
     fn cycle(&self) -> Cycle {
         let standing = self.session.standing();
-        let (runs, given) = runs_of(standing, self.session.before());
         Cycle {
             position: self.session.position(),
             cycle: standing.cycle,
             time_ns: standing.time.as_nanos(),
-            runs,
-            given,
+            runs: standing.runs.iter().map(run).collect(),
+            given: standing.given.iter().map(messages).collect(),
             difference: self.session.first_difference().map(ToString::to_string),
         }
     }
@@ -211,62 +241,21 @@ impl Engine {
     }
 }
 
-/// The runs of a cycle with what they received and published, and what came from the bag.
-fn runs_of(standing: &Standing, before: &Standing) -> (Vec<Run>, Vec<Messages>) {
-    // Those of a topic come in the order of the runs, behind those from the bag.
-    let mut left: BTreeMap<&str, Vec<&ShownMessage>> = BTreeMap::new();
-    for message in standing.messages.iter().rev() {
-        left.entry(&*message.topic).or_default().push(message);
+fn run(run: &SessionRun) -> Run {
+    let SessionRun { module, causes, step, received, published } = run;
+    // Messages are listed.
+    let causes = causes.iter().filter(|cause| *cause != RunCause::Messages);
+    Run {
+        module: module.to_string(),
+        causes: causes.map(|cause| cause.to_string()).collect(),
+        step: *step,
+        received: received.iter().map(messages).collect(),
+        published: published.iter().map(messages).collect(),
     }
-    let of_modules = |topic: &str| -> u64 {
-        let published = standing.runs.iter().filter(|run| run.step.is_none()).flat_map(|run| &run.published);
-        published.filter(|(of, _)| **of == *topic).map(|(_, count)| u64::from(*count)).sum()
-    };
-    let mut given = Vec::new();
-    for (topic, messages) in &mut left {
-        let count = (messages.len() as u64).saturating_sub(of_modules(topic));
-        let of_bag =
-            messages.split_off(messages.len().saturating_sub(usize::try_from(count).unwrap_or(usize::MAX)));
-        if let Some(first) = of_bag.last() {
-            given.push(Messages { topic: (*topic).to_owned(), first: first.number, count });
-        }
-    }
-    let runs = standing.runs.iter().map(|run| {
-        let mut published = Vec::new();
-        for (topic, count) in &run.published {
-            let Some(messages) = left.get_mut(&**topic) else { continue };
-            let of_run = messages.split_off(messages.len().saturating_sub(*count as usize));
-            if let Some(first) = of_run.last() {
-                published.push(Messages {
-                    topic: topic.to_string(),
-                    first: first.number,
-                    count: of_run.len() as u64,
-                });
-            }
-        }
-        Run {
-            module: run.module.to_string(),
-            causes: run.causes.iter().map(ToString::to_string).collect(),
-            step: run.step,
-            received: received_by(&run.causes, before),
-            published,
-        }
-    });
-    (runs.collect(), given)
 }
 
-/// The messages of the cycle before for which a module ran.
-fn received_by(causes: &[TraceCause], before: &Standing) -> Vec<Messages> {
-    let topics = causes.iter().filter_map(|cause| match cause {
-        TraceCause::Messages(topic) => Some(topic),
-        _ => None,
-    });
-    let messages = |topic: &Arc<str>| {
-        let mut of_topic = before.messages.iter().filter(|message| message.topic == *topic);
-        let first = of_topic.next()?.number;
-        Some(Messages { topic: topic.to_string(), first, count: 1 + of_topic.count() as u64 })
-    };
-    topics.filter_map(messages).collect()
+fn messages(range: &MessageRange) -> Messages {
+    Messages { topic: range.topic.to_string(), first: range.first, count: range.count }
 }
 
 /// What the first pass tells, collected.

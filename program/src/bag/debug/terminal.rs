@@ -132,7 +132,10 @@ fn text_of(cycle: &Cycle, start_ns: i64) -> String {
     }
     let width = cycle.runs.iter().map(|run| run.module.len()).max().unwrap_or(0);
     for Run { module, causes, step, received, published } in &cycle.runs {
-        let causes = if causes.is_empty() { "ran".to_owned() } else { causes.join(", ") };
+        let causes = match causes.as_slice() {
+            [] => "messages".to_owned(),
+            causes => causes.join(", "),
+        };
         let step = step.map(|step| format!(" (run {step})")).unwrap_or_default();
         let list = |title: &str, messages: &[Messages]| match messages {
             [] => String::new(),

@@ -60,7 +60,7 @@ impl Side {
     }
 
     fn publishers_in(&mut self, standing: &Standing, topic: &str) -> usize {
-        let published = standing.runs.iter().filter(|run| run.published.iter().any(|(of, _)| **of == *topic));
+        let published = standing.runs.iter().filter(|run| run.published.iter().any(|of| *of.topic == *topic));
         let names: Vec<String> = published.map(|run| run.module.to_string()).collect();
         self.publishers.iter().position(|known| *known == names).unwrap_or_else(|| {
             self.publishers.push(names);
