@@ -133,7 +133,8 @@ impl Condition {
     /// As [`holds`](Self::holds).
     pub fn becomes_true(&mut self, now: Time) -> Result<bool, String> {
         let holds = self.holds(now)?;
-        Ok(holds && !std::mem::replace(&mut self.held, holds))
+        let held = std::mem::replace(&mut self.held, holds);
+        Ok(holds && !held)
     }
 }
 
