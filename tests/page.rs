@@ -63,3 +63,12 @@ fn a_bag_is_scrubbed_in_the_page() {
     script.env("DOWNBEAT_PAGE", page_of(&shown)).env("DOWNBEAT_BAG", &bag);
     pass(script.env("DOWNBEAT_FOLDER", folder.path()), &shown);
 }
+
+#[test]
+fn why_the_robot_fell_is_found_in_the_page() {
+    let Some(mut script) = script("debug.mjs") else { return };
+    const WALK: &str = "bags/recordings/darwin_op_walk_simulated";
+    let robot = format!("{WALK}.toml");
+    let shown = Running::start(&["bag", "debug", &robot, WALK, "--page", "0"]);
+    pass(script.env("DOWNBEAT_PAGE", page_of(&shown)), &shown);
+}

@@ -9,6 +9,7 @@ use downbeat_executor::{
 use downbeat_msgs::cdr;
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::fmt;
 use std::time::Duration;
 use thiserror::Error;
 
@@ -75,6 +76,11 @@ pub trait Foreign: Send + 'static {
     /// Why it cannot; the version before goes on.
     fn restore(&mut self, _state: SavedState) -> Result<(), String> {
         Ok(())
+    }
+
+    /// What a debugger shows of the module, as [`Module::debug`](downbeat_executor::Module::debug).
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        None
     }
 }
 

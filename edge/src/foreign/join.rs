@@ -6,6 +6,7 @@ use super::module::ForeignModule;
 use super::versions::{Life, Made, prepare};
 use crate::{KnownService, KnownType};
 use downbeat_executor::{Context, Module, Setup, SetupError, Transition, TransitionError};
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -42,6 +43,10 @@ impl Module for ForeignModule {
         if let Err(reason) = self.make_transition(Transition::Shutdown, ctx) {
             tracing::error!(module = ctx.module_name(), "its shutdown failed: {reason}");
         }
+    }
+
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        self.foreign.as_ref()?.debug()
     }
 }
 

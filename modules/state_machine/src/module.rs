@@ -21,6 +21,7 @@ use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use downbeat_msgs::{Message, cdr, std_msgs};
 use rhai::{Dynamic, Map};
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -506,7 +507,18 @@ impl StateMachine {
     }
 }
 
+/// Its states, data and messages.
+impl fmt::Debug for StateMachine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.interpreter.memory().fmt(f)
+    }
+}
+
 impl Foreign for StateMachine {
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        Some(self)
+    }
+
     fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
         self.declare_ports(declarations)?;
         declarations.each_run();

@@ -105,9 +105,9 @@ pub(crate) fn view(arguments: &ViewBagArguments, catalog: &Catalog) -> anyhow::R
 }
 
 /// Answers what the page asks about a bag.
-struct Asks {
-    bags: Arc<[Reader]>,
-    interfaces: Interfaces,
+pub(super) struct Asks {
+    pub(super) bags: Arc<[Reader]>,
+    pub(super) interfaces: Interfaces,
 }
 
 impl Host for Asks {

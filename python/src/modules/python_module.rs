@@ -8,6 +8,8 @@ use downbeat::edge::foreign::{Declarations, Event, Foreign, ForeignContext, Save
 use downbeat::executor::{Failure, SettingValue, Transition};
 use downbeat::robot::ModuleSource;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::fmt;
 use std::sync::Arc;
 
 /// Loads the next version of a module, if there is one.
@@ -141,7 +143,44 @@ fn end_forked(py: Python<'_>) -> ! {
     std::process::abort()
 }
 
+/// The longest text of a field for a debugger, in characters.
+const LONGEST_FIELD: usize = 2000;
+
+/// Its fields, apart from those whose names begin with `_`.
+impl fmt::Debug for PythonModule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let fields = Python::attach(|py| -> PyResult<(String, Vec<(String, String)>)> {
+            let instance = self.instance.bind(py);
+            let name = instance.get_type().name()?.to_string();
+            let fields = instance.getattr("__dict__")?.cast_into::<PyDict>().map_err(PyErr::from)?;
+            let mut texts = Vec::new();
+            for (field, value) in fields {
+                let field: String = field.extract()?;
+                if !field.starts_with('_') {
+                    let text = value.repr()?.to_string().chars().take(LONGEST_FIELD).collect();
+                    texts.push((field, text));
+                }
+            }
+            Ok((name, texts))
+        });
+        match fields {
+            Ok((name, fields)) => {
+                let mut shown = f.debug_struct(&name);
+                for (field, text) in &fields {
+                    shown.field(field, &format_args!("{text}"));
+                }
+                shown.finish()
+            }
+            Err(error) => write!(f, "its fields cannot be shown: {error}"),
+        }
+    }
+}
+
 impl Foreign for PythonModule {
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        Some(self)
+    }
+
     fn setup(&mut self, declarations: &mut Declarations) -> Result<(), String> {
         if self.successor.is_some() {
             declarations.reload();

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use downbeat_bags::Reader;
 use downbeat_edge::KnownType;
-use downbeat_executor::{Clock, Core, ManualClock, RunCause, RunCauses, SettingInfo, Time};
+use downbeat_executor::{Clock, Core, Graph, GraphEdge, ManualClock, RunCause, RunCauses, SettingInfo, Time};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
 use super::comparison::{Comparisons, Replayed};
@@ -286,6 +286,23 @@ impl ReplaySession {
     #[must_use]
     pub fn settings(&self, module: &str) -> Option<Vec<SettingInfo>> {
         self.core_of(module).settings(module)
+    }
+
+    /// The topics that each module receives, without the leading slash.
+    #[must_use]
+    pub fn subscriptions(&self) -> BTreeMap<String, Vec<String>> {
+        let mut subscriptions = BTreeMap::<String, Vec<String>>::new();
+        for core in self.detached.iter().map(|detached| &detached.core).chain([&self.core]) {
+            let Graph { modules, topics, edges, .. } = core.graph();
+            for edge in edges {
+                if let GraphEdge::Subscribes { module, topic } = edge
+                    && let (Some(module), Some(topic)) = (modules.get(module), topics.get(topic))
+                {
+                    subscriptions.entry(module.name.clone()).or_default().push(topic.name.clone());
+                }
+            }
+        }
+        subscriptions
     }
 
     fn core_of(&self, module: &str) -> &Core {

@@ -204,6 +204,7 @@ impl Engine {
                 .map(|(topic, of)| (topic.to_string(), of.name().to_owned()))
                 .collect(),
             notes: about.notes.iter().cloned().chain(left_out).chain(settings).chain(missing).collect(),
+            subscriptions: self.session.subscriptions(),
             cycles: about.cycles,
             first_cycle: about.first_cycle,
             start_ns: about.start.as_nanos(),
@@ -236,7 +237,7 @@ impl Engine {
             type_name: message.type_name().to_owned(),
             number: message.number,
             time_ns: message.time.as_nanos(),
-            yaml: yaml.to_string(),
+            yaml,
         }))
     }
 }

@@ -5,9 +5,12 @@
 
 mod engine;
 mod fork;
+#[cfg(feature = "view")]
+mod page;
 mod protocol;
 mod terminal;
 mod travel;
+mod why;
 mod words;
 
 use std::path::PathBuf;
@@ -28,6 +31,10 @@ pub(crate) struct DebugArguments {
     /// Carry out these commands before those of the standard input, one line each; see `help` there.
     #[arg(long, short = 'c', value_name = "COMMAND")]
     pub(crate) command: Vec<String>,
+    /// Show it in a browser, on this port: 7373 if none is given, 0 for a free one.
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "PORT", num_args = 0..=1)]
+    pub(crate) page: Option<Option<u16>>,
     /// Replay for the debugger at this socket.
     #[arg(long, hide = true, value_name = "SOCKET")]
     pub(crate) engine: Option<PathBuf>,
@@ -45,6 +52,11 @@ pub(crate) fn debug(
         return engine::serve(ReplaySession::open(file, &reader, &options)?, socket, no_checkpoints);
     }
     let mut travel = Travel::start()?;
+    #[cfg(feature = "view")]
+    if let Some(port) = arguments.page {
+        terminal::pass(&mut travel)?;
+        return page::show(travel, reader, port, catalog);
+    }
     terminal::run(&mut travel, &arguments.command)
 }
 

@@ -78,6 +78,8 @@ pub(super) struct About {
     pub(super) detached: Vec<String>,
     /// The topics of messages that can be read, with their types.
     pub(super) topics: BTreeMap<String, String>,
+    /// The topics that each module receives.
+    pub(super) subscriptions: BTreeMap<String, Vec<String>>,
     /// Sentences about what differs from the recorded run.
     pub(super) notes: Vec<String>,
     pub(super) cycles: Option<u64>,
@@ -151,6 +153,16 @@ pub(super) struct Module {
     pub(super) settings: Option<Vec<(String, String)>>,
     /// What the module shows of itself.
     pub(super) state: Option<String>,
+}
+
+impl Messages {
+    pub(super) fn name(&self) -> String {
+        let Self { topic, first, count } = self;
+        match count {
+            1 => format!("{topic} #{first}"),
+            _ => format!("{topic} #{first} to #{}", first + count - 1),
+        }
+    }
 }
 
 /// One end of a connection.

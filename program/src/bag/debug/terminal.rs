@@ -3,34 +3,43 @@
 use std::io::{BufRead, IsTerminal, Write};
 
 use super::protocol::{Cycle, Messages, Run};
+use anyhow::Context;
+
 use super::travel::Travel;
+use super::why::why;
 use super::words::{Command, Goal, HELP};
 use crate::stop::Stop;
 
-/// Runs these commands, then those of the standard input.
-pub(super) fn run(travel: &mut Travel, commands: &[String]) -> anyhow::Result<()> {
+/// Runs the replay once, and says how it went.
+pub(super) fn pass(travel: &mut Travel) -> anyhow::Result<()> {
     let stop = Stop::new()?;
-    let about = travel.about();
-    let progress = indicatif::ProgressBar::new(about.cycles.unwrap_or(0));
-    if let Some(reason) = &about.no_checkpoints {
+    let progress = indicatif::ProgressBar::new(travel.about().cycles.unwrap_or(0));
+    if let Some(reason) = &travel.about().no_checkpoints {
         tracing::warn!("{reason}");
     }
-    let count = about.notes.len();
-    progress.set_message("replaying");
     travel.pass(|cycles| {
         progress.set_position(cycles);
         !stop.is_due()
     })?;
     progress.finish_and_clear();
     println!("{} cycles of {}", travel.index.end(), travel.about().robot);
+    let count = travel.about().notes.len();
     if count > 0 {
         println!("{count} notes on what differs from the recorded run: `notes` lists them");
     }
     match &travel.index.difference {
-        Some((_, difference)) => println!("first difference: {difference}\n`go difference` goes there"),
+        Some((_, difference)) => {
+            println!("first difference: {}\n`go difference` goes there", difference.trim())
+        }
         None => println!("no difference from the bag"),
     }
-    travel.go_to(&Goal::Start)?;
+    travel.go_to(&Goal::Start)
+}
+
+/// Runs these commands, then those of the standard input.
+pub(super) fn run(travel: &mut Travel, commands: &[String]) -> anyhow::Result<()> {
+    let stop = Stop::new()?;
+    pass(travel)?;
     show(travel)?;
     let mut last = None;
     let given = commands.iter().map(|line| Ok(line.clone()));
@@ -88,6 +97,13 @@ fn obey(travel: &mut Travel, command: &Command) -> anyhow::Result<()> {
             }
             None => println!("{}", travel.no_message(topic)),
         },
+        Command::Why { topic, number } => {
+            let number = match number {
+                Some(number) => *number,
+                None => travel.message(topic)?.with_context(|| travel.no_message(topic))?.number,
+            };
+            print!("{}", why(travel, topic, number)?.text());
+        }
         Command::Module(name) => {
             let module = travel.module(name)?;
             let Some(settings) = module.settings else {
@@ -128,7 +144,7 @@ fn text_of(cycle: &Cycle, start_ns: i64) -> String {
     let seconds = (cycle.time_ns - start_ns) as f64 / 1e9;
     let mut text = format!("cycle #{}, {seconds:.6} s into the bag ({})\n", cycle.cycle, cycle.time_ns);
     for messages in &cycle.given {
-        text += &format!("  from the bag: {}\n", name(messages));
+        text += &format!("  from the bag: {}\n", messages.name());
     }
     let width = cycle.runs.iter().map(|run| run.module.len()).max().unwrap_or(0);
     for Run { module, causes, step, received, published } in &cycle.runs {
@@ -139,21 +155,16 @@ fn text_of(cycle: &Cycle, start_ns: i64) -> String {
         let step = step.map(|step| format!(" (run {step})")).unwrap_or_default();
         let list = |title: &str, messages: &[Messages]| match messages {
             [] => String::new(),
-            messages => format!("; {title} {}", messages.iter().map(name).collect::<Vec<_>>().join(", ")),
+            messages => {
+                format!("; {title} {}", messages.iter().map(Messages::name).collect::<Vec<_>>().join(", "))
+            }
         };
         let (received, published) = (list("received", received), list("published", published));
         text += &format!("  {module:width$}  {causes}{step}{received}{published}\n");
     }
     if let Some(difference) = &cycle.difference {
-        text += &format!("  differs from the bag since {difference}\n");
+        let lines = difference.trim().lines().map(str::trim).collect::<Vec<_>>().join(" ");
+        text += &format!("  differs from the bag since {lines}\n");
     }
     text
-}
-
-fn name(messages: &Messages) -> String {
-    let Messages { topic, first, count } = messages;
-    match count {
-        1 => format!("{topic} #{first}"),
-        _ => format!("{topic} #{first} to #{}", first + count - 1),
-    }
 }

@@ -12,7 +12,7 @@ use anyhow::{Context, bail};
 use downbeat_files::suggestion;
 use tempfile::TempDir;
 
-use super::protocol::{About, Cycle, Link, Message, Module, Order, Passed, Report, Role};
+use super::protocol::{About, Cycle, Link, Message, Messages, Module, Order, Passed, Report, Role};
 use super::words::Goal;
 use crate::own_command::this_command;
 
@@ -110,7 +110,7 @@ impl Index {
         (self.times.partition_point(|time| *time <= time_ns) as u64).clamp(1, self.end().max(1))
     }
 
-    pub(super) fn time(&self, position: u64) -> Option<i64> {
+    fn time(&self, position: u64) -> Option<i64> {
         self.times.get(usize::try_from(position.checked_sub(1)?).ok()?).copied()
     }
 
@@ -138,6 +138,15 @@ impl Index {
     pub(super) fn messages(&self, topic: &str) -> Option<impl DoubleEndedIterator<Item = u64>> {
         let cycles = self.topics.get(topic.trim_start_matches('/'))?;
         Some(cycles.iter().map(|(position, _)| u64::from(*position)))
+    }
+
+    /// The last message of a topic before a position: its number, and its position.
+    fn last_before(&self, topic: &str, position: u64) -> Option<(u64, u64)> {
+        let cycles = self.topics.get(topic)?;
+        let before = cycles.partition_point(|(at, _)| u64::from(*at) < position);
+        let count: u64 = cycles.iter().take(before).map(|(_, count)| u64::from(*count)).sum();
+        let (at, _) = cycles.get(before.checked_sub(1)?)?;
+        Some((count.checked_sub(1)?, u64::from(*at)))
     }
 
     /// The position of the cycle with a message of a topic, by its number from 0.
@@ -201,8 +210,12 @@ impl Travel {
                 }
                 Some(Report::Done { position, .. }) => {
                     self.current.position = position;
-                    self.take_checkpoints()?;
-                    return Ok(());
+                    // That of the start may still be on its way.
+                    while self.about.no_checkpoints.is_none() && self.checkpoints.is_empty() {
+                        let engine = accept(&self.listener, &mut self.started, PATIENCE)?;
+                        self.keep(engine);
+                    }
+                    return self.take_checkpoints();
                 }
                 Some(Report::Failed { problem }) => bail!("{problem}"),
                 Some(other) => bail!("an engine said {other:?}"),
@@ -241,7 +254,7 @@ impl Travel {
             Some((_, checkpoint)) => {
                 self.copies += 1;
                 checkpoint.engine.link.send(&Order::Fork { number: self.copies })?;
-                self.await_copy(self.copies)?
+                self.await_engine(Role::Copy(self.copies), PATIENCE)?
             }
             None if own.is_some() => return Ok(()),
             None => return self.start_again(),
@@ -253,14 +266,14 @@ impl Travel {
         Ok(())
     }
 
-    /// Waits for a copy that was ordered. Checkpoints may connect before it.
-    fn await_copy(&mut self, number: u64) -> anyhow::Result<Engine> {
+    /// Waits for an engine. Checkpoints may connect before it.
+    fn await_engine(&mut self, role: Role, patience: Duration) -> anyhow::Result<Engine> {
         loop {
-            let engine = accept(&self.listener, &mut self.started, PATIENCE)?;
-            match engine.role {
-                Role::Copy(it) if it == number => return Ok(engine),
-                _ => self.keep(engine),
+            let engine = accept(&self.listener, &mut self.started, patience)?;
+            if engine.role == role {
+                return Ok(engine);
             }
+            self.keep(engine);
         }
     }
 
@@ -271,15 +284,16 @@ impl Travel {
 
     /// Without checkpoints: from the start.
     fn start_again(&mut self) -> anyhow::Result<()> {
-        let path = self.folder.path().join("engines");
-        let mut started = start_engine(path)?;
-        let mut engine = accept(&self.listener, &mut started, Duration::MAX)?;
+        let started = start_engine(self.folder.path().join("engines"))?;
+        let mut old = std::mem::replace(&mut self.started, started);
+        let mut engine = self.await_engine(Role::First, Duration::MAX)?;
         if !matches!(engine.link.receive()?, Some(Report::About(_))) {
             bail!("the replay has ended before it began");
         }
         self.current = engine;
-        // Has ended with its connection.
-        let _ = std::mem::replace(&mut self.started, started).wait();
+        // It ends with its connection.
+        self.first = None;
+        old.wait().context("cannot end a replay")?;
         Ok(())
     }
 
@@ -529,6 +543,17 @@ impl Travel {
             Goal::End => end,
         };
         self.go(to)
+    }
+
+    /// The messages that a module had received last before a cycle, with their times.
+    pub(super) fn known_to(&self, module: &str, position: u64) -> Vec<(Messages, i64)> {
+        let topics = self.about.subscriptions.get(module).into_iter().flatten();
+        // Those of the cycle before are received in this one.
+        let last = |topic: &String| {
+            let (first, at) = self.index.last_before(topic, position.saturating_sub(1))?;
+            Some((Messages { topic: topic.clone(), first, count: 1 }, self.index.time(at)?))
+        };
+        topics.filter_map(last).collect()
     }
 
     fn run_of(&self, name: &str, is_back: bool) -> anyhow::Result<u64> {

@@ -37,6 +37,11 @@ pub(super) enum Command {
     Go(Goal),
     Print(String),
     Module(String),
+    /// Of a message of a topic, the latest if there is no number.
+    Why {
+        topic: String,
+        number: Option<u64>,
+    },
     List,
     Notes,
     Help,
@@ -53,12 +58,13 @@ go #1234                  go to this cycle
 go joint_goals#17         go to the cycle with this message of a topic, counted from 0
 go difference             go to the first difference from the bag
 go start, go end          go to the first or the last cycle
+why TOPIC, why TOPIC#17   print what led to the latest, or to this, message of a topic
 print TOPIC               print the latest message
 module NAME               print settings and state of a module
 list                      list modules and topics
 notes                     list what differs from the recorded run
 quit                      end; so does Ctrl-D
-An empty line repeats the last command. The first letter of a command is enough: s, b, n, l, u, g, p, m, q.
+An empty line repeats the last command. The first letter of a command is enough: s, b, n, l, u, g, w, p, m, q.
 ";
 
 impl Command {
@@ -92,6 +98,7 @@ impl Command {
             "g" | "go" => goal(rest).map(Self::Go),
             "p" | "print" => Ok(Self::Print(name()?)),
             "m" | "module" => Ok(Self::Module(name()?)),
+            "w" | "why" => why(name()?),
             "list" => Ok(Self::List),
             "notes" => Ok(Self::Notes),
             "h" | "help" | "?" => Ok(Self::Help),
@@ -99,6 +106,14 @@ impl Command {
             _ => Err(format!("unknown command \"{word}\"; `help` lists them")),
         }
     }
+}
+
+fn why(text: String) -> Result<Command, String> {
+    let Some((topic, number)) = text.split_once('#') else {
+        return Ok(Command::Why { topic: text, number: None });
+    };
+    let number = number.parse().map_err(|_| format!("\"{number}\" is not a number, as in joint_goals#17"))?;
+    Ok(Command::Why { topic: topic.to_owned(), number: Some(number) })
 }
 
 fn count(text: &str) -> Result<i64, String> {

@@ -1,0 +1,242 @@
+//! A recorded run that is walked through, replayed with changes, and bisected: `downbeat bag debug`,
+//! `bag replay --with`, `bag bisect`.
+#![cfg(all(unix, feature = "cli", feature = "football"))]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::fmt::Write as _;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use common::{downbeat, output_of, text_of};
+
+const WALK: &str = "bags/recordings/darwin_op_walk_simulated";
+const WALKER: &str = "bags/recordings/darwin_op_walk_simulated.toml";
+
+/// Gives lines to the debugger and returns what it prints.
+fn debugged(robot: &str, bag: &str, lines: &str) -> String {
+    let mut command = downbeat(&["bag", "debug", robot, bag]);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut input = child.stdin.take().unwrap();
+    let lines = lines.to_owned();
+    let writing = std::thread::spawn(move || input.write_all(lines.as_bytes()).unwrap());
+    let output = child.wait_with_output().unwrap();
+    writing.join().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    let (printed, problems) = (text(output.stdout), text(output.stderr));
+    assert!(output.status.success(), "{printed}\n{problems}");
+    printed
+}
+
+/// Numbers that look random, the same each time.
+fn random() -> impl Iterator<Item = u64> {
+    std::iter::successors(Some(0x2545_F491_4F6C_DD1D_u64), |state| {
+        let mut next = *state;
+        next ^= next << 13;
+        next ^= next >> 7;
+        Some(next ^ (next << 17))
+    })
+}
+
+#[test]
+fn a_cycle_is_the_same_from_before_from_behind_and_at_once() {
+    const CYCLES: usize = 200;
+    // In parts of cycles that are apart from each other.
+    let mut lines = String::new();
+    let look =
+        "print joint_goals\nprint odom\nmodule gait\nmodule falls\nmodule mux\nmodule hardware\nmark\n";
+    for cycle in random().map(|number| 200 + number % 5000).take(CYCLES) {
+        let _ = write!(lines, "mark\ngo #{cycle}\n{look}");
+        let _ = write!(lines, "go #{}\nstep 7\nmark\nstep\n{look}", cycle - 8);
+        let _ = write!(lines, "go #{}\nback 11\nmark\nback\n{look}", cycle + 12);
+    }
+    let printed = debugged(WALKER, WALK, &lines);
+    let mut parts = printed.split("unknown command \"mark\"; `help` lists them\n").skip(1);
+    for _ in 0..CYCLES {
+        let at_once = parts.next().unwrap();
+        let _on_the_way = parts.next().unwrap();
+        let from_before = parts.next().unwrap();
+        let _on_the_way = parts.next().unwrap();
+        let from_behind = parts.next().unwrap();
+        assert!(at_once.starts_with("cycle #") && at_once.contains("Gait {"), "{at_once}");
+        for other in [from_before, from_behind] {
+            assert_eq!(other, at_once);
+        }
+        let _rest = parts.next();
+    }
+}
+
+#[test]
+fn it_goes_to_times_messages_runs_and_conditions_and_says_why() {
+    let lines = "go 4s\nnext falls\nlast falls\ngo robot_state#5\nwhy robot_state\n\
+                 back until robot_state.data == 'upright'\nuntil robot_state.data == 'falling'\ngo end\nstep\n";
+    let printed = debugged(WALKER, WALK, lines);
+    let cycles: Vec<&str> = printed.lines().filter_map(|line| line.strip_prefix("cycle #")).collect();
+    let [_, at_four, next, last, fall, upright, falls, ..] = cycles[..] else { panic!("{printed}") };
+    assert!(at_four.contains(", 4.0"), "{at_four}");
+    let number = |line: &str| line.split(',').next().unwrap().parse::<u64>().unwrap();
+    assert!(number(next) > number(at_four) && number(last) < number(next), "{printed}");
+    assert!(number(upright) < number(fall) && fall == falls, "{printed}");
+    let chain = printed.split_once("robot_state #5 in cycle").unwrap().1;
+    let order = [
+        "published by falls",
+        "published by imu_filter",
+        "published by hardware (timer)",
+        "it knew joint_goals",
+    ];
+    let places: Vec<_> = order.iter().map(|part| chain.find(part).unwrap()).collect();
+    assert!(places.is_sorted(), "{chain}");
+    assert!(printed.contains("the bag ends 0 cycles from here"), "{printed}");
+}
+
+#[test]
+fn what_is_wrong_is_said_and_the_debugger_goes_on() {
+    let lines = "fly\ngo joint_goals#100000\nprint joint_goal\nmodule simulator\nnext gai\nuntil walking < 1\n\
+                 until robot_state.date == 'x'\nuntil robot_state.data == 'asleep'\nback\ngo #99999\ngo difference\nstep\n";
+    let printed = debugged(WALKER, WALK, lines);
+    for sentence in [
+        "unknown command \"fly\"",
+        "joint_goals has 1649 messages",
+        "there is no module or topic \"joint_goal\", did you mean \"joint_goals\"?",
+        "simulator: it drives a device",
+        "there is no module or topic \"gai\", did you mean \"gait\"?",
+        "has no field \"date\", did you mean \"data\"?",
+        "robot_state.data == 'asleep' does not become true after this cycle",
+        "the bag begins 0 cycles before this one",
+        "the bag has the cycles #0 to #",
+        "the replay does not differ from the bag",
+        "cycle #1,",
+    ] {
+        assert!(printed.contains(sentence), "{sentence}\n{printed}");
+    }
+    let missing = output_of(&["bag", "debug", "missing.toml", WALK]);
+    assert!(String::from_utf8_lossy(&missing.stderr).contains("missing.toml"));
+}
+
+#[test]
+fn a_replay_with_a_change_says_where_the_runs_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = folder.path().join("report");
+    let line =
+        ["bag", "replay", WALKER, WALK, "--with", "gait.period=0.62", "--report", report.to_str().unwrap()];
+    let printed = text_of(&line);
+    assert!(
+        printed.contains("they part 2.0") && printed.contains("from gait: in /gait/joint_commands"),
+        "{printed}"
+    );
+    let text = fs::read_to_string(report.join("report.md")).unwrap();
+    assert!(text.starts_with("# What if: gait.period=0.62\n"), "{text}");
+    let pictures: Vec<&str> = text.lines().filter(|line| line.starts_with("![/")).collect();
+    assert!(!pictures.is_empty(), "{text}");
+    for picture in pictures {
+        let file = picture.rsplit_once('(').unwrap().1.trim_end_matches(')');
+        let svg = fs::read_to_string(report.join(file)).unwrap();
+        assert!(svg.contains("without") && svg.contains("<svg"), "{file}");
+    }
+    // The bag of the run with the change is a bag.
+    assert!(text_of(&["bag", "check", report.join("after").to_str().unwrap()]).contains("0 problems"));
+
+    let same = text_of(&["bag", "replay", WALKER, WALK, "--with", "gait.period=0.6"]);
+    assert!(same.contains("the two runs are the same"), "{same}");
+    for (change, problem) in [
+        ("gait", "expected module.setting=value"),
+        ("gate.period=1", "did you mean \"gait\"?"),
+        ("perriod=1", "no module is named \"perriod\" or has such a setting"),
+        ("gait=other.so", "\"gait\" is compiled into the program"),
+        ("robot=missing.toml", "missing.toml"),
+    ] {
+        let output = output_of(&["bag", "replay", WALKER, WALK, "--with", change]);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && said.contains(problem), "{change}: {said}");
+    }
+}
+
+const CHART: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
+    <downbeat:publish topic="said" type="std_msgs/msg/String"/>
+    <downbeat:every period="100ms" event="tick"/>
+    <datamodel><data id="count" expr="0"/></datamodel>
+    <state id="talks">
+        <transition event="tick">
+            <assign location="count" expr="count + 1"/>
+            <send target="said"><content expr="'tick ' + count"/></send>
+        </transition>
+    </state>
+</scxml>
+"#;
+
+/// A robot that talks, and a recorded run of it.
+fn talker(folder: &Path) -> (PathBuf, PathBuf) {
+    let (robot, bag) = (folder.join("talker.toml"), folder.join("bag"));
+    let file = "[robot]\nname = \"talker\"\n[[module]]\nname = \"mouth\"\nkind = \"state_machine\"\nfile = \"mouth.scxml\"\n[record]\ntopics = \"all\"\n";
+    fs::write(&robot, file).unwrap();
+    fs::write(folder.join("mouth.scxml"), CHART).unwrap();
+    let line =
+        ["run", robot.to_str().unwrap(), "--fast", "--duration", "2s", "--record", bag.to_str().unwrap()];
+    text_of(&line);
+    (robot, bag)
+}
+
+#[test]
+fn a_chart_shows_its_states_and_another_version_of_it_is_tried() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = talker(folder.path());
+    let [robot, bag] = [&robot, &bag].map(|path| path.to_str().unwrap());
+    let printed = debugged(robot, bag, "go 1.05s\nmodule mouth\n");
+    assert!(printed.contains("\"talks\"") && printed.contains("\"count\""), "{printed}");
+    let other = folder.path().join("other.scxml");
+    fs::write(&other, CHART.replace("'tick '", "'tock '")).unwrap();
+    let printed = text_of(&["bag", "replay", robot, bag, "--with", &format!("mouth={}", other.display())]);
+    let parting = "they part 0.000000 s into the bag, in cycle #0 from mouth: in /mouth/dot #0";
+    assert!(printed.contains(parting), "{printed}");
+    assert!(printed.lines().any(|line| line.split_whitespace().eq(["/said", "20", "20", "+0"])), "{printed}");
+}
+
+#[test]
+fn the_revision_that_changed_a_run_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let git = |arguments: &[&str]| {
+        let identity = ["-c", "user.name=A", "-c", "user.email=a@localhost", "-c", "init.defaultBranch=main"];
+        let output =
+            Command::new("git").args(identity).args(arguments).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap().trim().to_owned()
+    };
+    git(&["init", "--quiet"]);
+    let (robot, bag) = talker(folder.path());
+    fs::write(folder.path().join(".gitignore"), "bag\n").unwrap();
+    let mut revisions = Vec::new();
+    for (number, (what, chart)) in [
+        ("Talk", CHART.to_owned()),
+        ("Break it", CHART.replace("</scxml>", "")),
+        ("Explain", CHART.replace("<state id", "<!-- It talks. --><state id")),
+        ("Say tock", CHART.replace("'tick '", "'tock '")),
+        (
+            "Say tock again",
+            CHART.replace("'tick '", "'tock '").replace("<state id", "<!-- It talks. --><state id"),
+        ),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        fs::write(folder.path().join("mouth.scxml"), chart).unwrap();
+        git(&["add", "."]);
+        git(&["commit", "--quiet", "--allow-empty", "-m", &format!("{what} ({number})")]);
+        revisions.push(git(&["rev-parse", "HEAD"]));
+    }
+    let [robot, bag] = [&robot, &bag].map(|path| path.to_str().unwrap());
+    let printed = text_of(&["bag", "bisect", robot, bag, "--good", &revisions[0], "--bad", "HEAD"]);
+    assert!(
+        printed.contains("the first revision that differs:") && printed.contains("Say tock (3)"),
+        "{printed}"
+    );
+    assert!(printed.contains("/said message 0") && printed.contains("tock 1"), "{printed}");
+    assert!(git(&["worktree", "list"]).lines().count() == 1, "no folder is left");
+    let refused = output_of(&["bag", "bisect", robot, bag, "--good", &revisions[4], "--bad", "HEAD"]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("differs from the bag too"));
+    let refused = output_of(&["bag", "bisect", robot, bag, "--good", &revisions[0], "--bad", &revisions[2]]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("does not differ from the bag"));
+}
