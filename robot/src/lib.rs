@@ -8,6 +8,7 @@ mod actions;
 mod build;
 mod built_in;
 mod catalog;
+pub mod causes;
 mod commanders;
 pub mod encoding;
 mod expose;

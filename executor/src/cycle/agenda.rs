@@ -136,11 +136,9 @@ impl Agenda {
         for index in 0..self.every_cycle.len() {
             self.wake(self.every_cycle[index], Causes::WOKEN);
         }
-        for index in 0..self.later.len() {
-            let (slot, causes) = self.later[index];
-            self.wake(slot, causes);
+        if !self.later.is_empty() {
+            self.take_later();
         }
-        self.later.clear();
         std::mem::swap(&mut self.ready, runnable);
         for ready in &mut *runnable {
             ready.causes = std::mem::take(&mut self.entries[ready.slot].causes);
@@ -149,6 +147,15 @@ impl Agenda {
             runnable.sort_unstable_by_key(|ready| ready.order);
         }
         (self.next_order, self.is_out_of_order) = (0, false);
+    }
+
+    #[inline(never)]
+    fn take_later(&mut self) {
+        for index in 0..self.later.len() {
+            let (slot, causes) = self.later[index];
+            self.wake(slot, causes);
+        }
+        self.later.clear();
     }
 
     /// Removes outdated entries: a module may postpone a distant due time any number of times.

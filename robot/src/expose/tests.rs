@@ -81,6 +81,7 @@ fn a_pattern_means_what_modules_publish_as_ros_messages() {
                 "module_steps",
                 "module_settings",
                 "module_events",
+                "module_runs",
                 "cycle_times",
                 "cycle_messages",
                 "joint_commands",

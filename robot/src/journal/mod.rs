@@ -6,6 +6,7 @@
 //! which is recorded, like any topic.
 
 pub(crate) mod events;
+mod runs;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -31,16 +32,21 @@ pub const SETTINGS: &str = "module_settings";
 /// The topic with requests, answers, commands to modules and results of jobs.
 pub const EVENTS: &str = "module_events";
 
+/// The topic with the runs of all modules and their causes.
+pub const RUNS: &str = "module_runs";
+
 /// The topics of all journals.
-pub(crate) const TOPICS: [&str; 5] = [CYCLES, MESSAGES, STEPS, SETTINGS, EVENTS];
+pub(crate) const TOPICS: [&str; 6] = [CYCLES, MESSAGES, STEPS, SETTINGS, EVENTS, RUNS];
 
 const CYCLE_JOURNAL: &str = "cycle_journal";
 const STEP_JOURNAL: &str = "step_journal";
 const SETTINGS_JOURNAL: &str = "settings_journal";
 const EVENT_JOURNAL: &str = "event_journal";
+const RUN_JOURNAL: &str = "run_journal";
 
 /// The names of the modules that publish them.
-pub(crate) const MODULE_NAMES: [&str; 4] = [CYCLE_JOURNAL, STEP_JOURNAL, SETTINGS_JOURNAL, EVENT_JOURNAL];
+pub(crate) const MODULE_NAMES: [&str; 5] =
+    [CYCLE_JOURNAL, STEP_JOURNAL, SETTINGS_JOURNAL, EVENT_JOURNAL, RUN_JOURNAL];
 
 /// Adds the journals to a core that has all its modules. Requests and answers are recorded with their content
 /// where their types are registered. A core that spins has no journal of its cycles: there would be millions,
@@ -56,6 +62,7 @@ pub fn add(core: &mut Core, interfaces: &Interfaces, idle: Idle) -> Result<(), S
     settings.add(core, SETTINGS_JOURNAL)?;
     let events = Journal { reports: ModuleEvent::TOPIC, topic: EVENTS, message: events::message };
     events.add(core, EVENT_JOURNAL)?;
+    runs::RunJournal::add(core)?;
     match idle {
         Idle::Park => CycleJournal::add(core),
         Idle::Spin => Ok(()),
@@ -147,7 +154,7 @@ pub struct CyclePorts {
     messages: Publication<CycleMessages>,
 }
 
-/// Times are published when there are this many, or the first of them is this old.
+/// Times and runs are published when there are this many, or the first of them is this old.
 const MOST: usize = 256;
 const OLDEST: Duration = Duration::from_millis(250);
 

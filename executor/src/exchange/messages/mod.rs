@@ -16,7 +16,7 @@ use runs::RunLog;
 pub use runs::{CycleRuns, ModuleRun, Published, RunCause, RunCauses, WiredModule, Wiring};
 
 use super::Services;
-use crate::cycle::{Agenda, CoreState, DetachedModule};
+use crate::cycle::{Agenda, CoreState, DetachedModule, Mechanisms};
 use crate::module::{
     Asked, Causes, Delivery, Direction, Host, Input, MESSAGES, Place, SERVICES, StepOutcome, Use, UseEnds,
 };
@@ -57,8 +57,8 @@ impl Mechanism for Messages {
         let topics = &mut stage.views.topics;
         topics.begin();
         let notes_runs = topics.hears::<Arc<CycleRuns>>();
-        if notes_runs && let Some(services) = mechanisms.get::<Services>(SERVICES) {
-            self.runs.get_or_insert_default().begin(topics, state, services, *now);
+        if notes_runs {
+            self.begin_account(topics, state, mechanisms, *now);
         }
         if are_inlets_announced {
             self.take_inlets(topics, *now, &mut state.agenda);
@@ -71,7 +71,7 @@ impl Mechanism for Messages {
         }
         let messaging = Asked::of(MESSAGES);
         if notes_runs {
-            self.take_noted(stage, state, *now);
+            self.take_runs(stage, state, *now);
             // An account includes runs that published nothing, so it does not wait for messages.
             mechanisms.next.add(messaging);
         } else {
@@ -153,9 +153,16 @@ impl Messages {
         });
     }
 
+    #[inline(never)]
+    fn begin_account(&mut self, topics: &Topics, state: &CoreState, mechanisms: &Mechanisms, now: Time) {
+        if let Some(services) = mechanisms.get::<Services>(SERVICES) {
+            self.runs.get_or_insert_default().begin(topics, state, services, now);
+        }
+    }
+
     /// Takes the messages of the modules inside the cycle, and publishes the account of runs.
     #[inline(never)]
-    fn take_noted(&mut self, stage: &mut Stage, state: &mut CoreState, now: Time) {
+    fn take_runs(&mut self, stage: &mut Stage, state: &mut CoreState, now: Time) {
         if let Some(runs) = &mut self.runs {
             runs.take_runs(stage, state, now);
             runs.end(&mut stage.views.topics, state, now);

@@ -212,6 +212,19 @@ impl CycleRuns {
         self.published.get(run.published.0 as usize..run.published.1 as usize).unwrap_or_default()
     }
 
+    /// An account without runs, to which [`add`](Self::add) adds them: for accounts that were recorded.
+    #[must_use]
+    pub fn new(time: Time, cycle: u64, wiring: Arc<Wiring>, from_inlets: Vec<Published>) -> Self {
+        Self { time, cycle, wiring, from_inlets, runs: Vec::new(), published: Vec::new() }
+    }
+
+    /// Adds a run; see [`ModuleRun`].
+    pub fn add(&mut self, module: u32, causes: RunCauses, step: Option<u64>, published: &[Published]) {
+        let begin = index(self.published.len());
+        self.published.extend_from_slice(published);
+        self.runs.push(ModuleRun { module, causes, step, published: (begin, index(self.published.len())) });
+    }
+
     fn begin(&mut self, time: Time, cycle: u64, wiring: &Arc<Wiring>) {
         (self.time, self.cycle) = (time, cycle);
         if !Arc::ptr_eq(&self.wiring, wiring) {
@@ -267,14 +280,7 @@ impl RunLog {
         let spare = self.published.iter_mut().position(|account| Arc::get_mut(account).is_some());
         let mut account = match spare {
             Some(spare) => self.published.swap_remove(spare),
-            None => Arc::new(CycleRuns {
-                time: now,
-                cycle: 0,
-                wiring: Arc::clone(&self.wiring),
-                from_inlets: Vec::new(),
-                runs: Vec::new(),
-                published: Vec::new(),
-            }),
+            None => Arc::new(CycleRuns::new(now, state.cycle, Arc::clone(&self.wiring), Vec::new())),
         };
         if let Some(account) = Arc::get_mut(&mut account) {
             account.begin(now, state.cycle, &self.wiring);
