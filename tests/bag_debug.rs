@@ -44,19 +44,19 @@ fn random() -> impl Iterator<Item = u64> {
 
 #[test]
 fn a_cycle_is_the_same_from_before_from_behind_and_at_once() {
-    const CYCLES: usize = 200;
+    let cycles = std::env::var("DOWNBEAT_DEBUG_CYCLES").map_or(40, |cycles| cycles.parse().unwrap());
     // In parts of cycles that are apart from each other.
     let mut lines = String::new();
     let look =
         "print joint_goals\nprint odom\nmodule gait\nmodule falls\nmodule mux\nmodule hardware\nmark\n";
-    for cycle in random().map(|number| 200 + number % 5000).take(CYCLES) {
+    for cycle in random().map(|number| 200 + number % 5000).take(cycles) {
         let _ = write!(lines, "mark\ngo #{cycle}\n{look}");
         let _ = write!(lines, "go #{}\nstep 7\nmark\nstep\n{look}", cycle - 8);
         let _ = write!(lines, "go #{}\nback 11\nmark\nback\n{look}", cycle + 12);
     }
     let printed = debugged(WALKER, WALK, &lines);
     let mut parts = printed.split("unknown command \"mark\"; `help` lists them\n").skip(1);
-    for _ in 0..CYCLES {
+    for _ in 0..cycles {
         let at_once = parts.next().unwrap();
         let _on_the_way = parts.next().unwrap();
         let from_before = parts.next().unwrap();

@@ -47,7 +47,7 @@ const PAGES: [&str; 24] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 36] = [
+const ELSEWHERE: [&str; 39] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
@@ -56,9 +56,12 @@ const ELSEWHERE: [&str; 36] = [
     "cargo run --release --features sensors",        // tests/sensors.rs
     "downbeat vision calibrate",                     // tests/football.rs
     "downbeat bag replay robots/seeing_match.toml",  // tests/football.rs
-    "downbeat top --plot",                           // tests/top.rs
-    "downbeat doctor",                               // tests/doctor.rs; some machines have problems
-    "downbeat servo scan",                           // tests/servos.rs
+    "downbeat bag debug",                            // tests/bag_debug.rs, as the next two
+    "downbeat bag replay bags/recordings/darwin_op_walk_simulated.toml bags/recordings/darwin_op_walk_simulated --with",
+    "downbeat bag bisect",
+    "downbeat top --plot", // tests/top.rs
+    "downbeat doctor",     // tests/doctor.rs; some machines have problems
+    "downbeat servo scan", // tests/servos.rs
     "echo 1 | sudo",
     "c++ ", // tests/library.rs, as the next two
     "ros2 topic echo --once /out",

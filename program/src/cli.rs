@@ -518,8 +518,8 @@ pub(crate) enum BagCommand {
     /// Walk through a recorded run: stand at a cycle, see which modules ran and why, what they received,
     /// published and held, and go on or back.
     ///
-    /// The modules run as in `bag replay`, once to the end, which leaves checkpoints; from then on every cycle
-    /// is near. Type `help` for the commands.
+    /// The modules run as in `bag replay`, once to the end, which leaves checkpoints; from then on every
+    /// cycle is near. Type `help` for the commands.
     #[cfg(unix)]
     Debug(Box<DebugArguments>),
     /// Find the revision in git from which on a replay differs from a bag, by `git bisect`.

@@ -27,8 +27,8 @@ pub(crate) struct BisectArguments {
     /// Builds a revision, in its folder: "cargo build --release". Revisions that do not build are skipped.
     #[arg(long, value_name = "COMMAND")]
     pub(crate) build: Option<String>,
-    /// The program that the build makes, in the folder of the revision: target/release/my_robot. If not given,
-    /// this program replays, with the robot file and the files of its modules as they were.
+    /// The program that the build makes, in the folder of the revision: target/release/my_robot. If not
+    /// given, this program replays, with the robot file and the files of its modules as they were.
     #[arg(long, value_name = "FILE")]
     pub(crate) program: Option<PathBuf>,
     /// Further options of `bag replay`.

@@ -20,6 +20,7 @@ mod record_options;
 pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;
+mod replayed;
 mod select;
 #[cfg(feature = "view")]
 pub(super) mod view;

@@ -55,8 +55,8 @@ impl RobotFile {
         self.set(name.trim(), value, place, false)
     }
 
-    /// Applies `module.setting=value`, or `setting=value` of the only module for which `has_setting` is true, or
-    /// `module=file`: another version of the file of a module in another language.
+    /// Applies `module.setting=value`, or `setting=value` of the only module for which `has_setting` is true,
+    /// or `module=file`: another version of the file of a module in another language.
     ///
     /// # Errors
     /// Returns an error if the module, the setting or the file does not exist.

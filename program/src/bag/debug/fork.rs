@@ -18,7 +18,7 @@ pub(super) enum Forked {
 pub(super) fn fork() -> io::Result<Forked> {
     // SAFETY: engines run everything on the calling thread. A thread that another part of the process keeps,
     // such as that of a log file, does not live in the copy; a lock that it holds at this moment stays locked
-    // there, which can halt the copy, but harms no memory. The allocator's locks are handled by the C library.
+    // there, which can halt the copy, but harms no memory. The C library handles the locks of its allocator.
     match unsafe { libc::fork() } {
         -1 => Err(io::Error::last_os_error()),
         0 => Ok(Forked::Copy),

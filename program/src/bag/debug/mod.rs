@@ -20,7 +20,7 @@ use downbeat_bags::{Reader, Storage};
 use downbeat_robot::replay::ReplaySession;
 use downbeat_robot::{Catalog, RobotFile, RosArgs};
 
-use super::replay::ReplayedArguments;
+use super::replayed::ReplayedArguments;
 use crate::logging::Log;
 use travel::Travel;
 

@@ -387,12 +387,6 @@ impl Travel {
             self.checkpoints.remove(&oldest);
         }
     }
-
-    /// How many checkpoints there are, and how much memory they have for themselves.
-    pub(super) fn checkpoints(&self) -> (usize, u64) {
-        let memory = self.checkpoints.values().map(|checkpoint| private_memory(checkpoint.engine.process));
-        (self.checkpoints.len(), memory.sum())
-    }
 }
 
 impl Drop for Travel {

@@ -12,7 +12,7 @@ use downbeat_robot::replay::{ReplaySession, Simulators};
 use downbeat_robot::{Catalog, RobotFile, RosArgs};
 use tempfile::TempDir;
 
-use super::replay::ReplayedArguments;
+use super::replayed::ReplayedArguments;
 use crate::logging::Log;
 use side::Side;
 
