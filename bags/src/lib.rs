@@ -52,6 +52,7 @@ mod player;
 mod read_ahead;
 mod reader;
 mod recording;
+mod runs;
 mod sizes;
 mod storage;
 mod topic;
@@ -72,6 +73,7 @@ pub use recording::{
     ControlError, RecordError, Recording, RecordingControl, RecordingFailed, RecordingOptions,
     RecordingSender, RecordingStatistics, SnapshotLimits, WhenSlow, finish_all,
 };
+pub use runs::unused_directory;
 pub use sizes::{ServiceCalls, TopicSizes};
 pub use storage::Storage;
 pub use topic::{MessageFormat, RecordingSummary, TopicCount, TopicDescription, TopicId};
