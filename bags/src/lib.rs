@@ -77,7 +77,7 @@ pub use storage::Storage;
 pub use topic::{MessageFormat, RecordingSummary, TopicCount, TopicDescription, TopicId};
 pub use writer::{
     Compression, CompressionLevel, FileSplit, McapOptions, SplitLimits, StorageConfigError, StorageError,
-    StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, Writer, WriterError, WriterOptions,
+    StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, WhenLow, Writer, WriterError, WriterOptions,
 };
 #[cfg(feature = "sqlite")]
 pub use writer::{SqliteOptions, SqlitePreset};

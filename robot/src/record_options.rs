@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use downbeat_bags::{
     Compression, RecordingOptions, SnapshotLimits, Storage, StorageOptions, SyncPolicy, WhenDiskFull,
-    WhenSlow, WriterOptions,
+    WhenLow, WhenSlow, WriterOptions,
 };
 use downbeat_files::duration;
 use downbeat_msgs::encoding::Encoding;
@@ -504,6 +504,49 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
                 help: "drop and count messages until there is room",
                 set: |options| {
                     options.writer.disk_full = WhenDiskFull::Drop;
+                    Ok(())
+                },
+            },
+        ]),
+    },
+    RecordOption {
+        key: "keep_free",
+        flag: "keep-free",
+        alias: None,
+        letter: None,
+        excluded_by: None,
+        scope: Scope::Recording,
+        help: "Bytes of the disk that stay free for others, checked after each chunk.",
+        default: "no check",
+        takes: Takes::Bytes {
+            in_file: 0..=i64::MAX,
+            on_command_line: 0..=u64::MAX,
+            set: |options, bytes| options.writer.keep_free = bytes,
+        },
+    },
+    RecordOption {
+        key: "when_low",
+        flag: "when-low",
+        alias: None,
+        letter: None,
+        excluded_by: None,
+        scope: Scope::Recording,
+        help: "What to do if less than keep_free is free.",
+        default: "`stop`",
+        takes: Takes::Choice(&[
+            Choice {
+                name: "stop",
+                help: "finish the bag and stop recording",
+                set: |options| {
+                    options.writer.when_low = WhenLow::Stop;
+                    Ok(())
+                },
+            },
+            Choice {
+                name: "drop-oldest",
+                help: "delete the oldest files of this bag, which needs max_bag_size or max_bag_duration; stop if there are none",
+                set: |options| {
+                    options.writer.when_low = WhenLow::DropOldest;
                     Ok(())
                 },
             },

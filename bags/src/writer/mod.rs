@@ -4,6 +4,7 @@ mod channels;
 mod chunk;
 mod error;
 mod file;
+mod free_space;
 mod hand_over;
 mod layout;
 mod options;
@@ -28,6 +29,7 @@ use crate::metadata;
 use crate::storage::Storage;
 use crate::topic::{RecordingSummary, TopicDescription, TopicId};
 pub use error::WriterError;
+pub use free_space::WhenLow;
 pub use layout::{StorageError, StorageOptions};
 pub use options::{SplitLimits, WhenDiskFull, WriterOptions};
 pub use split::FileSplit;
@@ -328,7 +330,7 @@ impl Writer {
         if is_stale || !self.metadata_has_all_topics {
             self.replace_metadata(now)?;
         }
-        Ok(())
+        self.guard_free_space(now)
     }
 
     fn close(&mut self) -> Result<(), WriterError> {

@@ -137,7 +137,7 @@ impl Writer {
     }
 
     /// Deletes the oldest files until at most that many are left.
-    fn delete_oldest(&mut self, most: usize, now: Instant) -> Result<(), WriterError> {
+    pub(super) fn delete_oldest(&mut self, most: usize, now: Instant) -> Result<(), WriterError> {
         while self.files.len() > most {
             let Some(oldest) = self.files.pop_front() else { return Ok(()) };
             for (topic, count) in self.topics.iter_mut().zip(&oldest.counts) {
