@@ -52,6 +52,7 @@ mod player;
 mod read_ahead;
 mod reader;
 mod recording;
+mod repeated;
 mod sizes;
 mod storage;
 mod topic;

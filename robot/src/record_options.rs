@@ -23,17 +23,35 @@ pub struct RecordOptions {
     pub writer: WriterOptions,
     /// What happens to messages until they are written.
     pub recording: RecordingOptions,
+    /// Whether each further file begins with the last messages of latched topics; `None` as the recorder's
+    /// default.
+    pub repeats_latched: Option<bool>,
 }
 
 impl RecordOptions {
     /// Returns the reason if the storage cannot contain messages in the encoding.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
-        let is_refused = self.writer.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
+        let is_sqlite = self.writer.storage.storage() == Storage::Sqlite3;
+        if is_sqlite && self.repeats_latched == Some(true) {
+            let reason = "the storage sqlite3 has no place for the publish times of repeated messages: leave out \
+                          repeat_latched, or record in the storage mcap";
+            return Some(reason.to_owned());
+        }
+        let is_refused = is_sqlite && self.encoding != Encoding::Cdr;
         is_refused.then(|| {
             let encoding = self.encoding;
             format!("the storage sqlite3 does not support the encoding {encoding}: record as cdr, or in the storage mcap")
         })
+    }
+
+    /// The options of the files, for a recorder with that default of [`Self::repeats_latched`].
+    #[must_use]
+    pub fn writer(&self, repeats_latched: bool) -> WriterOptions {
+        let repeats_latched = self.repeats_latched.unwrap_or(repeats_latched);
+        let mut writer = self.writer.clone();
+        writer.repeats_latched = repeats_latched;
+        writer
     }
 
     /// Sets how many bytes of messages may wait, to be written or for a snapshot.
@@ -347,6 +365,20 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         help: "The maximum number of files: the oldest is deleted.",
         default: "all are kept",
         takes: Takes::Count(|options, count| options.writer.max_bag_files = Some(count)),
+    },
+    RecordOption {
+        key: "repeat_latched",
+        flag: "repeat-latched",
+        alias: Some("repeat-transient-local"),
+        letter: None,
+        excluded_by: None,
+        scope: Scope::Recording,
+        help: "Begin each further file of the bag with the last messages of latched (transient local) topics.",
+        default: "of a robot in the storage mcap, not of ROS 2",
+        takes: Takes::Switch(|options, repeats_latched| {
+            options.repeats_latched = Some(repeats_latched);
+            Ok(())
+        }),
     },
     RecordOption {
         key: "custom_data",

@@ -53,6 +53,10 @@ pub struct WriterOptions {
     pub keep_free: u64,
     /// What to do if less is free.
     pub when_low: WhenLow,
+    /// Whether each further file of a bag in MCAP begins with the last messages of latched (transient local)
+    /// topics, which a subscriber joining then would receive. [`Reader::messages`](crate::Reader::messages)
+    /// leaves these copies out. `sqlite3` has no place for their publish times and repeats nothing.
+    pub repeats_latched: bool,
     pub(super) custom_data: BTreeMap<String, String>,
     pub(super) counted_data: BTreeMap<String, CountedData>,
 }
@@ -121,6 +125,7 @@ impl WriterOptions {
             disk_full: WhenDiskFull::default(),
             keep_free: 0,
             when_low: WhenLow::default(),
+            repeats_latched: false,
             custom_data: BTreeMap::new(),
             counted_data: BTreeMap::new(),
         }
@@ -179,6 +184,12 @@ impl WriterOptions {
     #[must_use]
     pub fn keep_free(self, keep_free: u64, when_low: WhenLow) -> Self {
         Self { keep_free, when_low, ..self }
+    }
+
+    /// Sets [`Self::repeats_latched`].
+    #[must_use]
+    pub fn repeat_latched(self) -> Self {
+        Self { repeats_latched: true, ..self }
     }
 
     /// Adds an entry to the `custom_data` of the metadata.

@@ -254,7 +254,9 @@ impl RobotRecording {
         is_in_simulated_time: bool,
         plan: RecordPlan,
     ) -> Result<Self, StartError> {
-        let RecordPlan { directory, options: RecordOptions { encoding, writer, recording }, filter } = plan;
+        let RecordPlan { directory, options, filter } = plan;
+        let writer = options.writer(true);
+        let RecordOptions { encoding, recording, .. } = options;
         let recordable = Recordable::of(robot, is_in_simulated_time, filter)?;
         let core = &mut CoreAccess::Idle(&mut robot.core);
         let (mut writer, bag) = recordable.create(core, &directory, writer)?;

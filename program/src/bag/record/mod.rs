@@ -184,7 +184,7 @@ fn record_from_ros(
         waits_for_room: record.recording.cache_bytes == 0,
     };
     arguments.force.make_way(Output::Bag, &output, [])?;
-    let mut writer = record.writer.create(&output)?;
+    let mut writer = record.writer(false).create(&output)?;
     writer.on_split(split_events(&node)?);
     let recording = Recording::start_with(writer, &record.recording)
         .context("cannot start the thread that writes the bag")?;
