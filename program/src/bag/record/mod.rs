@@ -54,6 +54,13 @@ fn record_robot(
     // There is no node that could receive `/clock`.
     file.expose.features.clock = ClockChoice::Own;
     apply(arguments, &mut file.record.options)?;
+    let record = &file.record.options;
+    if record.recording.takes_snapshots() && !record.snapshot_triggers.are_some() {
+        bail!(
+            "snapshots of --robot need a trigger, --snapshot-when or --snapshot-on-panic: there is no ROS 2 node, so no \
+             service, to ask for one"
+        );
+    }
     if !arguments.selection.modules.is_empty() {
         file.record.modules.clone_from(&arguments.selection.modules);
     }
@@ -165,6 +172,11 @@ fn record_from_ros(
     let mut record = RecordOptions::default();
     record.set_cache_bytes(DEFAULT_CACHE_BYTES);
     apply(arguments, &mut record)?;
+    if record.snapshot_triggers.are_some() {
+        bail!(
+            "--snapshot-when and --snapshot-on-panic need --robot; of ROS 2, a snapshot is asked for by ~/snapshot"
+        );
+    }
     let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
     tracing::debug!(
         "storage {}, serialization {format}, compression mode {}",
@@ -186,7 +198,7 @@ fn record_from_ros(
     arguments.force.make_way(Output::Bag, &output, [])?;
     let mut writer = record.writer(false).create(&output)?;
     writer.on_split(split_events(&node)?);
-    let recording = Recording::start_with(writer, &record.recording)
+    let recording = Recording::start_with(writer, &record.recording(false))
         .context("cannot start the thread that writes the bag")?;
     let control = recording.control();
     let services = serve(&node, &control, record.recording.takes_snapshots())?;
