@@ -7,6 +7,7 @@ use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use downbeat_bags::metadata::{FORMAT_VERSION, HUMBLE_VERSION};
 use downbeat_bags::{
     Compression, RecordingOptions, SnapshotLimits, Storage, StorageOptions, SyncPolicy, WhenDiskFull,
     WhenLow, WhenSlow, WriterOptions,
@@ -393,6 +394,33 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         help: "The maximum number of files: the oldest is deleted.",
         default: "all are kept",
         takes: Takes::Count(|options, count| options.writer.max_bag_files = Some(count)),
+    },
+    RecordOption {
+        key: "metadata_version",
+        flag: "metadata-version",
+        alias: None,
+        letter: None,
+        scope: Scope::Files,
+        help: "The version of metadata.yaml.",
+        default: "`9`",
+        takes: Takes::Choice(&[
+            Choice {
+                name: "9",
+                help: "as ROS 2 Jazzy",
+                set: |options| {
+                    options.writer.metadata_version = FORMAT_VERSION;
+                    Ok(())
+                },
+            },
+            Choice {
+                name: "5",
+                help: "as ROS 2 Humble, which reads no later one",
+                set: |options| {
+                    options.writer.metadata_version = HUMBLE_VERSION;
+                    Ok(())
+                },
+            },
+        ]),
     },
     RecordOption {
         key: "repeat_latched",

@@ -60,8 +60,8 @@ impl ChunkedFile {
     }
 
     /// Returns the channel of the topic.
-    pub(super) fn add_topic(&mut self, topic: &TopicDescription) -> io::Result<u16> {
-        self.channels.add(topic)
+    pub(super) fn add_topic(&mut self, topic: &TopicDescription, metadata_version: u32) -> io::Result<u16> {
+        self.channels.add(topic, metadata_version)
     }
 
     pub(super) fn write(

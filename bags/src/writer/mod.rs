@@ -159,7 +159,8 @@ impl Writer {
         if let Some(found) = self.file.refusal(&info) {
             return Err(WriterError::NoPlace { topic: info.name, storage: self.storage(), found });
         }
-        let channel = self.file.add_topic(&info).map_err(|source| self.fail(source))?;
+        let channel =
+            self.file.add_topic(&info, self.options.metadata_version).map_err(|source| self.fail(source))?;
         self.by_name.insert(info.name.clone(), id.index());
         let depth = if self.options.repeats_latched { info.latched_depth() } else { 0 };
         let latched = (depth > 0).then(|| Latched::new(depth));

@@ -57,6 +57,9 @@ pub struct WriterOptions {
     /// topics, which a subscriber joining then would receive. [`Reader::messages`](crate::Reader::messages)
     /// leaves these copies out. `sqlite3` has no place for their publish times and repeats nothing.
     pub repeats_latched: bool,
+    /// The version of the metadata: [`FORMAT_VERSION`](crate::metadata::FORMAT_VERSION), or
+    /// [`HUMBLE_VERSION`](crate::metadata::HUMBLE_VERSION) for bags that ROS 2 Humble shall read.
+    pub metadata_version: u32,
     pub(super) custom_data: BTreeMap<String, String>,
     pub(super) counted_data: BTreeMap<String, CountedData>,
 }
@@ -126,6 +129,7 @@ impl WriterOptions {
             keep_free: 0,
             when_low: WhenLow::default(),
             repeats_latched: false,
+            metadata_version: crate::metadata::FORMAT_VERSION,
             custom_data: BTreeMap::new(),
             counted_data: BTreeMap::new(),
         }
@@ -190,6 +194,12 @@ impl WriterOptions {
     #[must_use]
     pub fn repeat_latched(self) -> Self {
         Self { repeats_latched: true, ..self }
+    }
+
+    /// Sets [`Self::metadata_version`].
+    #[must_use]
+    pub fn metadata_version(self, metadata_version: u32) -> Self {
+        Self { metadata_version, ..self }
     }
 
     /// Adds an entry to the `custom_data` of the metadata.

@@ -115,7 +115,7 @@ impl Writer {
     fn next_file(&mut self, path: &Path) -> std::io::Result<BagFile> {
         let mut file = BagFile::create(path, &self.options.storage, self.options.sync)?;
         for topic in &mut self.topics {
-            topic.channel = file.add_topic(&topic.info)?;
+            topic.channel = file.add_topic(&topic.info, self.options.metadata_version)?;
         }
         Ok(file)
     }
@@ -213,8 +213,8 @@ impl BagFile {
     }
 
     /// Returns the channel of the topic.
-    pub(super) fn add_topic(&mut self, topic: &TopicDescription) -> io::Result<u16> {
-        of!(self, file => file.add_topic(topic))
+    pub(super) fn add_topic(&mut self, topic: &TopicDescription, metadata_version: u32) -> io::Result<u16> {
+        of!(self, file => file.add_topic(topic, metadata_version))
     }
 
     /// Adds a message to the open chunk. Returns the size of the chunk, before compression.

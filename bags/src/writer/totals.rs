@@ -48,7 +48,7 @@ impl Writer {
     pub(super) fn metadata(&self) -> Metadata {
         let times = self.times();
         Metadata {
-            version: metadata::FORMAT_VERSION,
+            version: self.options.metadata_version,
             storage_identifier: self.storage().identifier().to_owned(),
             duration: times.duration(),
             starting_time: times.first().unwrap_or(metadata::NEVER),
