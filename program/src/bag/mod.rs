@@ -20,6 +20,8 @@ mod record_options;
 pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;
+#[cfg(test)]
+mod ros2_options;
 mod select;
 #[cfg(feature = "view")]
 pub(super) mod view;
