@@ -26,8 +26,8 @@ pub struct RecordOptions {
     pub recording: RecordingOptions,
     /// When a robot's recording takes a snapshot without being asked.
     pub snapshot_triggers: SnapshotTriggers,
-    /// Whether each further file, or snapshot, begins with the last messages of latched topics; `None` as the recorder's
-    /// default.
+    /// Whether each further file, or snapshot, begins with the last messages of latched topics; `None` as
+    /// the recorder's default.
     pub repeats_latched: Option<bool>,
 }
 

@@ -1,5 +1,5 @@
-//! The tables in docs/bags.md of the options of `ros2 bag record` and `ros2 bag play` name each of them, and say of
-//! each whether it is an option here.
+//! The tables of options in docs/bags.md name each option of `ros2 bag record` and `ros2 bag play`, and say
+//! of each whether it is an option here.
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
