@@ -172,7 +172,7 @@ fn every_command_has_help() {
 }
 
 #[test]
-fn a_run_with_a_duration_ends_and_an_existing_bag_is_not_changed() {
+fn a_run_with_a_duration_ends_and_each_run_has_its_own_bag() {
     let domain = free_domain().to_string();
     let folder = tempfile::tempdir().unwrap();
     let on_two_threads = |text: String| text.replace("[robot]", "[robot]\nlauncher = \"pool\"\nthreads = 2");
@@ -181,10 +181,19 @@ fn a_run_with_a_duration_ends_and_an_existing_bag_is_not_changed() {
     let output = text_of(&arguments);
     assert!(output.contains("exposed to ROS 2: /joint_states") && output.contains("lost 0"), "{output}");
     let before = std::fs::read(bag.join("bag_0.mcap")).unwrap();
-    let again = output_of(&arguments);
-    assert_eq!(again.status.code(), Some(1));
-    assert!(String::from_utf8(again.stderr).unwrap().contains(text(&bag)));
+    let second = folder.path().join("bag_2");
+    let again = text_of(&arguments);
+    assert!(
+        again.contains("lost 0") && again.contains(&format!("recording into {}", text(&second))),
+        "{again}"
+    );
     assert_eq!(std::fs::read(bag.join("bag_0.mcap")).unwrap(), before);
+    let first_time = |bag: &Path| Reader::open(bag).unwrap().metadata().unwrap().starting_time;
+    assert!(first_time(&second) > first_time(&bag));
+    assert!(text_of(&["bag", "info", text(&second)]).contains("bag_2_0.mcap"));
+    text_of(&[&arguments[..], &["--force"]].concat());
+    assert_ne!(std::fs::read(bag.join("bag_0.mcap")).unwrap(), before);
+    assert!(!folder.path().join("bag_3").exists());
 }
 
 #[test]

@@ -586,3 +586,33 @@ fn a_robot_file_selects_what_is_recorded_and_check_prints_it() {
         assert!(error.contains(problem), "{error}");
     }
 }
+
+/// A robot that is recorded in simulated time only around the third second.
+#[cfg(feature = "state_machine")]
+#[test]
+fn a_condition_on_topics_takes_a_snapshot_of_what_was_before_and_after() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let run = |condition: &str| {
+        let record = format!(
+            "[record]\ntopics = [\"joint_states\"]\nsnapshot = \"500ms\"\nsnapshot_after = \"300ms\"\n\
+             snapshot_when = \"{condition}\"\n"
+        );
+        let robot =
+            robot_file(folder.path(), |text: String| text.replace("[record]\ntopics = \"all\"\n", &record));
+        let domain = free_domain().to_string();
+        let arguments = ["run", text(&robot), "--fast", "--duration", "4s", "--domain", &domain, "--record"];
+        output_of(&[&arguments[..], &[text(&bag)]].concat())
+    };
+    let refused = run("joint_state.position[0] > 1");
+    let error = String::from_utf8(refused.stderr).unwrap();
+    assert!(error.contains("no topic \"joint_state\", did you mean \"joint_states\"?"), "{error}");
+    std::fs::remove_dir_all(&bag).unwrap_or_default();
+    let output = run("joint_states.header.stamp.sec >= 3");
+    assert!(output.status.success(), "{output:?}");
+    let reader = Reader::open(&bag).unwrap();
+    let times: Vec<_> =
+        reader.messages(Selection::all()).unwrap().map(|m| m.unwrap().log_time as f64 / 1e9).collect();
+    let (first, last) = (times[0], times[times.len() - 1]);
+    assert!((2.45..2.55).contains(&first) && (3.25..3.35).contains(&last), "{first} {last}");
+}

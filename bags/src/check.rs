@@ -93,7 +93,7 @@ pub fn check_with(
         decoding.add(topic, &mut check.problems, &mut check.notes);
     }
     let mut counts = vec![0; reader.topics().len()];
-    for message in reader.messages(Selection::all())? {
+    for message in reader.messages(Selection::all().with_repeated())? {
         let message = match message {
             Ok(message) => message,
             Err(error) => {

@@ -52,7 +52,7 @@ mod player;
 mod read_ahead;
 mod reader;
 mod recording;
-mod runs;
+mod repeated;
 mod sizes;
 mod storage;
 mod topic;
@@ -73,13 +73,12 @@ pub use recording::{
     ControlError, RecordError, Recording, RecordingControl, RecordingFailed, RecordingOptions,
     RecordingSender, RecordingStatistics, SnapshotLimits, WhenSlow, finish_all,
 };
-pub use runs::unused_directory;
 pub use sizes::{ServiceCalls, TopicSizes};
 pub use storage::Storage;
 pub use topic::{MessageFormat, RecordingSummary, TopicCount, TopicDescription, TopicId};
 pub use writer::{
     Compression, CompressionLevel, FileSplit, McapOptions, SplitLimits, StorageConfigError, StorageError,
-    StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, Writer, WriterError, WriterOptions,
+    StorageOptions, StoragePreset, SyncPolicy, WhenDiskFull, WhenLow, Writer, WriterError, WriterOptions,
 };
 #[cfg(feature = "sqlite")]
 pub use writer::{SqliteOptions, SqlitePreset};

@@ -1,10 +1,12 @@
 //! The rule for output of all commands.
 //!
 //! Existing output is kept, unless `--force` is given. A directory is replaced only if it contains nothing
-//! but output of such a command, so that a wrong path does not delete a home directory.
+//! but output of such a command, so that a wrong path does not delete a home directory. Recordings of runs
+//! are numbered.
 
+use std::ffi::OsStr;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
@@ -127,6 +129,34 @@ impl Force {
         }
         Ok(())
     }
+
+    /// The directory of the next run: `path` for the first and, with `--force`, for every run, otherwise
+    /// `path` with the first number above those of earlier runs, `run_2`, `run_3`. A robot that a supervisor
+    /// restarts records again, and no run is taken for a part of another.
+    pub(crate) fn next_run(self, path: &Path) -> anyhow::Result<PathBuf> {
+        let name = path.file_name().and_then(OsStr::to_str);
+        let (false, true, Some(name)) = (self.force, path.is_dir(), name) else {
+            return Ok(path.to_owned());
+        };
+        let folder = match path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let read = || -> std::io::Result<u64> {
+            let mut latest = 1;
+            for entry in fs::read_dir(folder)? {
+                let entry = entry?.file_name();
+                let number = entry.to_str().and_then(|other| other.strip_prefix(name)?.strip_prefix('_'));
+                latest = latest.max(number.and_then(|number| number.parse().ok()).unwrap_or(0));
+            }
+            Ok(latest)
+        };
+        let latest = read().with_context(|| format!("cannot read {}", folder.display()))?;
+        let Some(next) = latest.checked_add(1) else {
+            bail!("no number above {name}_{latest} is left; choose another path for the bag");
+        };
+        Ok(path.with_file_name(format!("{name}_{next}")))
+    }
 }
 
 #[cfg(test)]
@@ -134,6 +164,22 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+
+    #[test]
+    fn each_run_has_the_next_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let bag = folder.path().join("run");
+        let next = || Force::default().next_run(&bag).unwrap();
+        for name in ["run", "run_2", "run_3"] {
+            assert_eq!(next(), folder.path().join(name));
+            fs::create_dir(next()).unwrap();
+        }
+        // A removed run leaves a gap, so that the numbers keep their order; other names are not runs.
+        fs::remove_dir(folder.path().join("run_2")).unwrap();
+        fs::create_dir(folder.path().join("run_9_repaired")).unwrap();
+        assert_eq!(next(), folder.path().join("run_4"));
+        assert_eq!(Force { force: true }.next_run(&bag).unwrap(), bag);
+    }
 
     fn refused(force: bool, output: Output, path: &Path) -> String {
         Force { force }.make_way(output, path, []).unwrap_err().to_string()

@@ -39,7 +39,8 @@ pub(crate) struct RunArguments {
     /// hardware.
     #[arg(long)]
     pub(crate) fast: bool,
-    /// Record the topics of the robot file's [record] into this new rosbag2 directory.
+    /// Record the topics of the robot file's [record] into this rosbag2 directory. If it exists already, the
+    /// run is recorded into DIR_2, the next one into DIR_3, unless --force is given.
     #[arg(long, value_name = "DIR")]
     pub(crate) record: Option<PathBuf>,
     #[command(flatten)]
@@ -77,7 +78,8 @@ pub(crate) fn run(
     screen: &Screen,
     log: &Log,
 ) -> anyhow::Result<()> {
-    if let Some(directory) = &arguments.record {
+    let record = arguments.record.as_deref().map(|path| arguments.force.next_run(path)).transpose()?;
+    if let Some(directory) = &record {
         arguments.force.check(Output::Bag, directory)?;
     }
     let stop = Stop::new()?;
@@ -106,7 +108,7 @@ pub(crate) fn run(
         }
         return Err(error.into());
     }
-    if let Some(directory) = &arguments.record {
+    if let Some(directory) = &record {
         let plan = RecordPlan::of_robot(directory, robot.prepared.file(), arguments.encoding);
         arguments.force.make_way(Output::Bag, directory, [])?;
         robot.prepared.record(plan)?;

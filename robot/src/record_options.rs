@@ -7,9 +7,10 @@ use std::num::NonZeroUsize;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use downbeat_bags::metadata::{FORMAT_VERSION, HUMBLE_VERSION};
 use downbeat_bags::{
     Compression, RecordingOptions, SnapshotLimits, Storage, StorageOptions, SyncPolicy, WhenDiskFull,
-    WhenSlow, WriterOptions,
+    WhenLow, WhenSlow, WriterOptions,
 };
 use downbeat_files::duration;
 use downbeat_msgs::encoding::Encoding;
@@ -23,17 +24,63 @@ pub struct RecordOptions {
     pub writer: WriterOptions,
     /// What happens to messages until they are written.
     pub recording: RecordingOptions,
+    /// When a robot's recording takes a snapshot without being asked.
+    pub snapshot_triggers: SnapshotTriggers,
+    /// Whether each further file, or snapshot, begins with the last messages of latched topics; `None` as
+    /// the recorder's default.
+    pub repeats_latched: Option<bool>,
+}
+
+/// When a robot's recording takes a snapshot without being asked.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SnapshotTriggers {
+    /// When this expression over the latest messages of topics becomes true.
+    pub when: Option<String>,
+    /// When a module panics.
+    pub on_panic: bool,
+    /// How long messages after the trigger still belong to the snapshot.
+    pub after: Duration,
+}
+
+impl SnapshotTriggers {
+    /// Returns whether there is a trigger.
+    #[must_use]
+    pub fn are_some(&self) -> bool {
+        self.when.is_some() || self.on_panic
+    }
 }
 
 impl RecordOptions {
     /// Returns the reason if the storage cannot contain messages in the encoding.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
-        let is_refused = self.writer.storage.storage() == Storage::Sqlite3 && self.encoding != Encoding::Cdr;
+        let is_sqlite = self.writer.storage.storage() == Storage::Sqlite3;
+        if is_sqlite && self.repeats_latched == Some(true) {
+            let reason = "the storage sqlite3 has no place for the publish times of repeated messages: leave out \
+                          repeat_latched, or record in the storage mcap";
+            return Some(reason.to_owned());
+        }
+        let is_refused = is_sqlite && self.encoding != Encoding::Cdr;
         is_refused.then(|| {
             let encoding = self.encoding;
             format!("the storage sqlite3 does not support the encoding {encoding}: record as cdr, or in the storage mcap")
         })
+    }
+
+    /// The options of the files, for a recorder with that default of [`Self::repeats_latched`].
+    #[must_use]
+    pub fn writer(&self, repeats_latched: bool) -> WriterOptions {
+        let repeats_latched = self.repeats_latched.unwrap_or(repeats_latched);
+        let mut writer = self.writer.clone();
+        writer.repeats_latched = repeats_latched;
+        writer
+    }
+
+    /// The options of the queue, as for [`Self::writer`].
+    #[must_use]
+    pub fn recording(&self, repeats_latched: bool) -> RecordingOptions {
+        let repeats_latched = self.repeats_latched.unwrap_or(repeats_latched);
+        RecordingOptions { repeats_latched, ..self.recording.clone() }
     }
 
     /// Sets how many bytes of messages may wait, to be written or for a snapshot.
@@ -61,6 +108,11 @@ impl RecordOptions {
         Ok(())
     }
 
+    /// Keeps messages for snapshots, unless the options say so already.
+    fn keep_for_triggers(&mut self) -> Result<(), String> {
+        if self.recording.snapshot.is_none() { self.keep_snapshots(None) } else { Ok(()) }
+    }
+
     /// Keeps messages for snapshots, of this duration if there is one.
     fn keep_snapshots(&mut self, max_duration: Option<Duration>) -> Result<(), String> {
         let max_bytes = self.recording.cache_bytes;
@@ -83,8 +135,6 @@ pub struct RecordOption {
     pub alias: Option<&'static str>,
     /// Its letter on the command line.
     pub letter: Option<char>,
-    /// The option of `downbeat bag record` that excludes it.
-    pub excluded_by: Option<&'static str>,
     /// Which commands have it.
     pub scope: Scope,
     /// What it does, as a sentence.
@@ -126,6 +176,8 @@ pub enum Takes {
     Time(fn(&mut RecordOptions, Duration) -> Result<(), String>),
     /// `true` or `false`; on the command line `true` if given.
     Switch(fn(&mut RecordOptions, bool) -> Result<(), String>),
+    /// A text.
+    Text(fn(&mut RecordOptions, &str) -> Result<(), String>),
     /// A table of texts; on the command line `KEY=VALUE`, which may be repeated.
     Entries(fn(&mut RecordOptions, &str, &str)),
 }
@@ -152,6 +204,7 @@ impl RecordOption {
             Takes::Count(_) => "N",
             Takes::Time(_) => "TIME",
             Takes::Switch(_) => "",
+            Takes::Text(_) => "TEXT",
             Takes::Entries(_) => "KEY=VALUE",
         }
     }
@@ -185,6 +238,7 @@ impl RecordOption {
             }
             Takes::Time(set) => set(options, duration::parse_or_seconds(text)?),
             Takes::Switch(set) => set(options, text == "true"),
+            Takes::Text(set) => set(options, text),
             Takes::Entries(set) => {
                 let (key, value) =
                     text.split_once('=').ok_or_else(|| format!("\"{text}\" is not KEY=VALUE"))?;
@@ -246,7 +300,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "storage",
         alias: None,
         letter: Some('s'),
-        excluded_by: None,
         scope: Scope::Files,
         help: "The files of the bag.",
         default: "`mcap`",
@@ -264,7 +317,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "storage-preset-profile",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Files,
         help: "A preset profile of rosbag2:",
         default: "`none` with checksums; `resilient`",
@@ -275,7 +327,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "compression",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Files,
         help: "How chunks of mcap are compressed.",
         default: "as the preset",
@@ -298,7 +349,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "chunk-size",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Files,
         help: "Bytes of a chunk, before compression: 1024 to 1073741824.",
         default: "as the preset, 786432",
@@ -313,7 +363,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "max-bag-size",
         alias: None,
         letter: Some('b'),
-        excluded_by: None,
         scope: Scope::Files,
         help: "Bytes after which the bag continues in a new file.",
         default: "one file; 0 on the command line",
@@ -328,7 +377,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "max-bag-duration",
         alias: None,
         letter: Some('d'),
-        excluded_by: None,
         scope: Scope::Files,
         help: "Time after which the bag continues in a new file.",
         default: "one file; 0 on the command line",
@@ -342,18 +390,56 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "max-bag-files",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "The maximum number of files: the oldest is deleted.",
         default: "all are kept",
         takes: Takes::Count(|options, count| options.writer.max_bag_files = Some(count)),
     },
     RecordOption {
+        key: "metadata_version",
+        flag: "metadata-version",
+        alias: None,
+        letter: None,
+        scope: Scope::Files,
+        help: "The version of metadata.yaml.",
+        default: "`9`",
+        takes: Takes::Choice(&[
+            Choice {
+                name: "9",
+                help: "as ROS 2 Jazzy",
+                set: |options| {
+                    options.writer.metadata_version = FORMAT_VERSION;
+                    Ok(())
+                },
+            },
+            Choice {
+                name: "5",
+                help: "as ROS 2 Humble, which reads no later one",
+                set: |options| {
+                    options.writer.metadata_version = HUMBLE_VERSION;
+                    Ok(())
+                },
+            },
+        ]),
+    },
+    RecordOption {
+        key: "repeat_latched",
+        flag: "repeat-latched",
+        alias: Some("repeat-transient-local"),
+        letter: None,
+        scope: Scope::Recording,
+        help: "Begin each further file, or snapshot, of the bag with the last messages of latched (transient local) topics.",
+        default: "of a robot in the storage mcap, not of ROS 2",
+        takes: Takes::Switch(|options, repeats_latched| {
+            options.repeats_latched = Some(repeats_latched);
+            Ok(())
+        }),
+    },
+    RecordOption {
         key: "custom_data",
         flag: "custom-data",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "Texts by key that are added to the metadata. The last value of a key is used.",
         default: "none",
@@ -366,7 +452,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "encoding",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "How messages are serialised.",
         default: "`cdr`",
@@ -401,7 +486,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "max-cache-size",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "Bytes of messages that may be queued for the disk. With 0, on the command line, every message of ROS 2 waits for the disk.",
         default: "67108864 of a robot, 104857600 of ROS 2",
@@ -416,7 +500,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "snapshot-mode",
         alias: None,
         letter: None,
-        excluded_by: Some("robot"),
         scope: Scope::Recording,
         help: "Keep messages in memory, as many as max_cache_size allows, and write them only when the service ~/snapshot is called.",
         default: "everything is written",
@@ -433,18 +516,55 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "snapshot-duration",
         alias: None,
         letter: None,
-        excluded_by: Some("robot"),
         scope: Scope::Recording,
         help: "As the snapshot mode, for messages of this duration.",
         default: "no limit of time",
         takes: Takes::Time(|options, time| options.keep_snapshots(Some(time))),
     },
     RecordOption {
+        key: "snapshot_when",
+        flag: "snapshot-when",
+        alias: None,
+        letter: None,
+        scope: Scope::Recording,
+        help: "Take a snapshot of a robot whenever this expression over the latest messages of topics becomes true, such as `battery_state.voltage < 11`.",
+        default: "none",
+        takes: Takes::Text(|options, expression| {
+            options.snapshot_triggers.when = Some(expression.to_owned());
+            options.keep_for_triggers()
+        }),
+    },
+    RecordOption {
+        key: "snapshot_on_panic",
+        flag: "snapshot-on-panic",
+        alias: None,
+        letter: None,
+        scope: Scope::Recording,
+        help: "Take a snapshot of a robot when one of its modules panics.",
+        default: "none",
+        takes: Takes::Switch(|options, is_on| {
+            options.snapshot_triggers.on_panic = is_on;
+            if is_on { options.keep_for_triggers() } else { Ok(()) }
+        }),
+    },
+    RecordOption {
+        key: "snapshot_after",
+        flag: "snapshot-after",
+        alias: None,
+        letter: None,
+        scope: Scope::Recording,
+        help: "How long such a snapshot continues after its trigger.",
+        default: "it ends there",
+        takes: Takes::Time(|options, after| {
+            options.snapshot_triggers.after = after;
+            Ok(())
+        }),
+    },
+    RecordOption {
         key: "start_paused",
         flag: "start-paused",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "Start paused.",
         default: "not paused",
@@ -458,7 +578,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "slow-disk",
         alias: Some("when-slow"),
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "What to do if messages arrive faster than they can be written.",
         default: "`drop`",
@@ -486,7 +605,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "disk-full",
         alias: Some("when-disk-full"),
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "What to do if the disk is full.",
         default: "`stop`",
@@ -510,11 +628,51 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         ]),
     },
     RecordOption {
+        key: "keep_free",
+        flag: "keep-free",
+        alias: None,
+        letter: None,
+        scope: Scope::Recording,
+        help: "Bytes of the disk that stay free for others, checked after each chunk.",
+        default: "no check",
+        takes: Takes::Bytes {
+            in_file: 0..=i64::MAX,
+            on_command_line: 0..=u64::MAX,
+            set: |options, bytes| options.writer.keep_free = bytes,
+        },
+    },
+    RecordOption {
+        key: "when_low",
+        flag: "when-low",
+        alias: None,
+        letter: None,
+        scope: Scope::Recording,
+        help: "What to do if less than keep_free is free.",
+        default: "`stop`",
+        takes: Takes::Choice(&[
+            Choice {
+                name: "stop",
+                help: "finish the bag and stop recording",
+                set: |options| {
+                    options.writer.when_low = WhenLow::Stop;
+                    Ok(())
+                },
+            },
+            Choice {
+                name: "drop-oldest",
+                help: "delete the oldest files of this bag, which needs max_bag_size or max_bag_duration; stop if there are none",
+                set: |options| {
+                    options.writer.when_low = WhenLow::DropOldest;
+                    Ok(())
+                },
+            },
+        ]),
+    },
+    RecordOption {
         key: "sync",
         flag: "sync",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "When to sync written data to disk.",
         default: "`files`",
@@ -550,7 +708,6 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         flag: "flush-interval",
         alias: None,
         letter: None,
-        excluded_by: None,
         scope: Scope::Recording,
         help: "The most that a killed recording loses.",
         default: "`1s`",

@@ -5,7 +5,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use super::{FORMAT_VERSION, Metadata, RecordedQos};
+use super::{FORMAT_VERSION, HUMBLE_VERSION, Metadata, RecordedQos};
 
 /// rosbag2's value for an infinite duration: `RMW_DURATION_INFINITE`, 2^63 - 1 ns.
 pub(super) const INFINITE: (u64, u64) = (9_223_372_036, 854_775_807);
@@ -26,8 +26,8 @@ pub(super) fn record_text(metadata: &Metadata) -> String {
 }
 
 /// The text of the channel metadata `offered_qos_profiles`.
-pub(super) fn qos_text(profiles: &[RecordedQos]) -> String {
-    let mut text = Text::default();
+pub(super) fn qos_text(profiles: &[RecordedQos], version: u32) -> String {
+    let mut text = Text { has_policy_numbers: version == HUMBLE_VERSION, ..Text::default() };
     text.qos_sequence(0, profiles);
     text.finish()
 }
@@ -35,6 +35,8 @@ pub(super) fn qos_text(profiles: &[RecordedQos]) -> String {
 #[derive(Default)]
 struct Text {
     out: String,
+    /// Whether QoS policies are written as numbers.
+    has_policy_numbers: bool,
 }
 
 impl Text {
@@ -49,7 +51,9 @@ impl Text {
     }
 
     fn metadata(&mut self, at: usize, metadata: &Metadata) {
-        self.line(at, format_args!("version: {FORMAT_VERSION}"));
+        let is_of_humble = metadata.version == HUMBLE_VERSION;
+        let version = if is_of_humble { HUMBLE_VERSION } else { FORMAT_VERSION };
+        self.line(at, format_args!("version: {version}"));
         self.line(at, format_args!("storage_identifier: {}", scalar(&metadata.storage_identifier)));
         self.line(at, "duration:");
         self.line(at + 2, format_args!("nanoseconds: {}", nanoseconds(metadata.duration)));
@@ -63,9 +67,18 @@ impl Text {
             self.line(inner, format_args!("name: {}", scalar(&topic.name)));
             self.line(inner, format_args!("type: {}", scalar(&topic.type_name)));
             self.line(inner, format_args!("serialization_format: {}", scalar(&topic.serialization_format)));
-            self.sequence(inner, "offered_qos_profiles", topic.offered_qos.is_empty());
-            if !topic.offered_qos.is_empty() {
-                self.qos_sequence(inner + 2, &topic.offered_qos);
+            if is_of_humble {
+                let profiles = if topic.offered_qos.is_empty() {
+                    String::new()
+                } else {
+                    qos_text(&topic.offered_qos, HUMBLE_VERSION)
+                };
+                self.line(inner, format_args!("offered_qos_profiles: {}", scalar(&profiles)));
+            } else {
+                self.sequence(inner, "offered_qos_profiles", topic.offered_qos.is_empty());
+                if !topic.offered_qos.is_empty() {
+                    self.qos_sequence(inner + 2, &topic.offered_qos);
+                }
             }
             self.line(inner, format_args!("type_description_hash: {}", scalar(&topic.type_hash)));
             self.line(at + 4, format_args!("message_count: {}", topic.message_count));
@@ -108,14 +121,27 @@ impl Text {
             self.line(at, "[]");
         }
         for qos in profiles {
-            self.line(at, format_args!("- history: {}", qos.history.name()));
+            let has_numbers = self.has_policy_numbers;
+            let policy = |name: &'static str, number: u64| {
+                if has_numbers { number.to_string() } else { name.to_owned() }
+            };
+            self.line(at, format_args!("- history: {}", policy(qos.history.name(), qos.history.number())));
             let at = at + 2;
             self.line(at, format_args!("depth: {}", qos.depth));
-            self.line(at, format_args!("reliability: {}", qos.reliability.name()));
-            self.line(at, format_args!("durability: {}", qos.durability.name()));
+            self.line(
+                at,
+                format_args!("reliability: {}", policy(qos.reliability.name(), qos.reliability.number())),
+            );
+            self.line(
+                at,
+                format_args!("durability: {}", policy(qos.durability.name(), qos.durability.number())),
+            );
             self.duration(at, "deadline", qos.deadline);
             self.duration(at, "lifespan", qos.lifespan);
-            self.line(at, format_args!("liveliness: {}", qos.liveliness.name()));
+            self.line(
+                at,
+                format_args!("liveliness: {}", policy(qos.liveliness.name(), qos.liveliness.number())),
+            );
             self.duration(at, "liveliness_lease_duration", qos.liveliness_lease_duration);
             self.line(
                 at,

@@ -21,6 +21,10 @@ pub use qos::{RecordedDurability, RecordedHistory, RecordedLiveliness, RecordedQ
 /// The version of the metadata that is written.
 pub const FORMAT_VERSION: u32 = 9;
 
+/// The version of ROS 2 Humble, which is written on request: QoS profiles are texts with numbers. Keys of
+/// later versions are written too; readers of this version ignore them.
+pub const HUMBLE_VERSION: u32 = 5;
+
 /// The distribution of ROS 2 whose format is written.
 pub(crate) const ROS_DISTRO: &str = "jazzy";
 
@@ -33,7 +37,7 @@ pub const NEVER: i64 = i64::MAX;
 /// The contents of metadata.yaml. Times are nanoseconds since the epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Metadata {
-    /// The version when it was read; [`FORMAT_VERSION`] is written.
+    /// The version when it was read. [`HUMBLE_VERSION`] is written as it is, others as [`FORMAT_VERSION`].
     pub version: u32,
     /// `mcap` or `sqlite3`.
     pub storage_identifier: String,
@@ -145,13 +149,13 @@ impl Metadata {
         Ok(information.into())
     }
 
-    /// The text of metadata.yaml, in version 9.
+    /// The text of metadata.yaml, in version 9 or 5.
     #[must_use]
     pub fn to_yaml(&self) -> String {
         emit::file_text(self)
     }
 
-    /// The text of the metadata record inside an MCAP file, in version 9.
+    /// The text of the metadata record inside an MCAP file, in version 9 or 5.
     #[must_use]
     pub fn to_record(&self) -> String {
         emit::record_text(self)
@@ -199,13 +203,14 @@ impl Metadata {
 #[must_use]
 pub fn qos_to_yaml(profiles: &[QosProfile]) -> String {
     let recorded: Vec<RecordedQos> = profiles.iter().map(RecordedQos::from).collect();
-    recorded_qos_to_yaml(&recorded)
+    recorded_qos_to_yaml(&recorded, FORMAT_VERSION)
 }
 
-/// The YAML text of the MCAP channel metadata `offered_qos_profiles`, of profiles as stored in a bag.
+/// The YAML text of the MCAP channel metadata `offered_qos_profiles`, of profiles as stored in a bag with
+/// metadata of that version.
 #[must_use]
-pub fn recorded_qos_to_yaml(profiles: &[RecordedQos]) -> String {
-    emit::qos_text(profiles)
+pub fn recorded_qos_to_yaml(profiles: &[RecordedQos], version: u32) -> String {
+    emit::qos_text(profiles, version)
 }
 
 /// Reads the YAML text of the MCAP channel metadata `offered_qos_profiles`; `path` is for error messages.
@@ -336,6 +341,10 @@ mod tests {
         let read: Vec<QosProfile> = read.iter().map(super::RecordedQos::to_profile).collect();
         assert_eq!(read, profiles);
         assert_eq!(qos_to_yaml(&[]), "[]");
+        let recorded: Vec<super::RecordedQos> = profiles.iter().map(Into::into).collect();
+        let of_humble = super::recorded_qos_to_yaml(&recorded, super::HUMBLE_VERSION);
+        assert_eq!(qos_from_yaml(&of_humble, Path::new("x")).unwrap(), recorded);
+        assert!(!of_humble.contains("reliable"), "{of_humble}");
         assert!(qos_from_yaml("[]", Path::new("x")).unwrap().is_empty());
     }
 

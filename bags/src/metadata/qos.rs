@@ -23,6 +23,11 @@ macro_rules! policy {
             pub fn name(self) -> &'static str {
                 match self { $(Self::$variant => $text),+ }
             }
+
+            /// The number in older versions.
+            pub(super) fn number(self) -> u64 {
+                match self { $(Self::$variant => $number),+ }
+            }
         }
 
         impl<'de> Deserialize<'de> for $name {

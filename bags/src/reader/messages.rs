@@ -19,6 +19,7 @@ use super::records::{RecordFile, are_ros_times};
 use super::segment::{Content, Segment, decode};
 #[cfg(feature = "sqlite")]
 use super::sqlite::{SqliteFile, SqliteMessage};
+use crate::repeated;
 use crate::storage::Storage;
 use crate::topic::TopicId;
 use crate::zstd;
@@ -42,13 +43,14 @@ pub struct Selection {
     topics: Option<BTreeSet<TopicId>>,
     from: i64,
     until: i64,
+    includes_repeated: bool,
 }
 
 impl Selection {
-    /// All messages.
+    /// All messages, without the copies of latched messages that later files of a bag begin with.
     #[must_use]
     pub fn all() -> Self {
-        Self { topics: None, from: i64::MIN, until: i64::MAX }
+        Self { topics: None, from: i64::MIN, until: i64::MAX, includes_repeated: false }
     }
 
     /// Only these topics.
@@ -67,6 +69,12 @@ impl Selection {
     #[must_use]
     pub fn until(self, until: i64) -> Self {
         Self { until, ..self }
+    }
+
+    /// Also these copies: [`Reader::message_count`] and metadata.yaml count them.
+    #[must_use]
+    pub fn with_repeated(self) -> Self {
+        Self { includes_repeated: true, ..self }
     }
 
     /// Returns whether a segment may contain selected messages.
@@ -102,6 +110,8 @@ pub struct Messages {
     segments: VecDeque<(usize, Segment)>,
     loaded: BinaryHeap<Reverse<Pending>>,
     room: Room,
+    /// The first file known to be damaged: it may lack what later files repeat.
+    first_damaged: usize,
 }
 
 /// Reusable memory for loaded messages.
@@ -159,12 +169,14 @@ impl Messages {
             segments.extend(wanted.map(|segment| (index, segment.clone())));
         }
         segments.sort_by_key(|(file, segment)| (segment.first, *file, segment.offset));
+        let first_damaged = reader.files.iter().position(|file| !file.truncations.is_empty());
         Ok(Self {
             files,
             selection,
             segments: segments.into(),
             loaded: BinaryHeap::new(),
             room: Room::for_files_of(reader.files_length()),
+            first_damaged: first_damaged.unwrap_or(usize::MAX),
         })
     }
 
@@ -213,6 +225,17 @@ impl Messages {
 
     /// Loads the selected messages of a segment: those that are whole, if it is damaged.
     fn load(&mut self, file_index: usize, segment: &Segment) -> Result<(), ReaderError> {
+        let loaded = self.load_from(file_index, segment);
+        if loaded.is_err() {
+            self.first_damaged = self.first_damaged.min(file_index);
+        }
+        loaded
+    }
+
+    fn load_from(&mut self, file_index: usize, segment: &Segment) -> Result<(), ReaderError> {
+        // The first file that is there has no earlier one with the messages it repeats.
+        let leaves_repeated_out =
+            !self.selection.includes_repeated && file_index > 0 && file_index <= self.first_damaged;
         let file = &mut self.files[file_index];
         let damaged = |found| ReaderError::Damaged { path: file.path.clone(), offset: segment.offset, found };
         let mut found = Vec::new();
@@ -280,7 +303,9 @@ impl Messages {
                     index.map_err(|error| failed = Some(error)).unwrap_or_default()
                 };
                 let decoded = decode(bytes, (segment.kind, segment.declared), index, |content| {
-                    if let Content::Message { header, data } = content {
+                    if let Content::Message { header, data } = content
+                        && !(leaves_repeated_out && header.sequence == repeated::SEQUENCE)
+                    {
                         take(header.channel_id, header.log_time, header.publish_time, data);
                     }
                 });

@@ -1,6 +1,7 @@
 //! Control of a recording: pause, split, snapshot, stop.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::Shared;
 use super::queue::Item;
@@ -63,6 +64,14 @@ impl RecordingControl {
             return on_done(Err(ControlError::NoSnapshots));
         }
         let _ = self.shared.queue.snapshot(Item::Flush(Done::new(on_done)));
+    }
+
+    /// Writes the messages kept for snapshots before a time, and those received until `after` it: when the
+    /// first later message arrives, or recording ends. Returns false if nothing is kept for snapshots, or
+    /// recording has ended.
+    pub fn snapshot_around(&self, time: i64, after: Duration) -> bool {
+        let after = i64::try_from(after.as_nanos()).unwrap_or(i64::MAX);
+        self.shared.queue.snapshot_around(time, time.saturating_add(after))
     }
 
     /// Passes all messages received so far to the operating system. `on_done` is called as in

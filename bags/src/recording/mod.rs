@@ -155,11 +155,7 @@ impl Recording {
     /// # Errors
     /// Returns an error if the thread cannot be started.
     pub fn start_with(writer: Writer, options: &RecordingOptions) -> io::Result<Self> {
-        let topics = writer.topics().map(|info| QueuedTopic {
-            name: info.name.clone(),
-            type_name: info.type_name.clone(),
-            lost: 0,
-        });
+        let topics = writer.topics().map(QueuedTopic::of);
         let shared = Arc::new(Shared {
             queue: Queue::new(options, topics.collect()),
             progress: Mutex::new(Progress::of(&writer)),

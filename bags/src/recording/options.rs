@@ -14,6 +14,8 @@ pub struct RecordingOptions {
     /// Keeps the latest messages in memory and writes them only on
     /// [`RecordingControl::snapshot`](super::RecordingControl::snapshot); `--snapshot-mode`.
     pub snapshot: Option<SnapshotLimits>,
+    /// Whether a snapshot begins with the last earlier messages of latched (transient local) topics.
+    pub repeats_latched: bool,
     /// Whether the recording begins paused; `--start-paused`.
     pub is_paused: bool,
     /// What to do with a message if the cache is full.
@@ -47,6 +49,7 @@ impl RecordingOptions {
         Self {
             cache_bytes: super::Recording::DEFAULT_QUEUE_BYTES,
             snapshot: None,
+            repeats_latched: false,
             is_paused: false,
             when_slow: WhenSlow::default(),
         }
@@ -62,6 +65,12 @@ impl RecordingOptions {
     #[must_use]
     pub fn snapshot(self, limits: SnapshotLimits) -> Self {
         Self { snapshot: Some(limits), ..self }
+    }
+
+    /// Sets [`Self::repeats_latched`].
+    #[must_use]
+    pub fn repeat_latched(self) -> Self {
+        Self { repeats_latched: true, ..self }
     }
 
     /// Returns whether messages are kept for snapshots.

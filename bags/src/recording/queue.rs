@@ -3,7 +3,7 @@
 //! Bounded in bytes, since one camera image is as large as ten thousand joint states. Producers hold the lock
 //! only for a push.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -11,7 +11,7 @@ use parking_lot::{Condvar, Mutex, MutexGuard};
 
 use super::RecordError;
 use super::options::{RecordingOptions, SnapshotLimits, WhenSlow};
-use super::request::Done;
+use super::request::{ControlError, Done};
 use crate::topic::{TopicDescription, TopicId};
 use crate::writer::FileSplit;
 
@@ -105,6 +105,15 @@ pub(super) struct QueuedTopic {
     pub(super) name: String,
     pub(super) type_name: String,
     pub(super) lost: u64,
+    /// How many of its messages a late subscriber receives.
+    pub(super) latched_depth: usize,
+}
+
+impl QueuedTopic {
+    pub(super) fn of(info: &TopicDescription) -> Self {
+        let (name, type_name) = (info.name.clone(), info.type_name.clone());
+        Self { name, type_name, lost: 0, latched_depth: info.latched_depth() }
+    }
 }
 
 /// The next task of the writing thread.
@@ -119,7 +128,7 @@ pub(super) enum Work {
 impl Queue {
     pub(super) fn new(options: &RecordingOptions, topics: Vec<QueuedTopic>) -> Self {
         let (limit, when_slow) = (options.cache_bytes, options.when_slow);
-        let ring = options.snapshot.map(Ring::new);
+        let ring = options.snapshot.map(|limits| Ring::new(limits, options.repeats_latched));
         let state = State { topics, ring, is_paused: options.is_paused, ..State::default() };
         Self { state: Mutex::new(state), filled: Condvar::new(), drained: Condvar::new(), limit, when_slow }
     }
@@ -151,8 +160,7 @@ impl Queue {
         }
         let id = TopicId::from_index(state.topics.len()).filter(|id| id.index() < usize::from(u16::MAX) - 1);
         let id = id.ok_or(RecordError::TooManyTopics)?;
-        let (name, type_name) = (info.name.clone(), info.type_name.clone());
-        state.topics.push(QueuedTopic { name, type_name, lost: 0 });
+        state.topics.push(QueuedTopic::of(&info));
         self.push(&mut state, Item::Topic(Box::new(info)));
         Ok(id)
     }
@@ -225,13 +233,34 @@ impl Queue {
     /// request if there are no snapshots, or the queue is closed.
     pub(super) fn snapshot(&self, request: Item) -> Result<(), Item> {
         let mut state = self.lock();
-        let State { ring: Some(ring), items, queued_bytes, is_closed: false, .. } = &mut *state else {
+        if state.ring.is_none() || state.is_closed {
             return Err(request);
-        };
-        *queued_bytes += ring.bytes();
-        items.extend(ring.drain());
-        self.put(&mut state, request);
+        }
+        self.take_snapshot(&mut state, request);
         Ok(())
+    }
+
+    /// Queues the messages kept for snapshots once a later message than `until` arrives, or at the end.
+    /// Messages are kept as at the time `trigger` until then. Returns false if there are no snapshots, or the
+    /// queue is closed.
+    pub(super) fn snapshot_around(&self, trigger: i64, until: i64) -> bool {
+        let mut state = self.lock();
+        let State { ring: Some(ring), is_closed: false, .. } = &mut *state else { return false };
+        ring.trigger(trigger, until);
+        if ring.is_complete(ring.latest) {
+            self.take_snapshot(&mut state, Item::Flush(Done::new(report_snapshot)));
+        }
+        true
+    }
+
+    fn take_snapshot(&self, state: &mut State, request: Item) {
+        if let Some(ring) = &mut state.ring {
+            let before = state.items.len();
+            state.items.extend(ring.drain());
+            let cost: usize = state.items.iter().skip(before).map(Item::cost).sum();
+            state.queued_bytes += cost;
+        }
+        self.put(state, request);
     }
 
     pub(super) fn keeps_snapshots(&self) -> bool {
@@ -252,7 +281,11 @@ impl Queue {
 
     /// Rejects new items; queued items can still be taken.
     pub(super) fn close(&self) {
-        self.close_locked(&mut self.lock());
+        let mut state = self.lock();
+        if !state.is_closed && state.ring.as_ref().is_some_and(Ring::is_triggered) {
+            self.take_snapshot(&mut state, Item::Flush(Done::new(report_snapshot)));
+        }
+        self.close_locked(&mut state);
     }
 
     /// Closes the queue and counts its items, and the rest of a batch, as lost.
@@ -333,10 +366,15 @@ impl Queue {
     }
 
     fn push(&self, state: &mut State, item: Item) {
-        if let (Some(ring), Item::Message { .. }) = (&mut state.ring, &item) {
-            return ring.push(item);
+        let (Some(ring), Item::Message { log_time, .. }) = (&state.ring, &item) else {
+            return self.put(state, item);
+        };
+        if ring.is_complete(*log_time) {
+            self.take_snapshot(state, Item::Flush(Done::new(report_snapshot)));
         }
-        self.put(state, item);
+        if let Some(ring) = &mut state.ring {
+            ring.push(item, &state.topics);
+        }
     }
 
     fn put(&self, state: &mut State, item: Item) {
@@ -367,6 +405,13 @@ fn lose(state: &mut State, topic: TopicId) -> (String, u64) {
     (entry.name.clone(), entry.lost)
 }
 
+fn report_snapshot(written: Result<(), ControlError>) {
+    match written {
+        Ok(()) => tracing::info!("a snapshot is written"),
+        Err(error) => tracing::error!("a snapshot is not complete: {error}"),
+    }
+}
+
 /// Messages within the limits; the oldest are dropped first.
 pub(super) struct Ring {
     limits: SnapshotLimits,
@@ -374,11 +419,51 @@ pub(super) struct Ring {
     bytes: usize,
     /// The latest receive time.
     latest: i64,
+    /// The snapshot to take.
+    triggered: Option<Triggered>,
+    /// Whether the last messages of latched topics are kept beyond the limits.
+    repeats_latched: bool,
+    /// The last messages of latched topics of those that were dropped, and their size.
+    dropped: BTreeMap<TopicId, VecDeque<Item>>,
+    dropped_bytes: usize,
+}
+
+/// A snapshot of the messages before and after a time.
+struct Triggered {
+    at: i64,
+    /// The receive time of its last message, at most.
+    until: i64,
 }
 
 impl Ring {
-    pub(super) fn new(limits: SnapshotLimits) -> Self {
-        Self { limits, items: VecDeque::new(), bytes: 0, latest: i64::MIN }
+    pub(super) fn new(limits: SnapshotLimits, repeats_latched: bool) -> Self {
+        Self {
+            limits,
+            items: VecDeque::new(),
+            bytes: 0,
+            latest: i64::MIN,
+            triggered: None,
+            repeats_latched,
+            dropped: BTreeMap::new(),
+            dropped_bytes: 0,
+        }
+    }
+
+    /// Another trigger before the snapshot is taken makes it longer.
+    fn trigger(&mut self, at: i64, until: i64) {
+        self.triggered = Some(match &self.triggered {
+            None => Triggered { at, until },
+            Some(first) => Triggered { at: first.at.min(at), until: first.until.max(until) },
+        });
+    }
+
+    fn is_triggered(&self) -> bool {
+        self.triggered.is_some()
+    }
+
+    /// Returns whether a message of that time does not belong to the snapshot to take.
+    fn is_complete(&self, log_time: i64) -> bool {
+        self.triggered.as_ref().is_some_and(|triggered| log_time > triggered.until)
     }
 
     pub(super) fn bytes(&self) -> usize {
@@ -390,25 +475,54 @@ impl Ring {
         item.cost() <= self.limits.max_bytes
     }
 
-    pub(super) fn push(&mut self, item: Item) {
+    pub(super) fn push(&mut self, item: Item, topics: &[QueuedTopic]) {
         self.latest = self.latest.max(item.log_time().unwrap_or(i64::MIN));
         self.bytes += item.cost();
         self.items.push_back(item);
         while self.items.front().is_some_and(|oldest| self.is_over(oldest)) {
             if let Some(oldest) = self.items.pop_front() {
                 self.bytes -= oldest.cost();
+                self.keep_dropped(oldest, topics);
             }
         }
     }
 
-    /// Removes all messages.
+    /// Keeps the last messages of latched topics, which may take as much memory as the others.
+    fn keep_dropped(&mut self, item: Item, topics: &[QueuedTopic]) {
+        let Item::Message { topic, .. } = item else { return };
+        let depth = topics.get(topic.index()).map_or(0, |topic| topic.latched_depth);
+        if depth == 0 || !self.repeats_latched {
+            return;
+        }
+        let kept = self.dropped.entry(topic).or_default();
+        self.dropped_bytes += item.cost();
+        kept.push_back(item);
+        while kept.len() > depth || self.dropped_bytes > self.limits.max_bytes {
+            let Some(oldest) = kept.pop_front() else { break };
+            self.dropped_bytes -= oldest.cost();
+        }
+    }
+
+    /// Removes all messages. Those that a subscriber joining at the first one would receive come before it.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = Item> + '_ {
         self.bytes = 0;
-        self.items.drain(..)
+        self.dropped_bytes = 0;
+        self.triggered = None;
+        let first = self.items.front().and_then(Item::log_time);
+        let latched = std::mem::take(&mut self.dropped).into_values().flatten();
+        let latched = latched.map(move |item| match item {
+            Item::Message { topic, log_time, publish_time, data } => {
+                Item::Message { topic, log_time: first.unwrap_or(log_time), publish_time, data }
+            }
+            other => other,
+        });
+        latched.chain(self.items.drain(..))
     }
 
     fn is_over(&self, oldest: &Item) -> bool {
-        let age = oldest.log_time().map_or(0, |time| self.latest.saturating_sub(time));
+        // What is before a trigger stays until the snapshot is taken.
+        let latest = self.triggered.as_ref().map_or(self.latest, |triggered| triggered.at.min(self.latest));
+        let age = oldest.log_time().map_or(0, |time| latest.saturating_sub(time));
         let is_old = |most: Duration| u128::try_from(age).is_ok_and(|age| age > most.as_nanos());
         self.bytes > self.limits.max_bytes || self.limits.max_duration.is_some_and(is_old)
     }

@@ -1,12 +1,16 @@
 #![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use bytes::Bytes;
 use parking_lot::{Condvar, Mutex};
 
+use super::options::SnapshotLimits;
 use super::queue::{Queue, QueuedTopic};
 use super::{Progress, RecordError, Recording, RecordingOptions, RecordingSender, Shared, run, with_losses};
+use downbeat_msgs::qos::{Durability, QosProfile};
+
 use crate::metadata::Metadata;
 use crate::reader::{Reader, Selection};
 use crate::topic::TopicDescription;
@@ -22,11 +26,7 @@ fn topic(name: &str) -> TopicDescription {
 
 /// A [`Recording`] without its thread: nothing is written until the test runs it.
 fn without_thread(writer: &Writer, queue_bytes: usize) -> RecordingSender {
-    let topics = writer.topics().map(|info| QueuedTopic {
-        name: info.name.clone(),
-        type_name: info.type_name.clone(),
-        lost: 0,
-    });
+    let topics = writer.topics().map(QueuedTopic::of);
     let queue = Queue::new(&RecordingOptions::new().cache_bytes(queue_bytes), topics.collect());
     let progress = Mutex::new(Progress::of(writer));
     let (path, has_ended, ended) = (writer.path().to_owned(), Mutex::new(false), Condvar::new());
@@ -133,4 +133,38 @@ fn a_time_before_the_epoch_is_refused_when_queued() {
     let refused = recording.sender().record(id, 5, -5, Bytes::new());
     assert_eq!(refused, Err(RecordError::NegativeTime { time: -5 }));
     recording.finish().unwrap();
+}
+
+#[test]
+fn a_triggered_snapshot_has_what_was_before_and_after_and_the_latched_messages() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let id = writer.add_topic(topic("/a")).unwrap();
+    let qos = QosProfile { durability: Durability::TransientLocal, ..QosProfile::DEFAULT };
+    let map = TopicDescription { offered_qos: vec![qos.into()], ..topic("/map") };
+    let map = writer.add_topic(map).unwrap();
+    let limits = SnapshotLimits { max_bytes: 1 << 20, max_duration: Some(Duration::from_nanos(10)) };
+    let options = RecordingOptions::new().snapshot(limits).repeat_latched();
+    let recording = Recording::start_with(writer, &options).unwrap();
+    let (sender, control) = (recording.sender(), recording.control());
+    sender.record(map, 1, 0, Bytes::from_static(b"map")).unwrap();
+    let record = |times: std::ops::Range<i64>| {
+        times.for_each(|time| sender.record(id, time, time, Bytes::new()).unwrap());
+    };
+    record(2..101);
+    assert!(control.snapshot_around(100, Duration::from_nanos(20)));
+    record(101..150);
+    // The second one is not complete when recording ends.
+    assert!(control.snapshot_around(149, Duration::from_nanos(20)));
+    record(150..152);
+    recording.finish().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    let read: Vec<_> = reader.messages(Selection::all()).unwrap().map(Result::unwrap).collect();
+    let of_map: Vec<_> =
+        read.iter().filter(|m| m.topic == map).map(|m| (m.log_time, m.publish_time)).collect();
+    assert_eq!(of_map, [(90, 0)]);
+    let times: Vec<_> = read.iter().filter(|m| m.topic == id).map(|m| m.log_time).collect();
+    assert_eq!(times, (90..=120).chain(139..152).collect::<Vec<_>>());
+    assert!(!control.snapshot_around(200, Duration::ZERO), "recording has ended");
 }

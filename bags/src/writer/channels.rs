@@ -46,9 +46,9 @@ enum Written {
 
 impl Channels {
     /// Returns the channel of the topic, numbered from 1 like in the C++ library.
-    pub(super) fn add(&mut self, topic: &TopicDescription) -> io::Result<u16> {
+    pub(super) fn add(&mut self, topic: &TopicDescription, metadata_version: u32) -> io::Result<u16> {
         let mut metadata = BTreeMap::from([
-            ("offered_qos_profiles".to_owned(), recorded_qos_to_yaml(&topic.offered_qos)),
+            ("offered_qos_profiles".to_owned(), recorded_qos_to_yaml(&topic.offered_qos, metadata_version)),
             ("topic_type_hash".to_owned(), topic.type_hash.clone()),
         ]);
         if topic.format.is_some() {

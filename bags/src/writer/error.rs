@@ -51,6 +51,33 @@ pub enum WriterError {
         /// The number of readable messages in the bag.
         kept: u64,
     },
+    /// Too little of the disk is free ([`WriterOptions::keep_free`](super::WriterOptions::keep_free)).
+    /// Recording has stopped; the bag is complete up to there.
+    #[error(
+        "cannot go on recording into {}: {free} bytes of the disk are free, of {keep} to keep free; recording has \
+         stopped, the {kept} messages written before are kept; free some space, or record elsewhere",
+        path.display()
+    )]
+    LowSpace {
+        /// The bag directory.
+        path: PathBuf,
+        /// The free bytes.
+        free: u64,
+        /// How many are to stay free.
+        keep: u64,
+        /// The number of messages in the bag.
+        kept: u64,
+    },
+    /// [`WhenLow::DropOldest`](super::WhenLow::DropOldest) needs a bag of several files.
+    #[error(
+        "cannot record into {}: its oldest files cannot be dropped, because it is one file: also set max_bag_size or \
+         max_bag_duration",
+        path.display()
+    )]
+    NothingToDrop {
+        /// The bag directory.
+        path: PathBuf,
+    },
     /// Messages arrived faster than they could be written, and recording stops in this case
     /// ([`WhenSlow::Stop`](crate::WhenSlow::Stop)). Earlier messages are kept.
     #[error(
@@ -63,8 +90,8 @@ pub enum WriterError {
         /// The capacity of the queue.
         cache_bytes: usize,
     },
-    /// Recording has stopped after an earlier [`WriterError::Write`], which contains the reason.
-    #[error("cannot record into {}: recording has stopped after a failed write", path.display())]
+    /// Recording has stopped, for the reason that an earlier error contains.
+    #[error("cannot record into {}: recording has stopped", path.display())]
     Stopped {
         /// The bag directory.
         path: PathBuf,

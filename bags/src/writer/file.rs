@@ -14,6 +14,7 @@ use super::chunk::Chunk;
 use super::output::OutputFile;
 use super::summary::Summary;
 use super::{McapOptions, SyncPolicy, records};
+use crate::repeated;
 use crate::topic::TopicDescription;
 
 pub(super) struct ChunkedFile {
@@ -59,8 +60,8 @@ impl ChunkedFile {
     }
 
     /// Returns the channel of the topic.
-    pub(super) fn add_topic(&mut self, topic: &TopicDescription) -> io::Result<u16> {
-        self.channels.add(topic)
+    pub(super) fn add_topic(&mut self, topic: &TopicDescription, metadata_version: u32) -> io::Result<u16> {
+        self.channels.add(topic, metadata_version)
     }
 
     pub(super) fn write(
@@ -70,9 +71,19 @@ impl ChunkedFile {
         publish_time: u64,
         data: &[u8],
     ) -> io::Result<()> {
-        self.channels.write_records(channel_id, self.chunk.records());
         // The real recorder leaves the sequence number at 0.
-        self.chunk.add_message(&MessageHeader { channel_id, sequence: 0, log_time, publish_time }, data)
+        self.add(MessageHeader { channel_id, sequence: 0, log_time, publish_time }, data)
+    }
+
+    /// Writes a message of an earlier file again, with its times of receiving and sending.
+    pub(super) fn repeat(&mut self, channel_id: u16, times: (u64, u64), data: &[u8]) -> io::Result<()> {
+        let (log_time, publish_time) = times;
+        self.add(MessageHeader { channel_id, sequence: repeated::SEQUENCE, log_time, publish_time }, data)
+    }
+
+    fn add(&mut self, header: MessageHeader, data: &[u8]) -> io::Result<()> {
+        self.channels.write_records(header.channel_id, self.chunk.records());
+        self.chunk.add_message(&header, data)
     }
 
     /// Ends the open chunk and passes it to the operating system. If that fails, the chunk is still open, and

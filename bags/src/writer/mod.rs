@@ -4,7 +4,9 @@ mod channels;
 mod chunk;
 mod error;
 mod file;
+mod free_space;
 mod hand_over;
+mod latched;
 mod layout;
 mod options;
 mod output;
@@ -28,6 +30,8 @@ use crate::metadata;
 use crate::storage::Storage;
 use crate::topic::{RecordingSummary, TopicDescription, TopicId};
 pub use error::WriterError;
+pub use free_space::WhenLow;
+use latched::Latched;
 pub use layout::{StorageError, StorageOptions};
 pub use options::{SplitLimits, WhenDiskFull, WriterOptions};
 pub use split::FileSplit;
@@ -75,6 +79,8 @@ pub struct Writer {
     metadata_has_all_topics: bool,
     /// The time until the next update of metadata.yaml: of ten thousands of topics, one takes a second.
     metadata_interval: Duration,
+    /// The size of the messages that later files repeat.
+    latched_bytes: u64,
     /// The number of messages in deleted files.
     deleted: u64,
     /// Whether the last chunk was dropped because the disk was full.
@@ -103,6 +109,8 @@ struct Topic {
     lost: u64,
     /// Messages rejected before they reached the writer.
     refused: u64,
+    /// What later files repeat, if they repeat messages of this topic.
+    latched: Option<Latched>,
 }
 
 /// The shortest time between two updates of metadata.yaml while recording.
@@ -151,9 +159,12 @@ impl Writer {
         if let Some(found) = self.file.refusal(&info) {
             return Err(WriterError::NoPlace { topic: info.name, storage: self.storage(), found });
         }
-        let channel = self.file.add_topic(&info).map_err(|source| self.fail(source))?;
+        let channel =
+            self.file.add_topic(&info, self.options.metadata_version).map_err(|source| self.fail(source))?;
         self.by_name.insert(info.name.clone(), id.index());
-        self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0, refused: 0 });
+        let depth = if self.options.repeats_latched { info.latched_depth() } else { 0 };
+        let latched = (depth > 0).then(|| Latched::new(depth));
+        self.topics.push(Topic { info, channel, written: 0, open: 0, lost: 0, refused: 0, latched });
         self.metadata_has_all_topics = false;
         self.changes += 1;
         Ok(id)
@@ -274,6 +285,7 @@ impl Writer {
             metadata_written: Instant::now(),
             metadata_has_all_topics: true,
             metadata_interval: METADATA_INTERVAL,
+            latched_bytes: 0,
             deleted: 0,
             is_disk_full: false,
             on_split: None,
@@ -310,7 +322,14 @@ impl Writer {
         let Some(entry) = self.topics.get_mut(topic.index()) else { return Ok(()) };
         let written = self.file.write(entry.channel, log, publish, data);
         entry.open += 1;
+        if let Some(file) = self.files.back_mut() {
+            file.has_own = true;
+        }
+        let is_latched = entry.latched.is_some();
         let open_bytes = written.map_err(|source| self.fail(source))?;
+        if is_latched {
+            self.keep_latched(topic.index(), publish_time, data);
+        }
 
         self.open.include(log_time);
         let since = *self.open_since.get_or_insert(now);
@@ -328,7 +347,7 @@ impl Writer {
         if is_stale || !self.metadata_has_all_topics {
             self.replace_metadata(now)?;
         }
-        Ok(())
+        self.guard_free_space(now)
     }
 
     fn close(&mut self) -> Result<(), WriterError> {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use std::{fmt, fs, io};
 
+use super::free_space::{WhenLow, free_bytes};
 use super::storage::{Compression, DEFAULT_CHUNK_SIZE};
 use super::sync::SyncPolicy;
 use super::{StorageOptions, Writer, WriterError};
@@ -48,6 +49,17 @@ pub struct WriterOptions {
     pub sync: SyncPolicy,
     /// What to do if the disk is full.
     pub disk_full: WhenDiskFull,
+    /// How many bytes of the disk stay free for others: checked after each chunk. 0 for no check.
+    pub keep_free: u64,
+    /// What to do if less is free.
+    pub when_low: WhenLow,
+    /// Whether each further file of a bag in MCAP begins with the last messages of latched (transient local)
+    /// topics, which a subscriber joining then would receive. [`Reader::messages`](crate::Reader::messages)
+    /// leaves these copies out. `sqlite3` has no place for their publish times and repeats nothing.
+    pub repeats_latched: bool,
+    /// The version of the metadata: [`FORMAT_VERSION`](crate::metadata::FORMAT_VERSION), or
+    /// [`HUMBLE_VERSION`](crate::metadata::HUMBLE_VERSION) for bags that ROS 2 Humble shall read.
+    pub metadata_version: u32,
     pub(super) custom_data: BTreeMap<String, String>,
     pub(super) counted_data: BTreeMap<String, CountedData>,
 }
@@ -114,6 +126,10 @@ impl WriterOptions {
             max_bag_files: None,
             sync: SyncPolicy::default(),
             disk_full: WhenDiskFull::default(),
+            keep_free: 0,
+            when_low: WhenLow::default(),
+            repeats_latched: false,
+            metadata_version: crate::metadata::FORMAT_VERSION,
             custom_data: BTreeMap::new(),
             counted_data: BTreeMap::new(),
         }
@@ -168,6 +184,24 @@ impl WriterOptions {
         Self { disk_full, ..self }
     }
 
+    /// Sets [`Self::keep_free`] and [`Self::when_low`].
+    #[must_use]
+    pub fn keep_free(self, keep_free: u64, when_low: WhenLow) -> Self {
+        Self { keep_free, when_low, ..self }
+    }
+
+    /// Sets [`Self::repeats_latched`].
+    #[must_use]
+    pub fn repeat_latched(self) -> Self {
+        Self { repeats_latched: true, ..self }
+    }
+
+    /// Sets [`Self::metadata_version`].
+    #[must_use]
+    pub fn metadata_version(self, metadata_version: u32) -> Self {
+        Self { metadata_version, ..self }
+    }
+
     /// Adds an entry to the `custom_data` of the metadata.
     #[must_use]
     pub fn custom_data(mut self, key: impl Into<String>, value: impl Into<String>) -> Self {
@@ -190,7 +224,9 @@ impl WriterOptions {
     ///
     /// # Errors
     /// Returns an error if it exists already or cannot be created, the maximum file size is below
-    /// [`SplitLimits::least_bytes`], or the storage does not support the compression.
+    /// [`SplitLimits::least_bytes`], the storage does not support the compression, or space shall stay free
+    /// ([`Self::keep_free`]) and either the system does not tell how much is free, or the oldest files shall
+    /// be deleted of a bag that is never split.
     pub fn create(mut self, directory: impl AsRef<Path>) -> Result<Writer, WriterError> {
         let least = SplitLimits::least_bytes(self.storage.storage());
         if let Some(bytes) = self.split.max_bytes.filter(|bytes| *bytes < least) {
@@ -201,7 +237,16 @@ impl WriterOptions {
             (Some(compression), Ok(mcap)) => mcap.compression = compression,
             (Some(_), Err(error)) => return Err(error.into()),
         }
-        Writer::create(directory.as_ref(), self)
+        let directory = directory.as_ref();
+        if self.keep_free > 0 {
+            if self.when_low == WhenLow::DropOldest && self.split == SplitLimits::NONE {
+                return Err(WriterError::NothingToDrop { path: directory.to_owned() });
+            }
+            let existing = directory.ancestors().find(|path| path.is_dir()).unwrap_or(Path::new("."));
+            let failed = |source| WriterError::Create { path: directory.to_owned(), source };
+            free_bytes(existing).map_err(failed)?;
+        }
+        Writer::create(directory, self)
     }
 }
 

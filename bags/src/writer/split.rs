@@ -34,12 +34,14 @@ pub(super) struct WrittenFile {
     pub(super) counts: Vec<u64>,
     /// Its size once it is finished.
     pub(super) bytes: u64,
+    /// Whether it has a message that is not repeated from an earlier file.
+    pub(super) has_own: bool,
 }
 
 impl WrittenFile {
     pub(super) fn new(path: &Path) -> Self {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Self { name, times: Times::default(), counts: Vec::new(), bytes: 0 }
+        Self { name, times: Times::default(), counts: Vec::new(), bytes: 0, has_own: false }
     }
 
     pub(super) fn message_count(&self) -> u64 {
@@ -58,7 +60,7 @@ impl Writer {
     /// Returns whether a message with that time starts a new file. Every file has at least one message.
     pub(super) fn is_split_due(&self, log_time: i64) -> bool {
         let limits = &self.options.split;
-        let Some(file) = self.files.back() else { return false };
+        let Some(file) = self.files.back().filter(|file| file.has_own) else { return false };
         let mut times = file.times;
         times.merge(self.open);
         let Some(first) = times.first() else { return false };
@@ -95,6 +97,7 @@ impl Writer {
         self.files.push_back(WrittenFile::new(&opened));
         let metadata = self.metadata().to_record();
         self.file.write_metadata(metadata).map_err(|source| self.fail(source))?;
+        self.repeat_latched()?;
         self.replace_metadata(now)?;
         self.delete_oldest(most, now)?;
         let split = FileSplit { closed, opened: Some(opened) };
@@ -112,7 +115,7 @@ impl Writer {
     fn next_file(&mut self, path: &Path) -> std::io::Result<BagFile> {
         let mut file = BagFile::create(path, &self.options.storage, self.options.sync)?;
         for topic in &mut self.topics {
-            topic.channel = file.add_topic(&topic.info)?;
+            topic.channel = file.add_topic(&topic.info, self.options.metadata_version)?;
         }
         Ok(file)
     }
@@ -137,7 +140,7 @@ impl Writer {
     }
 
     /// Deletes the oldest files until at most that many are left.
-    fn delete_oldest(&mut self, most: usize, now: Instant) -> Result<(), WriterError> {
+    pub(super) fn delete_oldest(&mut self, most: usize, now: Instant) -> Result<(), WriterError> {
         while self.files.len() > most {
             let Some(oldest) = self.files.pop_front() else { return Ok(()) };
             for (topic, count) in self.topics.iter_mut().zip(&oldest.counts) {
@@ -210,8 +213,8 @@ impl BagFile {
     }
 
     /// Returns the channel of the topic.
-    pub(super) fn add_topic(&mut self, topic: &TopicDescription) -> io::Result<u16> {
-        of!(self, file => file.add_topic(topic))
+    pub(super) fn add_topic(&mut self, topic: &TopicDescription, metadata_version: u32) -> io::Result<u16> {
+        of!(self, file => file.add_topic(topic, metadata_version))
     }
 
     /// Adds a message to the open chunk. Returns the size of the chunk, before compression.
@@ -231,6 +234,18 @@ impl BagFile {
             Self::Sqlite(file) => {
                 file.write(channel, log_time, data);
                 Ok(file.open_bytes())
+            }
+        }
+    }
+
+    /// Writes a message of an earlier file again, with its times of receiving and sending.
+    pub(super) fn repeat(&mut self, channel: u16, times: (u64, u64), data: &[u8]) -> io::Result<()> {
+        match self {
+            Self::Mcap(file) => file.repeat(channel, times, data),
+            #[cfg(feature = "sqlite")]
+            Self::Sqlite(file) => {
+                file.write(channel, times.0, data);
+                Ok(())
             }
         }
     }

@@ -22,6 +22,10 @@ impl Times {
         self.0.map(|(first, _)| first)
     }
 
+    pub(super) fn last(self) -> Option<i64> {
+        self.0.map(|(_, last)| last)
+    }
+
     pub(super) fn duration(self) -> Duration {
         self.0.map_or(Duration::ZERO, |(first, last)| Duration::from_nanos(last.abs_diff(first)))
     }

@@ -10,6 +10,8 @@ use crate::topic::{RecordingSummary, TopicCount};
 
 /// The key of `custom_data` for the numbers of lost messages: `/camera: 12, /imu: 1`.
 const LOST_MESSAGES: &str = "lost_messages";
+/// The key of `custom_data` for the numbers of repeated messages: `/map: 3`.
+const REPEATED_MESSAGES: &str = "repeated_messages";
 /// The key of `custom_data` for the number of messages in deleted files.
 const DELETED_MESSAGES: &str = "deleted_messages";
 
@@ -46,7 +48,7 @@ impl Writer {
     pub(super) fn metadata(&self) -> Metadata {
         let times = self.times();
         Metadata {
-            version: metadata::FORMAT_VERSION,
+            version: self.options.metadata_version,
             storage_identifier: self.storage().identifier().to_owned(),
             duration: times.duration(),
             starting_time: times.first().unwrap_or(metadata::NEVER),
@@ -73,6 +75,14 @@ impl Writer {
         let losses: Vec<String> = self.topics.iter().filter_map(lost).collect();
         if !losses.is_empty() {
             custom_data.insert(LOST_MESSAGES.to_owned(), losses.join(", "));
+        }
+        let repeated = |topic: &Topic| {
+            let repeated = topic.latched.as_ref()?.repeated;
+            (repeated > 0).then(|| format!("{}: {repeated}", topic.info.name))
+        };
+        let copies: Vec<String> = self.topics.iter().filter_map(repeated).collect();
+        if !copies.is_empty() {
+            custom_data.insert(REPEATED_MESSAGES.to_owned(), copies.join(", "));
         }
         if self.deleted > 0 {
             custom_data.insert(DELETED_MESSAGES.to_owned(), self.deleted.to_string());

@@ -7,7 +7,7 @@ use std::process::Command;
 use bytes::Bytes;
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
 use downbeat_bags::{
-    Reader, Recording, SplitLimits, TruncationCause, WhenDiskFull, WriterError, WriterOptions,
+    Reader, Recording, SplitLimits, TruncationCause, WhenDiskFull, WhenLow, WriterError, WriterOptions,
 };
 
 use crate::support::{messages, number, topic};
@@ -228,4 +228,71 @@ fn a_bag_in_sqlite_that_deletes_its_oldest_files_records_on_a_disk_of_any_size()
     let options = WriterOptions::new().storage(downbeat_bags::SqliteOptions::default());
     let options = options.chunk_size(10_000).split(limits);
     assert_keeps_the_newest(&bag, options);
+}
+
+/// Writes messages until an error, at most `most`; returns their number and the error.
+fn write_until_error(options: WriterOptions, bag: &Path, most: i64) -> (i64, Option<WriterError>) {
+    let mut writer = options.chunk_size(10_000).create(bag).unwrap();
+    let id = writer.add_topic(topic("/numbers")).unwrap();
+    for n in 0..most {
+        if let Err(error) = writer.write(id, n, n, &large(n)) {
+            // The message belongs to a chunk that was written before the check.
+            return (n + 1, Some(error));
+        }
+    }
+    writer.finish().unwrap();
+    (most, None)
+}
+
+fn free(disk: &SmallDisk) -> u64 {
+    let found = rustix::fs::statvfs(&disk.path).unwrap();
+    found.f_bavail * found.f_frsize
+}
+
+#[test]
+fn a_recording_stops_before_it_takes_the_space_that_stays_free_and_loses_nothing() {
+    let Some(disk) = SmallDisk::mount(300) else { return };
+    let bag = disk.path.join("bag");
+    let options = WriterOptions::new().keep_free(100_000, WhenLow::Stop);
+    let (offered, error) = write_until_error(options, &bag, i64::MAX);
+    let error = error.unwrap();
+    let WriterError::LowSpace { kept, .. } = error else { panic!("{error}") };
+    assert_eq!(kept as i64, offered);
+    assert!(error.to_string().contains("of 100000 to keep free"), "{error}");
+    // One chunk and the end of the file are written after the limit.
+    assert!((75_000..100_000).contains(&free(&disk)), "{}", free(&disk));
+    assert_eq!(read(&bag), (0..offered).collect::<Vec<_>>());
+    assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "the file was finished");
+    assert_eq!(Metadata::read(&bag.join(FILE_NAME)).unwrap().message_count as i64, offered);
+}
+
+#[test]
+fn the_oldest_files_make_room_for_a_recording_that_goes_on() {
+    let Some(disk) = SmallDisk::mount(300) else { return };
+    let (bag, ballast) = (disk.path.join("bag"), disk.path.join("ballast"));
+    let split = SplitLimits { max_bytes: Some(40_000), ..SplitLimits::NONE };
+    let options = || WriterOptions::new().split(split).keep_free(100_000, WhenLow::DropOldest);
+    let (offered, error) = write_until_error(options(), &bag, 1000);
+    assert!(error.is_none(), "{error:?}");
+    assert!(free(&disk) > 50_000, "{}", free(&disk));
+    let metadata = Metadata::read(&bag.join(FILE_NAME)).unwrap();
+    let deleted: i64 = metadata.custom_data["deleted_messages"].parse().unwrap();
+    assert_eq!(read(&bag), (deleted..offered).collect::<Vec<_>>());
+    assert_eq!(fs::read_dir(&bag).unwrap().count(), metadata.files.len() + 1);
+
+    // If others fill the disk, there is nothing left to delete.
+    fs::write(&ballast, vec![0; 30_000]).unwrap();
+    let second = disk.path.join("second");
+    let (_, error) = write_until_error(options(), &second, 1000);
+    assert!(matches!(error, Some(WriterError::LowSpace { .. })), "{error:?}");
+    assert_eq!(Metadata::read(&second.join(FILE_NAME)).unwrap().files.len(), 1);
+}
+
+#[test]
+fn a_bag_of_one_file_has_no_oldest_files_to_drop() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = WriterOptions::new().keep_free(1, WhenLow::DropOldest);
+    let error = options.create(folder.path().join("bag")).err().unwrap();
+    assert!(error.to_string().contains("max_bag_size"), "{error}");
+    assert!(!folder.path().join("bag").exists());
 }

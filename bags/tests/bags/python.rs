@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use downbeat_bags::{Compression, TopicDescription, WriterOptions};
+use downbeat_bags::metadata::HUMBLE_VERSION;
+use downbeat_bags::{Compression, Reader, TopicDescription, WriterOptions};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::{Message, cdr};
 use downbeat_msgs::{diagnostic_msgs, downbeat_interfaces, sensor_msgs, std_msgs};
@@ -127,4 +128,27 @@ fn other_software_finds_topics_and_counts_of_an_unfinished_bag() {
     let _check =
         noted("a bag that is still being recorded, or whose recorder was killed", With::Mcap, Way::Out);
     assert_eq!(read, json!({ "message_count": 5, "topics": { "/chatter": 5 }, "mcap": 5 }));
+}
+
+#[test]
+fn a_bag_for_humble_has_its_version_and_numbers_for_policies() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().metadata_version(HUMBLE_VERSION).create(&bag).unwrap();
+    let id = writer.add_topic(topic::<std_msgs::msg::String>("/chatter", QosProfile::LATCHED)).unwrap();
+    let silent = topic::<std_msgs::msg::String>("/silent", QosProfile::SENSOR_DATA);
+    writer.add_topic(TopicDescription { offered_qos: Vec::new(), ..silent }).unwrap();
+    let data = cdr::to_vec(&std_msgs::msg::String { data: "hi".to_owned() });
+    for time in 0..3 {
+        writer.write(id, time, time, &data).unwrap();
+    }
+    writer.finish().unwrap();
+    let reader = Reader::open(&bag).unwrap();
+    assert_eq!(reader.metadata().unwrap().version, HUMBLE_VERSION);
+    assert_eq!(reader.topics()[0].info.offered_qos, [QosProfile::LATCHED.into()]);
+    let Some(read) = read_with_python("read_humble.py", &bag) else { return };
+    // Keep last 1, reliable, transient local, automatic.
+    let qos = json!({ "/chatter": [[1, 1, 1, 1, 1]], "/silent": [] });
+    let of_file = json!({ "/chatter": [[1, 1, 1, 1, 1]], "/silent": [] });
+    assert_eq!(read, json!({ "version": 5, "qos": qos, "in_file": of_file, "messages": 3 }));
 }

@@ -7,7 +7,11 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
-use downbeat_bags::{FileSplit, Reader, SplitLimits, Writer, WriterError, WriterOptions};
+use downbeat_bags::{
+    FileSplit, Problem, Reader, Selection, SplitLimits, TopicDescription, TopicId, Writer, WriterError,
+    WriterOptions, check,
+};
+use downbeat_msgs::qos::{Durability, History, QosProfile};
 
 use crate::matrix::{Way, With};
 use crate::python::read_with_python;
@@ -154,4 +158,104 @@ fn file_sizes_below_rosbag2s_minimum_are_refused() {
         writer.write(id, time, time, &[0; 5000]).unwrap();
     }
     assert_eq!(writer.finish().unwrap().files, 3);
+}
+
+/// A topic whose late subscribers receive that many messages.
+fn latched(name: &str, depth: u32) -> TopicDescription {
+    let qos = QosProfile {
+        history: History::KeepLast(depth),
+        durability: Durability::TransientLocal,
+        ..QosProfile::DEFAULT
+    };
+    TopicDescription { offered_qos: vec![qos.into()], ..topic(name) }
+}
+
+/// The topics, times and numbers of all messages.
+fn all(reader: &Reader, selection: Selection) -> Vec<(String, i64, i64, i64)> {
+    let messages = reader.messages(selection).unwrap().map(Result::unwrap);
+    let name = |id: TopicId| reader.topics()[id.index()].info.name.clone();
+    messages.map(|m| (name(m.topic), m.log_time, m.publish_time, value(&m))).collect()
+}
+
+#[test]
+fn each_further_file_begins_with_latched_messages_that_the_whole_bag_has_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().repeat_latched().create(&bag).unwrap();
+    let [map, modes, numbers] = [latched("/map", 1), latched("/modes", 2), topic("/numbers")]
+        .map(|info| writer.add_topic(info).unwrap());
+    writer.write(map, 100, 90, &number(1)).unwrap();
+    for n in 0..3 {
+        writer.write(modes, 110 + n, 109 + n, &number(10 + n)).unwrap();
+    }
+    writer.write(numbers, 200, 200, &number(5)).unwrap();
+    writer.split().unwrap();
+    writer.write(map, 300, 290, &number(2)).unwrap();
+    writer.split().unwrap();
+    writer.write(numbers, 400, 400, &number(6)).unwrap();
+    writer.finish().unwrap();
+
+    let own = |name: &str, log, publish, value| (name.to_owned(), log, publish, value);
+    let first = [
+        own("/map", 100, 90, 1),
+        own("/modes", 110, 109, 10),
+        own("/modes", 111, 110, 11),
+        own("/modes", 112, 111, 12),
+        own("/numbers", 200, 200, 5),
+    ];
+    let reader = Reader::open(&bag).unwrap();
+    let whole = [&first[..], &[own("/map", 300, 290, 2), own("/numbers", 400, 400, 6)]].concat();
+    assert_eq!(all(&reader, Selection::all()), whole);
+    assert_eq!(reader.message_count(), 7 + 6);
+    assert_eq!(all(&reader, Selection::all().with_repeated()).len(), 7 + 6);
+    let custom_data = &reader.metadata().unwrap().custom_data;
+    assert_eq!(custom_data["repeated_messages"], "/map: 2, /modes: 4");
+    let found = check(&reader, |_| {}).unwrap();
+    let counts: Vec<_> =
+        found.problems.iter().filter(|found| matches!(found, Problem::Count { .. })).collect();
+    assert!(counts.is_empty(), "{counts:?}");
+
+    // Alone, the last file holds what a subscriber that joins at its beginning receives.
+    let last = Reader::open(bag.join("bag_2.mcap")).unwrap();
+    let expected = [
+        own("/map", 300, 290, 2),
+        own("/modes", 300, 110, 11),
+        own("/modes", 300, 111, 12),
+        own("/numbers", 400, 400, 6),
+    ];
+    assert_eq!(all(&last, Selection::all()), expected);
+    // Without an earlier file, or with a damaged one, the copies are the messages.
+    let damaged = bag.join("bag_0.mcap");
+    let bytes = fs::read(&damaged).unwrap();
+    fs::write(&damaged, &bytes[..40]).unwrap();
+    let rest = Reader::open(&bag).unwrap();
+    let rest: Vec<_> =
+        rest.messages(Selection::all()).unwrap().filter_map(Result::ok).map(|m| value(&m)).collect();
+    assert!([1, 11, 12, 2, 6].iter().all(|value| rest.contains(value)), "{rest:?}");
+}
+
+#[test]
+fn files_have_messages_of_their_own_however_large_the_repeated_ones_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = by_size(100_000).repeat_latched().create(&bag).unwrap();
+    let map = writer.add_topic(latched("/map", 3)).unwrap();
+    let numbers = writer.add_topic(topic("/numbers")).unwrap();
+    let mut data = number(-1);
+    data.resize(40_000, 0);
+    for _ in 0..3 {
+        writer.write(map, 0, 0, &data).unwrap();
+    }
+    for n in 0..10_000 {
+        writer.write(numbers, n, n, &number(n)).unwrap();
+    }
+    writer.finish().unwrap();
+    let metadata = Metadata::read(&bag.join(FILE_NAME)).unwrap();
+    assert!((3..20).contains(&metadata.files.len()), "{}", metadata.files.len());
+    assert_eq!(
+        metadata.message_count as usize,
+        10_003 + metadata.files.len() - 1,
+        "one map in each further file"
+    );
+    assert_eq!(read(&bag).len(), 10_003);
 }

@@ -21,6 +21,8 @@ pub(super) mod reindex;
 pub(super) mod repair;
 pub(super) mod replay;
 mod replayed;
+#[cfg(test)]
+mod ros2_options;
 mod select;
 #[cfg(feature = "view")]
 pub(super) mod view;

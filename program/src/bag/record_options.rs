@@ -91,9 +91,6 @@ fn argument(option: &'static RecordOption) -> Arg {
     if let Some(alias) = option.alias {
         argument = argument.visible_alias(alias);
     }
-    if let Some(other) = option.excluded_by {
-        argument = argument.conflicts_with(other);
-    }
     if let Takes::Switch(_) = option.takes {
         return argument.action(ArgAction::SetTrue);
     }
@@ -146,9 +143,6 @@ mod tests {
     struct Line {
         #[command(flatten)]
         options: GivenOptions<Recording>,
-        /// Excludes some of them.
-        #[arg(long)]
-        robot: bool,
     }
 
     fn from_file(record: &str) -> Option<String> {
@@ -175,6 +169,7 @@ mod tests {
             Takes::Count(_) => same("7"),
             Takes::Time(_) => vec![quoted("7s"), ("\"9s\"".into(), "9")],
             Takes::Switch(_) => vec![("true".into(), "")],
+            Takes::Text(_) => vec![quoted("a.b < 1")],
             Takes::Entries(_) => vec![("{ place = \"lawn\" }".into(), "place=lawn")],
         }
     }
@@ -210,7 +205,6 @@ mod tests {
             (&["--custom-data", "lawn"], "\"lawn\" is not KEY=VALUE"),
             (&["--flush-interval", "soon"], "--flush-interval <TIME>"),
             (&["--sync", "file"], "a similar value exists: 'files'"),
-            (&["--snapshot-mode", "--robot"], "cannot be used with"),
         ] {
             let error = Line::try_parse_from([&["test"], words].concat()).err().unwrap().to_string();
             assert!(error.contains(problem), "{error}");

@@ -107,6 +107,7 @@ fn set(option: &RecordOption, options: &mut RecordOptions, value: Value<'_>) -> 
         }
         Takes::Time(set) => set(options, value.duration()?),
         Takes::Switch(set) => set(options, value.flag()?),
+        Takes::Text(set) => set(options, value.text()?),
         Takes::Entries(set) => {
             for (key, text) in value.table(option.key)?.take_rest() {
                 set(options, &key, text.text()?);

@@ -15,6 +15,7 @@ mod page_host;
 mod recording;
 mod rehearsal;
 mod revival;
+mod snapshots;
 #[cfg(feature = "view")]
 mod view;
 
@@ -85,6 +86,9 @@ pub enum StartError {
     /// The bag cannot be created.
     #[error(transparent)]
     Bag(#[from] WriterError),
+    /// The condition of snapshots cannot be evaluated.
+    #[error("snapshot_when of [record]: {0}")]
+    SnapshotCondition(String),
     /// The services of the recorder cannot be offered.
     #[error(transparent)]
     RecorderServices(#[from] ServeError),

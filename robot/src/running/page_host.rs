@@ -113,8 +113,8 @@ impl PageHost {
         let options = recordable.options.clone();
         let begin = || -> Result<OwnRecording, Box<dyn std::error::Error>> {
             let mut core = CoreAccess::Running(&self.core);
-            let (writer, bag) = recordable.create(&core, &directory, options.writer)?;
-            let recording = Recording::start_with(writer, &options.recording)?;
+            let (writer, bag) = recordable.create(&core, &directory, options.writer(true))?;
+            let recording = Recording::start_with(writer, &options.recording(true))?;
             let taking = recordable.record(&mut core, &recording, options.encoding, bag)?;
             Ok(OwnRecording { recording, taking })
         };

@@ -17,6 +17,7 @@ use downbeat_msgs::qos::QosProfile;
 use parking_lot::Mutex;
 
 use super::StartError;
+use super::snapshots::SnapshotWatch;
 use crate::recorder::{self, RecorderError, Unrecorded, WhenFull};
 use crate::ros_recorder::{RecorderServices, SteeredRecording, TopicFilter, serve, serve_stop, split_events};
 use crate::{RecordOptions, RecordedSettings, Robot, RobotFile, SourcedModules, Sources, VersionLog};
@@ -223,6 +224,7 @@ pub(super) struct RobotRecording {
     pub(super) growing: Growing,
     /// Dropped after the recording has ended.
     pub(super) services: Option<[RecorderServices; 2]>,
+    pub(super) _snapshots: SnapshotWatch,
 }
 
 /// A recording that takes in what modules bring while it runs. Clones are of the same recording.
@@ -254,7 +256,10 @@ impl RobotRecording {
         is_in_simulated_time: bool,
         plan: RecordPlan,
     ) -> Result<Self, StartError> {
-        let RecordPlan { directory, options: RecordOptions { encoding, writer, recording }, filter } = plan;
+        let RecordPlan { directory, options, filter } = plan;
+        let writer = options.writer(true);
+        let recording = options.recording(true);
+        let RecordOptions { encoding, snapshot_triggers: triggers, .. } = options;
         let recordable = Recordable::of(robot, is_in_simulated_time, filter)?;
         let core = &mut CoreAccess::Idle(&mut robot.core);
         let (mut writer, bag) = recordable.create(core, &directory, writer)?;
@@ -262,7 +267,9 @@ impl RobotRecording {
         let takes_snapshots = recording.takes_snapshots();
         match &node {
             Some(node) => writer.on_split(split_events(node)?),
-            None if takes_snapshots => tracing::warn!("no snapshot can be asked for without a ROS 2 node"),
+            None if takes_snapshots && !triggers.are_some() => {
+                tracing::warn!("no snapshot can be asked for without a ROS 2 node")
+            }
             None => {}
         }
         let recording = Recording::start_with(writer, &recording)
@@ -277,7 +284,9 @@ impl RobotRecording {
             diagnostics.watch(move || vec![status(&name, &sender.statistics())]);
         }
         let taking = Arc::new(Mutex::new(recordable.record(core, &recording, encoding, bag)?));
-        Ok(Self { recording, growing: Growing { recordable: Arc::new(recordable), taking }, services })
+        let snapshots = SnapshotWatch::start(robot, &recording.control(), &triggers)?;
+        let growing = Growing { recordable: Arc::new(recordable), taking };
+        Ok(Self { recording, growing, services, _snapshots: snapshots })
     }
 }
 

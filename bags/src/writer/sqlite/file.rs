@@ -90,8 +90,12 @@ impl SqliteFile {
     }
 
     /// Returns the number of the topic, counted from 1. It is written with the next transaction.
-    pub(in crate::writer) fn add_topic(&mut self, topic: &TopicDescription) -> io::Result<u16> {
-        self.topics.push(TopicRows::of(topic));
+    pub(in crate::writer) fn add_topic(
+        &mut self,
+        topic: &TopicDescription,
+        metadata_version: u32,
+    ) -> io::Result<u16> {
+        self.topics.push(TopicRows::of(topic, metadata_version));
         u16::try_from(self.topics.len()).map_err(|_| io::Error::other("too many topics"))
     }
 
@@ -271,13 +275,13 @@ pub(super) struct TopicRows {
 }
 
 impl TopicRows {
-    pub(super) fn of(topic: &TopicDescription) -> Self {
+    pub(super) fn of(topic: &TopicDescription, metadata_version: u32) -> Self {
         let schema = topic.schema();
         Self {
             name: topic.name.clone(),
             type_name: topic.type_name.clone(),
             serialization_format: topic.message_encoding().to_owned(),
-            offered_qos: metadata::recorded_qos_to_yaml(&topic.offered_qos),
+            offered_qos: metadata::recorded_qos_to_yaml(&topic.offered_qos, metadata_version),
             type_hash: topic.type_hash.clone(),
             encoding: schema.encoding,
             // Schemas that are not text were rejected.

@@ -3,16 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 
 use super::arguments::RecordArguments;
 use super::controls::{Control, Controls, Outcome, is_running, stopped};
 use super::{apply, filter, report, unnamed};
-use crate::new_output::Output;
+use crate::new_output::{Force, Output};
 use crate::screen::{Screen, shorten, wrap};
 use crate::status::{SEPARATOR, bag};
 use crate::stop::{Key, Keyboard, Stop};
-use downbeat_bags::{Recording, unused_directory};
+use downbeat_bags::Recording;
 use downbeat_bridge::ros::{Node, Participant};
 use downbeat_robot::ros_recorder::{
     QosOverrides, RosRecorder, RosRecorderOptions, SteeredRecording, serve, split_events,
@@ -40,6 +40,11 @@ pub(super) fn record(
     let mut record = RecordOptions::default();
     record.set_cache_bytes(DEFAULT_CACHE_BYTES);
     apply(arguments, &mut record)?;
+    if record.snapshot_triggers.are_some() {
+        bail!(
+            "--snapshot-when and --snapshot-on-panic need --robot; of ROS 2, a snapshot is asked for by ~/snapshot"
+        );
+    }
     let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
     tracing::debug!(
         "storage {}, serialization {format}, compression mode {}",
@@ -121,10 +126,9 @@ struct Current {
 
 impl Network<'_> {
     fn begin(&self, directory: &Path, is_paused: bool) -> anyhow::Result<Current> {
-        let RecordOptions { writer, recording, .. } = self.record.clone();
-        let mut writer = writer.create(directory)?;
+        let mut writer = self.record.writer(false).create(directory)?;
         writer.on_split(split_events(self.node)?);
-        let mut options = recording;
+        let mut options = self.record.recording(false);
         options.is_paused = is_paused;
         let recording =
             Recording::start_with(writer, &options).context("cannot start the thread that writes the bag")?;
@@ -201,9 +205,10 @@ impl Recorder<'_> {
         if self.current.is_some() {
             return Err("a recording is running already: stop it first".to_owned());
         }
+        let next = |path: &Path| Force::default().next_run(path).map_err(|error| format!("{error:#}"));
         let directory = match (uri.strip_prefix("file://").unwrap_or(uri), &self.network.arguments.output) {
-            ("", Some(output)) => unused_directory(output),
-            ("", None) => unused_directory(&unnamed()),
+            ("", Some(output)) => next(output)?,
+            ("", None) => next(&unnamed())?,
             (directory, _) => PathBuf::from(directory),
         };
         let is_paused = self.steered.control().is_paused();

@@ -55,6 +55,13 @@ fn record_robot(
     // There is no node that could receive `/clock`.
     file.expose.features.clock = ClockChoice::Own;
     apply(arguments, &mut file.record.options)?;
+    let record = &file.record.options;
+    if record.recording.takes_snapshots() && !record.snapshot_triggers.are_some() {
+        bail!(
+            "snapshots of --robot need a trigger, --snapshot-when or --snapshot-on-panic: there is no ROS 2 node, so no \
+             service, to ask for one"
+        );
+    }
     if !arguments.selection.modules.is_empty() {
         file.record.modules.clone_from(&arguments.selection.modules);
     }
