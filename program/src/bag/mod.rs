@@ -1,5 +1,6 @@
 //! `downbeat bag`, one file for each command.
 
+mod causes;
 #[cfg(feature = "plots")]
 mod chart;
 pub(super) mod check;
@@ -8,6 +9,7 @@ pub(super) mod cut;
 pub(super) mod diff;
 pub(super) mod export;
 pub(super) mod info;
+pub(super) mod latency;
 mod output;
 pub(super) mod play;
 #[cfg(feature = "plots")]
@@ -20,6 +22,7 @@ pub(super) mod replay;
 mod select;
 #[cfg(feature = "view")]
 pub(super) mod view;
+pub(super) mod why;
 
 use std::path::Path;
 
