@@ -21,6 +21,7 @@ use super::bag::debug::DebugArguments;
 use super::bag::diff::DiffArguments;
 use super::bag::export::ExportArguments;
 use super::bag::info::InfoArguments;
+use super::bag::latency::LatencyArguments;
 use super::bag::play::PlayArguments;
 #[cfg(feature = "plots")]
 use super::bag::plot::PlotArguments;
@@ -30,6 +31,7 @@ use super::bag::repair::RepairArguments;
 use super::bag::replay::ReplayArguments;
 #[cfg(feature = "view")]
 use super::bag::view::ViewBagArguments;
+use super::bag::why::WhyArguments;
 use super::doctor::DoctorArguments;
 use super::interface::InterfaceCommand;
 use super::look::{ActionCommand, LifecycleCommand, NodeCommand, ParamCommand, ServiceCommand, TopicCommand};
@@ -538,6 +540,13 @@ pub(crate) enum BagCommand {
     Diff(DiffArguments),
     /// Write topics as tables: CSV, JSON lines or Apache Parquet, one file per topic.
     Export(ExportArguments),
+    /// Print why a message was published: the runs of modules that led to it, back to what came from outside.
+    ///
+    /// In a bag that was recorded in a robot this is exact, if it has the topic module_runs. In other bags,
+    /// causes are guessed from the stamps of messages.
+    Why(WhyArguments),
+    /// Print how old the newest message of one topic is on which each message of another topic depends.
+    Latency(LatencyArguments),
     /// Draw fields of messages over time, as SVG or PNG.
     #[cfg(feature = "plots")]
     Plot(PlotArguments),

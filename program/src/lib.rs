@@ -145,6 +145,8 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Bag(BagCommand::Cut(arguments)) => bag::cut::cut(&arguments),
         Command::Bag(BagCommand::Diff(arguments)) => bag::diff::diff(&arguments),
         Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments, catalog),
+        Command::Bag(BagCommand::Why(arguments)) => bag::why::why(&arguments, catalog),
+        Command::Bag(BagCommand::Latency(arguments)) => bag::latency::latency(&arguments, catalog),
         #[cfg(feature = "plots")]
         Command::Bag(BagCommand::Plot(arguments)) => bag::plot::plot(&arguments, catalog),
         #[cfg(not(feature = "plots"))]
@@ -192,6 +194,7 @@ fn ends_when_done(command: &Command) -> bool {
     match command {
         BagCommand::Info(_) | BagCommand::Check(_) | BagCommand::Repair(_) | BagCommand::Reindex(_) => true,
         BagCommand::Convert(_) | BagCommand::Cut(_) | BagCommand::Diff(_) | BagCommand::Export(_) => true,
+        BagCommand::Why(_) | BagCommand::Latency(_) => true,
         #[cfg(feature = "plots")]
         BagCommand::Plot(_) => true,
         _ => false,

@@ -1,6 +1,7 @@
 //! `downbeat bag`, one file for each command.
 
 pub(super) mod bisect;
+mod causes;
 #[cfg(feature = "plots")]
 mod chart;
 pub(super) mod check;
@@ -11,6 +12,7 @@ pub(super) mod debug;
 pub(super) mod diff;
 pub(super) mod export;
 pub(super) mod info;
+pub(super) mod latency;
 mod output;
 pub(super) mod play;
 #[cfg(feature = "plots")]
@@ -27,6 +29,7 @@ mod select;
 #[cfg(feature = "view")]
 pub(super) mod view;
 mod what_if;
+pub(super) mod why;
 
 use std::path::Path;
 

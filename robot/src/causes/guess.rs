@@ -1,9 +1,12 @@
 //! What probably caused a message in a bag that knows of no runs, such as one of ROS.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::time::Duration;
 
 use downbeat_msgs::downbeat_interfaces::msg::{NetworkEndpoint, NetworkGraph};
 use serde::Serialize;
+
+use super::Ages;
 
 /// A message of a bag, by what is known of it without runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,6 +83,32 @@ impl Guess {
         self.inputs.is_some()
     }
 
+    /// The stamp of a message of a topic, by its number from 0.
+    #[must_use]
+    pub fn stamp(&self, topic: &str, number: usize) -> Option<i64> {
+        self.topics.get(topic)?.get(number)?.1
+    }
+
+    /// The time from each message of one topic to the message of another with the same stamp, and how many messages of
+    /// the other have none.
+    #[must_use]
+    pub fn ages(&self, from: &str, to: &str) -> (Ages, u64) {
+        let of = |topic: &str| self.topics.get(topic).map(Vec::as_slice).unwrap_or_default();
+        let mut origins = HashMap::new();
+        for &(time, stamp) in of(from) {
+            if let Some(stamp) = stamp.filter(|stamp| *stamp != 0) {
+                origins.entry(stamp).or_insert(time);
+            }
+        }
+        let age = |&(time, stamp): &(i64, Option<i64>)| {
+            let age = time.checked_sub(*origins.get(&stamp?)?)?;
+            Some((Duration::from_nanos(u64::try_from(age).ok()?), 1))
+        };
+        let ages = Ages::new(of(to).iter().filter_map(age));
+        let without = of(to).len() as u64 - ages.count();
+        (ages, without)
+    }
+
     /// What probably caused a message, followed back up to `depth` messages.
     #[must_use]
     pub fn causes(&self, message: Stamped<'_>, depth: usize) -> Vec<Guessed> {
@@ -150,6 +179,13 @@ mod tests {
     fn a_stamp_that_was_passed_on_names_the_cause() {
         let causes = guess(&BAG).causes(Stamped { topic: "/box", time_ns: 125, stamp_ns: Some(90) }, 9);
         assert_eq!(causes, [guessed("/image", 100, 125, Rule::SameStamp, Vec::new())]);
+    }
+
+    #[test]
+    fn ages_are_those_of_messages_with_the_same_stamp() {
+        let (ages, without) = guess(&BAG).ages("/image", "/box");
+        assert_eq!((ages.quantile(1.0), without), (Some(Duration::from_nanos(25)), 0));
+        assert_eq!(guess(&BAG).ages("/image", "/goal"), (Ages::default(), 1));
     }
 
     #[test]

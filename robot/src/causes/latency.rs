@@ -14,7 +14,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_executor::{
-    CycleRuns, DetachedStep, ModuleEvent, ModuleEventKind, Published, RunCause, Time, WiredModule, Wiring,
+    CycleRuns, DetachedStep, ModuleEvent, ModuleEventKind, ModuleRun, Published, RunCause, Time, WiredModule,
+    Wiring,
 };
 
 /// A module on the way of an origin.
@@ -82,9 +83,14 @@ struct ModuleState {
     /// What requests and answers brought, until the next run.
     called: Option<Held>,
     /// The batches in the inbox of a detached module, by topic.
-    inbox: HashMap<usize, VecDeque<(u32, Option<Origin>, Time)>>,
+    inbox: HashMap<usize, VecDeque<Batch>>,
+    /// The runs of a detached module that the next account contains.
+    steps: VecDeque<DetachedStep>,
     is_on_way: bool,
 }
+
+/// A number of messages in an inbox, with their origin and the time at which they were published.
+type Batch = (u32, Option<Origin>, Time);
 
 /// How many batches of an inbox are told apart.
 const MOST_BATCHES: usize = 4096;
@@ -162,32 +168,31 @@ impl Latency {
 
     /// Notes a run of a detached module.
     pub fn step(&mut self, step: &DetachedStep) {
-        let Some(module) = self.module(&step.module).filter(|&module| self.modules[module].is_on_way) else {
-            return;
-        };
-        let ModuleState { held, called, inbox, .. } = &mut self.modules[module];
-        take_newer(held, called.take(), step.time);
-        for (&topic, waiting) in inbox {
-            let Some(name) = self.wiring.as_ref().and_then(|wiring| wiring.topics.get(topic)) else {
-                continue;
-            };
-            let Some(input) = step.inputs.iter().find(|input| input.topic == *name) else { continue };
-            let mut left = input.skipped;
-            for (count, is_received) in [(input.skipped, false), (input.received, true)] {
-                left = if is_received { count } else { left };
-                while left > 0
-                    && let Some((messages, origin, sent)) = waiting.front_mut()
-                {
-                    let taken = left.min(*messages);
-                    (left, *messages) = (left - taken, *messages - taken);
-                    if is_received && let Some(origin) = origin.clone() {
-                        let arrived = Held { origin, by: Arc::clone(name), sent: *sent, received: step.time };
-                        take_newer(held, Some(arrived), step.time);
+        if let Some(module) = self.module(&step.module).filter(|&module| self.modules[module].is_on_way) {
+            self.modules[module].steps.push_back(step.clone());
+        }
+    }
+
+    /// Takes what a run of a detached module received out of its inbox, and what earlier runs did that called no
+    /// callback.
+    fn receive_detached(&mut self, wiring: &Wiring, module: usize, run: Option<&ModuleRun>) {
+        let ModuleState { held, called, inbox, steps, .. } = &mut self.modules[module];
+        while let Some(step) = steps.pop_front() {
+            let run = run.filter(|run| run.step == Some(step.step));
+            let is_received = run.is_some_and(|run| run.causes.has(RunCause::Messages));
+            for (&topic, waiting) in &mut *inbox {
+                let Some(name) = wiring.topics.get(topic) else { continue };
+                let Some(input) = step.inputs.iter().find(|input| input.topic == *name) else { continue };
+                take_batches(waiting, input.skipped, |_, _| ());
+                take_batches(waiting, input.received, |origin, sent| {
+                    if is_received {
+                        let by = Arc::clone(name);
+                        take_newer(held, Some(Held { origin, by, sent, received: step.time }), step.time);
                     }
-                    if *messages == 0 {
-                        waiting.pop_front();
-                    }
-                }
+                });
+            }
+            if run.is_some() {
+                return take_newer(held, called.take(), step.time);
             }
         }
     }
@@ -227,16 +232,23 @@ impl Latency {
             let module = run.module as usize;
             let on_way = self.modules.get_mut(module).filter(|module| module.is_on_way);
             let is_on_way = on_way.is_some();
-            if let Some(ModuleState { held, called, .. }) = on_way
-                && run.step.is_none()
-            {
-                take_newer(held, called.take(), account.time);
-                if run.causes.has(RunCause::Messages) {
-                    self.receive(wiring, module, account);
+            match on_way {
+                Some(_) if run.step.is_some() => self.receive_detached(wiring, module, Some(run)),
+                Some(ModuleState { held, called, .. }) => {
+                    take_newer(held, called.take(), account.time);
+                    if run.causes.has(RunCause::Messages) {
+                        self.receive(wiring, module, account);
+                    }
                 }
+                None => {}
             }
             for published in account.published(run) {
                 self.publish(wiring, account, published, is_on_way.then_some(module));
+            }
+        }
+        for module in 0..self.modules.len() {
+            if !self.modules[module].steps.is_empty() {
+                self.receive_detached(wiring, module, None);
             }
         }
     }
@@ -422,6 +434,22 @@ fn reached(wiring: &Wiring, topic: Option<usize>, is_forward: bool) -> Reached {
             }
         }
         modules.extend(new);
+    }
+}
+
+/// Takes messages out of an inbox, and passes the origins of their batches to `receive`.
+fn take_batches(waiting: &mut VecDeque<Batch>, mut messages: u32, mut receive: impl FnMut(Origin, Time)) {
+    while messages > 0
+        && let Some((count, origin, sent)) = waiting.front_mut()
+    {
+        let taken = messages.min(*count);
+        (messages, *count) = (messages - taken, *count - taken);
+        if let Some(origin) = origin.clone() {
+            receive(origin, *sent);
+        }
+        if *count == 0 {
+            waiting.pop_front();
+        }
     }
 }
 

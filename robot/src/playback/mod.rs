@@ -3,6 +3,7 @@
 pub(crate) mod cycles;
 pub(crate) mod events;
 pub(crate) mod journals;
+mod runs;
 mod steps;
 
 use downbeat_bags::{Reader, ReaderError};
@@ -17,6 +18,7 @@ use cycles::{Follower, Inputs};
 use events::Events;
 use journals::{Cycles, Extract, SettingsChanges};
 
+pub use runs::recorded_runs;
 pub use steps::{ReplayedSteps, replay_module};
 pub(crate) use steps::{StepFollower, first_step, replay_steps};
 

@@ -142,7 +142,11 @@ impl Decoder {
         Ok(DynamicMessage::from_cdr(&self.message_type, &self.to_cdr(data)?)?)
     }
 
-    fn to_cdr(&self, data: Bytes) -> Result<Bytes, encoding::Error> {
+    /// Converts a message to CDR.
+    ///
+    /// # Errors
+    /// If the bytes are not a message of the type. CDR is not checked.
+    pub fn to_cdr(&self, data: Bytes) -> Result<Bytes, encoding::Error> {
         match &self.recorded {
             Some(recorded) => recorded.to_cdr(data),
             None => Ok(data),
