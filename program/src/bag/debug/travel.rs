@@ -284,16 +284,15 @@ impl Travel {
 
     /// Without checkpoints: from the start.
     fn start_again(&mut self) -> anyhow::Result<()> {
-        let started = start_engine(self.folder.path().join("engines"))?;
-        let mut old = std::mem::replace(&mut self.started, started);
+        self.current.link.close();
+        drop(self.first.take());
+        self.started.wait().context("cannot end a replay")?;
+        self.started = start_engine(self.folder.path().join("engines"))?;
         let mut engine = self.await_engine(Role::First, Duration::MAX)?;
         if !matches!(engine.link.receive()?, Some(Report::About(_))) {
             bail!("the replay has ended before it began");
         }
         self.current = engine;
-        // It ends with its connection.
-        self.first = None;
-        old.wait().context("cannot end a replay")?;
         Ok(())
     }
 
@@ -368,7 +367,7 @@ impl Travel {
                 .map(|(at, _)| *at)
                 .collect()
         };
-        let is_too_large = self.checkpoints.len() % 8 == 0 && memory(&self.checkpoints) > MOST_MEMORY;
+        let is_too_large = self.checkpoints.len().is_multiple_of(8) && memory(&self.checkpoints) > MOST_MEMORY;
         let all = spread(&self.checkpoints);
         if all.len() > MOST_SPREAD || (is_too_large && all.len() > 2) {
             for at in all.iter().skip(1).step_by(2) {
