@@ -80,7 +80,7 @@ fn check_robot(
         println!("{}", serde_json::to_string_pretty(&as_json(&robot, &exposed)?)?);
         return Ok(());
     }
-    let Robot { file, core } = &robot;
+    let Robot { file, core, .. } = &robot;
     let emulated = if file.is_emulated() { ", emulated" } else { "" };
     println!("{}: robot {}{emulated}, {}", path.display(), file.name, file.launcher.choice);
     println!("\nmodules");
@@ -134,7 +134,7 @@ fn print_exposed<'a>(exposed: &'a [ExposedEndpoint], mut node: &'a str) {
 }
 
 fn as_json(robot: &Robot, exposed: &[ExposedEndpoint]) -> anyhow::Result<serde_json::Value> {
-    let Robot { file, core } = robot;
+    let Robot { file, core, .. } = robot;
     let modules: Vec<_> = file
         .modules
         .iter()

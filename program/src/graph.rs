@@ -40,7 +40,7 @@ pub(crate) fn graph(arguments: &GraphArguments, catalog: &Catalog, ros: &RosArgs
 }
 
 pub(super) fn of_robot(path: &Path, catalog: &Catalog, ros: &RosArgs) -> anyhow::Result<Graph> {
-    let Robot { core, file } =
+    let Robot { core, file, .. } =
         RobotFile::read_with(path, catalog, ros)?.on_any_machine().build(Core::new())?;
     let mut graph = core.graph();
     // With their ROS names, if they have one.

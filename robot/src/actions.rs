@@ -194,7 +194,7 @@ mod tests {
             .0;
         let mut core = Core::new();
         core.add("frames", Frames::default()).unwrap();
-        Robot { file, core }
+        Robot { file, core, latencies: Default::default() }
     }
 
     #[test]

@@ -17,6 +17,7 @@ pub mod features;
 mod file;
 pub mod inspect;
 pub mod journal;
+mod latencies;
 mod lifecycle;
 pub mod parameters;
 pub mod playback;
@@ -56,6 +57,7 @@ pub use file::{
     ModuleEntry, NetworkEntry, NodeFeatures, RecordEntry, ReplaySection, RobotFile, RobotFileError,
     TopicChoice, ViewAccess, ViewEntry,
 };
+pub use latencies::{ChainReport, Latencies};
 pub use profile::{
     KeyProfile, KindProfile, PROFILE_SCHEMA, PanelProfile, PortKind, PortProfile, PortRole, Runs,
     SettingProfile,

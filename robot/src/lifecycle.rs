@@ -69,7 +69,8 @@ mod tests {
         );
         let (file, _) =
             RobotFile::parse(Source::new(Path::new("robot.toml"), text), &crate::Catalog::built_in())?;
-        let exposures = Robot { file, core: Core::new() }.lifecycle_exposures()?;
+        let exposures =
+            Robot { file, core: Core::new(), latencies: Default::default() }.lifecycle_exposures()?;
         Ok(exposures.into_iter().map(|exposure| (exposure.module, exposure.node.to_string())).collect())
     }
 

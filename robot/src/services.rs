@@ -197,7 +197,7 @@ mod tests {
             .0;
         let mut core = Core::new();
         core.add("legs", Legs).unwrap();
-        Robot { file, core }
+        Robot { file, core, latencies: Default::default() }
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use downbeat_executor::Snapshot;
+use downbeat_robot::ChainReport;
 use downbeat_robot::inspect::Client;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};
@@ -27,6 +28,8 @@ const PLOT_REFRESH: Duration = Duration::from_millis(100);
 /// Shows the robot until a key ends it, first the plot if there are fields to plot.
 pub(super) fn show(mut client: Client, snapshot: Snapshot, fields: &[TopicField]) -> anyhow::Result<()> {
     let mut app = App::new(client.robot().to_string(), snapshot);
+    // A robot of an earlier version measures none.
+    app.chains = client.latencies().unwrap_or_default();
     for field in fields {
         app.plot.add(field).map_err(anyhow::Error::msg)?;
         app.tab = Tab::Plot;
@@ -86,6 +89,7 @@ fn show_on(
                 app.graph = Some(graph::lines(&client.graph()?));
             }
             app.update(client.snapshot()?);
+            app.chains = client.latencies().unwrap_or_default();
             next_update = Instant::now() + REFRESH;
         }
     }
@@ -99,6 +103,8 @@ enum Tab {
     Modules,
     Topics,
     Outlets,
+    /// Left out if the robot measures no chains.
+    Latencies,
     Graph,
     Plot,
 }
@@ -117,6 +123,8 @@ pub(crate) struct App {
     robot: String,
     earlier: Snapshot,
     later: Snapshot,
+    /// The measured chains.
+    chains: Vec<ChainReport>,
     tab: Tab,
     sort: Sort,
     /// The number of rows above the first visible one.
@@ -131,7 +139,8 @@ impl App {
     pub(crate) fn new(robot: String, snapshot: Snapshot) -> Self {
         let earlier = Snapshot::default();
         let (tab, sort) = (Tab::default(), Sort::default());
-        Self { robot, earlier, later: snapshot, tab, sort, scrolled: 0, graph: None, plot: Plot::default() }
+        let (chains, plot) = (Vec::new(), Plot::default());
+        Self { robot, earlier, later: snapshot, chains, tab, sort, scrolled: 0, graph: None, plot }
     }
 
     pub(crate) fn update(&mut self, snapshot: Snapshot) {
@@ -159,20 +168,8 @@ impl App {
                     self.plot.choose();
                 }
             }
-            KeyCode::Tab => self.show(match self.tab {
-                Tab::Modules => Tab::Topics,
-                Tab::Topics => Tab::Outlets,
-                Tab::Outlets => Tab::Graph,
-                Tab::Graph => Tab::Plot,
-                Tab::Plot => Tab::Modules,
-            }),
-            KeyCode::BackTab => self.show(match self.tab {
-                Tab::Modules => Tab::Plot,
-                Tab::Topics => Tab::Modules,
-                Tab::Outlets => Tab::Topics,
-                Tab::Graph => Tab::Outlets,
-                Tab::Plot => Tab::Graph,
-            }),
+            KeyCode::Tab => self.turn(1),
+            KeyCode::BackTab => self.turn(self.tabs().len() - 1),
             _ if self.tab == Tab::Plot => self.press_in_plot(key),
             KeyCode::Down => self.scrolled = (self.scrolled + 1).min(self.rows().saturating_sub(1)),
             KeyCode::Up => self.scrolled = self.scrolled.saturating_sub(1),
@@ -184,6 +181,22 @@ impl App {
     fn press_in_plot(&mut self, key: KeyEvent) {
         let Self { plot, later, .. } = self;
         plot.press(key, &topics(later), seconds(later));
+    }
+
+    fn tabs(&self) -> Vec<Tab> {
+        let all = [Tab::Modules, Tab::Topics, Tab::Outlets, Tab::Latencies, Tab::Graph, Tab::Plot];
+        all.into_iter().filter(|tab| *tab != Tab::Latencies || !self.chains.is_empty()).collect()
+    }
+
+    /// The position of the shown tab.
+    fn selected(&self) -> usize {
+        self.tabs().iter().position(|tab| *tab == self.tab).unwrap_or(0)
+    }
+
+    /// Shows the tab that follows so many tabs behind the shown one.
+    fn turn(&mut self, by: usize) {
+        let tabs = self.tabs();
+        self.show(tabs[(self.selected() + by) % tabs.len()]);
     }
 
     fn show(&mut self, tab: Tab) {
@@ -201,21 +214,16 @@ impl App {
         .areas(frame.area());
         frame.render_widget(Text::from_iter(lines.into_iter().map(Line::from)), head);
         let Snapshot { modules, topics, outlets, .. } = &self.later;
-        let titles = [
-            format!("modules {}", modules.len()),
-            format!("topics {}", topics.len()),
-            format!("outlets {}", outlets.len()),
-            "graph".to_owned(),
-            format!("plot {}", self.plot.len()),
-        ];
-        let selected = match self.tab {
-            Tab::Modules => 0,
-            Tab::Topics => 1,
-            Tab::Outlets => 2,
-            Tab::Graph => 3,
-            Tab::Plot => 4,
+        let title = |tab: &Tab| match tab {
+            Tab::Modules => format!("modules {}", modules.len()),
+            Tab::Topics => format!("topics {}", topics.len()),
+            Tab::Outlets => format!("outlets {}", outlets.len()),
+            Tab::Latencies => format!("latencies {}", self.chains.len()),
+            Tab::Graph => "graph".to_owned(),
+            Tab::Plot => format!("plot {}", self.plot.len()),
         };
-        frame.render_widget(Tabs::new(titles).select(selected), tabs);
+        let titles: Vec<_> = self.tabs().iter().map(title).collect();
+        frame.render_widget(Tabs::new(titles).select(self.selected()), tabs);
         match self.grid() {
             Some(grid) => self.draw_table(grid, frame, table),
             None if self.tab == Tab::Plot => {
@@ -266,6 +274,7 @@ impl App {
             Tab::Modules => self.later.modules.len(),
             Tab::Topics => self.later.topics.len(),
             Tab::Outlets => self.later.outlets.len(),
+            Tab::Latencies => self.chains.len(),
             Tab::Graph => self.graph.as_ref().map_or(0, Vec::len),
             Tab::Plot => 0,
         }
@@ -277,6 +286,7 @@ impl App {
             Tab::Modules => Grid::of_modules,
             Tab::Topics => Grid::of_topics,
             Tab::Outlets => Grid::of_outlets,
+            Tab::Latencies => return Some(Grid::of_latencies(&self.chains)),
             Tab::Graph | Tab::Plot => return None,
         };
         Some(table(&self.earlier, &self.later, self.sort))
@@ -365,6 +375,18 @@ mod tests {
             press(&mut app, KeyCode::Down);
         }
         assert!(screen(&app, 130, 10)[5].starts_with("joint_states"));
+    }
+
+    #[test]
+    fn measured_chains_have_a_table_of_their_own() {
+        let mut app = app();
+        (0..3).for_each(|_| drop(press(&mut app, KeyCode::Tab)));
+        assert_eq!(app.tab, Tab::Graph);
+        app.chains = vec![ChainReport { name: "reaction".into(), ..ChainReport::default() }];
+        press(&mut app, KeyCode::BackTab);
+        assert_eq!(app.tab, Tab::Latencies);
+        let screen = screen(&app, 130, 12).join("\n");
+        assert!(screen.contains("latencies 1") && screen.contains("reaction"), "{screen}");
     }
 
     #[test]

@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use downbeat_executor::{ModuleStatistics, OutletStatistics, Snapshot, TimeStatistics, TopicStatistics};
 
+use downbeat_robot::ChainReport;
+
 use crate::screen::{length, wrap};
 use crate::statistics::short;
 use downbeat_msgs::printable;
@@ -49,7 +51,7 @@ impl Sort {
 
 impl Grid {
     /// Columns of words.
-    const LEFT: [&'static str; 4] = ["MODULE", "TOPIC", "OUTLET", "STATE"];
+    const LEFT: [&'static str; 7] = ["MODULE", "TOPIC", "OUTLET", "STATE", "LATENCY", "FROM", "TO"];
 
     /// The modules, with rates over the time from `earlier` to `later`.
     pub(crate) fn of_modules(earlier: &Snapshot, later: &Snapshot, sort: Sort) -> Self {
@@ -149,10 +151,34 @@ impl Grid {
         Self { headings, rows: rows.into_iter().map(cells).collect() }
     }
 
+    /// The measured chains: the distribution is of the newest messages, the rest since the robot's start.
+    pub(crate) fn of_latencies(chains: &[ChainReport]) -> Self {
+        let cells = |chain: &ChainReport| {
+            let time = |time_ns| short(Duration::from_nanos(time_ns));
+            let mut cells: Vec<_> =
+                [&chain.name, &chain.from, &chain.to].map(|name| printable(name).into_owned()).into();
+            let times = [chain.p50_ns, chain.p90_ns, chain.p99_ns, chain.max_ns];
+            match chain.messages {
+                0 => cells.extend(times.map(|_| "-".to_owned())),
+                _ => cells.extend(times.map(time)),
+            }
+            cells.push(chain.limit_ns.map_or_else(|| "-".into(), time));
+            cells.extend(
+                [chain.exceeded, chain.messages, chain.without_origin].map(|count| count.to_string()),
+            );
+            cells
+        };
+        let headings =
+            vec!["LATENCY", "FROM", "TO", "P50", "P90", "P99", "MAX", "LIMIT", "OVER", "MESSAGES", "WITHOUT"];
+        Self { headings, rows: chains.iter().map(cells).collect() }
+    }
+
     /// Columns of numbers in the order in which they are omitted on a narrow terminal. The others are always
     /// shown: the busiest module and losses matter most.
-    const DISPENSABLE: [&'static str; 15] = [
+    const DISPENSABLE: [&'static str; 17] = [
         "INBOX",
+        "WITHOUT",
+        "P90",
         "MAX",
         "LARGEST",
         "LAST BATCH",
@@ -428,6 +454,33 @@ pub(crate) mod tests {
             "recorder         300      3600       2      1      0       0",
         ];
         assert_eq!(grid.lines().collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn chains_show_their_ages_and_limit() {
+        let chain = ChainReport {
+            name: "reaction".into(),
+            from: "image".into(),
+            to: "goals".into(),
+            limit_ns: Some(30_000_000),
+            messages: 10,
+            exceeded: 1,
+            p50_ns: 12_000_000,
+            max_ns: 35_000_000,
+            ..ChainReport::default()
+        };
+        let lines: Vec<_> =
+            Grid::of_latencies(&[chain.clone(), ChainReport { limit_ns: None, messages: 0, ..chain }])
+                .lines()
+                .collect();
+        assert_eq!(
+            lines,
+            [
+                "LATENCY   FROM   TO         P50      P90      P99      MAX    LIMIT  OVER  MESSAGES  WITHOUT",
+                "reaction  image  goals  12.0 ms  0.00 ns  0.00 ns  35.0 ms  30.0 ms     1        10        0",
+                "reaction  image  goals        -        -        -        -        -     1         0        0",
+            ]
+        );
     }
 
     #[test]

@@ -9,7 +9,8 @@ use downbeat_servos::controllers::claims::Claims;
 use super::LauncherChoice;
 use super::commanders::rival_commanders;
 use super::expose::canonical;
-use super::file::{LauncherEntry, ModuleEntry, RobotFile, RobotFileError, suggestion};
+use super::file::{LauncherEntry, Located, ModuleEntry, RobotFile, RobotFileError, suggestion};
+use super::latencies::Latencies;
 use super::survey::Survey;
 use crate::journal;
 use crate::journal::events::{UnrecordedService, unrecorded_services};
@@ -22,6 +23,8 @@ pub struct Robot {
     pub file: RobotFile,
     /// The core with the modules.
     pub core: Core,
+    /// The measured chains.
+    pub latencies: Latencies,
 }
 
 impl RobotFile {
@@ -43,7 +46,9 @@ impl RobotFile {
         }
         journal::add(&mut core, &self.catalog.interfaces, self.launcher.idle)
             .map_err(|error| self.source.error(1, error.to_string()))?;
-        let robot = Robot { file: self, core };
+        let latencies = Latencies::add(&mut core, &self.latencies)
+            .map_err(|error| self.source.error(1, error.to_string()))?;
+        let robot = Robot { file: self, core, latencies };
         robot.check()?;
         Ok(robot)
     }
@@ -213,6 +218,11 @@ impl Robot {
         self.file.parameters_of(&survey)?;
         self.lifecycle_exposures()?;
         self.file.recorded_of(&self.file.record, &survey)?;
+        for Located { line, value } in self.file.latencies.iter().flat_map(|entry| [&entry.from, &entry.to]) {
+            if self.late_modules().is_empty() {
+                self.file.topic(&topics, value, *line, "measure")?;
+            }
+        }
         let problems = survey.problems();
         if !problems.is_empty() {
             // What there is instead does not matter yet.

@@ -453,6 +453,7 @@ fn take_batches(waiting: &mut VecDeque<Batch>, mut messages: u32, mut receive: i
     }
 }
 
+/// Keeps the first arrival of each origin: in a loop of modules, its way would grow with each round.
 fn take_newer(held: &mut Option<Held>, other: Option<Held>, now: Time) {
     if let Some(other) = other
         && held.as_ref().is_none_or(|held| held.origin.number < other.origin.number)

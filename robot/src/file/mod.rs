@@ -7,6 +7,7 @@ mod carried;
 mod expose;
 mod features;
 mod include;
+mod latency;
 mod launcher;
 mod module;
 mod networks;
@@ -29,6 +30,7 @@ use super::{Catalog, RosArgs};
 pub(crate) use downbeat_files::suggestion;
 pub use expose::{ActionEntry, ExposeEntry, ExposeSection, LifecycleEntry, ServiceEntry, TopicChoice};
 pub use features::{ClockChoice, NodeFeatures};
+pub(crate) use latency::LatencyEntry;
 pub use launcher::{LauncherChoice, LauncherEntry};
 pub use module::ModuleEntry;
 pub use networks::NetworkEntry;
@@ -71,6 +73,8 @@ pub struct RobotFile {
     pub networks: Vec<NetworkEntry>,
     /// What is recorded, and how.
     pub record: RecordEntry,
+    /// Chains that are measured while the robot runs.
+    pub(crate) latencies: Vec<LatencyEntry>,
     /// How a bag of the robot is replayed.
     pub replay: ReplaySection,
     /// The server for Foxglove, Lichtblick and PlotJuggler; `None` for no server.
@@ -184,6 +188,7 @@ impl RobotFile {
             .take("networks")
             .map_or(Ok(Vec::new()), |value| networks::networks(value, &catalog.interfaces, &mut expose))?;
         let record = root.take("record").map_or(Ok(RecordEntry::default()), record::record)?;
+        let latencies = root.take("latency").map_or(Ok(Vec::new()), latency::latencies)?;
         let replay = root.take("replay").map_or(Ok(ReplaySection::default()), replay)?;
         let view = root.take("view").map_or(Ok(ViewEntry::default()), view::view)?;
         root.finish()?;
@@ -201,6 +206,7 @@ impl RobotFile {
             expose,
             networks,
             record,
+            latencies,
             replay,
             view,
         };

@@ -17,6 +17,7 @@ use super::{Given, Located, Place, RobotFileError, Source, choice, identifier, l
 use crate::Catalog;
 use crate::features::missing_kind;
 use crate::journal;
+use crate::latencies;
 use crate::versions::VersionsOfModule;
 
 type Result<T> = std::result::Result<T, RobotFileError>;
@@ -262,7 +263,10 @@ fn source_keys(
 
 fn module_name(value: Value<'_>) -> Result<String> {
     let name = identifier(value)?;
-    if RESERVED_NAMES.contains(&&*name) || journal::MODULE_NAMES.contains(&&*name) {
+    if RESERVED_NAMES.contains(&&*name)
+        || journal::MODULE_NAMES.contains(&&*name)
+        || *name == *latencies::MODULE_NAME
+    {
         return Err(
             value.error(format!("\"{name}\" is the name of a module that the program adds; choose another"))
         );

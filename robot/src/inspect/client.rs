@@ -8,8 +8,8 @@ use serde::de::DeserializeOwned;
 
 use super::sockets::UnixStream;
 use super::{Answer, Request, RunningRobot, TopicValues};
-use crate::EndpointReport;
 use crate::table::NumberField;
+use crate::{ChainReport, EndpointReport};
 
 /// How long an answer may take. Longer than the robot itself waits for the cycles of a trace.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -94,6 +94,14 @@ impl Client {
     /// Returns an error if the robot has ended or refuses the request.
     pub fn trace(&mut self, cycles: u32) -> Result<String, ClientError> {
         self.ask(Request::Trace { cycles })
+    }
+
+    /// Returns what was measured of the chains of `[[latency]]`.
+    ///
+    /// # Errors
+    /// Returns an error if the robot has ended or does not know the request, as earlier versions.
+    pub fn latencies(&mut self) -> Result<Vec<ChainReport>, ClientError> {
+        self.value_of(Request::Latencies)
     }
 
     /// Pauses the robot.

@@ -51,7 +51,7 @@ use downbeat_executor::{CoreHandle, CycleTrace, Graph, Snapshot};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
-use crate::EndpointReport;
+use crate::{ChainReport, EndpointReport};
 pub use client::{Client, ClientError};
 pub use directory::{NodeClaim, RunningRobot, SocketDirectory};
 pub use error::{ClaimError, DirectoryError};
@@ -71,6 +71,8 @@ pub enum Request {
     },
     /// Requests the connections. Answered with a [`Graph`].
     Graph,
+    /// Requests what was measured of the chains of `[[latency]]`. Answered with a list of [`ChainReport`]s.
+    Latencies,
     /// Pauses the robot. Answered with `null`, like the next two requests.
     Pause,
     /// Resumes the robot.
@@ -159,6 +161,11 @@ pub trait Inspected: Send + Sync + 'static {
     /// # Errors
     /// Returns an error if the core does not answer.
     fn graph(&self) -> Result<Graph, Unavailable>;
+
+    /// Returns what was measured of the chains of `[[latency]]`.
+    fn latencies(&self) -> Vec<ChainReport> {
+        Vec::new()
+    }
 
     /// Pauses the robot: no cycle runs until it is resumed.
     fn pause(&self);

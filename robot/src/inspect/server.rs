@@ -241,6 +241,7 @@ fn carry_out(
             json(&())
         }
         Request::View => json(&robot.view()?),
+        Request::Latencies => json(&robot.latencies()),
         Request::Exposed => json(&robot.exposed()?),
         Request::Expose { entries } => json(&robot.expose(&entries)?),
         Request::TakeBack { topics } => json(&robot.take_back(&topics)?),

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::inspect::{Inspected, Unavailable, Watch};
-use crate::{EndpointReport, RobotFile};
+use crate::{ChainReport, EndpointReport, Latencies, RobotFile};
 use downbeat_bridge::expose::{Bridge, ExposedEndpoint, TopicPattern};
 use downbeat_executor::{CoreHandle, CycleTrace, Graph, Snapshot};
 
@@ -11,6 +11,7 @@ pub(crate) struct InspectedRobot {
     pub(crate) core: CoreHandle,
     pub(crate) bridge: Option<Bridge>,
     pub(crate) file: Arc<RobotFile>,
+    pub(crate) latencies: Latencies,
     #[cfg(feature = "view")]
     pub(crate) view: Option<Arc<super::view::RobotView>>,
 }
@@ -26,6 +27,10 @@ impl Inspected for InspectedRobot {
 
     fn graph(&self) -> Result<Graph, Unavailable> {
         Inspected::graph(&self.core)
+    }
+
+    fn latencies(&self) -> Vec<ChainReport> {
+        self.latencies.reports()
     }
 
     fn pause(&self) {

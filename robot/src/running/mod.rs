@@ -199,6 +199,9 @@ impl PreparedRobot {
         let diagnostics = add_diagnostics(&mut core, &file)?;
         file.modules.iter_mut().for_each(|module| module.versions.may_be_late = true);
         let robot = file.build(core)?;
+        if let Some(diagnostics) = diagnostics.as_ref().filter(|_| !robot.file.latencies.is_empty()) {
+            diagnostics.watch(robot.latencies.diagnostics(&robot.file.name));
+        }
         Ok(Self {
             robot,
             clock,
@@ -274,7 +277,7 @@ impl PreparedRobot {
             #[cfg(feature = "view")]
             view.clone(),
         );
-        let Self { robot: Robot { file, mut core }, simulated, node, recording, .. } = self;
+        let Self { robot: Robot { file, mut core, latencies }, simulated, node, recording, .. } = self;
         let (handle, file) = (core.handle(), Arc::new(file));
         let revival = Revival::start(&file, &mut core, newcomers)?;
         let thread = std::thread::Builder::new().name("core".into());
@@ -287,6 +290,7 @@ impl PreparedRobot {
             core: handle.clone(),
             bridge: node.as_ref().map(|node| node.bridge().clone()),
             file: Arc::clone(&file),
+            latencies,
             #[cfg(feature = "view")]
             view: view.clone(),
         });
