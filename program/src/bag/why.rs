@@ -23,7 +23,8 @@ pub(crate) struct WhyArguments {
     /// A rosbag2 directory or a single file.
     pub(crate) bag: PathBuf,
     /// The message: TOPIC@TIME with an offset into the bag (joint_goals@12.5s) or seconds since the epoch
-    /// (joint_goals@1795230923.877), which is the last message at or before this time; or TOPIC#N, with N from 0.
+    /// (joint_goals@1795230923.877), which is the last message at or before this time; or TOPIC#N, with N
+    /// from 0.
     #[arg(value_name = "MESSAGE")]
     pub(crate) message: MessagePlace,
     /// How many runs behind each other are followed back.
@@ -223,7 +224,8 @@ impl Branch {
     }
 }
 
-/// A message, or messages that were published together; `before` is when the run that received them published.
+/// A message, or messages that were published together; `before` is when the run that received them
+/// published.
 fn tree(bag: &Reader, message: &Explained, before: Option<()>) -> Branch {
     let Explained { topic, number, count, time_ns, delay_ns, from } = message;
     let mut text = format!("/{topic}#{number}");

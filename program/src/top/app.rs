@@ -380,7 +380,9 @@ mod tests {
     #[test]
     fn measured_chains_have_a_table_of_their_own() {
         let mut app = app();
-        (0..3).for_each(|_| drop(press(&mut app, KeyCode::Tab)));
+        for _ in 0..3 {
+            let _ = press(&mut app, KeyCode::Tab);
+        }
         assert_eq!(app.tab, Tab::Graph);
         app.chains = vec![ChainReport { name: "reaction".into(), ..ChainReport::default() }];
         press(&mut app, KeyCode::BackTab);

@@ -89,8 +89,8 @@ impl Guess {
         self.topics.get(topic)?.get(number)?.1
     }
 
-    /// The time from each message of one topic to the message of another with the same stamp, and how many messages of
-    /// the other have none.
+    /// The time from each message of one topic to the message of another with the same stamp, and how many
+    /// messages of the other have none.
     #[must_use]
     pub fn ages(&self, from: &str, to: &str) -> (Ages, u64) {
         let of = |topic: &str| self.topics.get(topic).map(Vec::as_slice).unwrap_or_default();

@@ -23,8 +23,8 @@ pub struct MessageId {
 
 /// What a robot has done: its runs, with what they received and published.
 ///
-/// Accounts are pushed in the order of cycles, and what happened in a cycle (steps, events, settings) after the account
-/// of that cycle.
+/// Accounts are pushed in the order of cycles, and what happened in a cycle (steps, events, settings) after
+/// the account of that cycle.
 #[derive(Default)]
 pub struct History {
     pub(super) topics: Vec<Topic>,
@@ -253,7 +253,8 @@ impl History {
         self.modules[module].steps.insert(step.step, step_of);
     }
 
-    /// The number of the first message of a topic that is in none of the first groups for which `is_before` is true.
+    /// The number of the first message of a topic that is in none of the first groups for which `is_before`
+    /// is true.
     fn first_from(&self, topic: usize, is_before: impl Fn(&Group) -> bool) -> u64 {
         let Topic { groups, messages, .. } = &self.topics[topic];
         let position = groups.partition_point(|&group| is_before(&self.groups[group]));
@@ -404,8 +405,8 @@ impl History {
             ..self.first_from(topic, |group| group.cycle <= cycle)
     }
 
-    /// The last message of each subscription without messages in this run that the module had received before: its
-    /// state may come from them.
+    /// The last message of each subscription without messages in this run that the module had received
+    /// before: its state may come from them.
     #[must_use]
     pub fn remembered(&self, run: RunId) -> Vec<MessageId> {
         let received = self.received_spans(run);

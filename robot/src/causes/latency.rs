@@ -1,13 +1,13 @@
 //! How old the newest message of a topic is on which the messages of another topic depend.
 //!
-//! Each message carries the newest message of the first topic from which it comes (its *origin*), and a module keeps
-//! the newest origin of all that it has received, because what it publishes may come from its state. This is the
-//! propagation of timestamps by which cause-effect chains are measured.
+//! Each message carries the newest message of the first topic from which it comes (its *origin*), and a
+//! module keeps the newest origin of all that it has received, because what it publishes may come from its
+//! state. This is the propagation of timestamps by which cause-effect chains are measured.
 //!
 //! # References
-//! N. Feiertag, K. Richter, J. Nordlander, J. Jonsson, "A compositional framework for end-to-end path delay calculation
-//! of automotive systems under different path semantics", 2008: the age here is their "last-to-last" delay, and the
-//! reaction their "last-to-first" delay.
+//! N. Feiertag, K. Richter, J. Nordlander, J. Jonsson, "A compositional framework for end-to-end path delay
+//! calculation of automotive systems under different path semantics", 2008: the age here is their
+//! "last-to-last" delay, and the reaction their "last-to-first" delay.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -115,8 +115,9 @@ struct TopicState {
     before: Carried,
 }
 
-/// Measures one chain. What happens is to be passed in the order of cycles: in each cycle, the runs of detached modules
-/// that joined in it ([`step`](Self::step)) and the events of earlier ones ([`event`](Self::event)) before its account.
+/// Measures one chain. What happens is to be passed in the order of cycles: in each cycle, the runs of
+/// detached modules that joined in it ([`step`](Self::step)) and the events of earlier ones
+/// ([`event`](Self::event)) before its account.
 pub struct Latency {
     from: Arc<str>,
     to: Arc<str>,
@@ -173,8 +174,8 @@ impl Latency {
         }
     }
 
-    /// Takes what a run of a detached module received out of its inbox, and what earlier runs did that called no
-    /// callback.
+    /// Takes what a run of a detached module received out of its inbox, and what earlier runs did that called
+    /// no callback.
     fn receive_detached(&mut self, wiring: &Wiring, module: usize, run: Option<&ModuleRun>) {
         let ModuleState { held, called, inbox, steps, .. } = &mut self.modules[module];
         while let Some(step) = steps.pop_front() {
@@ -346,7 +347,8 @@ impl Latency {
         self.wiring.as_ref()?.modules.iter().position(|module| module.name == *name)
     }
 
-    /// Follows a change of the modules and topics. A module that started again has forgotten what it received.
+    /// Follows a change of the modules and topics. A module that started again has forgotten what it
+    /// received.
     fn wire(&mut self, wiring: &Arc<Wiring>) {
         let known = self.wiring.replace(Arc::clone(wiring)).unwrap_or_default();
         let mut topics: HashMap<_, _> = known.topics.iter().zip(std::mem::take(&mut self.topics)).collect();

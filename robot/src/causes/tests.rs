@@ -337,8 +337,8 @@ fn happening() -> impl Strategy<Value = Happening> {
     ]
 }
 
-/// A module on its own thread, or inside the cycle, that passes messages only to later topics: an endless circle would
-/// keep the core from sleeping.
+/// A module on its own thread, or inside the cycle, that passes messages only to later topics: an endless
+/// circle would keep the core from sleeping.
 fn threaded_plan() -> impl Strategy<Value = Plan> {
     let inbox = prop_oneof![
         1 => Just(None),

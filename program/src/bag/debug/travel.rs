@@ -367,7 +367,8 @@ impl Travel {
                 .map(|(at, _)| *at)
                 .collect()
         };
-        let is_too_large = self.checkpoints.len().is_multiple_of(8) && memory(&self.checkpoints) > MOST_MEMORY;
+        let is_too_large =
+            self.checkpoints.len().is_multiple_of(8) && memory(&self.checkpoints) > MOST_MEMORY;
         let all = spread(&self.checkpoints);
         if all.len() > MOST_SPREAD || (is_too_large && all.len() > 2) {
             for at in all.iter().skip(1).step_by(2) {
