@@ -270,12 +270,13 @@ fn run_tree(bag: &Reader, text: String, time_ns: i64, run: &RunExplained) -> Bra
     branches
         .extend(settings.iter().map(|setting| Branch::leaf(format!("new value of the setting {setting}"))));
     let state = |remembered: &Remembered| {
-        let Remembered { topic, number, age_ns, module, .. } = remembered;
+        let Remembered { topic, number, time_ns, age_ns, module, from } = remembered;
         let age = short(Duration::from_nanos(*age_ns));
-        let module = module.as_deref().unwrap_or("outside");
-        Branch::leaf(format!(
-            "perhaps state from /{topic}#{number}, received before, {age} old: from {module}"
-        ))
+        let text = format!("perhaps state from /{topic}#{number}, received before, {age} old");
+        match from {
+            Some(from) => from_tree(bag, text, *time_ns, from),
+            None => Branch::leaf(format!("{text}: from {}", module.as_deref().unwrap_or("outside"))),
+        }
     };
     branches.extend(remembered.iter().map(state));
     Branch { text, branches }

@@ -89,6 +89,9 @@ pub struct Remembered {
     pub age_ns: u64,
     /// The module that published it; `None` if it came from outside.
     pub module: Option<String>,
+    /// Where it came from, if the run had no message or call to follow.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from: Option<From>,
 }
 
 /// A request or an answer.
@@ -194,9 +197,7 @@ impl Walk<'_> {
             .into_iter()
             .skip(left_out)
             .map(|(topic, span)| self.messages(topic, span, *time, depth + 1));
-        let received = received.collect();
-        let remembered = self.history.remembered(id).into_iter();
-        let remembered = remembered.map(|message| self.remembered(message, given)).collect();
+        let received: Vec<_> = received.collect();
         let calls: Vec<Called> = self.history.calls_of(id).into_iter().cloned().collect();
         let calls = calls.iter().map(|call| Call {
             service: call.service.to_string(),
@@ -204,7 +205,11 @@ impl Walk<'_> {
             time_ns: call.time.as_nanos(),
             from: self.from(self.history.run_behind(call), depth + 1),
         });
-        let calls = calls.collect();
+        let calls: Vec<_> = calls.collect();
+        // A run for a timer comes from what the module had received before.
+        let depth = (received.is_empty() && calls.is_empty()).then_some(depth + 1);
+        let remembered = self.history.remembered(id).into_iter();
+        let remembered = remembered.map(|message| self.remembered(message, given, depth)).collect();
         RunExplained {
             module: self.history.module(id).to_owned(),
             cycle: *cycle,
@@ -233,14 +238,17 @@ impl Walk<'_> {
         parts
     }
 
-    fn remembered(&self, message: MessageId, now: Time) -> Remembered {
+    /// A message from which the state at `now` may come, followed back if there is a `depth`.
+    fn remembered(&mut self, message: MessageId, now: Time, depth: Option<usize>) -> Remembered {
         let time = self.history.group(message).map_or(now, |group| group.time);
+        let publisher = self.history.publisher(message);
         Remembered {
+            from: depth.map(|depth| self.from(publisher, depth)),
             topic: self.history.topic(message).to_owned(),
             number: message.number,
             time_ns: time.as_nanos(),
             age_ns: nanoseconds(now.saturating_since(time)),
-            module: self.history.publisher(message).map(|run| self.history.module(run).to_owned()),
+            module: publisher.map(|run| self.history.module(run).to_owned()),
         }
     }
 }
