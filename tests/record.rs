@@ -18,7 +18,10 @@ use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions, Sample};
 use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat::msgs::qos::QosProfile;
 use downbeat::msgs::rosbag2_interfaces::msg::WriteSplitEvent;
-use downbeat::msgs::rosbag2_interfaces::srv::{IsPaused, Pause, Resume, Snapshot, SplitBagfile, Stop};
+use downbeat::msgs::rosbag2_interfaces::srv::{
+    IsDiscoveryRunning, IsPaused, Pause, Record, RecordRequest, Resume, Snapshot, SplitBagfile,
+    StartDiscovery, Stop, StopDiscovery, TogglePaused,
+};
 use downbeat::msgs::{Message, Service, cdr, std_msgs};
 use serde_json::json;
 use test_machine::free_domain;
@@ -76,7 +79,19 @@ impl Talker {
 
 fn said(bag: &Path) -> Vec<u32> {
     let reader = Reader::open(bag).unwrap();
-    let messages = reader.messages(Selection::all()).unwrap().map(Result::unwrap);
+    texts(&reader, Selection::all())
+}
+
+/// Nothing if there is no such bag or topic yet.
+fn said_on(bag: &Path, topic: &str) -> Vec<u32> {
+    let reader = Reader::open(bag).ok();
+    let found =
+        reader.and_then(|reader| Some(texts(&reader, Selection::all().topics([reader.topic(topic)?]))));
+    found.unwrap_or_default()
+}
+
+fn texts(reader: &Reader, selection: Selection) -> Vec<u32> {
+    let messages = reader.messages(selection).unwrap().map(Result::unwrap);
     let text = |data: &[u8]| cdr::from_slice::<std_msgs::msg::String>(data).unwrap().data;
     messages.map(|message| text(&message.data).parse().unwrap()).collect()
 }
@@ -234,11 +249,120 @@ fn services_pause_resume_split_and_stop_a_recorder() {
     talker.say(3);
     flushed(13);
     call::<Stop>(&node, "/rosbag2_recorder/stop", &Default::default());
-    assert!(recorder.wait().success(), "{}", recorder.output());
+    // The bag is finished when the request is answered; the recorder may be asked to record again.
+    assert!(Reader::open(&bag).unwrap().truncation().next().is_none());
+    recorder.interrupt();
     let numbers: BTreeSet<u32> = said(&bag).into_iter().collect();
     assert_eq!(numbers, (0..10).chain(15..18).collect());
     assert_eq!(Metadata::read(&bag.join("metadata.yaml")).unwrap().files.len(), 2);
     drop(listening);
+}
+
+#[test]
+fn a_stopped_recorder_records_again_and_looks_for_topics_as_it_is_asked() {
+    let domain = free_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let bag = |name: &str| folder.path().join(name);
+    let node = node("operator", domain);
+    let mut talker = Talker::new(&node);
+    let (first, domain) = (bag("bag"), domain.to_string());
+    let mut recorder = Running::start(&["bag", "record", "--all", "-o", text(&first), "--domain", &domain]);
+    let record = |uri: &str| {
+        let request = RecordRequest { uri: uri.to_owned() };
+        let response = call::<Record>(&node, "/rosbag2_recorder/record", &request);
+        (response.return_code, response.error_string)
+    };
+    let stop = || call::<Stop>(&node, "/rosbag2_recorder/stop", &Default::default());
+    let start_discovery = || {
+        let response =
+            call::<StartDiscovery>(&node, "/rosbag2_recorder/start_discovery", &Default::default());
+        (response.return_code, response.error_string)
+    };
+    let stop_discovery = || {
+        let response = call::<StopDiscovery>(&node, "/rosbag2_recorder/stop_discovery", &Default::default());
+        (response.return_code, response.error_string)
+    };
+    let is_discovering =
+        || call::<IsDiscoveryRunning>(&node, "/rosbag2_recorder/is_discovery_running", &Default::default());
+    let done = (0, String::new());
+    let refused = |reason: &str| (1, reason.to_owned());
+
+    talker.say(2);
+    assert_eq!(record(""), refused("a recording is running already: stop it first"));
+    wait_until("the messages are in the file", || said_on(&first, "/chatter") == [0, 1]);
+    stop();
+    assert!(!is_discovering().running);
+    assert_eq!(start_discovery(), refused("nothing is being recorded"));
+    assert_eq!(stop_discovery(), refused("discovery is not running"));
+    stop();
+
+    // Into a directory of its own, of the name that the recorder was started with.
+    assert_eq!(record(""), done);
+    talker.say(3);
+    let second = bag("bag_2");
+    wait_until("the messages are in the file", || said_on(&second, "/chatter") == [2, 3, 4]);
+    assert_eq!(start_discovery(), refused("discovery is running already"));
+    assert!(is_discovering().running);
+    assert_eq!(stop_discovery(), done);
+    assert!(!is_discovering().running);
+    let message_type = MessageType::new(std_msgs::msg::String::TYPE_NAME).unwrap();
+    let late = node.publish("/late", &message_type, QosProfile::DEFAULT).unwrap();
+    stop();
+    assert!(!counts(&second).contains_key("/late"), "nothing looked for it");
+
+    let third = bag("third");
+    let (exists, problem) = record(&format!("file://{}", text(&second)));
+    assert!(exists == 1 && problem.contains("exists already"), "{problem}");
+    call::<TogglePaused>(&node, "/rosbag2_recorder/toggle_paused", &Default::default());
+    assert_eq!(record(&format!("file://{}", text(&third))), done);
+    wait_until("the recorder is matched", || late.matched_subscriptions() > 0);
+    talker.say(2);
+    call::<SplitBagfile>(&node, "/rosbag2_recorder/split_bagfile", &Default::default());
+    assert!(call::<IsPaused>(&node, "/rosbag2_recorder/is_paused", &Default::default()).paused);
+    call::<TogglePaused>(&node, "/rosbag2_recorder/toggle_paused", &Default::default());
+    talker.say(1);
+    wait_until("the message is in the file", || said_on(&third, "/chatter") == [7]);
+    recorder.interrupt();
+    assert!(recorder.wait().success(), "{}", recorder.output());
+    assert!(counts(&third).contains_key("/late"));
+}
+
+#[test]
+fn rclpy_sees_the_services_of_the_recorder() {
+    let domain = free_domain();
+    let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut recorder = Running::start(&[
+        "bag",
+        "record",
+        "--all",
+        "--snapshot-mode",
+        "-o",
+        text(&bag),
+        "--domain",
+        &domain.to_string(),
+    ]);
+    let expected = [
+        ("is_discovery_running", "IsDiscoveryRunning"),
+        ("is_paused", "IsPaused"),
+        ("pause", "Pause"),
+        ("record", "Record"),
+        ("resume", "Resume"),
+        ("snapshot", "Snapshot"),
+        ("split_bagfile", "SplitBagfile"),
+        ("start_discovery", "StartDiscovery"),
+        ("stop", "Stop"),
+        ("stop_discovery", "StopDiscovery"),
+        ("toggle_paused", "TogglePaused"),
+    ]
+    .map(|(name, of)| (format!("/rosbag2_recorder/{name}"), json!([format!("rosbag2_interfaces/srv/{of}")])));
+    let mut seen = json!(null);
+    wait_until("rclpy sees the services", || {
+        seen = peer.ask(json!({"do": "services_of", "node": "rosbag2_recorder", "namespace": "/"}));
+        expected.iter().all(|(name, of)| seen.get(name) == Some(of))
+    });
+    recorder.interrupt();
 }
 
 #[test]

@@ -2,8 +2,8 @@
 //!
 //! A [`RosRecorder`] looks which topics there are ([`TopicFilter`]), subscribes to each as its publishers
 //! offer it ([`QosOverrides`] aside), finds the definition of its type, and gives its messages to a
-//! [`Recording`](downbeat_bags::Recording). [`serve`] lets others pause, split and stop it, as they do with
-//! the recorder of rosbag2.
+//! [`Recording`](downbeat_bags::Recording). [`serve`] lets others pause and split it, as they do with the
+//! recorder of rosbag2.
 
 mod channel;
 mod definitions;
@@ -31,7 +31,7 @@ use channel::{Channel, RecorderClock};
 use definitions::{Definition, Inquiry};
 pub use filter::{SeenTopic, TopicFilter};
 pub use qos_overrides::{QosOverrides, QosOverridesError};
-pub use services::{RecorderServices, ServeError, serve, split_events};
+pub use services::{RecorderServices, ServeError, SteeredRecording, serve, serve_stop, split_events};
 
 /// Options of a recording from ROS 2.
 #[derive(Clone, Debug, Default)]

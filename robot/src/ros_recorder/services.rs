@@ -3,70 +3,101 @@
 //! # References
 //! `rosbag2_transport/recorder.cpp` and `rosbag2_interfaces`, branch jazzy.
 
+use std::sync::Arc;
+
 use downbeat_bags::{FileSplit, RecordingControl};
 use downbeat_bridge::ros::{MessageType, Node, NodeError, Service};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rosbag2_interfaces::msg::WriteSplitEvent;
 use downbeat_msgs::rosbag2_interfaces::srv::{
     IsPaused, IsPausedResponse, Pause, PauseResponse, Resume, ResumeResponse, Snapshot, SnapshotResponse,
-    SplitBagfile, SplitBagfileResponse, Stop, StopResponse,
+    SplitBagfile, SplitBagfileResponse, Stop, StopResponse, TogglePaused, TogglePausedResponse,
 };
 use downbeat_msgs::{Message, cdr};
+use parking_lot::Mutex;
 
 /// Why a recorder cannot be asked for anything.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot offer the services of the recorder: {0}")]
 pub struct ServeError(#[from] NodeError);
 
+/// The recording that the services of a recorder act on: the current one, or the last. Clones share it.
+#[derive(Clone)]
+pub struct SteeredRecording {
+    current: Arc<Mutex<RecordingControl>>,
+}
+
+impl SteeredRecording {
+    /// The services act on this recording.
+    #[must_use]
+    pub fn new(control: RecordingControl) -> Self {
+        Self { current: Arc::new(Mutex::new(control)) }
+    }
+
+    /// The services act on this recording from now on.
+    pub fn replace(&self, control: RecordingControl) {
+        *self.current.lock() = control;
+    }
+
+    /// The recording.
+    #[must_use]
+    pub fn control(&self) -> RecordingControl {
+        self.current.lock().clone()
+    }
+}
+
 /// The services of a recorder, until this is dropped.
 pub struct RecorderServices {
     _services: Vec<Service>,
 }
 
-/// Offers `~/pause`, `~/resume`, `~/is_paused`, `~/split_bagfile`, `~/stop` and, where a recording keeps
-/// messages for it, `~/snapshot`. A split and a snapshot are answered when they are done.
+/// Offers `~/pause`, `~/resume`, `~/toggle_paused`, `~/is_paused`, `~/split_bagfile` and, where a recording
+/// keeps messages for it, `~/snapshot`. A split and a snapshot are answered when they are done.
 ///
 /// # Errors
 /// If the middleware refuses a service.
 pub fn serve(
     node: &Node,
-    control: &RecordingControl,
+    steered: &SteeredRecording,
     takes_snapshots: bool,
 ) -> Result<RecorderServices, ServeError> {
     let qos = QosProfile::SERVICES;
-    let own = || control.clone();
-    let (pausing, resuming, asked, splitting, stopping) = (own(), own(), own(), own(), own());
+    let own = || steered.clone();
+    let (pausing, resuming, toggling, asked, splitting) = (own(), own(), own(), own(), own());
     let mut services = vec![
         node.serve::<Pause>("~/pause", qos, move |_| {
-            if pausing.pause() {
+            if pausing.control().pause() {
                 tracing::info!("Pausing recording.");
             }
             PauseResponse::default()
         })?,
         node.serve::<Resume>("~/resume", qos, move |_| {
-            if resuming.resume() {
+            if resuming.control().resume() {
                 tracing::info!("Resuming recording.");
             }
             ResumeResponse::default()
         })?,
-        node.serve::<IsPaused>("~/is_paused", qos, move |_| IsPausedResponse { paused: asked.is_paused() })?,
+        node.serve::<TogglePaused>("~/toggle_paused", qos, move |_| {
+            let is_paused = toggling.control().toggle_paused();
+            tracing::info!("{} recording.", if is_paused { "Pausing" } else { "Resuming" });
+            TogglePausedResponse::default()
+        })?,
+        node.serve::<IsPaused>("~/is_paused", qos, move |_| IsPausedResponse {
+            paused: asked.control().is_paused(),
+        })?,
         node.serve_later::<SplitBagfile>("~/split_bagfile", qos, move |_, reply| {
-            splitting.split(move |result| {
+            splitting.control().split(move |result| {
                 if let Err(error) = &result {
                     tracing::warn!("the bag is not split: {error}");
                 }
                 sent(reply.send(&SplitBagfileResponse::default()));
             });
         })?,
-        node.serve::<Stop>("~/stop", qos, move |_| {
-            stopping.stop();
-            StopResponse::default()
-        })?,
     ];
     if takes_snapshots {
-        let control = own();
+        let steered = own();
         services.push(node.serve_later::<Snapshot>("~/snapshot", qos, move |_, reply| {
-            control.snapshot(move |result| {
+            steered.control().snapshot(move |result| {
                 if let Err(error) = &result {
                     tracing::warn!("no snapshot is written: {error}");
                 }
@@ -75,6 +106,19 @@ pub fn serve(
         })?);
     }
     Ok(RecorderServices { _services: services })
+}
+
+/// Offers `~/stop`, which stops the recording.
+///
+/// # Errors
+/// If the middleware refuses the service.
+pub fn serve_stop(node: &Node, steered: &SteeredRecording) -> Result<RecorderServices, ServeError> {
+    let steered = steered.clone();
+    let stop = node.serve::<Stop>("~/stop", QosProfile::SERVICES, move |_| {
+        steered.control().stop();
+        StopResponse::default()
+    })?;
+    Ok(RecorderServices { _services: vec![stop] })
 }
 
 /// Publishes on `events/write_split` that a file was closed: for [`downbeat_bags::Writer::on_split`].

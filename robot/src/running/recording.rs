@@ -19,7 +19,7 @@ use parking_lot::Mutex;
 use super::StartError;
 use super::snapshots::SnapshotWatch;
 use crate::recorder::{self, RecorderError, Unrecorded, WhenFull};
-use crate::ros_recorder::{RecorderServices, TopicFilter, serve, split_events};
+use crate::ros_recorder::{RecorderServices, SteeredRecording, TopicFilter, serve, serve_stop, split_events};
 use crate::{RecordOptions, RecordedSettings, Robot, RobotFile, SourcedModules, Sources, VersionLog};
 
 /// Options of a recording.
@@ -223,7 +223,7 @@ pub(super) struct RobotRecording {
     pub(super) recording: Recording,
     pub(super) growing: Growing,
     /// Dropped after the recording has ended.
-    pub(super) services: Option<RecorderServices>,
+    pub(super) services: Option<[RecorderServices; 2]>,
     pub(super) _snapshots: SnapshotWatch,
 }
 
@@ -274,7 +274,11 @@ impl RobotRecording {
         }
         let recording = Recording::start_with(writer, &recording)
             .map_err(|source| StartError::Thread { what: "the bag's writer", source })?;
-        let services = node.map(|node| serve(&node, &recording.control(), takes_snapshots)).transpose()?;
+        let steered = SteeredRecording::new(recording.control());
+        let offer = |node: Node| -> Result<_, StartError> {
+            Ok([serve(&node, &steered, takes_snapshots)?, serve_stop(&node, &steered)?])
+        };
+        let services = node.map(offer).transpose()?;
         if let Some(diagnostics) = diagnostics {
             let (sender, name) = (recording.sender(), format!("{}: recording", recordable.robot));
             diagnostics.watch(move || vec![status(&name, &sender.statistics())]);

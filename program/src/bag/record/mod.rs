@@ -1,25 +1,23 @@
 //! `downbeat bag record`
 
 pub(crate) mod arguments;
+mod controls;
+mod from_ros;
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 
 use crate::bag::select::absolute;
 use crate::logging::Log;
 use crate::new_output::Output;
 use crate::run::WatchedRobot;
-use crate::screen::{Screen, shorten, wrap};
-use crate::status::{SEPARATOR, bag};
-use crate::stop::{Key, Keyboard, Stop};
+use crate::screen::Screen;
+use crate::stop::Stop;
 use arguments::{ExposedChoice, RecordArguments};
-use downbeat_bags::{Recording, RecordingControl, RecordingSummary, StoragePreset};
+use downbeat_bags::{RecordingSummary, StoragePreset};
 use downbeat_robot::recorder::Unrecorded;
-use downbeat_robot::ros_recorder::{
-    QosOverrides, RosRecorder, RosRecorderOptions, TopicFilter, serve, split_events,
-};
+use downbeat_robot::ros_recorder::TopicFilter;
 use downbeat_robot::running::RecordPlan;
 use downbeat_robot::{Catalog, ClockChoice, RecordOptions, RobotFile, RosArgs};
 
@@ -30,14 +28,17 @@ pub(crate) fn record(
     screen: &Screen,
     log: &Log,
 ) -> anyhow::Result<()> {
-    let output = arguments.output.clone().unwrap_or_else(|| {
-        PathBuf::from(chrono::Local::now().format("rosbag2_%Y_%m_%d-%H_%M_%S").to_string())
-    });
+    let output = arguments.output.clone().unwrap_or_else(unnamed);
     arguments.force.check(Output::Bag, &output)?;
     match &arguments.robot {
         Some(robot) => record_robot(arguments, robot, output, catalog, ros, screen, log),
-        None => record_from_ros(arguments, output, catalog, ros, screen),
+        None => from_ros::record(arguments, output, catalog, ros, screen),
     }
+}
+
+/// The directory of a bag without a name, as `ros2 bag record` names it.
+fn unnamed() -> PathBuf {
+    PathBuf::from(chrono::Local::now().format("rosbag2_%Y_%m_%d-%H_%M_%S").to_string())
 }
 
 fn record_robot(
@@ -160,136 +161,6 @@ fn filter(
     })
 }
 
-fn record_from_ros(
-    arguments: &RecordArguments,
-    output: PathBuf,
-    catalog: &Catalog,
-    ros: &RosArgs,
-    screen: &Screen,
-) -> anyhow::Result<()> {
-    arguments.check()?;
-    let stop = Stop::new()?.after(arguments.duration);
-    let mut record = RecordOptions::default();
-    record.set_cache_bytes(DEFAULT_CACHE_BYTES);
-    apply(arguments, &mut record)?;
-    if record.snapshot_triggers.are_some() {
-        bail!(
-            "--snapshot-when and --snapshot-on-panic need --robot; of ROS 2, a snapshot is asked for by ~/snapshot"
-        );
-    }
-    let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
-    tracing::debug!(
-        "storage {}, serialization {format}, compression mode {}",
-        record.writer.storage.storage(),
-        arguments.writing.compression_mode
-    );
-    let qos_overrides = match &arguments.discovery.qos_profile_overrides_path {
-        Some(path) => QosOverrides::read(path)?,
-        None => QosOverrides::default(),
-    };
-    let (participant, node) = arguments.network.node(&arguments.node_name, catalog, ros)?;
-    let options = RosRecorderOptions {
-        filter: filter(arguments, |name| Ok(node.topic_name(name)?.as_str().to_owned()))?,
-        qos_overrides,
-        encoding: record.encoding,
-        uses_sim_time: arguments.use_sim_time,
-        waits_for_room: record.recording.cache_bytes == 0,
-    };
-    arguments.force.make_way(Output::Bag, &output, [])?;
-    let mut writer = record.writer(false).create(&output)?;
-    writer.on_split(split_events(&node)?);
-    let recording = Recording::start_with(writer, &record.recording(false))
-        .context("cannot start the thread that writes the bag")?;
-    let control = recording.control();
-    let services = serve(&node, &control, record.recording.takes_snapshots())?;
-    let mut recorder = RosRecorder::new(&participant, &node, recording.sender(), options)?;
-
-    let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
-    if keyboard.is_some() {
-        tracing::info!("Press SPACE for pausing/resuming");
-    }
-    tracing::info!("Listening for topics...");
-    tracing::info!("{}", if control.is_paused() { "Wait for recording: paused." } else { "Recording..." });
-    look_and_record(arguments, &mut recorder, &recording, &stop, keyboard.as_ref(), screen);
-    drop(keyboard);
-    screen.show(Vec::new());
-    for topic in recorder.missing() {
-        tracing::warn!("nothing is recorded on {topic}: it has no publisher");
-    }
-    drop(recorder);
-    let outcome = recording.finish();
-    drop(services);
-    drop(node);
-    tracing::info!("Recording stopped");
-    let summary = match &outcome {
-        Ok(summary) => summary,
-        Err(failed) => &*failed.summary,
-    };
-    report(summary);
-    outcome.map(drop).context("the recording is not complete")
-}
-
-/// How long existing topics are searched if later ones are not.
-const FIRST_LOOK: Duration = Duration::from_secs(2);
-/// How often the block on the screen is updated.
-const REFRESH: Duration = Duration::from_millis(250);
-/// How often keys and signals are checked.
-const STEP: Duration = Duration::from_millis(20);
-
-fn look_and_record(
-    arguments: &RecordArguments,
-    recorder: &mut RosRecorder,
-    recording: &Recording,
-    stop: &Stop,
-    keyboard: Option<&Keyboard>,
-    screen: &Screen,
-) {
-    let control = recording.control();
-    let started = Instant::now();
-    let interval = Duration::from_millis(arguments.discovery.polling_interval);
-    let (mut next_look, mut next_refresh) = (started, started);
-    let (mut is_looking, mut is_failure_told) = (true, false);
-    while !stop.is_due() && !control.is_stopped() {
-        let now = Instant::now();
-        if now >= next_look {
-            next_look = now + interval;
-            if is_looking {
-                recorder.discover();
-            } else {
-                recorder.describe();
-            }
-            if is_looking && recorder.is_complete() {
-                tracing::info!("All requested topics are subscribed. Stopping discovery...");
-                is_looking = false;
-            }
-            is_looking &= !(arguments.discovery.no_discovery && started.elapsed() >= FIRST_LOOK);
-        }
-        while let Some(key) = keyboard.and_then(Keyboard::pressed) {
-            act_on(key, &control);
-        }
-        if now >= next_refresh {
-            next_refresh = now + REFRESH;
-            let statistics = recording.statistics();
-            if let Some(failure) = statistics.failure.as_ref().filter(|_| !is_failure_told) {
-                tracing::error!("the recording has stopped: {failure}");
-                is_failure_told = true;
-            }
-            if screen.is_terminal() {
-                let (height, width) = screen.block_size();
-                screen.show(shorten(wrap(bag(&statistics), SEPARATOR, width), height));
-            }
-        }
-        stop.sleep(STEP.min(interval));
-    }
-}
-
-fn act_on(key: Key, control: &RecordingControl) {
-    if key == Key::Space {
-        let is_paused = control.toggle_paused();
-        tracing::info!("{} recording.", if is_paused { "Pausing" } else { "Resuming" });
-    }
-}
-
 fn report(summary: &RecordingSummary) {
     let (messages, lost) = (summary.message_count(), summary.lost_count());
     println!("recorded {messages} messages, lost {lost}, in {}", summary.path.display());
@@ -300,9 +171,6 @@ fn report(summary: &RecordingSummary) {
         println!("  {} more were in deleted files", summary.deleted);
     }
 }
-
-/// The cache of rosbag2 (each of its two buffers): 100 MiB.
-const DEFAULT_CACHE_BYTES: usize = 100 * 1024 * 1024;
 
 /// Overrides the options with the command line.
 fn apply(arguments: &RecordArguments, options: &mut RecordOptions) -> anyhow::Result<()> {
