@@ -3,10 +3,15 @@
 
 mod common;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use common::{QUIET_ROBOT, output_of, text_of};
-use downbeat::bags::{McapOptions, Reader, Selection, TopicDescription, WriterOptions};
+use downbeat::bags::metadata::{Metadata, RecordedQos};
+use downbeat::bags::{
+    McapOptions, Reader, Selection, Storage, StorageOptions, TopicDescription, WriterOptions,
+};
+use downbeat::msgs::qos::QosProfile;
 use test_machine::free_domain;
 
 fn text(path: &Path) -> &str {
@@ -66,6 +71,49 @@ fn a_bag_is_checked_and_a_damaged_one_is_repaired() {
     let printed = text_of(&["bag", "reindex", text(&repaired)]);
     assert!(printed.contains(&format!("of {} messages", count(&damaged))), "{printed}");
     assert!(text_of(&["bag", "check", text(&repaired)]).contains("found 0 problems"));
+}
+
+/// What others know of a bag beside its messages.
+fn described(bag: &Path) -> (String, String, BTreeMap<String, String>, Vec<Vec<RecordedQos>>) {
+    let Metadata { storage_identifier, ros_distro, custom_data, topics, .. } =
+        Metadata::read(&bag.join("metadata.yaml")).unwrap();
+    (storage_identifier, ros_distro, custom_data, topics.into_iter().map(|topic| topic.offered_qos).collect())
+}
+
+#[test]
+fn what_a_bag_says_of_itself_survives_reindexing_repair_and_conversion() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut storages = vec![Storage::Mcap];
+    storages.extend(StorageOptions::of(Storage::Sqlite3).is_ok().then_some(Storage::Sqlite3));
+    for storage in storages {
+        let bag = folder.path().join(storage.identifier());
+        let options = WriterOptions::new().storage(StorageOptions::of(storage).unwrap());
+        let options = options.custom_data("place", "lawn").ros_distro("humble");
+        let mut writer = options.create(&bag).unwrap();
+        let info = TopicDescription {
+            name: "/chatter".to_owned(),
+            type_name: "std_msgs/msg/String".to_owned(),
+            definition: "string data\n".to_owned(),
+            // Of two publishers.
+            offered_qos: vec![QosProfile::LATCHED.into(), QosProfile::SENSOR_DATA.into()],
+            ..TopicDescription::default()
+        };
+        let topic = writer.add_topic(info).unwrap();
+        writer.write(topic, 1_000, 1_000, b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00").unwrap();
+        writer.finish().unwrap();
+        let original = described(&bag);
+        assert_eq!((original.1.as_str(), original.3[0].len()), ("humble", 2));
+
+        std::fs::remove_file(bag.join("metadata.yaml")).unwrap();
+        text_of(&["bag", "reindex", text(&bag)]);
+        assert_eq!(described(&bag), original, "reindexed");
+        let repaired = folder.path().join(format!("{storage}_repaired"));
+        text_of(&["bag", "repair", text(&bag)]);
+        assert_eq!(described(&repaired), original, "repaired");
+        let converted = folder.path().join(format!("{storage}_converted"));
+        text_of(&["bag", "convert", text(&bag), "-s", storage.identifier(), "-o", text(&converted)]);
+        assert_eq!(described(&converted), original, "converted");
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ use downbeat_msgs::dynamic::Definitions;
 
 use crate::check::{Decoding, Problem};
 use crate::metadata::{
-    self, FORMAT_VERSION, FileMetadata, Metadata, MetadataError, RecordedQos, TopicMetadata,
+    self, FORMAT_VERSION, FileMetadata, HUMBLE_VERSION, Metadata, MetadataError, RecordedQos, TopicMetadata,
 };
 use crate::reader::{BagMessage, Messages, Reader, ReaderError, RecordedTopic, Selection};
 use crate::topic::{RecordingSummary, TopicDescription, TopicId};
@@ -358,7 +358,7 @@ impl Iterator for Merged {
 }
 
 /// Recreates the metadata.yaml of a bag directory from its files, like `ros2 bag reindex`. An existing one is
-/// only used for what the files do not contain: `custom_data` is kept if it is readable.
+/// only used for what the files do not contain: `custom_data` is kept if it is readable, and the version of Humble.
 ///
 /// # Errors
 /// Returns an error if there are no files, or they cannot be read, or metadata.yaml cannot be written.
@@ -376,7 +376,10 @@ pub fn reindex(directory: &Path) -> Result<Metadata, CopyError> {
     let known = recorded.map(|recorded| recorded.topics.as_slice()).unwrap_or_default().iter();
     let known: HashMap<_, _> = known.rev().map(|topic| (topic.name.as_str(), topic)).collect();
     let metadata = Metadata {
-        version: FORMAT_VERSION,
+        version: recorded
+            .map(|recorded| recorded.version)
+            .filter(|v| *v == HUMBLE_VERSION)
+            .unwrap_or(FORMAT_VERSION),
         storage_identifier: reader.storage_identifier().to_owned(),
         duration: reader.duration(),
         starting_time: reader.start_time().unwrap_or(metadata::NEVER),

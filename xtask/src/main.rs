@@ -20,6 +20,7 @@ mod paths;
 mod physics;
 mod portability;
 mod python;
+mod recorder;
 mod security;
 mod skips;
 mod steps;
@@ -85,6 +86,14 @@ enum Command {
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
+    /// The recorder under load, some minutes: 10 MB/s beside busy cores, slow and full disks (as root), splits,
+    /// kills, large messages, floods. Prints what is lost, which other readers open the bags, and fails if a
+    /// message is neither written nor counted.
+    Recorder {
+        /// The duration of the recording beside busy cores.
+        #[arg(long, default_value_t = 2.0, value_name = "N")]
+        minutes: f64,
+    },
     /// The crates as they would be published: packaged, installed with `cargo install` from a registry in a
     /// folder, and a project of `downbeat new` built with them. Part of the test run.
     Crates,
@@ -148,6 +157,7 @@ fn main() -> ExitCode {
         Command::Security { rounds } => security::security(rounds),
         Command::Aarch64 => aarch64::aarch64(),
         Command::Bags => bags::bags(),
+        Command::Recorder { minutes } => recorder::recorder(minutes),
         Command::Crates => install::cargo_install().map(drop),
         Command::Deb { program } => program
             .map_or_else(install::cargo_install, Ok)

@@ -60,6 +60,8 @@ pub struct WriterOptions {
     /// The version of the metadata: [`FORMAT_VERSION`](crate::metadata::FORMAT_VERSION), or
     /// [`HUMBLE_VERSION`](crate::metadata::HUMBLE_VERSION) for bags that ROS 2 Humble shall read.
     pub metadata_version: u32,
+    /// The distribution of ROS 2 that the metadata names.
+    pub(super) ros_distro: String,
     pub(super) custom_data: BTreeMap<String, String>,
     pub(super) counted_data: BTreeMap<String, CountedData>,
 }
@@ -130,6 +132,7 @@ impl WriterOptions {
             when_low: WhenLow::default(),
             repeats_latched: false,
             metadata_version: crate::metadata::FORMAT_VERSION,
+            ros_distro: crate::metadata::ROS_DISTRO.to_owned(),
             custom_data: BTreeMap::new(),
             counted_data: BTreeMap::new(),
         }
@@ -200,6 +203,12 @@ impl WriterOptions {
     #[must_use]
     pub fn metadata_version(self, metadata_version: u32) -> Self {
         Self { metadata_version, ..self }
+    }
+
+    /// The distribution of ROS 2 that the metadata names instead of `jazzy`: for copies of bags of another one.
+    #[must_use]
+    pub fn ros_distro(self, ros_distro: impl Into<String>) -> Self {
+        Self { ros_distro: ros_distro.into(), ..self }
     }
 
     /// Adds an entry to the `custom_data` of the metadata.

@@ -60,7 +60,7 @@ impl Writer {
             files: self.files.iter().map(file_metadata).collect(),
             custom_data: self.custom_data(),
             oddities: Vec::new(),
-            ros_distro: metadata::ROS_DISTRO.to_owned(),
+            ros_distro: self.options.ros_distro.clone(),
         }
     }
 

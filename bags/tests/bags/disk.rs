@@ -13,14 +13,14 @@ use downbeat_bags::{
 use crate::support::{messages, number, topic};
 
 /// An in-memory file system of that many KiB, unmounted when dropped.
-struct SmallDisk {
-    path: PathBuf,
+pub struct SmallDisk {
+    pub path: PathBuf,
     _folder: tempfile::TempDir,
 }
 
 impl SmallDisk {
     /// Returns `None` and reports a skipped test if mounting is not permitted.
-    fn mount(kibibytes: u32) -> Option<Self> {
+    pub fn mount(kibibytes: u32) -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("disk");
         fs::create_dir(&path).unwrap();

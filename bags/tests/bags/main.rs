@@ -27,3 +27,5 @@ mod sqlite;
 mod storage;
 mod support;
 mod types;
+#[cfg(target_os = "linux")]
+mod under_load;

@@ -7,7 +7,7 @@ use clap::Args;
 use super::open;
 use super::output::{OutputArguments, write};
 use super::select::{TopicArguments, carried_over};
-use downbeat_bags::{Copy, Reader};
+use downbeat_bags::{Copy, Reader, Storage};
 
 #[derive(Args)]
 pub(crate) struct ConvertArguments {
@@ -26,6 +26,6 @@ pub(crate) fn convert(arguments: &ConvertArguments) -> anyhow::Result<()> {
     arguments.topics.check(bags.iter().flat_map(Reader::topics).map(|topic| &topic.info))?;
     let copy = Copy::of(&bags, |topic| filter.is_wanted(topic))?;
     let OutputArguments { output, layout } = &arguments.output;
-    let copied = write(copy, &bags, output, layout)?;
+    let copied = write(copy, &bags, output, layout, Storage::default())?;
     carried_over(&bags, copied.unreadable.len() + copied.undecodable.len())
 }

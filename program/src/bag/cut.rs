@@ -9,7 +9,7 @@ use clap::Args;
 use super::open;
 use super::output::{OutputArguments, write};
 use super::select::{TopicArguments, carried_over};
-use downbeat_bags::{Copy, Reader};
+use downbeat_bags::{Copy, Reader, Storage};
 use downbeat_files::duration::parse as duration;
 
 #[derive(Args)]
@@ -93,7 +93,7 @@ pub(crate) fn cut(arguments: &CutArguments) -> anyhow::Result<()> {
     if !arguments.no_latched {
         copy = copy.keep_latched();
     }
-    let copied = write(copy, &bags, &arguments.output.output, &arguments.output.layout)?;
+    let copied = write(copy, &bags, &arguments.output.output, &arguments.output.layout, Storage::default())?;
     carried_over(&bags, copied.unreadable.len() + copied.undecodable.len())
 }
 

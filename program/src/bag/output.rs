@@ -13,7 +13,7 @@ use super::custom_data;
 use super::record_options::{Copying, GivenOptions};
 use crate::new_output::{Force, Output};
 use crate::unfinished::Unfinished;
-use downbeat_bags::{Copied, Copy, Reader};
+use downbeat_bags::{Copied, Copy, Reader, Storage, StorageOptions};
 use downbeat_robot::{RecordOptions, SOURCES_FOLDER};
 
 /// How a new bag is written.
@@ -35,21 +35,27 @@ pub(crate) struct LayoutArguments {
     options: GivenOptions<Copying>,
 }
 
-/// Writes the copy of `bags` into a new bag, with their custom data and the versions of modules in them, and
-/// prints its summary.
+/// Writes the copy of `bags` into a new bag, with their custom data, their distribution of ROS 2 and the
+/// versions of modules in them, and prints its summary. The storage is `default` unless the options name one.
 pub(crate) fn write(
     copy: Copy<'_>,
     bags: &[Reader],
     directory: &Path,
     layout: &LayoutArguments,
+    default: Storage,
 ) -> anyhow::Result<Copied> {
     let replaces = (layout.force, Output::Bag);
     let unfinished = Unfinished::directory(directory, replaces, bags.iter().map(Reader::path))?;
     let mut record = RecordOptions::default();
+    record.writer.storage = StorageOptions::of(default)?;
     layout.options.apply(&mut record)?;
     let storage = record.writer.storage.storage();
     let options =
         custom_data(bags).fold(record.writer, |options, (key, value)| options.custom_data(key, value));
+    let options = match ros_distro(bags) {
+        Some(ros_distro) => options.ros_distro(ros_distro),
+        None => options,
+    };
     let mut progress = Progress::new("writing", copy.message_count());
     let copied = copy.into_writer(options.create(unfinished.written())?, |written| progress.at(written))?;
     drop(progress);
@@ -72,6 +78,14 @@ pub(crate) fn write(
     }
     println!("wrote {} messages into {}", copied.summary.message_count(), directory.display());
     Ok(copied)
+}
+
+/// The distribution of ROS 2 of all bags that name one; `None` if they differ.
+fn ros_distro(bags: &[Reader]) -> Option<&str> {
+    let named = bags.iter().filter_map(|bag| Some(bag.metadata()?.ros_distro.as_str()));
+    let mut named = named.filter(|name| !name.is_empty());
+    let first = named.next()?;
+    named.all(|other| other == first).then_some(first)
 }
 
 /// Copies the files of modules that a bag, a directory or a file in one, has in its folder.

@@ -11,7 +11,8 @@ use downbeat_bags::{Check, Copy, Reader, Truncation, check};
 
 #[derive(Args)]
 pub(crate) struct RepairArguments {
-    /// A rosbag2 directory or a single file; it is not changed.
+    /// A rosbag2 directory or a single file; it is not changed. The new bag has its storage, unless -s names
+    /// another.
     pub(crate) bag: PathBuf,
     /// The new rosbag2 directory; default is the name of the bag with `_repaired`.
     #[arg(long, short, value_name = "DIR")]
@@ -31,7 +32,8 @@ pub(crate) fn repair(arguments: &RepairArguments) -> anyhow::Result<()> {
         println!("no file is truncated");
     }
     let output = arguments.output.clone().unwrap_or_else(|| beside(&arguments.bag));
-    let copied = write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout)?;
+    let storage = bags[0].storage();
+    let copied = write(Copy::of(&bags, |_| true)?, &bags, &output, &arguments.layout, storage)?;
     let is_declared = bags[0].metadata().is_some_and(|metadata| metadata.message_count > 0);
     let is_damaged =
         is_declared || !copied.unreadable.is_empty() || bags[0].truncation().any(Truncation::loses_messages);

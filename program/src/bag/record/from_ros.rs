@@ -205,11 +205,12 @@ impl Recorder<'_> {
         if self.current.is_some() {
             return Err("a recording is running already: stop it first".to_owned());
         }
-        let next = |path: &Path| Force::default().next_run(path).map_err(|error| format!("{error:#}"));
-        let directory = match (uri.strip_prefix("file://").unwrap_or(uri), &self.network.arguments.output) {
-            ("", Some(output)) => next(output)?,
-            ("", None) => next(&unnamed())?,
-            (directory, _) => PathBuf::from(directory),
+        let directory = match uri.strip_prefix("file://").unwrap_or(uri) {
+            "" => {
+                let named = self.network.arguments.output.clone().unwrap_or_else(unnamed);
+                Force::default().next_run(&named).map_err(|error| format!("{error:#}"))?
+            }
+            directory => PathBuf::from(directory),
         };
         let is_paused = self.steered.control().is_paused();
         let begun = self.network.begin(&directory, is_paused).map_err(|error| format!("{error:#}"))?;
