@@ -91,7 +91,7 @@ impl Worker {
         for (&topic, received) in &received {
             self.last.extend(received.last().map(|&last| (topic, last)));
         }
-        if self.runs % self.plan.rate == 0 {
+        if self.runs.is_multiple_of(self.plan.rate) {
             let from: BTreeSet<u64> = received.into_values().flatten().collect();
             for &outlet in &self.outlets {
                 let made = Made {
