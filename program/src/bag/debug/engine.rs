@@ -30,7 +30,13 @@ pub(super) fn serve(
     socket: &Path,
     no_checkpoints: Option<String>,
 ) -> anyhow::Result<()> {
-    let mut engine = Engine { link: connect(socket)?, session, socket: socket.to_owned(), is_copy: false };
+    let mut engine = Engine {
+        link: connect(socket)?,
+        session,
+        socket: socket.to_owned(),
+        is_copy: false,
+        has_copies: false,
+    };
     engine.begin(Role::First)?;
     let about = engine.about(no_checkpoints);
     engine.link.send(&Report::About(Box::new(about)))?;
@@ -53,6 +59,8 @@ struct Engine {
     socket: PathBuf,
     /// Of another engine.
     is_copy: bool,
+    /// Whether there are copies of this one.
+    has_copies: bool,
 }
 
 impl Engine {
@@ -63,7 +71,9 @@ impl Engine {
 
     fn serve(&mut self) -> anyhow::Result<()> {
         while let Some(order) = self.link.receive()? {
-            fork::forget_copies();
+            if self.has_copies {
+                fork::forget_copies();
+            }
             let report = match self.obey(order) {
                 Ok(Some(report)) => report,
                 Ok(None) => continue,
@@ -98,6 +108,7 @@ impl Engine {
     /// Makes a copy of this process, which connects to the debugger. In the copy, the order is over.
     fn fork(&mut self, role: Role) -> anyhow::Result<Forked> {
         let forked = fork::fork().context("cannot make a checkpoint")?;
+        self.has_copies = matches!(forked, Forked::Original);
         if let Forked::Copy = forked {
             self.is_copy = true;
             self.link = connect(&self.socket)?;

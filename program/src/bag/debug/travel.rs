@@ -421,7 +421,14 @@ impl Engine {
     fn ask(&mut self, order: &Order) -> anyhow::Result<Report> {
         self.link.send(order)?;
         match self.link.receive()? {
-            Some(Report::Failed { problem }) => bail!("{problem}"),
+            Some(Report::Failed { problem }) => {
+                // It may have gone on before it failed.
+                self.link.send(&Order::Show)?;
+                if let Some(Report::Cycle(cycle)) = self.link.receive()? {
+                    self.position = cycle.position;
+                }
+                bail!("{problem}")
+            }
             Some(report) => Ok(report),
             None => bail!("the replay has crashed"),
         }

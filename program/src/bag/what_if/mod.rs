@@ -31,10 +31,6 @@ pub(super) fn what_if(
         let others = file.modules.iter().filter(|module| !module.kind.uses_device());
         options.modules = others.map(|module| module.name.clone()).collect();
     }
-    let folder = match report {
-        Some(report) => Folder::Report(new_folder(report)?),
-        None => Folder::Temporary(TempDir::with_prefix("downbeat_what_if_")?),
-    };
     // One after the other: simulated devices of two robots would have the same names.
     let plain = ReplaySession::open(file, &reader, &options)?;
     let names = plain.about().modules.iter().chain(&plain.about().detached);
@@ -44,6 +40,10 @@ pub(super) fn what_if(
     let settings: BTreeMap<_, _> = names.map(|module| (module.clone(), settings(module))).collect();
     // Before the first run: a mistake in a change should not take long to show.
     let changed = changed(arguments, changes, &settings, catalog, ros)?;
+    let folder = match report {
+        Some(report) => Folder::Report(new_folder(report)?),
+        None => Folder::Temporary(TempDir::with_prefix("downbeat_what_if_")?),
+    };
     let plain = Side::record(plain, &folder.path().join("before"))?;
     let changed =
         Side::record(ReplaySession::open(changed, &reader, &options)?, &folder.path().join("after"))?;
