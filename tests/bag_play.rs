@@ -270,6 +270,8 @@ fn messages_of_types_in_idl_are_played_and_topics_that_cannot_be_are_an_error() 
     };
     let (is_success, said) = played("idl_simple.mcap", &[]);
     assert!(is_success && said.contains("played 3 messages; 0 were refused"), "{said}");
+    let (is_success, said) = played("idl_composite.mcap", &[]);
+    assert!(is_success && said.contains("played 4 messages; 0 were refused"), "{said}");
     let (is_success, said) = played("foxlog.mcap", &["--topics", "/log"]);
     assert!(!is_success && said.contains("nothing of /log can be played"), "{said}");
     let reason = "messages in \"json\" of the schema \"foxglove.Log\", which is no ROS 2 type, so they cannot be published; `downbeat bag \

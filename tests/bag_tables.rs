@@ -180,6 +180,40 @@ fn types_that_are_defined_in_idl_are_read_by_every_command() {
 }
 
 #[test]
+fn composite_types_that_are_defined_in_idl_are_read_by_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = foreign("idl_composite");
+    let whole = "decoded 4 of them, found 0 problems";
+    assert!(text_of(&["bag", "check", text(&bag)]).contains(whole));
+    let (rows, _) = exported(&bag, folder.path());
+    let plant = |kind: &str, height: f64| serde_json::json!({ "kind": kind, "height": height });
+    let expected = serde_json::json!({
+        "header": { "stamp": { "sec": 3, "nanosec": 5 }, "frame_id": "bed" },
+        "first": plant("rose", 3.5),
+        "plants": [plant("fern", 1.0), plant("moss", 0.75)],
+        "corners": [plant("a", 1.0), plant("b", 2.0)],
+        "size": [3.0, 4.0, 5.0],
+        "rows": [0, 1, 2],
+        "depth": 0.3,
+        "is_wet": true,
+    });
+    assert_eq!((rows.len(), &rows[3]["message"]), (4, &expected));
+    let plot = folder.path().join("plot.svg");
+    let fields = ["bed:plants[1].height", "bed:size[2]"];
+    let plotted = text_of(&["bag", "plot", text(&bag), fields[0], fields[1], "-o", text(&plot)]);
+    assert!(plotted.starts_with("2 curves in"), "{plotted}");
+    for command in ["convert", "repair"] {
+        let copy = folder.path().join(command);
+        text_of(&["bag", command, text(&bag), "-o", text(&copy)]);
+        assert!(text_of(&["bag", "check", text(&copy)]).contains(whole), "{command}");
+        assert!(text_of(&["bag", "diff", text(&bag), text(&copy)]).contains("are the same"), "{command}");
+    }
+    let part = folder.path().join("part");
+    text_of(&["bag", "cut", text(&bag), "--from", "0.1s", "-o", text(&part)]);
+    assert_eq!(exported(&part, folder.path()).0, rows[1..]);
+}
+
+#[test]
 fn packages_with_idl_files_alone_are_found() {
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/my_idl");
     let shown = text_of(&["interface", "show", "my_idl/msg/Simple", "--from", text(&package)]);

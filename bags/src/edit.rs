@@ -358,7 +358,8 @@ impl Iterator for Merged {
 }
 
 /// Recreates the metadata.yaml of a bag directory from its files, like `ros2 bag reindex`. An existing one is
-/// only used for what the files do not contain: `custom_data` is kept if it is readable, and the version of Humble.
+/// only used for what the files do not contain: `custom_data` is kept if it is readable, and the version of
+/// Humble.
 ///
 /// # Errors
 /// Returns an error if there are no files, or they cannot be read, or metadata.yaml cannot be written.

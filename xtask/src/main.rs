@@ -86,9 +86,9 @@ enum Command {
     /// The long tests of damaged bags, some minutes: every command on 500 mutations of each recorded bag, and
     /// a million mutations of small bag files.
     Bags,
-    /// The recorder under load, some minutes: 10 MB/s beside busy cores, slow and full disks (as root), splits,
-    /// kills, large messages, floods. Prints what is lost, which other readers open the bags, and fails if a
-    /// message is neither written nor counted.
+    /// The recorder under load, some minutes: 10 MB/s beside busy cores, slow and full disks (as root),
+    /// splits, kills, large messages, floods. Prints what is lost and which other readers open the bags, and
+    /// fails if a message is neither written nor counted.
     Recorder {
         /// The duration of the recording beside busy cores.
         #[arg(long, default_value_t = 2.0, value_name = "N")]

@@ -5,8 +5,8 @@ use std::process::Command;
 use crate::steps::run;
 use crate::{node, python};
 
-/// The recorder under load: beside busy cores, on slow and full disks, while it is killed, with large messages
-/// and floods of small ones. Other readers open every bag. As root also the disks.
+/// Records beside busy cores, on slow and full disks (as root), with splits, kills, large messages and floods
+/// of small ones. Other readers open every bag.
 pub(crate) fn recorder(minutes: f64) -> anyhow::Result<()> {
     let (python, modules) = (python::interpreter()?, node::modules()?);
     println!(

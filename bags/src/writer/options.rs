@@ -205,7 +205,7 @@ impl WriterOptions {
         Self { metadata_version, ..self }
     }
 
-    /// The distribution of ROS 2 that the metadata names instead of `jazzy`: for copies of bags of another one.
+    /// The distribution of ROS 2 that the metadata names instead of `jazzy`: for copies of bags of another.
     #[must_use]
     pub fn ros_distro(self, ros_distro: impl Into<String>) -> Self {
         Self { ros_distro: ros_distro.into(), ..self }

@@ -263,6 +263,16 @@ fn hashes_in_bags_are_those_that_ros_2_publishes_and_rosbags_computes() {
         assert!(published > 150, "{published} of {}", types.len());
     }
     let _check = noted("type hashes", With::Rosbags, Way::Out);
+    // Of messages as `ros2msg`, of parts of services and actions, whose schemas are IDL, among them.
+    for ending in [
+        "/msg/Imu",
+        "/srv/SetBool_Event",
+        "Fibonacci_SendGoal_Event",
+        "Fibonacci_GetResult_Event",
+        "Fibonacci_FeedbackMessage",
+    ] {
+        assert!(types.iter().any(|of| of.name.ends_with(ending)), "{ending}");
+    }
     for of in types.iter().filter(|of| !of.has_a("wstring")) {
         let theirs = read["computed"][of.topic()].as_str();
         assert_eq!(theirs, Some(of.hash), "{}", of.name);
