@@ -530,7 +530,7 @@ fn assert_commanded_from_ros_2(recorded: &Recorded) {
     let report = recorded.app.replay(&recorded.robot, &recorded.bag).unwrap();
     let not_compared: Vec<_> = report.not_compared.iter().map(|topic| &*topic.topic).collect();
     let process = ["/bridge/qos_events", "/cycle_messages", "/cycle_times", "/diagnostics"];
-    let journals = ["/module_events", "/module_settings", "/module_steps"];
+    let journals = ["/module_events", "/module_runs", "/module_settings", "/module_steps"];
     // The worker was not called.
     assert_eq!(not_compared, [&process[..], &journals, &["/results"]].concat());
     report.assert_same().unwrap();

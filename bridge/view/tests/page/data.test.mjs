@@ -115,7 +115,7 @@ test('modules that the program adds are shown on request', () => {
   assert.deepEqual(lines(edgesOf(more, options)), lines(edgesOf(graph, options)));
   assert.equal(edgesOf(more, options).modules, 2);
   assert.equal(edgesOf(more, { ...options, debug: true }).modules, 3);
-  assert(isOwn('bridge_services') && !isOwn('my_journal'));
+  assert(isOwn('bridge_services') && isOwn('run_journal') && !isOwn('my_journal'));
 });
 
 test('topics about the program are told apart', () => {
