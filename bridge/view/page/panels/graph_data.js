@@ -37,7 +37,7 @@ const MOST_SHARES = 120;
 /** Topics about the program itself and not about the robot. @param {string} name */
 export const isDebug = (name) => /^(executor|bridge|record)\/|(^|\/)(rosout|parameter_events)$|^(cycle_messages|cycle_times|module_steps|module_settings|module_events|module_runs)$/.test(name);
 /** Modules that the program adds to each robot. @param {string} name */
-export const isOwn = (name) => /^((cycle|step|settings|event|run)_journal|bridge_services|process_diagnostics)$/.test(name);
+export const isOwn = (name) => /^((cycle|step|settings|event|run)_journal|bridge_services|latency_watch|process_diagnostics)$/.test(name);
 
 /** The last seconds of snapshots. */
 export class History {
