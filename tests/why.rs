@@ -1,4 +1,5 @@
-//! Why a message was published, and how old what it depends on is: `downbeat bag why`, `downbeat bag latency`.
+//! Why a message was published, and how old what it depends on is: `downbeat bag why`, `downbeat bag
+//! latency`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
