@@ -44,8 +44,8 @@ test('the graph has all modules and topics', async () => {
   const nodes = await page.locator('.graph-body').evaluateAll((bodies) => bodies.map((body) => body.dataset.node));
   const of = (kind) => nodes.filter((id) => id.startsWith(kind)).map((id) => id.slice(2)).sort();
   const named = (list, isHidden) => list.map(({ name }) => name).filter((name) => !isHidden.test(name)).sort();
-  assert.deepEqual(of('m:'), named(modules, /_journal$|^bridge_services$|^process_diagnostics$/));
-  assert.deepEqual(of('t:'), named(topics, /^(executor|bridge|record)\/|(^|\/)(rosout|parameter_events)$|^cycle_(messages|times)$|^module_(steps|settings|events)$/));
+  assert.deepEqual(of('m:'), named(modules, /_journal$|^bridge_services$|^process_diagnostics$|^latency_watch$/));
+  assert.deepEqual(of('t:'), named(topics, /^(executor|bridge|record)\/|(^|\/)(rosout|parameter_events)$|^cycle_(messages|times)$|^module_(steps|settings|events|runs)$/));
   assert(of('m:').includes('hardware') && of('t:').includes('joint_states'));
   await page.getByTestId('graph-filter').click();
   await page.getByTestId('graph-debug').check();
