@@ -25,7 +25,6 @@ mod look;
 mod network;
 mod new;
 mod new_output;
-#[cfg(any(feature = "football", feature = "view"))]
 mod own_command;
 mod parameters;
 mod robots;

@@ -4,7 +4,7 @@
 //! reports it and bags hold it ([`Recorded`]). [`History::explain`] follows a message back through the runs
 //! that led to it, across modules, threads and services, to what came from outside. [`Latency`] follows
 //! messages forward instead, and measures how old the newest message of a topic is on which those of another
-//! one depend; it works while a robot runs. [`guess`] does what is possible with bags of ROS, which know of
+//! one depend; it works while a robot runs. [`Guess`] does what is possible with bags of ROS, which know of
 //! no runs.
 //!
 //! All of this is pure: whoever uses it reads bags and subscribes to topics.
