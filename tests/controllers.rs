@@ -100,6 +100,130 @@ fn controllers_are_switched_and_chained_as_the_page_says() {
     robot.interrupt();
 }
 
+/// As the page says, with the calls of `ros2 control`, by a participant of Cyclone DDS.
+#[test]
+fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
+    let domain = free_domain();
+    let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
+    let _check = check("Node services", "controller_manager: list, switch, hardware", With::Cyclone, Way::In);
+    let folder = tempfile::tempdir().unwrap();
+    let robot = folder.path().join("robot.toml");
+    let hardware = "[robot]\nname = \"head\"\n[[module]]\nkind = \"darwin_op_emulator\"\n\
+                    settings = { link = \"memory:head\" }\n[[module]]\nname = \"hardware\"\nkind = \"darwin_op\"\n\
+                    settings = { port = \"memory:head\", hardware_id = \"emulated\" }\n";
+    let expose = "[expose]\ncontroller_manager = true\n";
+    let text = format!("{hardware}{}", block("toml", "head/reference").replace("[expose]\n", expose));
+    std::fs::write(&robot, text).unwrap();
+    let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
+    program.wait_for_output("exposed controllers: /controller_manager");
+    let mut ask = |name: &str, service: &str, fields: Value| {
+        let (service, kind) =
+            (format!("/controller_manager/{service}"), format!("controller_manager_msgs/srv/{name}"));
+        cyclone.ask(json!({"do": "request", "service": service, "type": kind, "fields": fields}))
+    };
+    let mut controllers = || {
+        let listed = ask("ListControllers", "list_controllers", json!({}))["controller"].clone();
+        let listed = listed
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|one| (one["name"].as_str().unwrap().to_owned(), one.clone()));
+        listed.collect::<std::collections::BTreeMap<_, _>>()
+    };
+    let listed = controllers();
+    let names: Vec<_> = listed.keys().map(String::as_str).collect();
+    assert_eq!(names, ["head", "head_by_hand", "head_controller", "joint_state_broadcaster"]);
+    let trajectory = &listed["head_controller"];
+    assert_eq!(trajectory["type"], "joint_trajectory_controller/JointTrajectoryController");
+    assert_eq!((&trajectory["state"], &trajectory["update_rate"]), (&json!("active"), &json!(125)));
+    let claimed = json!(["head/head_pan/position", "head/head_tilt/position"]);
+    assert_eq!(
+        (&trajectory["claimed_interfaces"], &listed["head"]["reference_interfaces"]),
+        (&claimed, &claimed)
+    );
+    assert_eq!(trajectory["chain_connections"][0]["name"], "head");
+    assert_eq!(
+        (&listed["head"]["is_chainable"], &listed["head"]["is_chained"]),
+        (&json!(true), &json!(true))
+    );
+    assert_eq!(listed["head_by_hand"]["state"], "inactive");
+    assert_eq!(listed["head_by_hand"]["claimed_interfaces"], json!([]));
+    assert_eq!(listed["joint_state_broadcaster"]["state"], "active");
+
+    let switch = |deactivate: &str, activate: &str, strictness: i32| {
+        let names = |names: &str| names.split_whitespace().collect::<Vec<_>>();
+        json!({
+            "activate_controllers": names(activate), "deactivate_controllers": names(deactivate),
+            "strictness": strictness, "activate_asap": false, "timeout": {"sec": 5, "nanosec": 0},
+        })
+    };
+    const STRICT: i32 = 2;
+    const FORCE_AUTO: i32 = 4;
+    for (deactivate, activate, problem) in [
+        ("", "head_by_hand", "\"head_by_hand\" commands joints that \"head_controller\" has"),
+        ("", "hand", "there is no controller \"hand\""),
+        ("joint_state_broadcaster", "", "is a part of the hardware \"hardware\""),
+    ] {
+        let refused = ask("SwitchController", "switch_controller", switch(deactivate, activate, STRICT));
+        assert_eq!(refused["ok"], false);
+        assert!(refused["message"].as_str().unwrap().contains(problem), "{refused}");
+    }
+    for (request, active) in [
+        (switch("head_controller", "head_by_hand", STRICT), "head_by_hand"),
+        (switch("", "head_controller", FORCE_AUTO), "head_controller"),
+    ] {
+        let done = ask("SwitchController", "switch_controller", request);
+        assert_eq!(done["ok"], true, "{done}");
+        let listed = ask("ListControllers", "list_controllers", json!({}))["controller"].clone();
+        let is_active = |name: &str| {
+            listed.as_array().unwrap().iter().any(|one| one["name"] == *name && one["state"] == "active")
+        };
+        assert_eq!(
+            [is_active("head_by_hand"), is_active("head_controller")],
+            [active == "head_by_hand", active == "head_controller"]
+        );
+    }
+    let interfaces = ask("ListHardwareInterfaces", "list_hardware_interfaces", json!({}));
+    let named = |list: &str, name: &str| {
+        interfaces[list]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|one| one["name"] == *name)
+            .cloned()
+            .unwrap_or_default()
+    };
+    assert_eq!(named("command_interfaces", "head_pan/position")["is_claimed"], true);
+    assert_eq!(named("command_interfaces", "l_knee/position")["is_claimed"], false);
+    assert_eq!(named("state_interfaces", "head_pan/position")["is_available"], true);
+
+    // The rest with our own calls.
+    let call = |service: &str, request: &str| {
+        let line = [
+            "service",
+            "call",
+            &format!("/controller_manager/{service}"),
+            request,
+            "--domain",
+            &domain.to_string(),
+        ];
+        common::text_of(&line)
+    };
+    let types = call("list_controller_types", "{}");
+    assert!(types.contains("forward_command_controller/ForwardCommandController"), "{types}");
+    assert!(call("unload_controller", "{name: head_controller}").contains("false"), "it is active");
+    assert!(call("unload_controller", "{name: head_by_hand}").contains("true"));
+    assert!(!call("list_controllers", "{}").contains("head_by_hand"));
+    assert!(call("load_controller", "{name: head_by_hand}").contains("true"));
+    assert!(call("load_controller", "{name: head_by_hand}").contains("false"), "it is loaded");
+    assert!(call("configure_controller", "{name: head_by_hand}").contains("true"));
+    let state =
+        call("set_hardware_component_state", "{name: hardware, target_state: {id: 2, label: inactive}}");
+    assert!(state.contains("true") && state.contains("inactive"), "{state}");
+    assert!(call("list_hardware_components", "{}").contains("downbeat/darwin_op"));
+    program.interrupt();
+}
+
 #[test]
 fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
     let domain = free_domain();

@@ -10,6 +10,7 @@
 //!   types.
 
 pub mod clock;
+pub mod controller_manager;
 pub mod diagnostics;
 pub mod expose;
 pub mod lifecycle;

@@ -5,13 +5,13 @@ mod common;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{RunningCore, on_loopback, wait_until};
+use common::{RunningCore, WATCHDOG, on_loopback, wait_until};
 use downbeat_bridge::lifecycle::{LifecycleError, LifecycleExposure, LifecycleNodes, expose_lifecycle};
 use downbeat_bridge::middleware::in_process::Hub;
 use downbeat_bridge::ros::{NodeName, Participant};
 use downbeat_executor::{
     Context, Core, Inbox, LifecycleState, Module, ModuleOptions, Restart, Setup, SetupError, Synchrony,
-    TransitionError,
+    Transition, TransitionError,
 };
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -45,7 +45,7 @@ impl Module for Camera {
 }
 
 struct Robot {
-    _core: RunningCore,
+    core: RunningCore,
     mood: Mood,
     _nodes: LifecycleNodes,
 }
@@ -66,7 +66,15 @@ fn robot(domain_id: u16) -> Robot {
         LifecycleExposure { module: "camera".into(), node: NodeName::new("/robot", "camera").unwrap() };
     let nodes = expose_lifecycle(&core, &participant, &[exposure]).unwrap();
     let core = RunningCore::start(core);
-    Robot { _core: core, mood, _nodes: nodes }
+    Robot { core, mood, _nodes: nodes }
+}
+
+impl Robot {
+    /// Makes a transition of the module and waits for it.
+    fn change(&self, transition: Transition) {
+        let made = self.core.transition("camera", transition).wait(WATCHDOG);
+        assert!(matches!(made, Some(Ok(_))), "{transition}: {made:?}");
+    }
 }
 
 const SERVICES: [(&str, &str); 5] = [
@@ -173,6 +181,65 @@ fn rclpy_manages_a_module_as_ros2_lifecycle_does() {
     let path = ["inactive", "activating", "errorprocessing", "finalized"];
     assert_eq!(events_until(&mut rclpy, "finalized"), path);
     rclpy.leave();
+}
+
+/// Nav2's lifecycle manager with a participant of Cyclone DDS: heartbeats of its own, and those of the node.
+#[test]
+fn an_active_node_answers_the_bond_of_its_manager_and_ends_it_when_it_is_deactivated() {
+    let domain = free_domain();
+    let Some(mut manager) = Peer::cyclonedds(domain) else { return };
+    let _check = check("Node services", "bond with a lifecycle manager", With::Cyclone, Way::Both);
+    let robot = robot(domain);
+    let (topic, kind, qos) = ("/robot/bond", "bond/msg/Status", json!({"depth": 100}));
+    manager.ask(json!({"do": "subscribe", "topic": topic, "type": kind, "qos": qos}));
+    manager.ask(json!({"do": "advertise", "topic": topic, "type": kind, "qos": qos}));
+    let wanted = |id: &str, instance: &str, active: bool| {
+        let fields = json!({
+            "header": {}, "id": id, "instance_id": instance, "active": active, "heartbeat_timeout": 4.0, "heartbeat_period": 0.1,
+        });
+        json!({"do": "publish", "topic": topic, "fields": fields})
+    };
+    // Of the node, since the last call: which side of the bond says that it is alive.
+    let heard = |manager: &mut Peer| -> Vec<(String, bool)> {
+        let messages = manager.ask(json!({"do": "take", "topic": topic}));
+        let messages = messages.as_array().unwrap().iter().map(|message| &message["fields"]);
+        let messages =
+            messages.filter(|fields| fields["instance_id"].as_str().unwrap().contains("/robot/camera"));
+        let said = messages
+            .map(|fields| (fields["id"].as_str().unwrap().to_owned(), fields["active"].as_bool().unwrap()));
+        said.collect()
+    };
+    wait_until("the manager is matched", || manager.ask(json!({"do": "matched", "topic": topic})) == 2);
+
+    // The module is not active, and a bond of another node is not its own.
+    manager.ask(wanted("camera", "first", true));
+    manager.ask(wanted("other", "first", true));
+    for transition in [Transition::Configure, Transition::Activate] {
+        robot.change(transition);
+    }
+    assert!(heard(&mut manager).is_empty());
+    manager.ask(wanted("camera", "first", true));
+    let mut said = Vec::new();
+    wait_until("several heartbeats", || {
+        manager.ask(wanted("camera", "first", true));
+        said.extend(heard(&mut manager));
+        said.len() >= 5
+    });
+    assert!(said.iter().all(|one| *one == ("camera".to_owned(), true)), "{said:?}");
+
+    robot.change(Transition::Deactivate);
+    wait_until("the end of the bond", || {
+        manager.ask(wanted("camera", "first", true));
+        heard(&mut manager).last().is_some_and(|(_, is_active)| !is_active)
+    });
+    manager.ask(wanted("camera", "first", false));
+    robot.change(Transition::Activate);
+    // A manager that was started again.
+    manager.ask(wanted("camera", "second", true));
+    wait_until("another bond", || heard(&mut manager).last().is_some_and(|(_, is_active)| *is_active));
+    drop(robot);
+    wait_until("the end of the node", || heard(&mut manager).last().is_some_and(|(_, is_active)| !is_active));
+    manager.leave();
 }
 
 #[test]

@@ -233,6 +233,7 @@ struct Features {
     rosout: bool,
     logger_service: bool,
     expose_service: bool,
+    controller_manager: bool,
     diagnostics: bool,
     network: bool,
     /// `own`, `publish` or `follow`, as in the robot file.
@@ -330,6 +331,7 @@ impl Features {
             rosout: features.rosout && !is_rosout_disabled,
             logger_service: features.logger_service,
             expose_service: features.expose_service,
+            controller_manager: features.controller_manager,
             diagnostics: features.diagnostics,
             network: features.network,
             clock,
@@ -413,6 +415,7 @@ impl fmt::Display for Features {
                 "levels of loggers <-> ~/get_logger_levels, ~/set_logger_levels".to_owned(),
             ),
             (self.expose_service, "what is exposed <- ~/expose".to_owned()),
+            (self.controller_manager, "controllers and hardware <-> node controller_manager".to_owned()),
             (self.network, "what else is on the network -> topic network of the robot".to_owned()),
         ] {
             if is_there {

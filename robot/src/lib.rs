@@ -10,6 +10,7 @@ mod built_in;
 mod catalog;
 pub mod causes;
 mod commanders;
+mod controllers;
 pub mod encoding;
 mod expose;
 mod failure;

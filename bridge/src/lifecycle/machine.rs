@@ -99,6 +99,10 @@ impl RosState {
         StateMessage { id: self.id, label: self.label.to_owned() }
     }
 
+    pub(super) fn is_active(self) -> bool {
+        self == ACTIVE
+    }
+
     pub(super) fn label(self) -> &'static str {
         self.label
     }

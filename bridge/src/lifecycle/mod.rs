@@ -2,7 +2,7 @@
 //!
 //! A module has the states of a managed node (<https://design.ros2.org/articles/node_lifecycle.html>). Here
 //! it is shown as its own node, with the five services of rclcpp_lifecycle, which change the state of the
-//! module, and `~/transition_event`.
+//! module, `~/transition_event`, and `bond` for managers that watch their nodes.
 //!
 //! ```
 //! use downbeat_bridge::lifecycle::{LifecycleExposure, expose_lifecycle};
@@ -29,15 +29,18 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod bond;
 mod machine;
 mod node;
 
 use crate::ros::{Node, NodeError, NodeName, Participant};
 use crate::worker::WorkerLink;
 use downbeat_executor::{Core, Listening};
+use downbeat_msgs::builtin_interfaces::msg::Time;
 use node::LifecycleNode;
 use std::collections::BTreeMap;
 use std::sync::Weak;
+use std::time::{SystemTime, UNIX_EPOCH};
 use thiserror::Error;
 
 /// A module to show as a managed node.
@@ -108,6 +111,12 @@ pub fn expose_lifecycle(
         }
     });
     Ok(LifecycleNodes { listening: Some(listening), nodes, worker })
+}
+
+/// The time of the machine, for the stamps of messages that no module publishes.
+pub(crate) fn wall_time() -> Time {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Time::from_nanos(i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX))
 }
 
 impl LifecycleNodes {

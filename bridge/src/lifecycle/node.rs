@@ -1,5 +1,6 @@
 //! One module as a managed node.
 
+use super::bond::Bond;
 use super::machine::{RosState, RosTransition, STATES, TRANSITIONS, Track};
 use crate::limiter::Limiter;
 use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
@@ -39,6 +40,7 @@ pub(super) struct Followed {
     module: String,
     track: Mutex<Track>,
     events: Publisher,
+    bond: Bond,
     /// Of requests that are refused or not answered, which others may repeat without end.
     lines: Limiter,
 }
@@ -122,8 +124,10 @@ impl Followed {
     fn new(node: &Node, module: &str, state: LifecycleState) -> Result<Self, NodeError> {
         let kind = MessageType::new(TransitionEvent::TYPE_NAME)?;
         let events = node.publish("~/transition_event", &kind, QosProfile::DEFAULT)?;
-        let track = Mutex::new(Track::new(state));
-        Ok(Self { module: module.to_owned(), track, events, lines: Limiter::default() })
+        let track = Track::new(state);
+        let bond = Bond::new(node, track.now().is_active())?;
+        let (module, track) = (module.to_owned(), Mutex::new(track));
+        Ok(Self { module, track, events, bond, lines: Limiter::default() })
     }
 
     fn now(&self) -> RosState {
@@ -143,6 +147,7 @@ impl Followed {
                 tracing::warn!(module = self.module, %error, "a transition event was not published");
             }
         }
+        self.bond.set_active(self.now().is_active());
     }
 
     fn answer(&self, reply: Reply<ChangeState>, success: bool) {

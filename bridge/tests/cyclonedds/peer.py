@@ -148,6 +148,16 @@ class JointTrajectoryControllerState(
     speed_scaling_factor: types.float64
 
 
+@dataclass
+class Status(IdlStruct, typename="bond::msg::dds_::Status_"):
+    header: Header
+    id: str
+    instance_id: str
+    active: bool
+    heartbeat_timeout: types.float32
+    heartbeat_period: types.float32
+
+
 # The elements of lists, by field.
 ELEMENTS = {"transforms": TransformStamped}
 
@@ -227,12 +237,113 @@ class DeleteEntityResponse(IdlStruct, typename="simulation_interfaces::srv::dds_
     result: Outcome
 
 
+@dataclass
+class ChainConnection(IdlStruct, typename="controller_manager_msgs::msg::dds_::ChainConnection_"):
+    name: str
+    reference_interfaces: types.sequence[str]
+
+
+@dataclass
+class ControllerState(IdlStruct, typename="controller_manager_msgs::msg::dds_::ControllerState_"):
+    name: str
+    state: str
+    type: str
+    is_async: bool
+    update_rate: types.uint16
+    claimed_interfaces: types.sequence[str]
+    required_command_interfaces: types.sequence[str]
+    required_state_interfaces: types.sequence[str]
+    is_chainable: bool
+    is_chained: bool
+    exported_state_interfaces: types.sequence[str]
+    reference_interfaces: types.sequence[str]
+    chain_connections: types.sequence[ChainConnection]
+
+
+@dataclass
+class HardwareInterface(IdlStruct, typename="controller_manager_msgs::msg::dds_::HardwareInterface_"):
+    name: str
+    data_type: str
+    is_available: bool
+    is_claimed: bool
+
+
+# A request without fields has one on the wire, as rosidl makes it.
+
+
+@dataclass
+class ListControllersRequest(
+    IdlStruct, typename="controller_manager_msgs::srv::dds_::ListControllers_Request_"
+):
+    guid: types.uint64
+    seq: types.int64
+    structure_needs_at_least_one_member: types.uint8
+
+
+@dataclass
+class ListControllersResponse(
+    IdlStruct, typename="controller_manager_msgs::srv::dds_::ListControllers_Response_"
+):
+    guid: types.uint64
+    seq: types.int64
+    controller: types.sequence[ControllerState]
+
+
+@dataclass
+class ListHardwareInterfacesRequest(
+    IdlStruct, typename="controller_manager_msgs::srv::dds_::ListHardwareInterfaces_Request_"
+):
+    guid: types.uint64
+    seq: types.int64
+    structure_needs_at_least_one_member: types.uint8
+
+
+@dataclass
+class ListHardwareInterfacesResponse(
+    IdlStruct, typename="controller_manager_msgs::srv::dds_::ListHardwareInterfaces_Response_"
+):
+    guid: types.uint64
+    seq: types.int64
+    command_interfaces: types.sequence[HardwareInterface]
+    state_interfaces: types.sequence[HardwareInterface]
+
+
+@dataclass
+class SwitchControllerRequest(
+    IdlStruct, typename="controller_manager_msgs::srv::dds_::SwitchController_Request_"
+):
+    guid: types.uint64
+    seq: types.int64
+    activate_controllers: types.sequence[str]
+    deactivate_controllers: types.sequence[str]
+    strictness: types.int32
+    activate_asap: bool
+    timeout: Duration
+
+
+@dataclass
+class SwitchControllerResponse(
+    IdlStruct, typename="controller_manager_msgs::srv::dds_::SwitchController_Response_"
+):
+    guid: types.uint64
+    seq: types.int64
+    ok: bool
+    message: str
+
+
 SERVICES = {
+    "controller_manager_msgs/srv/ListControllers": (ListControllersRequest, ListControllersResponse),
+    "controller_manager_msgs/srv/ListHardwareInterfaces": (
+        ListHardwareInterfacesRequest,
+        ListHardwareInterfacesResponse,
+    ),
+    "controller_manager_msgs/srv/SwitchController": (SwitchControllerRequest, SwitchControllerResponse),
     "simulation_interfaces/srv/SpawnEntity": (SpawnEntityRequest, SpawnEntityResponse),
     "simulation_interfaces/srv/DeleteEntity": (DeleteEntityRequest, DeleteEntityResponse),
 }
 
 TYPES = {
+    "bond/msg/Status": Status,
     "legs/msg/Leg": Leg,
     "tf2_msgs/msg/TFMessage": TFMessage,
     "std_msgs/msg/String": String,

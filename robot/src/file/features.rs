@@ -17,6 +17,9 @@ pub struct NodeFeatures {
     pub logger_service: bool,
     /// Whether other nodes may change what is exposed with the service `~/expose`.
     pub expose_service: bool,
+    /// Whether the robot's controllers and hardware are shown as those of ros2_control, by a node
+    /// `controller_manager`.
+    pub controller_manager: bool,
     /// Whether the topic `network` reports the nodes and endpoints of the ROS 2 network to modules.
     pub network: bool,
     /// How the node uses `/clock`.
@@ -45,6 +48,7 @@ impl Default for NodeFeatures {
             rosout: true,
             logger_service: true,
             expose_service: false,
+            controller_manager: false,
             network: false,
             clock: ClockChoice::Own,
             diagnostics: true,
@@ -83,6 +87,9 @@ impl NodeFeatures {
             expose_service: table
                 .take("expose_service")
                 .map_or(Ok(unless_given.expose_service), |value| value.flag())?,
+            controller_manager: table
+                .take("controller_manager")
+                .map_or(Ok(unless_given.controller_manager), |value| value.flag())?,
             network: table.take("network").map_or(Ok(unless_given.network), |value| value.flag())?,
             clock: table.take("clock").map_or(Ok(unless_given.clock), clock_choice)?,
             diagnostics: table

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use downbeat_bridge::clock::{self, NodeClock, SimTime};
+use downbeat_bridge::controller_manager::ControllerManager;
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::expose::{
     Bridge, EndpointReport, ExposedServices, NetworkNodes, ParameterExposure, ParameterServer,
@@ -14,8 +15,10 @@ use downbeat_bridge::middleware::{self, Direction, Middleware, MiddlewareError, 
 use downbeat_bridge::network::NetworkWatch;
 use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
 use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
+use downbeat_executor::Outlet;
 
 use super::{LogTail, StartError};
+use crate::controllers::Controllers;
 use crate::inspect::{ClaimError, NodeClaim, SocketDirectory};
 use crate::{ClockChoice, NetworkEntry, Robot, RobotFile};
 
@@ -44,6 +47,7 @@ pub struct RobotNode {
     /// Of the node in each network that has them.
     _parameters: Vec<ParameterServices>,
     _lifecycle: LifecycleNodes,
+    _controllers: Option<ControllersNode>,
     _network: Option<NetworkWatch>,
     _furnishing: Furnishing,
     node: Node,
@@ -124,6 +128,8 @@ impl RobotNode {
             }
             tracing::info!("exposed lifecycle: {}", node.name());
         }
+        let controllers = features.controller_manager.then(|| ControllersNode::start(robot, &participant));
+        let controllers = controllers.transpose()?;
         let nodes = NetworkNodes::new(node.clone(), networks);
         let bridge = Bridge::start(&mut robot.core, nodes.clone(), &exposed.topics)?;
         if let Some(diagnostics) = diagnostics {
@@ -157,6 +163,7 @@ impl RobotNode {
             _logger_services: logger_services,
             _parameters: of_robot,
             _lifecycle: lifecycle,
+            _controllers: controllers,
             _network: network,
             _furnishing: furnishing,
             node,
@@ -185,6 +192,24 @@ impl RobotNode {
     #[must_use]
     pub fn domain(&self) -> u16 {
         self.domain
+    }
+}
+
+/// The node `controller_manager`.
+struct ControllersNode {
+    // Fields drop in this order.
+    _manager: ControllerManager,
+    _outlets: Vec<Outlet>,
+    _node: Node,
+}
+
+impl ControllersNode {
+    fn start(robot: &mut Robot, participant: &Participant) -> Result<Self, StartError> {
+        let node = participant.create_node(robot.file.node_beside("controller_manager", 0)?)?;
+        let Controllers { controllers, hardware, outlets } = robot.controllers()?;
+        let manager = ControllerManager::serve(&robot.core, &node, controllers, hardware)?;
+        tracing::info!("exposed controllers: {}", node.name());
+        Ok(Self { _manager: manager, _outlets: outlets, _node: node })
     }
 }
 

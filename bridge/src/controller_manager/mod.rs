@@ -1,0 +1,203 @@
+//! The controllers and the hardware of a robot as ros2_control shows them: the services of
+//! `controller_manager_msgs`, for `ros2 control`, spawners and MoveIt.
+//!
+//! Controllers and hardware are modules; their states are those of their lifecycle. All controllers of a robot
+//! are compiled in and loaded at the start. One that is unloaded is left out of the lists until it is loaded
+//! again; it stays unconfigured until then.
+//!
+//! # References
+//! ros2_control, branch jazzy: `controller_manager_msgs`, `controller_manager/src/controller_manager.cpp`,
+//! `controller_manager/doc/userdoc.rst`.
+
+mod manager;
+mod switch;
+
+use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
+use crate::worker::Mailbox;
+use downbeat_executor::{Core, Listening};
+use downbeat_msgs::Message;
+use downbeat_msgs::controller_manager_msgs::msg::ControllerManagerActivity;
+use downbeat_msgs::controller_manager_msgs::srv::{
+    CleanupController, ConfigureController, ListControllerTypes, ListControllers, ListHardwareComponents,
+    ListHardwareInterfaces, LoadController, ReloadControllerLibraries, SetHardwareComponentState,
+    SwitchController, UnloadController,
+};
+use downbeat_msgs::qos::QosProfile;
+use manager::Manager;
+use parking_lot::Mutex;
+use std::sync::Arc;
+
+/// A controller.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Controller {
+    /// Its name.
+    pub name: String,
+    /// The module whose state it has: that of the same name, except for what a hardware module does itself.
+    pub module: String,
+    /// Its class as in ros2_control, such as `joint_trajectory_controller/JointTrajectoryController`.
+    pub type_name: String,
+    /// In Hz; 0 if it runs when it has something to do.
+    pub update_rate_hz: u16,
+    /// The interfaces that it commands, `<joint>/position`; those of a controller below it with its name in
+    /// front.
+    pub commands: Vec<String>,
+    /// The interfaces that it reads.
+    pub states: Vec<String>,
+    /// The references that other controllers may command, `<controller>/<joint>/position`.
+    pub references: Vec<String>,
+}
+
+/// A module that drives a device with joints.
+#[derive(Clone, Debug)]
+pub struct Hardware {
+    /// The module.
+    pub module: String,
+    /// What drives it.
+    pub plugin: String,
+    /// In Hz; 0 if it is not known.
+    pub rate_hz: u16,
+    /// Its joints, once they are known.
+    pub joints: Joints,
+}
+
+/// The joints of a hardware module, which its first message names. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub struct Joints(Arc<Mutex<Vec<Joint>>>);
+
+/// A joint of a hardware module.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Joint {
+    /// Its name.
+    pub name: String,
+    /// What the hardware measures of it: `position`, `velocity`, `effort`.
+    pub states: Vec<&'static str>,
+}
+
+impl Joints {
+    /// Sets them.
+    pub fn set(&self, joints: Vec<Joint>) {
+        *self.0.lock() = joints;
+    }
+
+    fn get(&self) -> Vec<Joint> {
+        self.0.lock().clone()
+    }
+}
+
+/// The services, until they are dropped.
+pub struct ControllerManager {
+    _services: Vec<Service>,
+    /// Told of transitions.
+    _listening: Listening,
+    requests: Mailbox<Request>,
+}
+
+/// How many requests wait; more are refused.
+const QUEUE: usize = 64;
+
+/// What is asked of the manager.
+enum Request {
+    ListControllers(Reply<ListControllers>),
+    ListHardware(Reply<ListHardwareComponents>),
+    ListInterfaces(Reply<ListHardwareInterfaces>),
+    Load(String, Reply<LoadController>),
+    Unload(String, Reply<UnloadController>),
+    Configure(String, Reply<ConfigureController>),
+    Cleanup(String, Reply<CleanupController>),
+    Switch(Box<<SwitchController as downbeat_msgs::Service>::Request>, Reply<SwitchController>),
+    SetHardware(
+        Box<<SetHardwareComponentState as downbeat_msgs::Service>::Request>,
+        Reply<SetHardwareComponentState>,
+    ),
+    Reload(bool, Reply<ReloadControllerLibraries>),
+    /// A module has made a transition.
+    Publish,
+}
+
+impl ControllerManager {
+    /// Serves them from a node, which usually has the name `controller_manager`.
+    ///
+    /// # Errors
+    /// [`NodeError`] if an endpoint cannot be created.
+    pub fn serve(
+        core: &Core,
+        node: &Node,
+        controllers: Vec<Controller>,
+        hardware: Vec<Hardware>,
+    ) -> Result<Self, NodeError> {
+        let requests = Mailbox::new(QUEUE);
+        let activity: Publisher = node.publish(
+            "~/activity",
+            &MessageType::new(ControllerManagerActivity::TYPE_NAME)?,
+            QosProfile::LATCHED,
+        )?;
+        let mut types: Vec<String> =
+            controllers.iter().map(|controller| controller.type_name.clone()).collect();
+        types.sort();
+        types.dedup();
+        let services = serve(node, &requests, types)?;
+        let (worker, mailbox) = (node.worker(), requests.clone());
+        let mut manager = Manager::new(core.handle(), worker.clone(), controllers, hardware, activity);
+        worker.spawn(async move {
+            manager.publish().await;
+            while let Some(request) = mailbox.next().await {
+                manager.answer(request).await;
+            }
+        });
+        let told = requests.clone();
+        let listening = core.handle().on_transition(move |_| {
+            // The queue is full of requests, each of which publishes as well.
+            let _ = told.push(Request::Publish);
+        });
+        Ok(Self { _services: services, _listening: listening, requests })
+    }
+}
+
+impl Drop for ControllerManager {
+    fn drop(&mut self) {
+        self.requests.close();
+    }
+}
+
+/// A service whose requests the manager answers one after the other, as ros2_control does.
+fn later<S: downbeat_msgs::Service>(
+    node: &Node,
+    requests: &Mailbox<Request>,
+    name: &str,
+    request: impl Fn(S::Request, Reply<S>) -> Request + Send + 'static,
+) -> Result<Service, NodeError> {
+    let requests = requests.clone();
+    node.serve_later::<S>(&format!("~/{name}"), QosProfile::SERVICES, move |asked, reply| {
+        if requests.push(request(asked, reply)).is_err() {
+            tracing::warn!("a request to the controller manager is not answered: too many wait");
+        }
+    })
+}
+
+fn serve(node: &Node, requests: &Mailbox<Request>, types: Vec<String>) -> Result<Vec<Service>, NodeError> {
+    let list_types = move |_| {
+        let base = |name: &String| match name.starts_with("forward_command_controller/") {
+            true => "controller_interface::ChainableControllerInterface".to_owned(),
+            false => "controller_interface::ControllerInterface".to_owned(),
+        };
+        let base_classes = types.iter().map(base).collect();
+        <ListControllerTypes as downbeat_msgs::Service>::Response { types: types.clone(), base_classes }
+    };
+    Ok(vec![
+        node.serve::<ListControllerTypes>("~/list_controller_types", QosProfile::SERVICES, list_types)?,
+        later(node, requests, "list_controllers", |_, reply| Request::ListControllers(reply))?,
+        later(node, requests, "list_hardware_components", |_, reply| Request::ListHardware(reply))?,
+        later(node, requests, "list_hardware_interfaces", |_, reply| Request::ListInterfaces(reply))?,
+        later(node, requests, "load_controller", |asked, reply| Request::Load(asked.name, reply))?,
+        later(node, requests, "unload_controller", |asked, reply| Request::Unload(asked.name, reply))?,
+        later(node, requests, "configure_controller", |asked, reply| Request::Configure(asked.name, reply))?,
+        later(node, requests, "cleanup_controller", |asked, reply| Request::Cleanup(asked.name, reply))?,
+        later(node, requests, "switch_controller", |asked, reply| Request::Switch(Box::new(asked), reply))?,
+        later(node, requests, "set_hardware_component_state", |asked, reply| {
+            Request::SetHardware(Box::new(asked), reply)
+        })?,
+        later(node, requests, "reload_controller_libraries", |asked, reply| {
+            Request::Reload(asked.force_kill, reply)
+        })?,
+    ])
+}
