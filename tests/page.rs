@@ -27,12 +27,27 @@ fn pass(script: &mut Command, shown: &Running) {
     assert!(output.status.success(), "{out}\n{error}\n{}", shown.output());
 }
 
+/// Two chains, of which the second one is always above its limit.
+const CHAINS: &str = r#"
+[[latency]]
+name = "reaction"
+from = "joint_states"
+to = "joint_goals"
+limit = "1h"
+
+[[latency]]
+name = "motion"
+from = "joint_states"
+to = "motion/joint_commands"
+limit = "1ns"
+"#;
+
 #[test]
 fn each_view_shows_true_values_of_a_running_robot_and_changes_it() {
     let domain_id = free_domain();
     let Some(mut script) = script("robot.mjs") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let file = robot_file(folder.path(), |text| text);
+    let file = robot_file(folder.path(), |text| text + CHAINS);
     let domain = domain_id.to_string();
     let line = ["run", file.to_str().unwrap(), "--domain", &domain, "--view=0"];
     // Recordings and the socket are in the folder.

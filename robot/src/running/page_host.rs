@@ -1,4 +1,4 @@
-//! What the page asks of a robot beside its core: recordings and the log.
+//! What the page asks of a robot beside its core: recordings, the log and the measured chains.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 
 use super::LogTail;
 use super::recording::{Recordable, Taking};
+use crate::Latencies;
 use crate::recorder::RecorderError;
 
 /// How long a disk may take to write a snapshot.
@@ -25,6 +26,7 @@ pub(super) struct PageHost {
     /// What can be recorded, or why nothing can.
     recordable: Result<Recordable, String>,
     log: Option<LogTail>,
+    latencies: Latencies,
     /// The recording that began with the robot.
     first: Option<(RecordingSender, RecordingControl)>,
     /// The recording that the page began.
@@ -41,10 +43,11 @@ impl PageHost {
         core: CoreHandle,
         recordable: Result<Recordable, String>,
         log: Option<LogTail>,
+        latencies: Latencies,
         first: Option<&Recording>,
     ) -> Self {
         let first = first.map(|recording| (recording.sender(), recording.control()));
-        Self { core, recordable, log, first, own: Mutex::default() }
+        Self { core, recordable, log, latencies, first, own: Mutex::default() }
     }
 
     /// Takes in topics that modules bring while the robot runs.
@@ -168,6 +171,7 @@ impl Host for PageHost {
         Some(match ask.name {
             "recording" => Ok(self.status()),
             "log" => self.log(ask),
+            "latencies" => Ok(json!(self.latencies.reports())),
             "record" => change(&|| self.record(ask.text("name"))),
             "stop_recording" => change(&|| self.stop()),
             "record_snapshot" => change(&|| self.snapshot()),

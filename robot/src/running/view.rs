@@ -41,7 +41,8 @@ impl RobotView {
         let options = options(robot, is_simulated)?;
         let recordable = Recordable::of(robot, is_simulated, None).map_err(|error| error.to_string());
         let tail = log.map(|log| log.tail.clone());
-        let host = Arc::new(PageHost::new(robot.core.handle(), recordable, tail, recording));
+        let latencies = robot.latencies.clone();
+        let host = Arc::new(PageHost::new(robot.core.handle(), recordable, tail, latencies, recording));
         let page = page(&robot.file, Arc::clone(&host));
         let link = CoreLink::of(&mut robot.core, &robot.file.catalog.interfaces)?;
         let mut view = Self { link, options, page, host, server: None, later: Mutex::default() };

@@ -114,6 +114,8 @@ export class GraphView {
     this.selectedEdge = null;
     /** @type {string | null} */
     this.current = null;
+    /** What is drawn clearly while the rest is pale. @type {{ nodes: Set<string>, edges: Set<string> } | null} */
+    this.found = null;
     this.isManual = false;
     /** @type {'right' | 'down'} */
     this.direction = 'right';
@@ -236,6 +238,7 @@ export class GraphView {
     if (!this.current || !ids.has(this.current)) this.current = graph.nodes[0]?.id ?? null;
     this.markCurrent();
     this.markSelection();
+    this.markFound();
     if (!hadNodes || !this.hasMoved) this.fit(true);
   }
 
@@ -293,10 +296,19 @@ export class GraphView {
     this.options.onSelectEdge?.(id);
   }
 
-  /** Draws these nodes clearly and the others paler; all alike with null. */
-  highlight(/** @type {Set<string> | null} */ ids) {
-    this.root.classList.toggle('is-searching', ids !== null);
-    for (const [id, { group }] of this.drawn) group.classList.toggle('is-found', ids?.has(id) ?? false);
+  /**
+   * Draws these nodes and edges clearly and the others paler, until the next call; all alike with null.
+   * @param {Set<string> | null} nodes @param {Set<string>} [edges]
+   */
+  highlight(nodes, edges = new Set()) {
+    this.found = nodes && { nodes, edges };
+    this.root.classList.toggle('is-searching', nodes !== null);
+    this.markFound();
+  }
+
+  markFound() {
+    for (const [id, { group }] of this.drawn) group.classList.toggle('is-found', this.found?.nodes.has(id) ?? false);
+    for (const [id, { group }] of this.drawnEdges) group.classList.toggle('is-found', this.found?.edges.has(id) ?? false);
   }
 
   /** Brings a node into view and gives it the keyboard's focus. */
@@ -384,7 +396,8 @@ export class GraphView {
 
   /** @param {Drawn} drawn */
   drawNode({ node, box, ports, group, body }) {
-    group.setAttribute('class', classes('graph-node', `kind-${node.kind}`, node.tone && `tone-${node.tone}`, node.isFaint && 'is-faint', this.selected === node.id && 'is-selected'));
+    const marks = ['is-near', 'is-selected', 'is-found'].filter((mark) => group.classList.contains(mark));
+    group.setAttribute('class', classes('graph-node', `kind-${node.kind}`, node.tone && `tone-${node.tone}`, node.isFaint && 'is-faint', ...marks));
     group.setAttribute('transform', `translate(${box.x},${box.y})`);
     body.setAttribute('aria-roledescription', node.kind);
     // The texts are the name otherwise.
@@ -884,7 +897,7 @@ export class GraphView {
 
 /** @param {DrawnEdge} drawn */
 function styleEdge({ edge, group, line }) {
-  const marks = ['is-near', 'is-selected'].filter((mark) => group.classList.contains(mark));
+  const marks = ['is-near', 'is-selected', 'is-found'].filter((mark) => group.classList.contains(mark));
   group.setAttribute('class', classes('graph-edge', edge.tone && `tone-${edge.tone}`, edge.isDashed && 'is-dashed', edge.isFaint && 'is-faint', ...marks));
   line.setAttribute('stroke-width', String(edge.weight ?? 1.25));
 }

@@ -5,15 +5,19 @@ import { numericPaths } from '../cdr.js';
 import { words } from '../connection.js';
 import { GraphView, loadStyle } from '../graph/view.js';
 import { bytes, empty, h, icon, iconButton, rate, setText } from '../panel.js';
-import { History, edgesOf, isDebug, summary } from './graph_data.js';
+import { ChainTable, Chains, drawnOf, wayBetween } from './graph_chains.js';
+import { History, count, edgesOf, isDebug, ms, summary } from './graph_data.js';
 
 /**
  * @typedef {import('./graph_data.js').Graph} Graph
  * @typedef {import('./graph_data.js').Shown} Shown
- * @typedef {{ mode: 'nodes' | 'labels', debug: boolean, outlets: boolean, services: boolean, group: boolean | null, bar: boolean }} Options
+ * @typedef {{ mode: 'nodes' | 'labels', debug: boolean, outlets: boolean, services: boolean, group: boolean | null, bar: boolean,
+ *   chain: string | null }} Options  `chain`: the name of the chain that is marked
  */
 
 const PERIOD_MS = 500;
+/** Every so many looks, the chains are asked for too. */
+const CHAIN_PERIOD = 2;
 /** The graph is asked for again when the snapshot names others, and now and then. */
 const GRAPH_PERIOD = 20;
 /** More topics than this are grouped unless one says otherwise. */
@@ -22,7 +26,7 @@ const LONGEST_PREVIEW = 6000;
 /** How many fields of a topic are plotted at first. */
 const MOST_LINES = 8;
 /** @type {Options} */
-const DEFAULTS = { mode: 'nodes', debug: false, outlets: true, services: false, group: null, bar: false };
+const DEFAULTS = { mode: 'nodes', debug: false, outlets: true, services: false, group: null, bar: false, chain: null };
 
 /** @type {import('../panel.js').Panel} */
 export default {
@@ -47,6 +51,11 @@ class GraphPanel {
     this.graph = null;
     this.graphText = '';
     this.looks = 0;
+    this.chains = new Chains();
+    /** Robots without chains are asked once. */
+    this.hasChains = true;
+    /** What shows the chosen chain. @type {ReturnType<typeof drawnOf> | null} */
+    this.chain = null;
     /** @type {Shown | null} */
     this.shown = null;
     /** @type {(() => void) | null} */
@@ -75,7 +84,8 @@ class GraphPanel {
     view.header.append(this.barButton);
     this.place = h('div', { class: 'graph-place' });
     this.detail = h('aside', { class: 'graph-detail', hidden: true, tabIndex: 0, 'aria-label': 'Selected', 'data-testid': 'graph-detail' });
-    this.body = h('div', { class: 'graph-panel' }, this.bar, h('div', { class: 'graph-rest' }, this.place, this.detail));
+    this.chainTable = new ChainTable((name) => this.chooseChain(name));
+    this.body = h('div', { class: 'graph-panel' }, this.bar, h('div', { class: 'graph-rest' }, this.place, this.detail), this.chainTable.element);
     root.append(this.body);
     this.drawing = new GraphView(this.place, {
       label: 'Modules and topics of the robot',
@@ -87,7 +97,8 @@ class GraphPanel {
     robot.addEventListener('state', () => {
       if (robot.state !== 'open') return;
       this.history = new History();
-      [this.looks, this.settings] = [0, null];
+      this.chains = new Chains();
+      [this.looks, this.settings, this.hasChains] = [0, null, true];
       this.look();
     });
     robot.every(PERIOD_MS, () => this.look());
@@ -127,6 +138,7 @@ class GraphPanel {
       const names = new Set([...(this.graph?.modules ?? []), ...(this.graph?.topics ?? [])].map(({ name }) => name));
       const hasNews = [...snapshot.modules, ...snapshot.topics].some(({ name }) => !names.has(name));
       if (!this.graph || hasNews || this.looks % GRAPH_PERIOD === 0) await this.lookAtGraph();
+      if (this.hasChains && this.looks % CHAIN_PERIOD === 0) await this.lookAtChains();
       this.looks += 1;
       if (!this.hasEnded) this.update();
     } catch (error) {
@@ -134,6 +146,15 @@ class GraphPanel {
     } finally {
       this.isAsking = false;
     }
+  }
+
+  async lookAtChains() {
+    const reports = await this.robot.ask('latencies');
+    if (this.hasEnded) return;
+    this.hasChains = reports.length > 0;
+    const isFirst = this.chains.reports.length === 0;
+    this.chains.add(reports, performance.now());
+    if (isFirst) this.markChain();
   }
 
   async lookAtGraph() {
@@ -164,6 +185,21 @@ class GraphPanel {
     this.view.setTitle(`${modules} modules, ${topics} topics`);
     const nodes = this.shown.nodes.map((node) => ({ ...node, ...this.values(node) }));
     this.drawing.show({ nodes, edges: this.shown.edges }, { keepPlaces });
+    this.markChain();
+  }
+
+  /** @param {string | null} name */
+  chooseChain(name) {
+    this.options = { ...this.options, chain: name };
+    this.view.set(this.options);
+    this.drawing.select(null);
+    this.markChain();
+  }
+
+  /** Marks the chosen chain in what is drawn. */
+  markChain() {
+    const chain = this.options.chain === null ? undefined : this.chains.named(this.options.chain);
+    this.chain = chain && this.graph && this.shown ? drawnOf(this.shown, wayBetween(this.graph, chain)) : null;
     this.update();
     this.find();
   }
@@ -181,6 +217,11 @@ class GraphPanel {
       const hz = now.reduce((sum, each) => sum + each.hz, 0);
       const drops = now.reduce((sum, each) => sum + each.dropsPerSecond, 0);
       const tone = drops > 0 ? /** @type {const} */ ('late') : undefined;
+      // The end of the chosen chain shows the age of its messages.
+      const chain = this.options.chain === null ? undefined : this.chains.named(this.options.chain);
+      if (chain && chain.messages > 0 && node.topics?.includes(chain.to)) {
+        return { value: ms(chain.p50_ns), tone: this.chains.isAbove(chain.name, performance.now()) ? /** @type {const} */ ('late') : tone, isFaint: hz === 0 };
+      }
       return { value: drops > 0 ? `drops ${rate(drops)}/s` : hz > 0 ? `${rate(hz)} Hz` : '–', tone, isFaint: hz === 0 };
     }
     if (node.kind === 'outlet') {
@@ -194,11 +235,15 @@ class GraphPanel {
 
   update() {
     if (!this.shown) return;
+    const [now, { chain }] = [performance.now(), this.options];
+    const isAbove = chain !== null && this.chains.isAbove(chain, now);
     for (const node of this.shown.nodes) this.drawing.update(node.id, this.values(node));
     for (const edge of this.shown.edges) {
       const hz = edge.topics.reduce((sum, name) => sum + (this.history.topic(name)?.hz ?? 0), 0);
-      this.drawing.updateEdge(edge.id, { weight: Math.round((1.1 + Math.log10(1 + hz) * 0.45) * 10) / 10, isFaint: hz === 0 && edge.topics.length > 0 });
+      this.drawing.updateEdge(edge.id, { weight: Math.round((1.1 + Math.log10(1 + hz) * 0.45) * 10) / 10, isFaint: hz === 0 && edge.topics.length > 0,
+        tone: isAbove && this.chain?.edges.has(edge.id) ? 'late' : undefined });
     }
+    this.chainTable.show(this.chains, chain, now);
     this.refreshDetail?.();
   }
 
@@ -206,7 +251,9 @@ class GraphPanel {
     const wanted = this.search.value.trim().toLowerCase();
     this.found = wanted === '' || !this.shown ? null : this.shown.nodes.filter(({ title, topics }) =>
       title.toLowerCase().includes(wanted) || (topics ?? []).some((name) => name.toLowerCase().includes(wanted)));
-    this.drawing.highlight(this.found && new Set(this.found.map(({ id }) => id)));
+    // What is searched for goes before the chosen chain.
+    if (this.found) this.drawing.highlight(new Set(this.found.map(({ id }) => id)));
+    else this.drawing.highlight(this.chain?.nodes ?? null, this.chain?.edges);
   }
 
   goToFirst() {
@@ -501,8 +548,3 @@ function preview(message) {
   const folded = text.replace(/\[[^[\]{}]*\]/g, (list) => list.replace(/\s+/g, ' ')).replace(/"([A-Za-z_]\w*)":/g, '$1:');
   return folded.length > LONGEST_PREVIEW ? `${folded.slice(0, LONGEST_PREVIEW)} …` : folded;
 }
-
-/** @param {number} ns */
-const ms = (ns) => (ns < 1e6 ? `${(ns / 1e3).toFixed(ns < 1e4 ? 1 : 0)} µs` : `${(ns / 1e6).toFixed(2)} ms`);
-/** @param {number} value */
-const count = (value) => value.toLocaleString('en');

@@ -39,6 +39,11 @@ export const isDebug = (name) => /^(executor|bridge|record)\/|(^|\/)(rosout|para
 /** Modules that the program adds to each robot. @param {string} name */
 export const isOwn = (name) => /^((cycle|step|settings|event|run)_journal|bridge_services|latency_watch|process_diagnostics)$/.test(name);
 
+/** A time as people read it. @param {number} ns */
+export const ms = (ns) => (ns < 1e6 ? `${(ns / 1e3).toFixed(ns < 1e4 ? 1 : 0)} µs` : `${(ns / 1e6).toFixed(2)} ms`);
+/** @param {number} value */
+export const count = (value) => value.toLocaleString('en');
+
 /** The last seconds of snapshots. */
 export class History {
   constructor() {

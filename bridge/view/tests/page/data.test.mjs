@@ -2,6 +2,7 @@
 
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
+import { Chains, drawnOf, wayBetween } from '../../page/panels/graph_chains.js';
 import { History, edgesOf, isDebug, isOwn, summary } from '../../page/panels/graph_data.js';
 import { Timeline, niceStep, publishersOf } from '../../page/panels/timeline_data.js';
 
@@ -121,6 +122,54 @@ test('modules that the program adds are shown on request', () => {
 test('topics about the program are told apart', () => {
   assert.deepEqual(['executor/modules', 'bridge/statistics', 'rosout', 'parameter_events', 'robot/rosout'].map(isDebug), Array(5).fill(true));
   assert.deepEqual(['joint_states', 'my_executor/x', 'bridges', 'rosout_agg'].map(isDebug), Array(4).fill(false));
+});
+
+// A sensor, a filter and a motion that goes back to the sensor's module; a watcher beside the way, and a server that the motion asks.
+const loop = (() => {
+  const modules = ['hardware', 'filter', 'motion', 'watcher', 'server', 'cycle_journal'];
+  const topics = ['imu', 'orientation', 'goals', 'note', 'plan'];
+  const services = ['where'];
+  const index = { module: (name) => modules.indexOf(name), topic: (name) => topics.indexOf(name) };
+  const wire = (topic, from, to) => [{ publishes: { module: index.module(from), topic: index.topic(topic) } },
+    ...to.map((name) => ({ subscribes: { module: index.module(name), topic: index.topic(topic) } }))];
+  return {
+    modules: modules.map((name) => ({ name, is_detached: false })), topics: topics.map((name) => ({ name, message_type: 'T' })),
+    services: services.map((name) => ({ name, request_type: 'R', response_type: 'S' })), outlets: [{ name: 'bag' }],
+    edges: [...wire('imu', 'hardware', ['filter', 'watcher', 'cycle_journal']), ...wire('orientation', 'filter', ['motion', 'watcher']),
+      ...wire('goals', 'motion', ['hardware', 'watcher']), ...wire('note', 'watcher', []), ...wire('plan', 'server', []),
+      { calls: { module: index.module('motion'), service: 0 } }, { serves: { module: index.module('server'), service: 0 } }, { leaves: { topic: 2, outlet: 0 } }],
+  };
+})();
+const sorted = (set) => [...set].sort();
+
+test('the way of a chain has what lies between its topics, and nothing beside it', () => {
+  const way = wayBetween(loop, { from: 'imu', to: 'goals' });
+  assert.deepEqual([sorted(way.modules), sorted(way.topics), sorted(way.services)], [['filter', 'motion'], ['goals', 'imu', 'orientation'], []]);
+  const drawn = drawnOf(edgesOf(loop, options), way);
+  assert.deepEqual(sorted(drawn.nodes), ['m:filter', 'm:motion', 't:goals', 't:imu', 't:orientation']);
+  assert.deepEqual(sorted(drawn.edges), ['m:filter→t:orientation', 'm:motion→t:goals', 't:imu→m:filter', 't:orientation→m:motion'], 'not from goals back to hardware');
+});
+
+test('the way of a chain where topics are labels begins and ends at the modules outside', () => {
+  const drawn = drawnOf(edgesOf(loop, { ...options, mode: 'labels' }), wayBetween(loop, { from: 'imu', to: 'goals' }));
+  assert.deepEqual(sorted(drawn.nodes), ['m:filter', 'm:motion']);
+  assert.deepEqual(sorted(drawn.edges), ['m:filter→m:motion', 'm:hardware→m:filter', 'm:motion→m:hardware', 'm:motion→m:watcher']);
+});
+
+test('services are part of a way that topics alone do not make', () => {
+  const way = wayBetween(loop, { from: 'imu', to: 'plan' });
+  assert.deepEqual([sorted(way.modules), sorted(way.services)], [['filter', 'motion', 'server'], ['where']]);
+  assert(drawnOf(edgesOf(loop, options), way).edges.has('m:motion→s:where service'));
+  assert.deepEqual(sorted(wayBetween(loop, { from: 'note', to: 'imu' }).topics), ['imu', 'note'], 'no way: its ends');
+});
+
+test('a chain is above its limit while messages were too old in the last ten seconds', () => {
+  const chains = new Chains();
+  const report = (exceeded) => [{ name: 'way', from: 'a', to: 'b', limit_ns: 1, messages: 9, without_origin: 0, exceeded, p50_ns: 2, p90_ns: 2, p99_ns: 2, max_ns: 2, oldest: '' }];
+  const look = (exceeded, nowMs) => { chains.add(report(exceeded), nowMs); return chains.isAbove('way', nowMs); };
+  assert.deepEqual([look(5, 0), look(5, 1000), look(6, 2000), look(6, 12_000), look(6, 12_001)], [false, false, true, true, false]);
+  assert.equal(look(1, 13_000), false, 'a robot that was started again counts from nothing');
+  assert.deepEqual([chains.named('way').exceeded, chains.named('other')], [1, undefined]);
 });
 
 // Two threads: `eye` runs by itself and publishes images; `walk` runs in cycles for them, then `legs` for the goals of `walk`.

@@ -102,6 +102,54 @@ test('a topic of the graph leads to its raw messages and to a plot', async () =>
   await page.getByTestId('plot-legend').filter({ hasText: 'linear_acceleration' }).waitFor();
 });
 
+test('the graph lists the measured chains, warns of those above their limit, and marks the way of the chosen one', async () => {
+  await look(page, 'graph');
+  const table = page.getByTestId('graph-chains');
+  await table.waitFor();
+  const row = (name) => table.locator(`tr[data-chain=${name}]`);
+  const cells = (name) => row(name).evaluate((each) => [...each.cells].map((cell) => cell.innerText.trim()));
+  const shown = await until('both chains have figures', async () => {
+    const both = await Promise.all(['reaction', 'motion'].map(cells));
+    return both.every((each) => /\d (µs|ms)$/.test(each[2])) && both;
+  });
+  assert.deepEqual(shown.map((each) => each[1]), ['joint_states → joint_goals', 'joint_states → motion/joint_commands']);
+  assert.deepEqual([await table.locator('tbody tr').count(), shown[0][6]], [2, '0']);
+  assert.match(shown[1][7], /^joint_states waited .+ for motion, which kept it/);
+  // Times of the newest messages: between what the command says before and after.
+  const measured = async () => (await snapshot()).latencies.find(({ name }) => name === 'motion');
+  const earlier = await measured();
+  const exceeded = await until('the count of old messages grows', async () => {
+    const number = whole(/[\d,]+$/.exec((await cells('motion'))[6])[0]);
+    return number > earlier.exceeded && number;
+  });
+  const later = await measured();
+  assert(exceeded <= later.exceeded, `${earlier.exceeded} < ${exceeded} <= ${later.exceeded}`);
+  const mark = (name) => row(name).getByText('above the limit');
+  await mark('motion').waitFor();
+  assert(await mark('reaction').isHidden());
+
+  const button = row('reaction').getByRole('button');
+  await button.focus();
+  await page.keyboard.press('Enter');
+  await until('the chain is chosen', async () => (await button.getAttribute('aria-pressed')) === 'true');
+  const found = () => page.locator('.graph-node.is-found .graph-body').evaluateAll((bodies) => bodies.map((body) => body.dataset.node).sort());
+  const edges = () => page.locator('.graph-edge.is-found').evaluateAll((groups) => groups.map((group) => group.dataset.edge).sort());
+  const way = ['m:motion', 'm:mux', 't:joint_goals', 't:joint_states', 't:motion/joint_commands'];
+  assert.deepEqual(await found(), way);
+  assert.deepEqual(await edges(), ['m:motion→t:motion/joint_commands', 'm:mux→t:joint_goals', 't:joint_states→m:motion', 't:motion/joint_commands→m:mux']);
+  assert.equal(await page.locator('.graph-edge.is-found.tone-late').count(), 0);
+  await row('motion').getByRole('button').click();
+  await until('the other chain is marked, in the colour of warnings', async () => (await page.locator('.graph-edge.is-found.tone-late').count()) === 2);
+  assert.deepEqual(await found(), ['m:motion', 't:joint_states', 't:motion/joint_commands']);
+  // Nodes are drawn again with each look at the robot.
+  const text = () => page.locator('[data-node="m:motion"].graph-body').evaluate((body) => body.textContent);
+  const before = await text();
+  await until('the figures of a module change', async () => (await text()) !== before);
+  assert.deepEqual(await found(), ['m:motion', 't:joint_states', 't:motion/joint_commands'], 'still marked');
+  await row('motion').getByRole('button').click();
+  await until('nothing is marked', async () => (await found()).length === 0);
+});
+
 test('the graph is used with the keyboard, and searched', async () => {
   await look(page, 'graph');
   const at = () => page.evaluate(() => document.activeElement?.getAttribute('data-node'));

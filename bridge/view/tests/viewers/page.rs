@@ -131,6 +131,7 @@ fn questions_are_answered_by_the_core_and_by_the_host() {
     assert_eq!(snapshot["modules"][0]["name"], "legs");
     let graph = ask(&mut viewer, json!({ "ask": "graph" })).unwrap();
     assert!(graph["topics"].as_array().unwrap().iter().any(|topic| topic["name"] == "cmd_vel"));
+    assert_eq!(ask(&mut viewer, json!({ "ask": "latencies" })), Ok(json!([])), "no robot file names chains");
     let settings = ask(&mut viewer, json!({ "ask": "settings" })).unwrap();
     let gain = settings.as_array().unwrap().iter().find(|setting| setting["name"] == "gain").unwrap();
     assert_eq!(
