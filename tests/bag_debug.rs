@@ -42,6 +42,27 @@ fn random() -> impl Iterator<Item = u64> {
     })
 }
 
+/// What was printed at each cycle that was reached at once, from before and from behind, with marks between:
+/// each time the same.
+fn looks_of(printed: &str, cycles: usize) -> Vec<&str> {
+    let mut parts = printed.split("unknown command \"mark\"; `help` lists them\n").skip(1);
+    let mut looks = Vec::new();
+    for _ in 0..cycles {
+        let at_once = parts.next().unwrap();
+        let _on_the_way = parts.next().unwrap();
+        let from_before = parts.next().unwrap();
+        let _on_the_way = parts.next().unwrap();
+        let from_behind = parts.next().unwrap();
+        assert!(at_once.starts_with("cycle #"), "{at_once}");
+        for other in [from_before, from_behind] {
+            assert_eq!(other, at_once);
+        }
+        looks.push(at_once);
+        let _rest = parts.next();
+    }
+    looks
+}
+
 #[test]
 fn a_cycle_is_the_same_from_before_from_behind_and_at_once() {
     let cycles = std::env::var("DOWNBEAT_DEBUG_CYCLES").map_or(40, |cycles| cycles.parse().unwrap());
@@ -55,19 +76,52 @@ fn a_cycle_is_the_same_from_before_from_behind_and_at_once() {
         let _ = write!(lines, "go #{}\nback 11\nmark\nback\n{look}", cycle + 12);
     }
     let printed = debugged(WALKER, WALK, &lines);
-    let mut parts = printed.split("unknown command \"mark\"; `help` lists them\n").skip(1);
-    for _ in 0..cycles {
-        let at_once = parts.next().unwrap();
-        let _on_the_way = parts.next().unwrap();
-        let from_before = parts.next().unwrap();
-        let _on_the_way = parts.next().unwrap();
-        let from_behind = parts.next().unwrap();
-        assert!(at_once.starts_with("cycle #") && at_once.contains("Gait {"), "{at_once}");
-        for other in [from_before, from_behind] {
-            assert_eq!(other, at_once);
-        }
-        let _rest = parts.next();
+    assert!(looks_of(&printed, cycles).iter().all(|look| look.contains("Gait {")), "{printed}");
+}
+
+#[test]
+fn a_condition_is_met_in_the_same_cycle_whichever_launcher_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = "until norm(imu_data_raw.angular_velocity) > 0.2\nuntil joint_goals.position[8] < -0.5\n\
+                 back until norm(imu_data_raw.angular_velocity) > 0.2\n";
+    let stops = ["linear", "pool:2", "threads"].map(|launcher| {
+        let bag = folder.path().join(launcher.replace(':', "_"));
+        let bag = bag.to_str().unwrap();
+        text_of(&["run", WALKER, "--fast", "--duration", "4s", "--launcher", launcher, "--record", bag]);
+        let printed = debugged(WALKER, bag, lines);
+        assert!(printed.contains("no difference from the bag"), "{launcher}: {printed}");
+        let cycles: Vec<_> = printed.lines().filter(|line| line.starts_with("cycle #")).collect();
+        assert_eq!(cycles.len(), 4, "{launcher}: {printed}");
+        cycles.join("\n")
+    });
+    assert!(stops.iter().all(|others| *others == stops[0]), "{stops:#?}");
+}
+
+/// A match with a camera, whose pictures are looked at as well.
+#[test]
+fn a_cycle_of_a_match_is_the_same_from_before_and_from_behind() {
+    let cycles = std::env::var("DOWNBEAT_DEBUG_CYCLES").map_or(12, |cycles| cycles.parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let robot = "robots/seeing_match.toml";
+    text_of(&["match", robot, "--fast", "--duration", "4s", "--record", bag.to_str().unwrap()]);
+    let last = debugged(robot, bag.to_str().unwrap(), "go end\n");
+    let last = last.lines().rev().find_map(|line| line.strip_prefix("cycle #")).unwrap();
+    let last: u64 = last.split(',').next().unwrap().parse().unwrap();
+    let look = "print blue_2/camera/image_raw\nprint blue_2/pose\nprint blue_2/joint_goals\nmodule blue_2/player\n\
+                module blue_2/localisation\nmodule blue_2/gait\nmark\n";
+    let mut lines = String::new();
+    for cycle in random().map(|number| 100 + number % (last - 200)).take(cycles) {
+        let _ = write!(lines, "mark\ngo #{cycle}\n{look}");
+        let _ = write!(lines, "go #{}\nstep 7\nmark\nstep\n{look}", cycle - 8);
+        let _ = write!(lines, "go #{}\nback 11\nmark\nback\n{look}", cycle + 12);
     }
+    let printed = debugged(robot, bag.to_str().unwrap(), &lines);
+    let looks: Vec<_> = looks_of(&printed, cycles);
+    assert!(
+        looks.iter().any(|look| look.contains("sensor_msgs/msg/Image") && look.contains("\"play")),
+        "{printed}"
+    );
 }
 
 #[test]
@@ -115,6 +169,52 @@ fn what_is_wrong_is_said_and_the_debugger_goes_on() {
     }
     let missing = output_of(&["bag", "debug", "missing.toml", WALK]);
     assert!(String::from_utf8_lossy(&missing.stderr).contains("missing.toml"));
+}
+
+#[test]
+fn what_differs_from_the_recorded_robot_is_noted_and_the_rest_is_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = talker(folder.path());
+    let bag = bag.to_str().unwrap();
+    let text = fs::read_to_string(&robot).unwrap();
+    let changed = |name: &str, text: String| {
+        let file = folder.path().join(name);
+        fs::write(&file, text).unwrap();
+        file.to_str().unwrap().to_owned()
+    };
+    // Another version of the robot: a module has another name, one is new.
+    let renamed = changed("renamed.toml", text.replace("\"mouth\"", "\"voice\""));
+    let printed = debugged(&renamed, bag, "notes\ngo 1s\nmodule voice\nmodule mouth\nprint said\n");
+    for sentence in [
+        "the recorded robot had a module \"mouth\", which the robot file lacks",
+        "\"talks\"",
+        "there is no module or topic \"mouth\"",
+        "data: tick ",
+    ] {
+        assert!(printed.contains(sentence), "{sentence}\n{printed}");
+    }
+    let more = text.replace("[record]", "[[module]]\nname = \"gait\"\nkind = \"gait\"\n[record]");
+    let printed = debugged(&changed("more.toml", more), bag, "notes\ngo 1s\nmodule mouth\n");
+    assert!(
+        printed.contains("the recorded robot had no module \"gait\"") && printed.contains("\"talks\""),
+        "{printed}"
+    );
+
+    // A bag without cycles and journals, only with messages.
+    let parts = folder.path().join("parts");
+    let parts = parts.to_str().unwrap();
+    text_of(&["bag", "cut", bag, "-o", parts, "--topics", "/said"]);
+    let printed = debugged(robot.to_str().unwrap(), parts, "notes\nlist\ngo end\nprint said\nback\n");
+    assert!(printed.contains("the bag lacks") && printed.contains("data: tick "), "{printed}");
+
+    // An expression that cannot be evaluated at some message says so and stays there.
+    let lines = "until said.data.x == 1\nstep\nuntil said.data > 3\nuntil 1/0 > 2\n";
+    let printed = debugged(robot.to_str().unwrap(), bag, lines);
+    for sentence in
+        ["`said.data.x == 1`: Unknown property 'x'", "cycle #", "it names no topic", "does not become true"]
+    {
+        assert!(printed.contains(sentence), "{sentence}\n{printed}");
+    }
 }
 
 #[test]

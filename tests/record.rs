@@ -616,3 +616,46 @@ fn a_condition_on_topics_takes_a_snapshot_of_what_was_before_and_after() {
     let (first, last) = (times[0], times[times.len() - 1]);
     assert!((2.45..2.55).contains(&first) && (3.25..3.35).contains(&last), "{first} {last}");
 }
+
+/// Counts down from 3 to below 0 in half seconds, on `in`.
+#[cfg(all(feature = "state_machine", feature = "library"))]
+const COUNTDOWN: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
+    <downbeat:publish topic="in" type="std_msgs/msg/Float64"/>
+    <downbeat:every period="500ms" event="tick"/>
+    <datamodel><data id="left" expr="3"/></datamodel>
+    <state id="counts">
+        <transition event="tick">
+            <assign location="left" expr="left - 1"/>
+            <send target="in"><param name="data" expr="left"/></send>
+        </transition>
+    </state>
+</scxml>
+"#;
+
+/// A library in Rust panics at the first negative number.
+#[cfg(all(feature = "state_machine", feature = "library"))]
+#[test]
+fn a_panic_takes_a_snapshot_of_what_was_before_and_after() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = std::env::current_exe().unwrap().with_file_name("libdownbeat_library_example.so");
+    let bag = folder.path().join("bag");
+    let robot = format!(
+        "[robot]\nname = \"counter\"\n[[module]]\nname = \"counter\"\nkind = \"state_machine\"\nfile = \"countdown.scxml\"\n\
+         [[module]]\nname = \"amplifier\"\nkind = \"library\"\npath = \"{}\"\n\
+         [record]\ntopics = \"all\"\nsnapshot = \"700ms\"\nsnapshot_after = \"600ms\"\nsnapshot_on_panic = true\n",
+        library.display()
+    );
+    let file = folder.path().join("robot.toml");
+    std::fs::write(&file, robot).unwrap();
+    std::fs::write(folder.path().join("countdown.scxml"), COUNTDOWN).unwrap();
+    let arguments = ["run", text(&file), "--fast", "--duration", "5s", "--record", text(&bag)];
+    let output = output_of(&arguments);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("taking a snapshot: amplifier panicked"), "{said}");
+    let reader = Reader::open(&bag).unwrap();
+    let numbers = reader.messages(Selection::all().topics([reader.topic("/in").unwrap()])).unwrap();
+    let numbers = numbers
+        .map(|message| cdr::from_slice::<std_msgs::msg::Float64>(&message.unwrap().data).unwrap().data);
+    assert_eq!(numbers.collect::<Vec<_>>(), [0.0, -1.0, -2.0]);
+    assert!(text_of(&["bag", "check", text(&bag)]).contains("0 problems"));
+}

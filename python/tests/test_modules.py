@@ -550,6 +550,20 @@ def test_a_robot_starts_without_a_module_that_raises_in_its_constructor_until_it
     assert run.stop() == 0
 
 
+def test_the_debugger_shows_the_fields_of_a_module_forwards_and_backwards(write, program):
+    write("module.py", counter(0.1))
+    write("robot.toml", one_module(extra='[record]\n    topics = "all"'))
+    run = program("run", "robot.toml", "--record", "bag", "--duration", "2s")
+    assert run.wait() == 0, run.text()
+    look = ("-c", "module module")
+    lines = ("-c", "go 1s", *look, "-c", "next module", *look, "-c", "last module", *look, "-c", "go end", "-c", "go 1s", *look)
+    debugger = program("bag", "debug", "robot.toml", "bag", *lines, "-c", "quit")
+    assert debugger.wait() == 0, debugger.text()
+    counts = [int(count) for count in re.findall(r"\bcount: (\d+)", debugger.text())]
+    assert len(counts) == 4 and counts[0] > 50, debugger.text()
+    assert counts == [counts[0], counts[0] + 1, counts[0], counts[0]], debugger.text()
+
+
 def test_a_replay_uses_the_recorded_settings(level, program, write, tmp_path):
     run = program("run", "robot.toml", "--record", "bag", "--duration", "2s", "-p", "level_head.gain:=0.01")
     assert run.wait() == 0, run.text()

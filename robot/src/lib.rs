@@ -65,7 +65,7 @@ pub use profile::{
 };
 pub use record_options::RecordOptions;
 pub use recorded_settings::ChangedSetting;
-pub(crate) use recorded_settings::{RecordedSettings, use_recorded_settings};
+pub(crate) use recorded_settings::{RecordedSettings, recorded_modules, use_recorded_settings};
 pub use ros_args::{LogArguments, LogLevel, ParameterArgument, RosArgs, RosArgsError};
 pub(crate) use survey::Survey;
 pub use versions::FOLDER as SOURCES_FOLDER;

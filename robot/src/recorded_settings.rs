@@ -96,9 +96,14 @@ impl RecordedSettings {
             });
             recorded.insert(module.clone(), settings.collect());
         }
-        recorded.retain(|_, settings| !settings.is_empty());
         (!recorded.is_empty()).then(|| (KEY, serde_json::json!(recorded).to_string()))
     }
+}
+
+/// The modules of the recorded robot. Older bags name only those with settings; `None` if a bag names none.
+pub(crate) fn recorded_modules(bag: &Metadata) -> Option<BTreeSet<String>> {
+    let recorded: Recorded = serde_json::from_str(bag.custom_data.get(KEY)?).ok()?;
+    Some(recorded.into_keys().collect())
 }
 
 /// Gives the modules of a robot file the settings with which they were recorded, except for settings that

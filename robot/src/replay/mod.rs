@@ -245,6 +245,7 @@ impl Prepared {
 /// Sentences about what a replay of this bag cannot do.
 fn notes(versions: &VersionsInBag, plan: &Plan) -> Vec<String> {
     let mut notes = versions.notes.clone();
+    notes.extend(plan.other_modules.iter().cloned());
     if plan.cycles.begin().is_some() {
         notes.push(
             "the bag begins while the robot ran: modules start anew there, so what depends on their state or the phase of their \

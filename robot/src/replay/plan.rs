@@ -26,6 +26,8 @@ pub(super) struct Plan {
     /// settings and events if the robot was recorded without them.
     pub(super) missing_inputs: BTreeSet<String>,
     pub(super) not_compared: Vec<NotCompared>,
+    /// Sentences about modules that only the recorded robot has, or only the robot file.
+    pub(super) other_modules: Vec<String>,
     /// The module that serves each service.
     pub(super) servers: BTreeMap<String, String>,
     /// The type of each service.

@@ -12,7 +12,7 @@ use super::wiring::Wiring;
 use super::{ReplayError, ReplayOptions, Simulators};
 use crate::journal;
 use crate::playback::journals::{Cycles, Extract, was_in_simulated_time};
-use crate::{ModuleEntry, ReplayedTime, RobotFile};
+use crate::{ModuleEntry, ReplayedTime, RobotFile, recorded_modules};
 
 impl Plan {
     /// Creates the plan and reads what is needed from the bag before anything runs.
@@ -37,6 +37,7 @@ impl Plan {
             inputs: BTreeSet::new(),
             missing_inputs: BTreeSet::new(),
             not_compared: Vec::new(),
+            other_modules: other_modules(&graph, reader),
             servers: graph.servers.clone(),
             service_types: graph.service_types.clone(),
             cycles: Cycles::Unknown,
@@ -172,6 +173,18 @@ impl Plan {
         }
         Ok(())
     }
+}
+
+/// Compares the modules of the robot file with those of the recorded robot.
+fn other_modules(graph: &Wiring, reader: &Reader) -> Vec<String> {
+    let Some(recorded) = reader.metadata().and_then(recorded_modules) else { return Vec::new() };
+    let gone = recorded.difference(&graph.modules).map(|module| {
+        format!("the recorded robot had a module \"{module}\", which the robot file lacks; its messages come from the bag")
+    });
+    let new = graph.with_settings.difference(&recorded).map(|module| {
+        format!("the recorded robot had no module \"{module}\"; what it publishes cannot be compared")
+    });
+    gone.chain(new).collect()
 }
 
 fn check_names(file: &RobotFile, options: &ReplayOptions) -> Result<(), ReplayError> {

@@ -18,6 +18,8 @@ pub(super) struct Wiring {
     pub(super) subscribers: BTreeMap<String, BTreeSet<String>>,
     /// The modules of the robot file.
     pub(super) modules: BTreeSet<String>,
+    /// Those of them that have settings: older bags name no others.
+    pub(super) with_settings: BTreeSet<String>,
     pub(super) servers: BTreeMap<String, String>,
     pub(super) service_types: BTreeMap<String, KnownService>,
     pub(super) unrecorded_services: Vec<UnrecordedService>,
@@ -91,6 +93,12 @@ impl Wiring {
             publishers: BTreeMap::new(),
             subscribers: BTreeMap::new(),
             modules: file.modules.iter().map(|module| module.name.clone()).collect(),
+            with_settings: file
+                .modules
+                .iter()
+                .filter(|module| core.settings(&module.name).is_some_and(|settings| !settings.is_empty()))
+                .map(|module| module.name.clone())
+                .collect(),
             servers: servers.collect(),
             service_types: known.collect(),
             unrecorded_services,

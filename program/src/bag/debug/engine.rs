@@ -203,7 +203,7 @@ impl Engine {
         let left_out = about.left_out.iter().map(|left| format!("{left} does not run"));
         let settings = about.changed_settings.iter().map(ToString::to_string);
         let missing =
-            about.missing_inputs.iter().map(|topic| format!("the bag lacks {topic}, which modules received"));
+            about.missing_inputs.iter().map(|topic| format!("the bag lacks {topic}, on which the run depended"));
         About {
             robot: about.robot.clone(),
             modules: about.modules.clone(),
@@ -242,7 +242,9 @@ impl Engine {
         };
         let of = message.message_type().dynamic();
         let of = of.with_context(|| format!("the definition of {} is not known", message.type_name()))?;
-        let yaml = DynamicMessage::from_cdr(&of, message.cdr())?.as_message().to_yaml(&YamlStyle::default());
+        // As much of a picture as `ros2 topic echo` prints.
+        let style = YamlStyle { truncate_length: Some(128), ..YamlStyle::default() };
+        let yaml = DynamicMessage::from_cdr(&of, message.cdr())?.as_message().to_yaml(&style);
         Ok(Some(Message {
             topic: topic.to_owned(),
             type_name: message.type_name().to_owned(),
