@@ -202,8 +202,10 @@ impl Engine {
         let about = self.session.about();
         let left_out = about.left_out.iter().map(|left| format!("{left} does not run"));
         let settings = about.changed_settings.iter().map(ToString::to_string);
-        let missing =
-            about.missing_inputs.iter().map(|topic| format!("the bag lacks {topic}, on which the run depended"));
+        let missing = about
+            .missing_inputs
+            .iter()
+            .map(|topic| format!("the bag lacks {topic}, on which the run depended"));
         About {
             robot: about.robot.clone(),
             modules: about.modules.clone(),
