@@ -78,7 +78,7 @@ static void destroy(void *self) { free(self); }
 
 const downbeat_module_v1 *downbeat_module(void) {
     static const downbeat_module_v1 table = {DOWNBEAT_ABI_VERSION, sizeof table, "bench", create, setup, handle, destroy,
-                                             NULL, NULL, NULL, NULL};
+                                             NULL, NULL, NULL, NULL, NULL};
     return &table;
 }
 "#;

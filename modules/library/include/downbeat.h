@@ -13,7 +13,8 @@
  * Messages cross as CDR: an encapsulation header of four bytes, and the value. `downbeat interface generate --lang c` writes
  * structs with functions that encode and decode them.
  *
- * Each struct starts with the version of this interface and with its size, so that fields can be added at its end.
+ * Each struct starts with the version of this interface and with its size, so that fields can be added at its end. The program
+ * reads no more of a table than its size.
  */
 #ifndef DOWNBEAT_H
 #define DOWNBEAT_H
@@ -175,6 +176,11 @@ struct downbeat_host_v1 {
      * older: see `downbeat_log_at` and the macro `DOWNBEAT_LOG`. */
     void (*log_at)(const downbeat_host_v1 *host, int32_t severity, const char *text, const char *file, uint32_t line,
                    const char *function);
+
+    /* In `variables`: reports a variable of the module and its value, which is copied. Long texts and arrays are shown in part.
+     * If `name` is NULL, the value is a text that describes the module as a whole, and is shown as it is. Programs that lack this
+     * function do not call `variables`. */
+    int32_t (*variable)(const downbeat_host_v1 *host, const char *name, const downbeat_value_v1 *value);
 };
 
 /* When a line of the log was written that is not written each time. For each such place in the source, the state of the module has
@@ -221,7 +227,34 @@ static inline void downbeat_log_at(const downbeat_host_v1 *host, int32_t severit
 /* Writes a line of the log with the place at which this stands. */
 #define DOWNBEAT_LOG(host, severity, text) downbeat_log_at((host), (severity), (text), __FILE__, __LINE__, __func__)
 
-/* The functions of a module. */
+/* Reports a variable, in `variables`: `data` points to `count` elements, as `kind` says. */
+static inline int32_t downbeat_variable(const downbeat_host_v1 *host, const char *name, uint32_t kind, const void *data, size_t count) {
+    downbeat_value_v1 value = {DOWNBEAT_ABI_VERSION, (uint32_t)sizeof value, kind, 0, data, count};
+    return host->variable(host, name, &value);
+}
+
+static inline int32_t downbeat_variable_bool(const downbeat_host_v1 *host, const char *name, int32_t is_true) {
+    uint8_t byte = is_true ? 1 : 0;
+    return downbeat_variable(host, name, DOWNBEAT_BOOL, &byte, 1);
+}
+
+static inline int32_t downbeat_variable_integer(const downbeat_host_v1 *host, const char *name, int64_t integer) {
+    return downbeat_variable(host, name, DOWNBEAT_INTEGER, &integer, 1);
+}
+
+static inline int32_t downbeat_variable_double(const downbeat_host_v1 *host, const char *name, double number) {
+    return downbeat_variable(host, name, DOWNBEAT_DOUBLE, &number, 1);
+}
+
+/* `text` ends with a zero. */
+static inline int32_t downbeat_variable_text(const downbeat_host_v1 *host, const char *name, const char *text) {
+    size_t count = 0;
+    while (text && text[count]) count++;
+    return downbeat_variable(host, name, DOWNBEAT_TEXT, text, count);
+}
+
+/* The functions of a module. Tables that end before a function that may be NULL lack it; those of earlier headers end with
+ * `restore`. */
 typedef struct downbeat_module_v1 {
     uint32_t abi_version; /* DOWNBEAT_ABI_VERSION */
     uint32_t struct_size; /* sizeof(downbeat_module_v1) */
@@ -245,6 +278,9 @@ typedef struct downbeat_module_v1 {
     int32_t (*save)(void *self, const downbeat_host_v1 *host);
     /* Takes over the state of the library before, after `setup`. On an error the library before goes on. */
     int32_t (*restore)(void *self, const downbeat_host_v1 *host, const uint8_t *state, size_t size);
+    /* Passes the variables of the module to `variable`, for `downbeat bag debug`. Must not change the module. `now` returns the
+     * time of the module's last call; settings are shown anyway, and cannot be read here. On an error, the debugger shows why. */
+    int32_t (*variables)(void *self, const downbeat_host_v1 *host);
 } downbeat_module_v1;
 
 /* Each library defines this function. The table stays valid as long as the program runs. */

@@ -26,6 +26,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -462,6 +463,58 @@ class Place {
     const char *function_;
 };
 
+// Takes the variables of a module for the debugger.
+class Variables {
+  public:
+    // The value is a bool, a number, an enum or a text, or a vector or an array of these.
+    template <class T> void report(const std::string &name, const T &value) {
+        if constexpr (std::is_integral_v<T> && std::is_unsigned_v<T> && sizeof(T) >= sizeof(std::int64_t)) {
+            if (value > static_cast<T>(INT64_MAX)) {
+                return report(name, std::to_string(value));
+            }
+        }
+        using Kept = std::decay_t<decltype(kept(value))>;
+        detail::check(detail::Value<Kept>::in_c(kept(value), [&](const downbeat_value_v1 &given) {
+            return host_->variable(host_, name.c_str(), &given);
+        }));
+    }
+
+  private:
+    template <class> friend struct detail::Table;
+    explicit Variables(const downbeat_host_v1 *host) : host_(host) {}
+
+    template <class> static constexpr bool is_known = false;
+
+    // The value as one of the kinds of the C interface.
+    template <class T> static auto kept(const T &value) {
+        if constexpr (std::is_same_v<T, bool>) {
+            return value;
+        } else if constexpr (std::is_integral_v<T> || std::is_enum_v<T>) {
+            return static_cast<std::int64_t>(value);
+        } else if constexpr (std::is_floating_point_v<T>) {
+            return static_cast<double>(value);
+        } else if constexpr (std::is_convertible_v<const T &, std::string_view>) {
+            return std::string(std::string_view(value));
+        } else {
+            static_assert(is_known<T>, "report takes bools, numbers, enums and texts, and vectors and arrays of these");
+        }
+    }
+    // Bytes are numbers too; as DOWNBEAT_BYTES they need no copy of eight times their size.
+    static const std::vector<std::uint8_t> &kept(const std::vector<std::uint8_t> &bytes) { return bytes; }
+    template <class T, class Allocator> static auto kept(const std::vector<T, Allocator> &values) { return all<T>(values); }
+    template <class T, std::size_t N> static auto kept(const std::array<T, N> &values) { return all<T>(values); }
+    template <class T, class Values> static auto all(const Values &values) {
+        std::vector<std::decay_t<decltype(kept(std::declval<const T &>()))>> all;
+        all.reserve(values.size());
+        for (const T &value : values) {
+            all.push_back(kept(value));
+        }
+        return all;
+    }
+
+    const downbeat_host_v1 *host_;
+};
+
 // Where a goal of an action stands: the values of action_msgs/msg/GoalStatus.
 enum class GoalStatus : std::int8_t { unknown, accepted, executing, canceling, succeeded, canceled, aborted };
 
@@ -561,6 +614,10 @@ class Module {
     // The state for a changed library that takes over, and back. An exception keeps the version that runs.
     virtual std::vector<std::uint8_t> save() { return {}; }
     virtual void restore(const std::vector<std::uint8_t> &) {}
+
+    // Reports variables for `downbeat bag debug`, such as variables.report("count", count_). Settings are shown anyway; `now()` is the
+    // time of the last callback.
+    virtual void variables(Variables &) const {}
 
   protected:
     // The name of the module in the robot.
@@ -1160,6 +1217,12 @@ template <class Class> struct Table {
     static std::int32_t restore(void *self, const downbeat_host_v1 *host, const std::uint8_t *state, std::size_t size) {
         return guarded(host, [&] { module(self, host).restore(std::vector<std::uint8_t>(state, state + size)); });
     }
+    static std::int32_t variables(void *self, const downbeat_host_v1 *host) {
+        return guarded(host, [&] {
+            Variables reported(host);
+            module(self, host).variables(reported);
+        });
+    }
 };
 
 } // namespace detail
@@ -1171,7 +1234,8 @@ template <class Class> struct Table {
         using Table = ::downbeat::detail::Table<Class>;                                                                        \
         static const downbeat_module_v1 table = {                                                                              \
             DOWNBEAT_ABI_VERSION, sizeof(downbeat_module_v1), #Class,        Table::create, Table::setup,  Table::handle,      \
-            Table::destroy,       Table::transition,          Table::accept, Table::save,   Table::restore};                   \
+            Table::destroy,       Table::transition,          Table::accept, Table::save,   Table::restore,                    \
+            Table::variables};                                                                                                 \
         return &table;                                                                                                         \
     }
 

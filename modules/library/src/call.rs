@@ -2,11 +2,12 @@
 
 #![expect(unsafe_code, reason = "functions that a library calls with pointers")]
 
+use crate::variables::{LARGEST, LONGEST_NAME, LONGEST_VALUE, Variables};
 use downbeat_edge::foreign::{Declarations, ForeignContext, SettingDeclaration};
 use downbeat_executor::{SettingValue, Time, Transition};
 use downbeat_library_abi::{
-    ABI_VERSION, Host, HostV1, LentValue, SettingV1, ValueV1, check_struct, severity, text_of, transition,
-    value_of,
+    ABI_VERSION, Host, HostV1, LentValue, SettingV1, ValueV1, check_struct, severity, shown_name, shown_text,
+    shown_value, text_of, transition, value_of,
 };
 use std::ffi::{CStr, c_char, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -126,6 +127,11 @@ pub(crate) enum Phase<'a> {
     Setup(&'a mut dyn Declare),
     Run(&'a mut dyn Requests),
     Save(&'a mut Vec<u8>),
+    /// What a debugger asks for, at the time of the module's last call.
+    Variables {
+        now: Time,
+        taken: &'a mut Variables,
+    },
 }
 
 /// One call of a library, which the functions of the program find through [`HostV1::context`].
@@ -137,7 +143,7 @@ struct Call<'a> {
     /// What the last `get` returned.
     lent: Option<LentValue>,
     failure: Option<String>,
-    log: &'a mut dyn FnMut(&LogLine<'_>),
+    log: &'a dyn Fn(&LogLine<'_>),
 }
 
 /// Calls a function of a library with the functions of the program, and returns its result and the reason
@@ -145,7 +151,7 @@ struct Call<'a> {
 pub(crate) fn with_host<'a, R>(
     module: &'a CStr,
     phase: Phase<'a>,
-    log: &'a mut dyn FnMut(&LogLine<'_>),
+    log: &'a dyn Fn(&LogLine<'_>),
     call: impl FnOnce(Host) -> R,
 ) -> (R, Option<String>) {
     let mut state = Call { module, phase, values: Vec::new(), lent: None, failure: None, log };
@@ -179,6 +185,7 @@ pub(crate) fn with_host<'a, R>(
         saved,
         define,
         log_at,
+        variable,
     };
     let result = call(&raw const host);
     (result, state.failure)
@@ -297,9 +304,11 @@ unsafe extern "C" fn now(host: Host) -> i64 {
     // SAFETY: by the contract of downbeat.h, `host` is that of this call.
     unsafe {
         with(host, |call| {
-            if let Phase::Run(requests) = &call.phase {
-                now = requests.now().as_nanos();
-            }
+            now = match &call.phase {
+                Phase::Run(requests) => requests.now().as_nanos(),
+                Phase::Variables { now, .. } => now.as_nanos(),
+                _ => 0,
+            };
             Ok(())
         });
     }
@@ -606,6 +615,30 @@ unsafe extern "C" fn saved(host: Host, state: *const u8, size: usize) -> i32 {
                 Ok(())
             }
             _ => Err("`saved` can be called in `save` only".to_owned()),
+        })
+    }
+}
+
+unsafe extern "C" fn variable(host: Host, name: *const c_char, value: *const ValueV1) -> i32 {
+    // SAFETY: by the contract of downbeat.h, `host` is that of this call, `name` is null or a text, and
+    // `value` is null or a value.
+    unsafe {
+        with(host, |call| {
+            let Phase::Variables { taken, .. } = &mut call.phase else {
+                return Err("variables can be reported in `variables` only".to_owned());
+            };
+            if !taken.has_room() {
+                return Ok(());
+            }
+            let Some(name) = shown_name(name, LONGEST_NAME) else {
+                let (text, left_out) = shown_text(value, LARGEST)?;
+                taken.describe(&text, left_out);
+                return Ok(());
+            };
+            let shown = shown_value(value, LONGEST_VALUE);
+            let shown = shown.inspect_err(|reason| taken.report(name.clone(), format!("<{reason}>")))?;
+            taken.report(name, shown);
+            Ok(())
         })
     }
 }

@@ -4,21 +4,24 @@
 
 use crate::call::{Declare, LogLine, Phase, Requests, log_line, number_of, with_host};
 use crate::library::Library;
+use crate::variables::Variables;
 use downbeat_edge::foreign::Event;
-use downbeat_executor::{SettingValue, Transition};
+use downbeat_executor::{SettingValue, Time, Transition};
 use downbeat_library_abi::{ABI_VERSION, EventV1, Host, LentValue, ModuleV1, c_string, event};
 use std::ffi::{CStr, CString, c_void};
 
 /// A module of a library, which is destroyed when dropped.
 pub(crate) struct Instance {
-    table: &'static ModuleV1,
+    table: ModuleV1,
     module: *mut c_void,
     name: CString,
     log: Log,
+    /// The time of the last event or transition.
+    now: Time,
 }
 
 /// Takes the lines that a library logs.
-pub(crate) type Log = Box<dyn FnMut(&LogLine<'_>) + Send>;
+pub(crate) type Log = Box<dyn Fn(&LogLine<'_>) + Send>;
 
 // SAFETY: downbeat.h demands that modules may be called by different threads, one at a time.
 unsafe impl Send for Instance {}
@@ -30,29 +33,29 @@ impl Instance {
         Self::with_log(library, name, Box::new(move |line| log_line(&of_log, line)))
     }
 
-    pub(crate) fn with_log(library: Library, name: &str, mut log: Log) -> Result<Self, String> {
+    pub(crate) fn with_log(library: Library, name: &str, log: Log) -> Result<Self, String> {
         let (table, name) = (library.table, c_string(name));
         let create = |host: Host| match table.create {
             // SAFETY: the host lives during the call.
             Some(create) => unsafe { create(host) },
             None => std::ptr::null_mut(),
         };
-        let (module, failure) = with_host(&name, Phase::Apart, &mut *log, create);
+        let (module, failure) = with_host(&name, Phase::Apart, &*log, create);
         if module.is_null() {
             return Err(failure.unwrap_or_else(|| "`create` returned NULL without a reason".to_owned()));
         }
-        Ok(Self { table, module, name, log })
+        Ok(Self { table, module, name, log, now: Time::ZERO })
     }
 
     /// Calls a function of the module; the result is its code, 0 for one that the library lacks.
     fn enter<'a>(
-        &'a mut self,
+        &'a self,
         function: &str,
         phase: Phase<'a>,
         call: impl FnOnce(&ModuleV1, *mut c_void, Host) -> Option<i32>,
     ) -> Result<(), String> {
-        let (table, module) = (self.table, self.module);
-        let (code, failure) = with_host(&self.name, phase, &mut *self.log, |host| call(table, module, host));
+        let (table, module) = (&self.table, self.module);
+        let (code, failure) = with_host(&self.name, phase, &*self.log, |host| call(table, module, host));
         match (code.unwrap_or(0), failure) {
             // What a library goes on after is no failure.
             (0, _) => Ok(()),
@@ -69,6 +72,7 @@ impl Instance {
     }
 
     pub(crate) fn handle(&mut self, event: &EventV1, requests: &mut dyn Requests) -> Result<(), String> {
+        self.now = requests.now();
         self.enter("handle", Phase::Run(requests), |table, module, host| {
             // SAFETY: `create` returned the module, and the host and the event live during the call.
             table.handle.map(|handle| unsafe { handle(module, host, event) })
@@ -80,6 +84,7 @@ impl Instance {
         transition: Transition,
         requests: &mut dyn Requests,
     ) -> Result<(), String> {
+        self.now = requests.now();
         self.enter("transition", Phase::Run(requests), |table, module, host| {
             // SAFETY: `create` returned the module, and the host lives during the call.
             table.transition.map(|make| unsafe { make(module, host, number_of(transition)) })
@@ -109,6 +114,18 @@ impl Instance {
             // SAFETY: `create` returned the module, and the host and the bytes live during the call.
             table.restore.map(|restore| unsafe { restore(module, host, state.as_ptr(), state.len()) })
         })
+    }
+
+    /// The variables of the module as a text for a debugger; `None` if it reports none.
+    pub(crate) fn variables(&self) -> Option<String> {
+        self.table.variables?;
+        let mut taken = Variables::default();
+        let phase = Phase::Variables { now: self.now, taken: &mut taken };
+        let result = self.enter("variables", phase, |table, module, host| {
+            // SAFETY: `create` returned the module, and the host lives during the call.
+            table.variables.map(|variables| unsafe { variables(module, host) })
+        });
+        taken.text(&self.sort(), result.err())
     }
 
     /// The name that the library gives its sort of module.

@@ -18,6 +18,7 @@ mod library;
 pub mod messages;
 mod module;
 pub mod parent;
+mod variables;
 mod watch;
 
 pub use isolated::{child, set_child_command};

@@ -108,10 +108,11 @@ pub enum LibraryError {
     },
 }
 
-/// A loaded library.
+/// A loaded library. Its functions stay where they are.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Library {
-    pub(crate) table: &'static ModuleV1,
+    /// As far as the library has it.
+    pub(crate) table: ModuleV1,
 }
 
 impl Library {
@@ -167,12 +168,12 @@ impl Library {
         if version != ABI_VERSION {
             return Err(LibraryError::Version { path, found: version });
         }
-        let expected = size_of::<ModuleV1>();
+        let expected = ModuleV1::FIRST_SIZE;
         if (size as usize) < expected {
             return Err(LibraryError::Size { path, found: size, expected });
         }
-        // SAFETY: the table has this version and at least this size.
-        let table: &'static ModuleV1 = unsafe { &*table };
+        // SAFETY: the table has this version and size.
+        let table = unsafe { copy_of(table, size as usize) };
         let functions = [
             ("create", table.create.is_some()),
             ("setup", table.setup.is_some()),
@@ -184,6 +185,23 @@ impl Library {
             None => Ok(Self { table }),
         }
     }
+}
+
+/// Copies a table of this size, which may be shorter or longer than that of this program. Functions that it
+/// lacks, or has in part, are missing in the copy.
+///
+/// # Safety
+/// `table` points to `size` bytes of a table of this version.
+#[expect(unsafe_code, reason = "reads what a library points to")]
+unsafe fn copy_of(table: *const ModuleV1, size: usize) -> ModuleV1 {
+    let mut copy = ModuleV1::EMPTY;
+    let size = size.min(size_of::<ModuleV1>());
+    // Behind the two numbers at its head, a table consists of pointers.
+    let size = size - size % size_of::<usize>();
+    // SAFETY: by the contract of this function, and both have at least this size. Each function is null or
+    // valid by the contract of downbeat.h.
+    unsafe { table.cast::<u8>().copy_to_nonoverlapping((&raw mut copy).cast::<u8>(), size) };
+    copy
 }
 
 fn with_causes(error: &dyn std::error::Error) -> String {

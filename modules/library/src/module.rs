@@ -3,9 +3,11 @@
 use crate::LibraryOptions;
 use crate::instance::{Instance, event_in_c};
 use crate::library::Library;
+use crate::variables::Shown;
 use crate::watch::Watch;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState};
 use downbeat_executor::{Failure, SettingValue, Transition};
+use std::fmt;
 
 /// A module of a library that this process has loaded.
 pub(crate) struct LibraryModule {
@@ -13,6 +15,7 @@ pub(crate) struct LibraryModule {
     options: LibraryOptions,
     /// Of a library that is reloaded.
     watch: Option<Watch>,
+    shown: Shown,
 }
 
 impl LibraryModule {
@@ -24,7 +27,7 @@ impl LibraryModule {
         let library = library.map_err(|error| error.to_string())?;
         let instance = Instance::new(library, &options.module)?;
         tracing::debug!(module = options.module, "loaded {} from {}", instance.sort(), path.display());
-        Ok(Self { instance, options: options.clone(), watch })
+        Ok(Self { instance, options: options.clone(), watch, shown: Shown::default() })
     }
 }
 
@@ -65,6 +68,10 @@ impl Foreign for LibraryModule {
 
     fn restore(&mut self, state: SavedState) -> Result<(), String> {
         self.instance.restore(&state_of(state)?)
+    }
+
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        self.shown.keep(self.instance.variables())
     }
 }
 

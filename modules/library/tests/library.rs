@@ -230,8 +230,9 @@ fn rust_library() -> LibraryOptions {
     LibraryOptions { module: "module".into(), path, ..LibraryOptions::default() }
 }
 
-/// What a robot with this module publishes in a scenario of messages, calls, tasks and settings.
-fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> Vec<Vec<f64>> {
+/// What a robot with this module publishes in a scenario of messages, calls, tasks and settings, and what the
+/// module shows a debugger afterwards.
+fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> (Vec<Vec<f64>>, Option<String>) {
     let mut robot = Robot::new();
     let action = |from: &str, to: &str| {
         let name = |action: &str, part: &str| format!("{action}/_action/{part}");
@@ -268,7 +269,7 @@ fn scenario(add: impl Fn(&mut Robot, &str, ModuleOptions)) -> Vec<Vec<f64>> {
         lean.publish(Float64 { data }).unwrap();
     }
     robot.cycles(12);
-    taken.map(|taken| taken.try_iter().collect()).into()
+    (taken.map(|taken| taken.try_iter().collect()).into(), robot.core.debug("module"))
 }
 
 #[test]
@@ -283,9 +284,11 @@ fn a_module_in_rust_does_in_a_library_what_it_does_compiled_in() {
     let compiled_in = scenario(|robot, name, options| {
         robot.core.add_with(name, downbeat_library_example::Amplifier::default(), options).unwrap();
     });
-    assert_eq!(compiled_in[0], [3.0, 6.0, 9.0, 5.0]);
+    let (published, shown) = &compiled_in;
+    assert_eq!(published[0], [3.0, 6.0, 9.0, 5.0]);
     // Two answers, a goal that was refused, and one that was reached.
-    assert_eq!(compiled_in[2], [1.0, -1.0, -2.0, 0.5]);
+    assert_eq!(published[2], [1.0, -1.0, -2.0, 0.5]);
+    assert!(shown.as_ref().unwrap().starts_with("Amplifier {\n    ticks: "), "{shown:?}");
     assert_eq!(scenario(library(false)), compiled_in);
     assert_eq!(scenario(library(true)), compiled_in);
 }
@@ -401,6 +404,8 @@ fn structs_of_rust_and_of_a_c_compiler_have_the_same_layout() {
         offset_of!(HostV1, saved),
         size_of::<ModuleV1>(),
         offset_of!(ModuleV1, restore),
+        offset_of!(HostV1, variable),
+        offset_of!(ModuleV1, variables),
     ];
     assert_eq!(found.split_whitespace().map(|number| number.parse().unwrap()).collect::<Vec<usize>>(), own);
 }

@@ -86,11 +86,7 @@ pub fn c_string(text: &str) -> CString {
 #[expect(unsafe_code, reason = "reads what a library points to")]
 pub unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, String> {
     // SAFETY: by the contract of this function.
-    let given = unsafe { value.as_ref() }.ok_or("the value is NULL")?;
-    check_struct("downbeat_value_v1", given.abi_version, given.struct_size, size_of::<ValueV1>())?;
-    if given.data.is_null() && given.count > 0 {
-        return Err("the data of the value are NULL".to_owned());
-    }
+    let given = unsafe { head_of(value) }?;
     // `data` points to `count` elements of this type.
     unsafe fn all<T: Copy>(given: &ValueV1) -> Vec<T> {
         if given.count == 0 {
@@ -131,6 +127,21 @@ pub unsafe fn value_of(value: *const ValueV1) -> Result<SettingValue, String> {
             other => return Err(format!("{other} is no kind of value")),
         })
     }
+}
+
+/// Checks a value of a library, apart from its data.
+///
+/// # Safety
+/// As [`value_of`].
+#[expect(unsafe_code, reason = "reads what a library points to")]
+pub(crate) unsafe fn head_of<'a>(value: *const ValueV1) -> Result<&'a ValueV1, String> {
+    // SAFETY: by the contract of this function.
+    let given = unsafe { value.as_ref() }.ok_or("the value is NULL")?;
+    check_struct("downbeat_value_v1", given.abi_version, given.struct_size, size_of::<ValueV1>())?;
+    if given.data.is_null() && given.count > 0 {
+        return Err("the data of the value are NULL".to_owned());
+    }
+    Ok(given)
 }
 
 /// Reads a text of a library.

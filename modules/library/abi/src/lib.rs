@@ -4,8 +4,10 @@
 //! compares the layouts with those of a C compiler.
 
 mod lent;
+mod shown;
 
 pub use lent::{LentValue, c_string, check_struct, text_of, value_of};
+pub use shown::{shown_name, shown_text, shown_value};
 
 use std::ffi::{c_char, c_void};
 
@@ -104,6 +106,8 @@ pub struct HostV1 {
     pub define: unsafe extern "C" fn(Host, Text, *const Text) -> i32,
     /// As `define`.
     pub log_at: unsafe extern "C" fn(Host, i32, Text, Text, u32, Text),
+    /// Programs that lack it do not call `variables`.
+    pub variable: unsafe extern "C" fn(Host, Text, *const ValueV1) -> i32,
 }
 
 /// `downbeat_module_v1`: the functions of a module.
@@ -122,6 +126,29 @@ pub struct ModuleV1 {
     pub accept: Option<unsafe extern "C" fn(*mut c_void, Host, u32, *const ValueV1) -> i32>,
     pub save: Option<unsafe extern "C" fn(*mut c_void, Host) -> i32>,
     pub restore: Option<unsafe extern "C" fn(*mut c_void, Host, *const u8, usize) -> i32>,
+    /// Tables whose `struct_size` ends before it lack it.
+    pub variables: Option<unsafe extern "C" fn(*mut c_void, Host) -> i32>,
+}
+
+impl ModuleV1 {
+    /// The size of the first tables of this version, in bytes. None is shorter.
+    pub const FIRST_SIZE: usize = std::mem::offset_of!(Self, variables);
+
+    /// A table without functions.
+    pub const EMPTY: Self = Self {
+        abi_version: ABI_VERSION,
+        struct_size: size_of::<Self>() as u32,
+        name: std::ptr::null(),
+        create: None,
+        setup: None,
+        handle: None,
+        destroy: None,
+        transition: None,
+        accept: None,
+        save: None,
+        restore: None,
+        variables: None,
+    };
 }
 
 /// Kinds of values.

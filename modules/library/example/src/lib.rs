@@ -8,6 +8,7 @@ use downbeat_library::msgs::std_msgs::msg::Float64;
 use downbeat_library::msgs::std_srvs::srv::{
     SetBoolRequest, SetBoolResponse, TriggerRequest, TriggerResponse,
 };
+use std::fmt;
 use std::time::Duration;
 use user_msgs::my_msgs::action::{Lean, LeanFeedback, LeanGoal, LeanResult};
 use user_msgs::my_msgs::srv::{Level, LevelRequest, LevelResponse};
@@ -15,7 +16,7 @@ use user_msgs::my_msgs::srv::{Level, LevelRequest, LevelResponse};
 /// Publishes on `out` what it receives on `in`, times its setting `gain`; counts on `ticks`; serves `enable`
 /// and, of types of its own, the service `level` and the action `lean`; calls `other`, and leans elsewhere
 /// with the action `lean_on`. To requests of `refuse`, `fail`, `hold` and `leave` it has no answer.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Amplifier {
     ticks: f64,
     lean: ActionServer<Lean>,
@@ -90,6 +91,10 @@ impl Module for Amplifier {
             )?,
             later,
         })
+    }
+
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        Some(self)
     }
 }
 

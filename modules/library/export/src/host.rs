@@ -202,6 +202,15 @@ impl Robot {
         check(unsafe { (self.functions().schedule_after)(self.host, task, delay) })
     }
 
+    /// Reports to a debugger how the module describes itself. A robot that asks for it has the function.
+    pub(crate) fn describe(&self, text: &str) -> Result<(), String> {
+        let lent = LentValue::new(SettingValue::Text(text.to_owned()));
+        let text = lent.in_c();
+        // SAFETY: the host lives during the call of the library, the name may be null, and the value lives
+        // during this call.
+        check(unsafe { (self.functions().variable)(self.host, std::ptr::null(), &raw const text) })
+    }
+
     pub(crate) fn remove(&self, module: &str) -> Result<(), String> {
         // SAFETY: the host lives during the call of the library, and the text during this call.
         check(unsafe { (self.functions().remove)(self.host, c_string(module).as_ptr()) })

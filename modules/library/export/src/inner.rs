@@ -246,6 +246,11 @@ impl Inner {
         }
     }
 
+    /// The module as it describes itself.
+    pub(crate) fn debug(&self) -> Option<String> {
+        self.core.debug(&self.name)
+    }
+
     fn set_clock(&mut self, robot: &Robot) {
         self.clock.set(robot.now());
     }

@@ -149,6 +149,7 @@ impl<E: Export> Functions<E> {
         accept: Some(Self::accept),
         save: None,
         restore: None,
+        variables: Some(Self::variables),
     };
 
     unsafe extern "C" fn create(host: Host) -> *mut c_void {
@@ -200,6 +201,14 @@ impl<E: Export> Functions<E> {
             let value: SettingValue = unsafe { value_of(value) }?;
             // SAFETY: `create` returned this pointer, and calls of one module do not overlap.
             unsafe { inner(module) }?.accept(setting, value)
+        })
+    }
+
+    unsafe extern "C" fn variables(module: *mut c_void, host: Host) -> i32 {
+        // SAFETY: `create` returned this pointer, and calls of one module do not overlap.
+        guarded(host, |robot| match unsafe { inner(module) }?.debug() {
+            Some(text) => robot.describe(&text),
+            None => Ok(()),
         })
     }
 

@@ -109,6 +109,7 @@ fn call(
             module.accept(setting, fields.value().map_err(garbled)?)?;
         }
         ask::SAVE => return module.save(),
+        ask::VARIABLES => return Ok(module.variables().unwrap_or_default().into_bytes()),
         ask::RESTORE => module.restore(fields.bytes().map_err(garbled)?)?,
         _ => return Err(Garbled.to_string()),
     }

@@ -21,6 +21,7 @@ pub(super) enum Function {
     Accept(u32),
     Save,
     Restore,
+    Variables,
 }
 
 /// What has a name in a module.
@@ -86,6 +87,7 @@ impl Function {
             Self::Accept(number) => format!("`accept` for {}", named(Declared::Setting, number)),
             Self::Save => "`save`".to_owned(),
             Self::Restore => "`restore`".to_owned(),
+            Self::Variables => "`variables`".to_owned(),
         }
     }
 }

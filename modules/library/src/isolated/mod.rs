@@ -17,21 +17,26 @@ use crate::LibraryOptions;
 use crate::call::{LogLine, Requests, log_line, number_of, transition_of};
 use crate::instance::event_in_c;
 use crate::module::state_of;
+use crate::variables::Shown;
 use crate::watch::Watch;
 use downbeat_edge::foreign::{Declarations, Event, Foreign, ForeignContext, SavedState, SettingDeclaration};
 use downbeat_executor::{Failure, SettingValue, Transition};
 use function::{Declared, Function, Names};
 use process::{PATIENCE, Process};
+use std::cell::RefCell;
+use std::fmt;
 use std::time::Duration;
 use wire::{Fields, Frame, Garbled, answer, ask, end, say};
 
 /// A module of a library that a child process has loaded.
 pub(crate) struct IsolatedModule {
-    process: Process,
+    /// Lent for the time of a call.
+    process: RefCell<Process>,
     options: LibraryOptions,
     /// Of a library that is reloaded.
     watch: Option<Watch>,
     names: Names,
+    shown: Shown,
 }
 
 /// Takes one thing that a child says in a call. The answer to a question is written to the frame.
@@ -65,7 +70,14 @@ impl IsolatedModule {
     fn start(options: &LibraryOptions) -> Result<Self, String> {
         let watch = options.is_reloaded.then(|| Watch::new(&options.path));
         let process = Process::start(&options.path)?;
-        let mut started = Self { process, options: options.clone(), watch, names: Names::new() };
+        let id = process.id();
+        let started = Self {
+            process: RefCell::new(process),
+            options: options.clone(),
+            watch,
+            names: Names::new(),
+            shown: Shown::default(),
+        };
         let path = std::path::absolute(&options.path).unwrap_or_else(|_| options.path.clone());
         started.call(
             Function::Create,
@@ -78,34 +90,39 @@ impl IsolatedModule {
             },
             &mut |_, _, _| Err(Garbled.into()),
         )?;
-        let (module, id) = (&options.module, started.process.id());
+        let module = &options.module;
         tracing::debug!(module, "child process {id} loaded {}", path.display());
         Ok(started)
     }
 
-    /// Makes one call of the library, which may take until `limit`, and returns what it saved.
+    /// Makes one call of the library, which may take until `limit`, and returns its bytes: what it saved, or
+    /// the text of its variables.
     fn call(
-        &mut self,
+        &self,
         function: Function,
         limit: Duration,
         write: impl FnOnce(&mut Frame),
         take: &mut Take<'_>,
     ) -> Result<Vec<u8>, String> {
-        self.process.begin(limit);
-        let result = self.exchange(function, limit, write, take);
-        self.process.pause();
+        let Ok(mut process) = self.process.try_borrow_mut() else {
+            return Err("another call of the library is under way".to_owned());
+        };
+        process.begin(limit);
+        let result = self.exchange(&mut process, function, limit, write, take);
+        process.pause();
         result
     }
 
     fn exchange(
-        &mut self,
+        &self,
+        process: &mut Process,
         function: Function,
         limit: Duration,
         write: impl FnOnce(&mut Frame),
         take: &mut Take<'_>,
     ) -> Result<Vec<u8>, String> {
         let module = &self.options.module;
-        let channel = &mut self.process.channel;
+        let channel = &mut process.channel;
         write(channel.frame());
         let mut refusal = None;
         loop {
@@ -113,7 +130,7 @@ impl IsolatedModule {
             let fields = sent.and_then(|()| channel.receive());
             let mut fields = match fields {
                 Ok(fields) => fields,
-                Err(_) => return Err(self.process.end(&function.words(&self.names), limit)),
+                Err(_) => return Err(process.end(&function.words(&self.names), limit)),
             };
             let mut answer = Frame::default();
             let result = loop {
@@ -244,6 +261,17 @@ impl Foreign for IsolatedModule {
         };
         self.call(Function::Restore, PATIENCE, write, &mut |_, _, _| Err(Garbled.into()))?;
         Ok(())
+    }
+
+    fn debug(&self) -> Option<&dyn fmt::Debug> {
+        let write = |frame: &mut Frame| frame.tag(ask::VARIABLES);
+        let limit = self.options.time_limit;
+        let text = self.call(Function::Variables, limit, write, &mut |_, _, _| Err(Garbled.into()));
+        self.shown.keep(match text {
+            Ok(text) if text.is_empty() => None,
+            Ok(text) => Some(String::from_utf8_lossy(&text).into_owned()),
+            Err(reason) => Some(format!("its variables cannot be shown: {reason}")),
+        })
     }
 }
 

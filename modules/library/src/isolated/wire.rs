@@ -15,6 +15,7 @@ pub(super) mod ask {
     pub const ACCEPT: u8 = 5;
     pub const SAVE: u8 = 6;
     pub const RESTORE: u8 = 7;
+    pub const VARIABLES: u8 = 8;
     /// From here on, the library asks.
     pub const FIRST: u8 = 64;
     pub const CALL: u8 = 64;

@@ -5,6 +5,7 @@ typedef struct amplifier {
     std_msgs__msg__Float64 message;
     downbeat_writer writer;
     downbeat_log_limit began;
+    int64_t received;
 } amplifier;
 
 static void *create(const downbeat_host_v1 *host) {
@@ -40,6 +41,7 @@ static int32_t handle(void *self, const downbeat_host_v1 *host, const downbeat_e
     if (host->get(host, 0, &gain) || std_msgs__msg__Float64__take(host, event, &of->message)) {
         return -1;
     }
+    of->received++;
     if (of->message.data < 0.0) {
         return host->fail(host, "a negative number");
     }
@@ -54,6 +56,16 @@ static int32_t handle(void *self, const downbeat_host_v1 *host, const downbeat_e
     }
     of->message.data *= *(const double *)gain.data;
     return std_msgs__msg__Float64__publish(host, 0, &of->message, &of->writer);
+}
+
+static int32_t variables(void *self, const downbeat_host_v1 *host) {
+    const amplifier *of = (const amplifier *)self;
+    const double last[2] = {of->message.data, (double)host->now(host) / 1e9};
+    return downbeat_variable_integer(host, "received", of->received) ||
+           downbeat_variable_bool(host, "has_begun", of->began.was_written) ||
+           downbeat_variable_double(host, "out", of->message.data) ||
+           downbeat_variable_text(host, "text", "in \"C\"") ||
+           downbeat_variable(host, "last", DOWNBEAT_DOUBLES, last, 2);
 }
 
 static void destroy(void *self) {
@@ -72,7 +84,7 @@ static void destroy(void *self) {
 #endif
 
 DOWNBEAT_EXPORT const downbeat_module_v1 *SYMBOL(void) {
-    static const downbeat_module_v1 module = {VERSION, SIZE, "amplifier", create, setup, handle, destroy, NULL, NULL, NULL, NULL};
+    static const downbeat_module_v1 module = {VERSION, SIZE, "amplifier", create, setup, handle, destroy, NULL, NULL, NULL, NULL, variables};
 #ifdef NO_TABLE
     return NULL;
 #endif

@@ -83,6 +83,33 @@ class Counter : public downbeat::Module {
         count_ = downbeat::cdr::decode<Float64>(state.data(), state.size()).data;
     }
 
+    void variables(downbeat::Variables &variables) const override {
+        enum class Color { red, green };
+        variables.report("count", count_);
+        variables.report("is_on", true);
+        variables.report("small", std::uint8_t{7});
+        variables.report("large", UINT64_MAX);
+        variables.report("color", Color::green);
+        variables.report("text", std::string("two\nlines"));
+        variables.report("literal", "letters");
+        variables.report("bytes", std::vector<std::uint8_t>{1, 2});
+        variables.report("floats", std::array<float, 2>{0.5f, 1});
+        variables.report("numbers", std::vector<int>{-1, 2});
+        variables.report("flags", std::vector<bool>{true, false});
+        variables.report("names", std::vector<std::string>{"left", "right"});
+        variables.report("none", std::vector<double>{});
+#ifdef MISTAKE_OF_VARIABLES
+        throw std::out_of_range("there is no joint 21");
+#endif
+#ifdef SETTING_OF_VARIABLES
+        variables.report("step", *step_);
+#endif
+#ifdef ENDLESS_VARIABLES
+        for (volatile bool endless = true; endless;) {
+        }
+#endif
+    }
+
     double count_ = 0;
     downbeat::Setting<double> step_;
     downbeat::Setting<std::string> label_;

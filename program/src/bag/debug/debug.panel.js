@@ -97,7 +97,7 @@ export default {
     function showModule(module) {
       const settings = module.settings.map(([setting, value]) => `${setting}: ${value}`).join('\n');
       replace(details, [h('h3', null, module.name), h('pre', { class: 'mono', 'data-testid': 'debug-settings' }, settings),
-        module.state ? h('pre', { class: 'mono', 'data-testid': 'debug-state' }, module.state) : empty('It shows nothing of itself.', 'The function debug of the trait Module does.')]);
+        module.state ? h('pre', { class: 'mono', 'data-testid': 'debug-state' }, module.state) : empty('It shows nothing of itself.', 'The function debug of the trait Module does, variables in C and C++.')]);
     }
 
     /** @param {Why} why @param {number | null} effectNs @returns {HTMLElement} */

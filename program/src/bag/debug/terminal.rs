@@ -115,7 +115,9 @@ fn obey(travel: &mut Travel, command: &Command) -> anyhow::Result<()> {
             }
             match module.state {
                 Some(state) => println!("{state}"),
-                None => println!("  it shows nothing of itself: `debug` of the trait Module does"),
+                None => println!(
+                    "  it shows nothing of itself: `debug` of the trait Module does, `variables` in C and C++"
+                ),
             }
         }
         Command::List => {

@@ -23,6 +23,8 @@ class LevelHead : public downbeat::Module {
         });
     }
 
+    void variables(downbeat::Variables &variables) const override { variables.report("angle", angle_); }
+
     void measure(const Imu &imu) {
         const std::chrono::duration<double> elapsed = measured_ == 0ns ? 0ns : now() - measured_;
         measured_ = now();
