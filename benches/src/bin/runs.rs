@@ -24,8 +24,8 @@ struct Arguments {
     rounds: usize,
 }
 
-/// The cycles of a turn of a small core. Turns are short, so that what disturbs the machine rarely falls on one
-/// core alone.
+/// The cycles of a turn of a small core. Turns are short, so that few are disturbed by other processes, and
+/// a slow phase of the machine affects all cores alike.
 const CYCLES: u32 = 500;
 
 fn main() -> anyhow::Result<()> {
