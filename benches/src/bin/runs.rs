@@ -24,8 +24,8 @@ struct Arguments {
     rounds: usize,
 }
 
-/// The cycles of a turn of a small core. Turns are short, so that what disturbs the machine rarely falls on one
-/// core alone.
+/// The cycles of a turn of a small core. Turns are short, so that few are disturbed by other processes, and
+/// a slow phase of the machine affects all cores alike.
 const CYCLES: u32 = 500;
 
 fn main() -> anyhow::Result<()> {
@@ -104,7 +104,8 @@ fn compare<C>(
             continue;
         }
         let [without, with, again] = times_now;
-        costs.push(100.0 * (with / without.midpoint(again) - 1.0));
+        // A single turn each: a mean of two would be longer wherever either is disturbed.
+        costs.push(100.0 * (with / without - 1.0));
         noises.push(100.0 * (again / without - 1.0));
         times.iter_mut().zip(times_now).for_each(|(times, time)| times.push(time));
     }
