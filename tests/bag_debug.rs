@@ -295,6 +295,67 @@ fn a_chart_shows_its_states_and_another_version_of_it_is_tried() {
     assert!(printed.lines().any(|line| line.split_whitespace().eq(["/said", "20", "20", "+0"])), "{printed}");
 }
 
+/// The module of docs/libraries.md for the debugger.
+fn smoother() -> String {
+    let page = include_str!("../docs/libraries.md");
+    let mut blocks = page.split("```cpp\n").skip(1).map(|rest| rest.split("```").next().unwrap());
+    let class = blocks.find(|block| block.contains("class Smoother")).unwrap();
+    format!("{CPP}{class}DOWNBEAT_MODULE(Smoother)\n")
+}
+
+const CPP: &str =
+    "#include \"downbeat.hpp\"\n#include \"std_msgs/msg/float64.hpp\"\nusing std_msgs::msg::Float64;\n";
+
+const SOURCE: &str = r#"
+class Source : public downbeat::Module {
+    void setup() override {
+        auto out = publish<Float64>("in");
+        every(std::chrono::milliseconds(100), [out] { out({1.0}); });
+    }
+};
+DOWNBEAT_MODULE(Source)
+"#;
+
+#[test]
+fn a_module_in_cpp_shows_its_variables_at_any_cycle() {
+    if !test_machine::has_compilers(&["c++"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run = |command: &mut Command| {
+        let output = command.current_dir(folder).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    run(&mut downbeat(&["interface", "generate", "--lang", "cpp", "std_msgs/msg/Float64"]));
+    for (name, source) in [("source", format!("{CPP}{SOURCE}")), ("smoother", smoother())] {
+        fs::write(folder.join(format!("{name}.cpp")), source).unwrap();
+        let mut compiler = Command::new("c++");
+        compiler.args(["-std=c++17", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-Iinclude"]);
+        run(compiler.args([&format!("{name}.cpp"), "-o", &format!("lib{name}.so")]));
+    }
+    for keys in ["", "isolate = true\n"] {
+        let module = |name: &str| {
+            format!("[[module]]\nname = \"{name}\"\nkind = \"library\"\npath = \"lib{name}.so\"\n{keys}")
+        };
+        let file = format!(
+            "[robot]\nname = \"smooth\"\n{}{}[record]\ntopics = \"all\"\n",
+            module("source"),
+            module("smoother")
+        );
+        fs::write(folder.join("robot.toml"), file).unwrap();
+        let bag = folder.join(format!("bag{}", keys.len()));
+        let [robot, bag] = [folder.join("robot.toml"), bag].map(|path| path.to_str().unwrap().to_owned());
+        text_of(&["run", &robot, "--fast", "--duration", "1s", "--record", &bag]);
+        let lines = "go in#3\nnext smoother\nmodule smoother\ngo in#0\nnext smoother\nmodule smoother\nmodule source\n";
+        let printed = debugged(&robot, &bag, lines);
+        let (late, early) = printed.split_once("count: 4,\n}\n").unwrap_or_else(|| panic!("{printed}"));
+        assert!(late.ends_with("Smoother {\n    last: 0.9375,\n    "), "{late}");
+        assert!(early.contains("Smoother {\n    last: 0.5,\n    count: 1,\n}\n"), "{early}");
+        assert!(early.contains("it shows nothing of itself: `debug` of the trait Module does"), "{early}");
+    }
+}
+
 #[test]
 fn the_revision_that_changed_a_run_is_found() {
     let folder = tempfile::tempdir().unwrap();
