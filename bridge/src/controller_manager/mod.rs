@@ -18,9 +18,10 @@ use downbeat_executor::{Core, Listening};
 use downbeat_msgs::Message;
 use downbeat_msgs::controller_manager_msgs::msg::ControllerManagerActivity;
 use downbeat_msgs::controller_manager_msgs::srv::{
-    CleanupController, ConfigureController, ListControllerTypes, ListControllers, ListHardwareComponents,
-    ListHardwareInterfaces, LoadController, ReloadControllerLibraries, SetHardwareComponentState,
-    SwitchController, UnloadController,
+    CleanupController, ConfigureController, ListControllerTypes, ListControllerTypesResponse,
+    ListControllers, ListHardwareComponents, ListHardwareInterfaces, LoadController,
+    ReloadControllerLibraries, SetHardwareComponentState, SetHardwareComponentStateRequest, SwitchController,
+    SwitchControllerRequest, UnloadController,
 };
 use downbeat_msgs::qos::QosProfile;
 use manager::Manager;
@@ -104,11 +105,8 @@ enum Request {
     Unload(String, Reply<UnloadController>),
     Configure(String, Reply<ConfigureController>),
     Cleanup(String, Reply<CleanupController>),
-    Switch(Box<<SwitchController as downbeat_msgs::Service>::Request>, Reply<SwitchController>),
-    SetHardware(
-        Box<<SetHardwareComponentState as downbeat_msgs::Service>::Request>,
-        Reply<SetHardwareComponentState>,
-    ),
+    Switch(Box<SwitchControllerRequest>, Reply<SwitchController>),
+    SetHardware(Box<SetHardwareComponentStateRequest>, Reply<SetHardwareComponentState>),
     Reload(bool, Reply<ReloadControllerLibraries>),
     /// A module has made a transition.
     Publish,
@@ -181,22 +179,41 @@ fn serve(node: &Node, requests: &Mailbox<Request>, types: Vec<String>) -> Result
             false => "controller_interface::ControllerInterface".to_owned(),
         };
         let base_classes = types.iter().map(base).collect();
-        <ListControllerTypes as downbeat_msgs::Service>::Response { types: types.clone(), base_classes }
+        ListControllerTypesResponse { types: types.clone(), base_classes }
     };
     Ok(vec![
         node.serve::<ListControllerTypes>("~/list_controller_types", QosProfile::SERVICES, list_types)?,
-        later(node, requests, "list_controllers", |_, reply| Request::ListControllers(reply))?,
-        later(node, requests, "list_hardware_components", |_, reply| Request::ListHardware(reply))?,
-        later(node, requests, "list_hardware_interfaces", |_, reply| Request::ListInterfaces(reply))?,
-        later(node, requests, "load_controller", |asked, reply| Request::Load(asked.name, reply))?,
-        later(node, requests, "unload_controller", |asked, reply| Request::Unload(asked.name, reply))?,
-        later(node, requests, "configure_controller", |asked, reply| Request::Configure(asked.name, reply))?,
-        later(node, requests, "cleanup_controller", |asked, reply| Request::Cleanup(asked.name, reply))?,
-        later(node, requests, "switch_controller", |asked, reply| Request::Switch(Box::new(asked), reply))?,
-        later(node, requests, "set_hardware_component_state", |asked, reply| {
-            Request::SetHardware(Box::new(asked), reply)
+        later::<ListControllers>(node, requests, "list_controllers", |_, reply| {
+            Request::ListControllers(reply)
         })?,
-        later(node, requests, "reload_controller_libraries", |asked, reply| {
+        later::<ListHardwareComponents>(node, requests, "list_hardware_components", |_, reply| {
+            Request::ListHardware(reply)
+        })?,
+        later::<ListHardwareInterfaces>(node, requests, "list_hardware_interfaces", |_, reply| {
+            Request::ListInterfaces(reply)
+        })?,
+        later::<LoadController>(node, requests, "load_controller", |asked, reply| {
+            Request::Load(asked.name, reply)
+        })?,
+        later::<UnloadController>(node, requests, "unload_controller", |asked, reply| {
+            Request::Unload(asked.name, reply)
+        })?,
+        later::<ConfigureController>(node, requests, "configure_controller", |asked, reply| {
+            Request::Configure(asked.name, reply)
+        })?,
+        later::<CleanupController>(node, requests, "cleanup_controller", |asked, reply| {
+            Request::Cleanup(asked.name, reply)
+        })?,
+        later::<SwitchController>(node, requests, "switch_controller", |asked, reply| {
+            Request::Switch(Box::new(asked), reply)
+        })?,
+        later::<SetHardwareComponentState>(
+            node,
+            requests,
+            "set_hardware_component_state",
+            |asked, reply| Request::SetHardware(Box::new(asked), reply),
+        )?,
+        later::<ReloadControllerLibraries>(node, requests, "reload_controller_libraries", |asked, reply| {
             Request::Reload(asked.force_kill, reply)
         })?,
     ])

@@ -49,7 +49,7 @@ pub(super) fn plan(known: &[Known<'_>], asked: &SwitchControllerRequest) -> Resu
     let strictness = Strictness::of(asked.strictness);
     let mut switch = Switch::default();
     let find = |name: &String| known.iter().find(|known| known.controller.name == *name);
-    let mut problem = |switch: &mut Switch, problem: String| match strictness {
+    let problem = |switch: &mut Switch, problem: String| match strictness {
         Strictness::BestEffort => {
             switch.left_out.push(problem);
             Ok(())
