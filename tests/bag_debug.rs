@@ -84,10 +84,12 @@ fn a_condition_is_met_in_the_same_cycle_whichever_launcher_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let lines = "until norm(imu_data_raw.angular_velocity) > 0.2\nuntil joint_goals.position[8] < -0.5\n\
                  back until norm(imu_data_raw.angular_velocity) > 0.2\n";
-    let stops = ["linear", "pool:2", "threads"].map(|launcher| {
-        let bag = folder.path().join(launcher.replace(':', "_"));
-        let bag = bag.to_str().unwrap();
-        text_of(&["run", WALKER, "--fast", "--duration", "4s", "--launcher", launcher, "--record", bag]);
+    let stops = ["linear", "pool", "threads"].map(|launcher| {
+        let [robot, bag] = ["toml", "bag"].map(|end| folder.path().join(format!("{launcher}.{end}")));
+        let [robot, bag] = [&robot, &bag].map(|path| path.to_str().unwrap());
+        let text = fs::read_to_string(WALKER).unwrap();
+        fs::write(robot, format!("{text}\n[launcher]\nkind = \"{launcher}\"\n")).unwrap();
+        text_of(&["run", robot, "--fast", "--duration", "4s", "--record", bag]);
         let printed = debugged(WALKER, bag, lines);
         assert!(printed.contains("no difference from the bag"), "{launcher}: {printed}");
         let cycles: Vec<_> = printed.lines().filter(|line| line.starts_with("cycle #")).collect();

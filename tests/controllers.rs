@@ -151,9 +151,10 @@ fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
     assert_eq!(listed["joint_state_broadcaster"]["state"], "active");
 
     let switch = |deactivate: &str, activate: &str, strictness: i32| {
-        let names = |names: &str| names.split_whitespace().collect::<Vec<_>>();
+        let [activate, deactivate] =
+            [activate, deactivate].map(|names| json!(names.split_whitespace().collect::<Vec<_>>()));
         json!({
-            "activate_controllers": names(activate), "deactivate_controllers": names(deactivate),
+            "activate_controllers": activate, "deactivate_controllers": deactivate,
             "strictness": strictness, "activate_asap": false, "timeout": {"sec": 5, "nanosec": 0},
         })
     };

@@ -307,29 +307,37 @@ impl Manager {
         if nothing && !left_out.is_empty() {
             return Err(left_out.join("; "));
         }
-        // Asked for together, they are made in one sync phase, in this order.
-        let deactivations = deactivate.iter().map(|name| (name, Transition::Deactivate));
-        let all = deactivations.chain(activate.iter().map(|name| (name, Transition::Activate)));
-        let asked_for: Vec<_> = all
-            .map(|(name, transition)| (name, transition, self.core.transition(name, transition)))
-            .collect();
         let seconds = u64::try_from(asked.timeout.sec).unwrap_or(0);
         let timeout = Duration::from_secs(seconds) + Duration::from_nanos(asked.timeout.nanosec.into());
         let patience = if timeout.is_zero() { PATIENCE } else { timeout.min(PATIENCE) };
+        // Joints that are given back can be taken from the next cycle on.
+        for (names, transition) in [(&deactivate, Transition::Deactivate), (&activate, Transition::Activate)]
+        {
+            self.transitions(names, transition, patience).await?;
+        }
+        let mut message = vec!["Successfully switched controllers!".to_owned()];
+        message.extend(left_out);
+        Ok(message.join("; "))
+    }
+
+    /// Makes the transition of these modules in one cycle.
+    async fn transitions(
+        &self,
+        names: &[String],
+        transition: Transition,
+        patience: Duration,
+    ) -> Result<(), String> {
+        let asked_for: Vec<_> =
+            names.iter().map(|name| (name, self.core.transition(name, transition))).collect();
         let mut problems = Vec::new();
-        for (name, transition, receipt) in asked_for {
+        for (name, receipt) in asked_for {
             match self.worker.within(patience, receipt).await.flatten() {
                 Some(Ok(_)) => {}
                 Some(Err(refused)) => problems.push(refused.to_string()),
                 None => problems.push(format!("{name} did not {transition} within {patience:?}")),
             }
         }
-        if !problems.is_empty() {
-            return Err(problems.join("; "));
-        }
-        let mut message = vec!["Successfully switched controllers!".to_owned()];
-        message.extend(left_out);
-        Ok(message.join("; "))
+        if problems.is_empty() { Ok(()) } else { Err(problems.join("; ")) }
     }
 
     async fn set_hardware(

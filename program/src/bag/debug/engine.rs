@@ -34,6 +34,7 @@ pub(super) fn serve(
         link: connect(socket)?,
         session,
         socket: socket.to_owned(),
+        can_be_copied: no_checkpoints.is_none(),
         is_copy: false,
         has_copies: false,
     };
@@ -57,6 +58,8 @@ struct Engine {
     session: ReplaySession,
     link: Link,
     socket: PathBuf,
+    /// Whether copies can go on by themselves.
+    can_be_copied: bool,
     /// Of another engine.
     is_copy: bool,
     /// Whether there are copies of this one.
@@ -146,13 +149,15 @@ impl Engine {
     fn pass(&mut self) -> anyhow::Result<Report> {
         let mut index = Index::default();
         let (mut interval, mut left, mut last) = (FIRST_INTERVAL, 0, Instant::now());
-        self.leave_checkpoint(Role::Spread)?;
+        if self.can_be_copied {
+            self.leave_checkpoint(Role::Spread)?;
+        }
         while self.session.step()? {
             index.add(&self.session);
             if index.passed.times.len() >= TOLD_TOGETHER || index.passed.difference.is_some() {
                 self.link.send(&Report::Passed(index.take()))?;
             }
-            if last.elapsed() >= interval {
+            if self.can_be_copied && last.elapsed() >= interval {
                 self.leave_checkpoint(Role::Spread)?;
                 left += 1;
                 if left == DOUBLED_AFTER {
