@@ -82,7 +82,7 @@ fn a_cycle_is_the_same_from_before_from_behind_and_at_once() {
 #[test]
 fn a_condition_is_met_in_the_same_cycle_whichever_launcher_recorded() {
     let folder = tempfile::tempdir().unwrap();
-    let lines = "until norm(imu_data_raw.angular_velocity) > 0.2\nuntil joint_goals.position[8] < -0.5\n\
+    let lines = "until norm(imu_data_raw.angular_velocity) > 0.2\ngo end\n\
                  back until norm(imu_data_raw.angular_velocity) > 0.2\n";
     let stops = ["linear", "pool", "threads"].map(|launcher| {
         let [robot, bag] = ["toml", "bag"].map(|end| folder.path().join(format!("{launcher}.{end}")));

@@ -184,7 +184,11 @@ fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
             [active == "head_by_hand", active == "head_controller"]
         );
     }
-    let interfaces = ask("ListHardwareInterfaces", "list_hardware_interfaces", json!({}));
+    let mut interfaces = Value::Null;
+    wait_until("the hardware has measured its joints", || {
+        interfaces = ask("ListHardwareInterfaces", "list_hardware_interfaces", json!({}));
+        interfaces["state_interfaces"].as_array().is_some_and(|states| !states.is_empty())
+    });
     let named = |list: &str, name: &str| {
         interfaces[list]
             .as_array()

@@ -33,8 +33,8 @@ fn class_of(kind: &str) -> String {
 }
 
 impl Robot {
-    /// The controllers are the modules that claim joints, and one for the measurements of the hardware, as the
-    /// `joint_state_broadcaster` of ros2_control; the hardware are those that drive devices with joints.
+    /// The controllers are the modules that claim joints, and one for the measurements of the hardware, as
+    /// the `joint_state_broadcaster` of ros2_control; the hardware are those that drive devices with joints.
     pub(crate) fn controllers(&mut self) -> Result<Controllers, SetupError> {
         let published = topics_of(&self.core, |edge| match edge {
             GraphEdge::Publishes { module, topic } => Some((*module, *topic)),

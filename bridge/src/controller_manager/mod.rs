@@ -1,9 +1,9 @@
 //! The controllers and the hardware of a robot as ros2_control shows them: the services of
 //! `controller_manager_msgs`, for `ros2 control`, spawners and MoveIt.
 //!
-//! Controllers and hardware are modules; their states are those of their lifecycle. All controllers of a robot
-//! are compiled in and loaded at the start. One that is unloaded is left out of the lists until it is loaded
-//! again; it stays unconfigured until then.
+//! Controllers and hardware are modules; their states are those of their lifecycle. All controllers of a
+//! robot are compiled in and loaded at the start. One that is unloaded is left out of the lists until it is
+//! loaded again; it stays unconfigured until then.
 //!
 //! # References
 //! ros2_control, branch jazzy: `controller_manager_msgs`, `controller_manager/src/controller_manager.cpp`,
