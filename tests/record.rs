@@ -618,7 +618,7 @@ fn a_condition_on_topics_takes_a_snapshot_of_what_was_before_and_after() {
 }
 
 /// Counts down from 3 to below 0 in half seconds, on `in`.
-#[cfg(all(feature = "state_machine", feature = "library"))]
+#[cfg(feature = "state_machine")]
 const COUNTDOWN: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
     <downbeat:publish topic="in" type="std_msgs/msg/Float64"/>
     <downbeat:every period="500ms" event="tick"/>
@@ -633,7 +633,7 @@ const COUNTDOWN: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:
 "#;
 
 /// A library in Rust panics at the first negative number.
-#[cfg(all(feature = "state_machine", feature = "library"))]
+#[cfg(feature = "state_machine")]
 #[test]
 fn a_panic_takes_a_snapshot_of_what_was_before_and_after() {
     let folder = tempfile::tempdir().unwrap();

@@ -113,11 +113,13 @@ mod with_zenoh {
         let topics = network.shown(&["topic", "list", "-t"]);
         assert!(topics.contains("/joint_states [sensor_msgs/msg/JointState]"), "{topics}");
         assert!(topics.contains("/rosout [rcl_interfaces/msg/Log]"), "{topics}");
-        let node = network.shown(&["node", "info", "/darwin_op"]);
-        for expected in ["/imu/data_raw: sensor_msgs/msg/Imu", "/darwin_op/get_parameters", "Action Servers:"]
-        {
-            assert!(node.contains(expected), "{expected}: {node}");
-        }
+        // A node is listed before all of its endpoints are.
+        wait_until("the endpoints of the node are shown", || {
+            let node = network.shown(&["node", "info", "/darwin_op"]);
+            ["/imu/data_raw: sensor_msgs/msg/Imu", "/darwin_op/get_parameters", "Action Servers:"]
+                .iter()
+                .all(|expected| node.contains(expected))
+        });
         let info = network.shown(&["topic", "info", "-v", "/joint_states"]);
         assert!(info.contains("Node name: darwin_op") && info.contains("RIHS01_"), "{info}");
         let states = network.shown(&["topic", "echo", "--once", "/joint_states"]);

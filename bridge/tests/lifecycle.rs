@@ -235,8 +235,10 @@ fn an_active_node_answers_the_bond_of_its_manager_and_ends_it_when_it_is_deactiv
     manager.ask(wanted("camera", "first", false));
     robot.change(Transition::Activate);
     // A manager that was started again.
-    manager.ask(wanted("camera", "second", true));
-    wait_until("another bond", || heard(&mut manager).last().is_some_and(|(_, is_active)| *is_active));
+    wait_until("another bond", || {
+        manager.ask(wanted("camera", "second", true));
+        heard(&mut manager).last().is_some_and(|(_, is_active)| *is_active)
+    });
     drop(robot);
     wait_until("the end of the node", || heard(&mut manager).last().is_some_and(|(_, is_active)| !is_active));
     manager.leave();
