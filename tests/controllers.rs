@@ -204,18 +204,14 @@ fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
 
     // The rest with our own calls.
     let call = |service: &str, request: &str| {
-        let line = [
-            "service",
-            "call",
-            &format!("/controller_manager/{service}"),
-            request,
-            "--domain",
-            &domain.to_string(),
-        ];
-        common::text_of(&line)
+        let words = service.split('_').map(|word| word[..1].to_uppercase() + &word[1..]);
+        let kind = format!("controller_manager_msgs/srv/{}", words.collect::<String>());
+        let (name, domain) = (format!("/controller_manager/{service}"), domain.to_string());
+        let printed = common::text_of(&["service", "call", &name, &kind, request, "--domain", &domain]);
+        printed.split_once("response:").unwrap().1.to_lowercase()
     };
     let types = call("list_controller_types", "{}");
-    assert!(types.contains("forward_command_controller/ForwardCommandController"), "{types}");
+    assert!(types.contains("forward_command_controller/forwardcommandcontroller"), "{types}");
     assert!(call("unload_controller", "{name: head_controller}").contains("false"), "it is active");
     assert!(call("unload_controller", "{name: head_by_hand}").contains("true"));
     assert!(!call("list_controllers", "{}").contains("head_by_hand"));
