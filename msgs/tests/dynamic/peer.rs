@@ -51,8 +51,10 @@ fn paths(message: MessageRef<'_>, prefix: &str) -> Vec<String> {
 
 /// Every built-in message that the wheels contain, including parts of services and actions, filled by path.
 fn messages() -> Vec<DynamicMessage> {
-    const NO_WHEEL: [&str; 8] = [
+    const NO_WHEEL: [&str; 10] = [
+        "bond",
         "control_msgs",
+        "controller_manager_msgs",
         "downbeat_interfaces",
         "composition_interfaces",
         "example_interfaces",
