@@ -16,8 +16,13 @@ pub(crate) fn own_command(command: &str) -> anyhow::Result<(PathBuf, Vec<String>
             line.split(|&byte| byte == 0).map(|word| String::from_utf8_lossy(word).into_owned()).collect()
         })
         .unwrap_or_else(|_| std::env::args().collect());
-    let script = line.into_iter().skip(1).take_while(|word| word != command);
-    Ok((program, script.filter(|_| is_interpreter).collect()))
+    if !is_interpreter {
+        return Ok((program, Vec::new()));
+    }
+    let mut line = line.into_iter();
+    // In a virtual environment, the file of the program is the interpreter outside of it.
+    let interpreter = line.next().filter(|name| !name.is_empty()).map_or(program, PathBuf::from);
+    Ok((interpreter, line.take_while(|word| word != command).collect()))
 }
 
 /// This program with the command line with which it was started.
