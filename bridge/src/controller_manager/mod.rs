@@ -2,8 +2,8 @@
 //! `controller_manager_msgs`, for `ros2 control`, spawners and MoveIt.
 //!
 //! Controllers and hardware are modules; their states are those of their lifecycle. All controllers of a
-//! robot are compiled in and loaded at the start. One that is unloaded is left out of the lists until it is
-//! loaded again; it stays unconfigured until then.
+//! robot are compiled in and loaded at the start. An unloaded controller is unconfigured, and no list names
+//! it until it is loaded again.
 //!
 //! # References
 //! ros2_control, branch jazzy: `controller_manager_msgs`, `controller_manager/src/controller_manager.cpp`,
@@ -88,7 +88,7 @@ impl Joints {
 /// The services, until they are dropped.
 pub struct ControllerManager {
     _services: Vec<Service>,
-    /// Told of transitions.
+    /// Publishes the activity after each transition of a module.
     _listening: Listening,
     requests: Mailbox<Request>,
 }
