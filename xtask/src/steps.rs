@@ -75,10 +75,10 @@ impl Steps {
         eprintln!("\n== {name}");
         let started = Instant::now();
         let result = run();
-        if result.is_err() {
-            eprintln!("== {name}: FAILED");
-        }
-        self.done.push((name.to_owned(), result, started.elapsed()));
+        let (verdict, elapsed) = (if result.is_ok() { "passed" } else { "FAILED" }, started.elapsed());
+        // At once too: a run that is ended from outside never prints its summary.
+        eprintln!("== {name}: {verdict} after {:.0} s", elapsed.as_secs_f64());
+        self.done.push((name.to_owned(), result, elapsed));
     }
 
     /// Prints the errors, and the result of each step.
