@@ -51,15 +51,15 @@ impl Manager {
 
     pub(super) async fn answer(&mut self, request: Request) {
         match request {
-            Request::ListControllers(reply) => {
+            Request::ListControllers(_, reply) => {
                 let controller = self.controllers(&self.states().await);
                 send(reply, &ListControllersResponse { controller });
             }
-            Request::ListHardware(reply) => {
+            Request::ListHardware(_, reply) => {
                 let component = self.hardware(&self.states().await);
                 send(reply, &ListHardwareComponentsResponse { component });
             }
-            Request::ListInterfaces(reply) => {
+            Request::ListInterfaces(_, reply) => {
                 let hardware = self.hardware(&self.states().await);
                 let (mut commands, mut states) = (Vec::new(), Vec::new());
                 for component in hardware {
@@ -74,20 +74,20 @@ impl Manager {
                     },
                 );
             }
-            Request::Load(name, reply) => {
-                let ok = self.load(&name);
+            Request::Load(asked, reply) => {
+                let ok = self.load(&asked.name);
                 send(reply, &LoadControllerResponse { ok });
             }
-            Request::Unload(name, reply) => {
-                let ok = self.unload(&name).await;
+            Request::Unload(asked, reply) => {
+                let ok = self.unload(&asked.name).await;
                 send(reply, &UnloadControllerResponse { ok });
             }
-            Request::Configure(name, reply) => {
-                let ok = self.change(&name, Transition::Configure).await;
+            Request::Configure(asked, reply) => {
+                let ok = self.change(&asked.name, Transition::Configure).await;
                 send(reply, &ConfigureControllerResponse { ok });
             }
-            Request::Cleanup(name, reply) => {
-                let ok = self.change(&name, Transition::Cleanup).await;
+            Request::Cleanup(asked, reply) => {
+                let ok = self.change(&asked.name, Transition::Cleanup).await;
                 send(reply, &CleanupControllerResponse { ok });
             }
             Request::Switch(asked, reply) => {
@@ -104,9 +104,9 @@ impl Manager {
                 let response = self.set_hardware(&asked).await;
                 send(reply, &response);
             }
-            Request::Reload(is_forced, reply) => {
+            Request::Reload(asked, reply) => {
                 // They are compiled in: with none loaded, there is nothing that could be reloaded.
-                let ok = !is_forced && self.loaded().next().is_none();
+                let ok = !asked.force_kill && self.loaded().next().is_none();
                 if !ok {
                     tracing::error!("controllers are parts of this program, which cannot be reloaded");
                 }

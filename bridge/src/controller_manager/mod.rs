@@ -18,10 +18,12 @@ use downbeat_executor::{Core, Listening};
 use downbeat_msgs::Message;
 use downbeat_msgs::controller_manager_msgs::msg::ControllerManagerActivity;
 use downbeat_msgs::controller_manager_msgs::srv::{
-    CleanupController, ConfigureController, ListControllerTypes, ListControllerTypesResponse,
-    ListControllers, ListHardwareComponents, ListHardwareInterfaces, LoadController,
-    ReloadControllerLibraries, SetHardwareComponentState, SetHardwareComponentStateRequest, SwitchController,
-    SwitchControllerRequest, UnloadController,
+    CleanupController, CleanupControllerRequest, ConfigureController, ConfigureControllerRequest,
+    ListControllerTypes, ListControllerTypesResponse, ListControllers, ListControllersRequest,
+    ListHardwareComponents, ListHardwareComponentsRequest, ListHardwareInterfaces,
+    ListHardwareInterfacesRequest, LoadController, LoadControllerRequest, ReloadControllerLibraries,
+    ReloadControllerLibrariesRequest, SetHardwareComponentState, SetHardwareComponentStateRequest,
+    SwitchController, SwitchControllerRequest, UnloadController, UnloadControllerRequest,
 };
 use downbeat_msgs::qos::QosProfile;
 use manager::Manager;
@@ -98,16 +100,16 @@ const QUEUE: usize = 64;
 
 /// What is asked of the manager.
 enum Request {
-    ListControllers(Reply<ListControllers>),
-    ListHardware(Reply<ListHardwareComponents>),
-    ListInterfaces(Reply<ListHardwareInterfaces>),
-    Load(String, Reply<LoadController>),
-    Unload(String, Reply<UnloadController>),
-    Configure(String, Reply<ConfigureController>),
-    Cleanup(String, Reply<CleanupController>),
-    Switch(Box<SwitchControllerRequest>, Reply<SwitchController>),
-    SetHardware(Box<SetHardwareComponentStateRequest>, Reply<SetHardwareComponentState>),
-    Reload(bool, Reply<ReloadControllerLibraries>),
+    ListControllers(ListControllersRequest, Reply<ListControllers>),
+    ListHardware(ListHardwareComponentsRequest, Reply<ListHardwareComponents>),
+    ListInterfaces(ListHardwareInterfacesRequest, Reply<ListHardwareInterfaces>),
+    Load(LoadControllerRequest, Reply<LoadController>),
+    Unload(UnloadControllerRequest, Reply<UnloadController>),
+    Configure(ConfigureControllerRequest, Reply<ConfigureController>),
+    Cleanup(CleanupControllerRequest, Reply<CleanupController>),
+    Switch(SwitchControllerRequest, Reply<SwitchController>),
+    SetHardware(SetHardwareComponentStateRequest, Reply<SetHardwareComponentState>),
+    Reload(ReloadControllerLibrariesRequest, Reply<ReloadControllerLibraries>),
     /// A module has made a transition.
     Publish,
 }
@@ -157,21 +159,6 @@ impl Drop for ControllerManager {
     }
 }
 
-/// A service whose requests the manager answers one after the other, as ros2_control does.
-fn later<S: downbeat_msgs::Service>(
-    node: &Node,
-    requests: &Mailbox<Request>,
-    name: &str,
-    request: impl Fn(S::Request, Reply<S>) -> Request + Send + 'static,
-) -> Result<Service, NodeError> {
-    let requests = requests.clone();
-    node.serve_later::<S>(&format!("~/{name}"), QosProfile::SERVICES, move |asked, reply| {
-        if requests.push(request(asked, reply)).is_err() {
-            tracing::warn!("a request to the controller manager is not answered: too many wait");
-        }
-    })
-}
-
 fn serve(node: &Node, requests: &Mailbox<Request>, types: Vec<String>) -> Result<Vec<Service>, NodeError> {
     let list_types = move |_| {
         let base = |name: &String| match name.starts_with("forward_command_controller/") {
@@ -181,40 +168,39 @@ fn serve(node: &Node, requests: &Mailbox<Request>, types: Vec<String>) -> Result
         let base_classes = types.iter().map(base).collect();
         ListControllerTypesResponse { types: types.clone(), base_classes }
     };
+    let asked = Asked { node, requests };
     Ok(vec![
         node.serve::<ListControllerTypes>("~/list_controller_types", QosProfile::SERVICES, list_types)?,
-        later::<ListControllers>(node, requests, "list_controllers", |_, reply| {
-            Request::ListControllers(reply)
-        })?,
-        later::<ListHardwareComponents>(node, requests, "list_hardware_components", |_, reply| {
-            Request::ListHardware(reply)
-        })?,
-        later::<ListHardwareInterfaces>(node, requests, "list_hardware_interfaces", |_, reply| {
-            Request::ListInterfaces(reply)
-        })?,
-        later::<LoadController>(node, requests, "load_controller", |asked, reply| {
-            Request::Load(asked.name, reply)
-        })?,
-        later::<UnloadController>(node, requests, "unload_controller", |asked, reply| {
-            Request::Unload(asked.name, reply)
-        })?,
-        later::<ConfigureController>(node, requests, "configure_controller", |asked, reply| {
-            Request::Configure(asked.name, reply)
-        })?,
-        later::<CleanupController>(node, requests, "cleanup_controller", |asked, reply| {
-            Request::Cleanup(asked.name, reply)
-        })?,
-        later::<SwitchController>(node, requests, "switch_controller", |asked, reply| {
-            Request::Switch(Box::new(asked), reply)
-        })?,
-        later::<SetHardwareComponentState>(
-            node,
-            requests,
-            "set_hardware_component_state",
-            |asked, reply| Request::SetHardware(Box::new(asked), reply),
-        )?,
-        later::<ReloadControllerLibraries>(node, requests, "reload_controller_libraries", |asked, reply| {
-            Request::Reload(asked.force_kill, reply)
-        })?,
+        asked.serve("list_controllers", Request::ListControllers)?,
+        asked.serve("list_hardware_components", Request::ListHardware)?,
+        asked.serve("list_hardware_interfaces", Request::ListInterfaces)?,
+        asked.serve("load_controller", Request::Load)?,
+        asked.serve("unload_controller", Request::Unload)?,
+        asked.serve("configure_controller", Request::Configure)?,
+        asked.serve("cleanup_controller", Request::Cleanup)?,
+        asked.serve("switch_controller", Request::Switch)?,
+        asked.serve("set_hardware_component_state", Request::SetHardware)?,
+        asked.serve("reload_controller_libraries", Request::Reload)?,
     ])
+}
+
+/// Requests that the manager answers one after the other, as ros2_control does.
+struct Asked<'a> {
+    node: &'a Node,
+    requests: &'a Mailbox<Request>,
+}
+
+impl Asked<'_> {
+    fn serve<S: downbeat_msgs::Service>(
+        &self,
+        name: &str,
+        request: fn(S::Request, Reply<S>) -> Request,
+    ) -> Result<Service, NodeError> {
+        let requests = self.requests.clone();
+        self.node.serve_later::<S>(&format!("~/{name}"), QosProfile::SERVICES, move |asked, reply| {
+            if requests.push(request(asked, reply)).is_err() {
+                tracing::warn!("a request to the controller manager is not answered: too many wait");
+            }
+        })
+    }
 }

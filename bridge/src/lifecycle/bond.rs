@@ -46,6 +46,8 @@ struct Shared {
 struct State {
     is_active: bool,
     other: Option<Other>,
+    /// Whether [`speak`] runs: it may still sleep when one bond has ended and the next one begins.
+    is_speaking: bool,
 }
 
 /// The other side.
@@ -75,7 +77,7 @@ impl Bond {
             id: node.name().name().to_owned(),
             instance: format!("{}_{}_{sec}.{nanosec}", node.name(), std::process::id()),
             publisher,
-            state: Mutex::new(State { is_active, other: None }),
+            state: Mutex::new(State { is_active, ..State::default() }),
         });
         let (weak, worker) = (Arc::downgrade(&shared), node.worker());
         let qos = QosProfile::DEFAULT.keep_last(100);
@@ -143,7 +145,7 @@ impl Shared {
 }
 
 impl State {
-    /// Takes what was said on the topic. Returns true if a bond is formed.
+    /// Takes what was said on the topic. Returns true if [`speak`] has to be started.
     fn hear(&mut self, status: &Status, own: &Shared, now: Instant) -> bool {
         if status.id != own.id || status.instance_id == own.instance {
             return false;
@@ -162,8 +164,6 @@ impl State {
             (_, false) => false,
             (_, true) if !self.is_active => false,
             (other, true) => {
-                // A manager that was started again has another instance, and needs no second speaker.
-                let is_first = other.is_none();
                 let timeout = match status.heartbeat_timeout {
                     timeout if timeout.is_finite() => timeout.clamp(SHORTEST_TIMEOUT, LONGEST_TIMEOUT),
                     _ => Constants::DEFAULT_HEARTBEAT_TIMEOUT,
@@ -174,13 +174,16 @@ impl State {
                     timeout: Duration::from_secs_f32(timeout),
                     broken: None,
                 });
-                is_first
+                !std::mem::replace(&mut self.is_speaking, true)
             }
         }
     }
 
     fn next(&mut self, now: Instant, id: &str) -> Beat {
-        let Some(other) = &self.other else { return Beat::Over };
+        let Some(other) = &self.other else {
+            self.is_speaking = false;
+            return Beat::Over;
+        };
         let is_silent = now.saturating_duration_since(other.heard) > other.timeout;
         if is_silent && other.broken.is_none() {
             tracing::warn!(id, timeout_s = other.timeout.as_secs_f32(), "the other side of a bond is silent");
@@ -188,7 +191,7 @@ impl State {
         let patience = Duration::from_secs_f32(Constants::DEFAULT_DISCONNECT_TIMEOUT);
         let is_given_up = other.broken.is_some_and(|since| now.saturating_duration_since(since) > patience);
         if is_silent || is_given_up {
-            self.other = None;
+            (self.other, self.is_speaking) = (None, false);
             return Beat::Over;
         }
         match other.broken {
