@@ -400,6 +400,54 @@ fn a_snapshot_is_written_when_the_service_requests_it() {
     assert_eq!(said(&bag), found, "nothing is written without a request");
 }
 
+/// A topic that is not recorded, and comes after the recording has begun.
+#[cfg(feature = "state_machine")]
+#[test]
+fn a_condition_on_topics_of_the_network_takes_a_snapshot() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let domain = free_domain();
+    let record = |condition: &str| {
+        let arguments =
+            ["bag", "record", "/chatter", "--snapshot-when", condition, "--snapshot-duration", "1h"];
+        let domain = domain.to_string();
+        Running::start(&[&arguments[..], &["-o", text(&bag), "--domain", &domain]].concat())
+    };
+    let mut refused = record("tank_level.data >");
+    assert!(!refused.wait().success());
+    assert!(refused.output().contains("--snapshot-when: "), "{}", refused.output());
+    std::fs::remove_dir_all(&bag).unwrap_or_default();
+    let node = node("tank", domain);
+    let mut talker = Talker::new(&node);
+    let mut recorder = record("tank_level.data > 2 && age('tank_level') < 10");
+    talker.say(100);
+    let message_type = MessageType::new(std_msgs::msg::Float64::TYPE_NAME).unwrap();
+    let tank = node.publish("/tank/level", &message_type, QosProfile::DEFAULT).unwrap();
+    let fill = |data: f64| tank.publish(cdr::to_vec(&std_msgs::msg::Float64 { data }).into()).unwrap();
+    wait_until("the condition is watched", || tank.matched_subscriptions() > 0);
+    (0..10).for_each(|_| fill(1.9));
+    talker.say(100);
+    assert_eq!(said_on(&bag, "/chatter"), Vec::<u32>::new());
+    fill(2.1);
+    fill(2.2);
+    wait_until("the snapshot is in the file", || {
+        talker.say(1);
+        said_on(&bag, "/chatter").len() >= 200
+    });
+    recorder.interrupt();
+    let lines = recorder.output();
+    assert_eq!(lines.matches("taking a snapshot: its condition became true").count(), 1, "{lines}");
+    let reader = Reader::open(&bag).unwrap();
+    assert_eq!(reader.topics().len(), 1, "the topic of the condition was not asked for");
+
+    std::fs::remove_dir_all(&bag).unwrap();
+    let mut recorder = record("tank_lvl.data > 2");
+    recorder.wait_for_output("Listening for topics");
+    recorder.interrupt();
+    let lines = recorder.output();
+    assert!(lines.contains("no topic that is published is \"tank_lvl\""), "{lines}");
+}
+
 #[test]
 fn a_type_that_only_the_ament_path_knows_is_recorded_with_its_definition() {
     let domain = free_domain();
@@ -615,6 +663,30 @@ fn a_condition_on_topics_takes_a_snapshot_of_what_was_before_and_after() {
         reader.messages(Selection::all()).unwrap().map(|m| m.unwrap().log_time as f64 / 1e9).collect();
     let (first, last) = (times[0], times[times.len() - 1]);
     assert!((2.45..2.55).contains(&first) && (3.25..3.35).contains(&last), "{first} {last}");
+}
+
+#[test]
+fn a_bag_names_the_distribution_in_whose_environment_it_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot_file(folder.path(), |text| text);
+    for (variable, named) in [("kilted", "kilted"), ("", "jazzy")] {
+        let bag = folder.path().join(named);
+        let domain = free_domain().to_string();
+        let run = [
+            "run",
+            text(&robot),
+            "--fast",
+            "--duration",
+            "200ms",
+            "--domain",
+            &domain,
+            "--record",
+            text(&bag),
+        ];
+        let output = downbeat(&run).env("ROS_DISTRO", variable).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        assert_eq!(Reader::open(&bag).unwrap().metadata().unwrap().ros_distro, named);
+    }
 }
 
 /// Counts down from 3 to below 0 in half seconds, on `in`.

@@ -32,6 +32,7 @@ mod ros_args;
 pub mod ros_recorder;
 pub mod running;
 mod services;
+mod snapshot_condition;
 mod survey;
 pub mod table;
 mod versions;

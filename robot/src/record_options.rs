@@ -24,14 +24,14 @@ pub struct RecordOptions {
     pub writer: WriterOptions,
     /// What happens to messages until they are written.
     pub recording: RecordingOptions,
-    /// When a robot's recording takes a snapshot without being asked.
+    /// When a recording takes a snapshot without being asked.
     pub snapshot_triggers: SnapshotTriggers,
     /// Whether each further file, or snapshot, begins with the last messages of latched topics; `None` as
     /// the recorder's default.
     pub repeats_latched: Option<bool>,
 }
 
-/// When a robot's recording takes a snapshot without being asked.
+/// When a recording takes a snapshot without being asked.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SnapshotTriggers {
     /// When this expression over the latest messages of topics becomes true.
@@ -527,7 +527,7 @@ pub const RECORD_OPTIONS: &[RecordOption] = &[
         alias: None,
         letter: None,
         scope: Scope::Recording,
-        help: "Take a snapshot of a robot whenever this expression over the latest messages of topics becomes true, such as `battery_state.voltage < 11`.",
+        help: "Take a snapshot whenever this expression over the latest messages of topics becomes true, such as `battery_state.voltage < 11`.",
         default: "none",
         takes: Takes::Text(|options, expression| {
             options.snapshot_triggers.when = Some(expression.to_owned());

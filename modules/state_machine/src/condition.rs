@@ -1,6 +1,6 @@
 //! Conditions on the latest messages of topics, in the language of charts.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use downbeat_msgs::dynamic::{DynamicMessage, DynamicType};
 use rhai::Scope;
 
 use crate::check::unknown_field;
-use crate::expressions::{Evaluator, Path, Program, Syntax, functions};
+use crate::expressions::{Evaluator, Program, Syntax, functions};
 use crate::values::to_map;
 
 /// An expression over the latest messages of topics, such as `battery_state.voltage < 11`.
@@ -64,39 +64,35 @@ impl Condition {
         expression: &str,
         types: impl IntoIterator<Item = (&'a str, DynamicType)>,
     ) -> Result<Self, String> {
-        let wrong = |problem: String| format!("`{}`: {problem}", expression.trim());
-        let program = Program::new(expression, 1, Syntax::Expression).map_err(|problem| problem.text)?;
         let known: BTreeMap<String, (&str, DynamicType)> =
             types.into_iter().map(|(topic, of)| (topic.replace('/', "_"), (topic, of))).collect();
-        let declared = program.declared();
+        let program = read(expression)?;
         let mut topics = BTreeMap::new();
-        for Path { names, .. } in program.paths() {
-            let Some((variable, fields)) = names.split_first() else { continue };
-            if declared.contains(variable) {
-                continue;
-            }
-            let Some((topic, of)) = known.get(variable) else {
-                let hint = suggestion(variable, known.keys());
-                return Err(wrong(format!("there is no topic \"{variable}\"{hint}")));
+        for (variable, fields) in named(&program) {
+            let Some((topic, of)) = known.get(&variable) else {
+                let hint = suggestion(&variable, known.keys());
+                return Err(wrong(expression, &format!("there is no topic \"{variable}\"{hint}")));
             };
-            if let Some(problem) = unknown_field(of, fields) {
-                return Err(wrong(problem));
+            if let Some(problem) = unknown_field(of, &fields) {
+                return Err(wrong(expression, &problem));
             }
-            let named = Named { variable: variable.clone(), of: of.clone(), has_message: false };
-            topics.insert((*topic).to_owned(), named);
-        }
-        if let Some((_, name)) = program.unknown_calls().into_iter().next() {
-            let hint = suggestion(&name, functions());
-            return Err(wrong(format!("there is no function \"{name}\"{hint}")));
-        }
-        if topics.is_empty() {
-            return Err(wrong("it names no topic".to_owned()));
+            topics.insert((*topic).to_owned(), Named { variable, of: of.clone(), has_message: false });
         }
         let evaluator = Evaluator::new();
         for Named { variable, .. } in topics.values() {
             evaluator.world.write().received.insert(variable.clone(), None);
         }
         Ok(Self { program, evaluator, scope: Scope::new(), topics, held: false })
+    }
+
+    /// What an expression names as topics, with `_` for `/`, where it is not known yet which topics there
+    /// are.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new), apart from topics and fields.
+    pub fn variables(expression: &str) -> Result<BTreeSet<String>, String> {
+        let program = read(expression)?;
+        Ok(named(&program).into_iter().map(|(variable, _)| variable).collect())
     }
 
     /// The topics that it names.
@@ -142,6 +138,36 @@ impl fmt::Debug for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Condition").field("program", &self.program).finish_non_exhaustive()
     }
+}
+
+/// A program that calls only functions that there are, and names a topic.
+fn read(expression: &str) -> Result<Program, String> {
+    let program = Program::new(expression, 1, Syntax::Expression).map_err(|problem| problem.text)?;
+    if let Some((_, name)) = program.unknown_calls().into_iter().next() {
+        let hint = suggestion(&name, functions());
+        return Err(wrong(expression, &format!("there is no function \"{name}\"{hint}")));
+    }
+    if named(&program).is_empty() {
+        return Err(wrong(expression, "it names no topic"));
+    }
+    Ok(program)
+}
+
+/// The variables that stand for topics, with the fields that are read of them.
+fn named(program: &Program) -> Vec<(String, Vec<String>)> {
+    let declared = program.declared();
+    let mut named = Vec::new();
+    for mut path in program.paths() {
+        if path.names.first().is_some_and(|variable| !declared.contains(variable)) {
+            let fields = path.names.split_off(1);
+            named.extend(path.names.pop().map(|variable| (variable, fields)));
+        }
+    }
+    named
+}
+
+fn wrong(expression: &str, problem: &str) -> String {
+    format!("`{}`: {problem}", expression.trim())
 }
 
 fn since_epoch(time: Time) -> Duration {
@@ -205,7 +231,11 @@ mod tests {
         ] {
             let error = Condition::new(expression, types()).unwrap_err();
             assert!(error.contains(problem), "{expression}: {error}");
+            let is_of_topics = problem.contains("no topic \"") || problem.contains("no field");
+            assert_eq!(Condition::variables(expression).err(), (!is_of_topics).then_some(error));
         }
+        let named = Condition::variables("imu_data_raw.angular_velocity.z > battery_state.voltage");
+        assert_eq!(named.unwrap().into_iter().collect::<Vec<_>>(), ["battery_state", "imu_data_raw"]);
         let mut number = Condition::new("battery_state.voltage", types()).unwrap();
         number.take("battery_state", Time::ZERO, &cdr::to_vec(&BatteryState::default()));
         assert!(number.holds(Time::ZERO).unwrap_err().contains("it has to be true or false"));

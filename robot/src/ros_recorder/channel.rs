@@ -26,7 +26,7 @@ pub(super) enum RecorderClock {
 
 impl RecorderClock {
     /// Nanoseconds since the epoch; nothing where time has not begun.
-    fn now(&self) -> Option<i64> {
+    pub(super) fn now(&self) -> Option<i64> {
         match self {
             Self::System => {
                 let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();

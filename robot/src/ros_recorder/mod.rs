@@ -11,13 +11,14 @@ mod filter;
 mod offers;
 mod qos_overrides;
 mod services;
+mod watch;
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use downbeat_bags::{RecordError, RecordingSender, TopicDescription};
+use downbeat_bags::{RecordError, RecordingControl, RecordingSender, TopicDescription};
 use downbeat_bridge::middleware::{Direction, RemoteEndpoint, Sample};
 use downbeat_bridge::ros::{MessageType, Node, NodeError, Participant, Subscription, TopicName};
 use downbeat_msgs::encoding::{self, Encoding};
@@ -32,6 +33,7 @@ use definitions::{Definition, Inquiry};
 pub use filter::{SeenTopic, TopicFilter};
 pub use qos_overrides::{QosOverrides, QosOverridesError};
 pub use services::{RecorderServices, ServeError, SteeredRecording, serve, serve_stop, split_events};
+use watch::Watch;
 
 /// Options of a recording from ROS 2.
 #[derive(Clone, Debug, Default)]
@@ -73,6 +75,7 @@ pub struct RosRecorder {
     topics: BTreeMap<String, Recorded>,
     /// Topics that could not be subscribed to, or have several types: logged once.
     refused: HashSet<String>,
+    watch: Option<Watch>,
 }
 
 struct Recorded {
@@ -119,7 +122,23 @@ impl RosRecorder {
             _clock_subscription: subscription,
             topics: BTreeMap::new(),
             refused: HashSet::new(),
+            watch: None,
         })
+    }
+
+    /// Takes snapshots whenever an expression over the latest messages of topics becomes true. They go on for
+    /// `after` that. The topics need not be recorded, nor be there yet.
+    ///
+    /// # Errors
+    /// Returns a sentence if the expression is none, or this program has no expressions.
+    pub fn watch(
+        &mut self,
+        expression: &str,
+        control: RecordingControl,
+        after: Duration,
+    ) -> Result<(), String> {
+        self.watch = Some(Watch::new(expression, control, after, self.clock.clone())?);
+        Ok(())
     }
 
     /// Looks which topics there are now, and subscribes to those that are to be recorded.
@@ -132,6 +151,9 @@ impl RosRecorder {
             } else {
                 self.consider(name, seen);
             }
+        }
+        if let Some(watch) = &mut self.watch {
+            watch.discover(&self.participant, &seen);
         }
         self.describe();
     }
@@ -151,6 +173,9 @@ impl RosRecorder {
                 open(&self.sender, &recorded.channel, info, found, self.options.encoding);
             }
         }
+        if let Some(watch) = &mut self.watch {
+            watch.describe(&self.participant, &self.node);
+        }
     }
 
     /// The topics that are recorded.
@@ -162,6 +187,12 @@ impl RosRecorder {
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.options.filter.is_complete_with(&self.topics().collect())
+            && self.watch.as_ref().is_none_or(Watch::is_complete)
+    }
+
+    /// What the condition of snapshots names and is not there.
+    pub fn missing_for_condition(&self) -> impl Iterator<Item = &str> {
+        self.watch.iter().flat_map(Watch::missing)
     }
 
     /// The topics that were asked for by name and are not there.

@@ -40,9 +40,9 @@ pub(super) fn record(
     let mut record = RecordOptions::default();
     record.set_cache_bytes(DEFAULT_CACHE_BYTES);
     apply(arguments, &mut record)?;
-    if record.snapshot_triggers.are_some() {
+    if record.snapshot_triggers.on_panic {
         bail!(
-            "--snapshot-when and --snapshot-on-panic need --robot; of ROS 2, a snapshot is asked for by ~/snapshot"
+            "--snapshot-on-panic needs --robot: of modules of other programs it is not known that they panic"
         );
     }
     let format = arguments.writing.serialization_format.as_deref().unwrap_or("cdr");
@@ -132,7 +132,13 @@ impl Network<'_> {
         options.is_paused = is_paused;
         let recording =
             Recording::start_with(writer, &options).context("cannot start the thread that writes the bag")?;
-        let topics = RosRecorder::new(self.participant, self.node, recording.sender(), self.options.clone())?;
+        let mut topics =
+            RosRecorder::new(self.participant, self.node, recording.sender(), self.options.clone())?;
+        let triggers = &self.record.snapshot_triggers;
+        if let Some(expression) = &triggers.when {
+            let watched = topics.watch(expression, recording.control(), triggers.after);
+            watched.map_err(|problem| anyhow::anyhow!("--snapshot-when: {problem}"))?;
+        }
         tracing::info!("Listening for topics...");
         tracing::info!("{}", if is_paused { "Wait for recording: paused." } else { "Recording..." });
         let now = Instant::now();
@@ -225,6 +231,9 @@ impl Recorder<'_> {
         let Some(Current { topics, recording, .. }) = self.current.take() else { return Ok(()) };
         for topic in topics.missing() {
             tracing::warn!("nothing is recorded on {topic}: it has no publisher");
+        }
+        for name in topics.missing_for_condition() {
+            tracing::warn!("--snapshot-when was never evaluated: no topic that is published is \"{name}\"");
         }
         drop(topics);
         let outcome = recording.finish();
