@@ -25,8 +25,13 @@ pub const FORMAT_VERSION: u32 = 9;
 /// later versions are written too; readers of this version ignore them.
 pub const HUMBLE_VERSION: u32 = 5;
 
-/// The distribution of ROS 2 whose format is written.
-pub(crate) const ROS_DISTRO: &str = "jazzy";
+/// The distribution of ROS 2 in whose environment this process runs (`ROS_DISTRO`, as rosbag2 reads it), or
+/// `jazzy`, whose format is written.
+#[must_use]
+pub fn ros_distro() -> String {
+    let set = std::env::var("ROS_DISTRO").ok().filter(|name| !name.is_empty());
+    set.unwrap_or_else(|| "jazzy".to_owned())
+}
 
 /// The name of the metadata file in a bag directory.
 pub const FILE_NAME: &str = "metadata.yaml";

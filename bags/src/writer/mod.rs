@@ -269,7 +269,7 @@ impl Writer {
             move |source| WriterError::Create { path, source }
         };
         let path = split::path(directory, name, 0, options.storage.storage());
-        let file = BagFile::create(&path, &options.storage, options.sync).map_err(failed(&path))?;
+        let file = BagFile::create(&path, &options).map_err(failed(&path))?;
         let mut writer = Self {
             directory: directory.to_owned(),
             name: name.to_owned(),

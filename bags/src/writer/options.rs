@@ -132,7 +132,7 @@ impl WriterOptions {
             when_low: WhenLow::default(),
             repeats_latched: false,
             metadata_version: crate::metadata::FORMAT_VERSION,
-            ros_distro: crate::metadata::ROS_DISTRO.to_owned(),
+            ros_distro: crate::metadata::ros_distro(),
             custom_data: BTreeMap::new(),
             counted_data: BTreeMap::new(),
         }
@@ -205,7 +205,10 @@ impl WriterOptions {
         Self { metadata_version, ..self }
     }
 
-    /// The distribution of ROS 2 that the metadata names instead of `jazzy`: for copies of bags of another.
+    /// The distribution of ROS 2 that the metadata names instead of [that of the environment]: for copies of
+    /// bags of another.
+    ///
+    /// [that of the environment]: crate::metadata::ros_distro()
     #[must_use]
     pub fn ros_distro(self, ros_distro: impl Into<String>) -> Self {
         Self { ros_distro: ros_distro.into(), ..self }

@@ -9,7 +9,7 @@ use super::file::ChunkedFile;
 #[cfg(feature = "sqlite")]
 use super::sqlite::SqliteFile;
 use super::times::Times;
-use super::{StorageOptions, SyncPolicy, Writer, WriterError};
+use super::{StorageOptions, Writer, WriterError, WriterOptions};
 use crate::storage::Storage;
 use crate::topic::TopicDescription;
 
@@ -113,7 +113,7 @@ impl Writer {
 
     /// Creates a file with the topics of the bag.
     fn next_file(&mut self, path: &Path) -> std::io::Result<BagFile> {
-        let mut file = BagFile::create(path, &self.options.storage, self.options.sync)?;
+        let mut file = BagFile::create(path, &self.options)?;
         for topic in &mut self.topics {
             topic.channel = file.add_topic(&topic.info, self.options.metadata_version)?;
         }
@@ -180,11 +180,14 @@ macro_rules! of {
 }
 
 impl BagFile {
-    pub(super) fn create(path: &Path, storage: &StorageOptions, sync: SyncPolicy) -> io::Result<Self> {
-        match storage {
-            StorageOptions::Mcap(options) => ChunkedFile::create(path, *options, sync).map(Self::Mcap),
+    pub(super) fn create(path: &Path, options: &WriterOptions) -> io::Result<Self> {
+        let sync = options.sync;
+        match &options.storage {
+            StorageOptions::Mcap(storage) => ChunkedFile::create(path, *storage, sync).map(Self::Mcap),
             #[cfg(feature = "sqlite")]
-            StorageOptions::Sqlite(options) => SqliteFile::create(path, options, sync).map(Self::Sqlite),
+            StorageOptions::Sqlite(storage) => {
+                SqliteFile::create(path, storage, sync, &options.ros_distro).map(Self::Sqlite)
+            }
         }
     }
 

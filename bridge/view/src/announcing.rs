@@ -10,6 +10,7 @@ use crate::parameters::{parameter, settings};
 use crate::protocol::{Level, status, time, timestamp};
 use crate::services::ShownService;
 use crate::shared::Shared;
+use downbeat_bags::metadata::ros_distro;
 use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -39,7 +40,7 @@ impl Shared {
             "name": self.options.name,
             "capabilities": capabilities,
             "supportedEncodings": ["cdr", "json"],
-            "metadata": { "ROS_DISTRO": "jazzy" },
+            "metadata": { "ROS_DISTRO": ros_distro() },
             "sessionId": self.session_id,
         });
         if let Some(bag) = self.source.bag() {

@@ -44,6 +44,7 @@ impl SqliteFile {
         path: &Path,
         options: &SqliteOptions,
         sync: SyncPolicy,
+        ros_distro: &str,
     ) -> io::Result<Self> {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
@@ -53,7 +54,7 @@ impl SqliteFile {
             set(&connection, &pragma)?;
         }
         let transaction = connection.transaction().map_err(failure)?;
-        create(&transaction).and_then(|()| transaction.commit()).map_err(failure)?;
+        create(&transaction, ros_distro).and_then(|()| transaction.commit()).map_err(failure)?;
         let page_size = pragma_number(&connection, "page_size").map_err(failure)?;
         let mut file = Self {
             path: path.to_owned(),
@@ -302,10 +303,10 @@ fn refusal(topic: &TopicDescription) -> Option<String> {
         .then(|| format!("its schema, {}, is not text", schema.encoding))
 }
 
-fn create(connection: &Connection) -> Result<()> {
+fn create(connection: &Connection, ros_distro: &str) -> Result<()> {
     connection.execute_batch(CREATE)?;
     let insert = "INSERT INTO schema (schema_version, ros_distro) VALUES (?, ?)";
-    connection.execute(insert, (SCHEMA_VERSION, metadata::ROS_DISTRO)).map(drop)
+    connection.execute(insert, (SCHEMA_VERSION, ros_distro)).map(drop)
 }
 
 /// The topic's number is the one that SQLite would assign. Each type is described once.
