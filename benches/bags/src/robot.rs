@@ -1,5 +1,8 @@
 //! Measures recording inside the process: a module publishes and the recorder records.
 
+use std::fs::File;
+use std::hint::black_box;
+use std::io::Write as _;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -14,24 +17,35 @@ use rustix::time::{ClockId, clock_gettime};
 
 pub(crate) fn run(folder: &Path, seconds: u64) -> anyhow::Result<()> {
     let duration = Duration::from_secs(seconds);
+    println!("All shares are of a core.\n");
     println!(
-        "| recorded, zstd_fast | messages | lost | MB in | MB/s in | MB written | % of a core | without the recorder |"
+        "| recorded | preset | messages | lost | MB/s in | MB written | all | publishing | recording | plain writes | ratio |"
     );
-    println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
-    measure(folder, "100 topics of Imu at 1 kHz", duration, || Load::imus(100, Duration::from_millis(1)))?;
+    println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |");
+    for preset in [StoragePreset::None, StoragePreset::ZstdFast] {
+        let load = || Load::imus(100, Duration::from_millis(1));
+        measure(folder, "100 topics of Imu at 1 kHz", preset, duration, load)?;
+    }
     for (name, is_noise) in [("4 images of 1 MB at 30 Hz, drawn", false), ("the same, noise", true)] {
-        measure(folder, name, duration, || Load::images(4, Duration::from_nanos(33_333_333), is_noise))?;
+        let load = || Load::images(4, Duration::from_nanos(33_333_333), is_noise);
+        measure(folder, name, StoragePreset::ZstdFast, duration, load)?;
     }
     Ok(())
 }
 
-fn measure(folder: &Path, name: &str, duration: Duration, load: impl Fn() -> Load) -> anyhow::Result<()> {
+fn measure(
+    folder: &Path,
+    name: &str,
+    preset: StoragePreset,
+    duration: Duration,
+    load: impl Fn() -> Load,
+) -> anyhow::Result<()> {
     // Publishing alone, whose cost is not part of recording.
     let (alone, _) = run_core(&load(), duration, |_| Ok(()))?;
-    let bag = folder.join(name.replace([' ', ','], "_"));
+    let bag = folder.join("bag");
     let mut recording = None;
     let (processor, message_bytes) = run_core(&load(), duration, |core| {
-        let writer = WriterOptions::new().storage(StoragePreset::ZstdFast.options()).create(&bag)?;
+        let writer = WriterOptions::new().storage(preset.options()).create(&bag)?;
         let started = Recording::start(writer, Recording::DEFAULT_QUEUE_BYTES)?;
         let topics: Vec<_> = core.topics().cloned().collect();
         let interfaces = downbeat::bridge::edge::Interfaces::carried();
@@ -43,19 +57,43 @@ fn measure(folder: &Path, name: &str, duration: Duration, load: impl Fn() -> Loa
     let finishing = processor_time();
     let summary = recording.context("nothing was recorded")?.finish()?;
     let processor = processor + (processor_time() - finishing);
+    let plain = plain_writes(&folder.join("plain"), summary.message_count(), message_bytes)?;
     let share = |time: Duration| 100.0 * time.as_secs_f64() / duration.as_secs_f64();
+    let (recording, plain) = (share(processor.saturating_sub(alone)), share(plain));
     let megabytes = (summary.message_count() * message_bytes) as f64 / 1e6;
     println!(
-        "| {name} | {} | {} | {megabytes:.0} | {:.1} | {:.0} | {:.1} | {:.1} |",
+        "| {name} | {preset:?} | {} | {} | {:.1} | {:.0} | {:.1} % | {:.1} % | {recording:.1} % | {plain:.1} % | {:.1} |",
         summary.message_count(),
         summary.lost_count(),
         megabytes / duration.as_secs_f64(),
         summary.bytes as f64 / 1e6,
         share(processor),
         share(alone),
+        recording / plain,
     );
     std::fs::remove_dir_all(&bag)?;
     Ok(())
+}
+
+/// The processor time of copying as many messages into a buffer of the size of a chunk, and writing that to a
+/// file whenever it is full: what no recorder can do without.
+fn plain_writes(path: &Path, messages: u64, message_bytes: u64) -> anyhow::Result<Duration> {
+    let message = vec![1; usize::try_from(message_bytes)?];
+    let chunk = usize::try_from(WriterOptions::DEFAULT_CHUNK_SIZE)?;
+    let before = processor_time();
+    let mut file = File::create(path)?;
+    let mut buffer = Vec::with_capacity(chunk + message.len());
+    for _ in 0..messages {
+        buffer.extend_from_slice(black_box(&message));
+        if buffer.len() >= chunk {
+            file.write_all(&buffer)?;
+            buffer.clear();
+        }
+    }
+    file.write_all(&buffer)?;
+    let spent = processor_time() - before;
+    std::fs::remove_file(path)?;
+    Ok(spent)
 }
 
 /// Returns the processor time and the size of a message.
