@@ -97,9 +97,15 @@ mod with_zenoh {
             router
         }
 
+        /// What a command shows. It looks for as long as `--spin-time` says, which on a busy machine may be
+        /// too short.
         fn shown(&self, line: &[&str]) -> String {
-            let (is_done, text) = run(self.command(line));
-            assert!(is_done, "{line:?}: {text}");
+            let mut text = String::new();
+            wait_until("the command finds what it looks for", || {
+                let (is_done, shown) = run(self.command(line));
+                text = shown;
+                is_done
+            });
             text
         }
     }
@@ -120,8 +126,10 @@ mod with_zenoh {
                 .iter()
                 .all(|expected| node.contains(expected))
         });
-        let info = network.shown(&["topic", "info", "-v", "/joint_states"]);
-        assert!(info.contains("Node name: darwin_op") && info.contains("RIHS01_"), "{info}");
+        wait_until("the topic is described", || {
+            let info = network.shown(&["topic", "info", "-v", "/joint_states"]);
+            info.contains("Node name: darwin_op") && info.contains("RIHS01_")
+        });
         let states = network.shown(&["topic", "echo", "--once", "/joint_states"]);
         assert!(states.contains("head_tilt"), "{states}");
         let parameters = network.shown(&["param", "list", "/darwin_op"]);

@@ -105,7 +105,7 @@ enum Command {
         program: Option<std::path::PathBuf>,
     },
     /// A ROS workspace in a clean folder: colcon builds the checkout and a project of the template `ros`,
-    /// which are run, by launch files too, and removed. Part of the test run.
+    /// which are run, by launch files too, and removed. Some minutes.
     Colcon,
     /// The wheel of the Python package, for release, under target/wheels; prints its path. Without features
     /// it shares what the first command of the README has compiled.

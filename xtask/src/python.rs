@@ -74,7 +74,8 @@ fn environment(venv: &str, requirements_path: &str) -> anyhow::Result<PathBuf> {
     Ok(interpreter)
 }
 
-fn find() -> anyhow::Result<&'static str> {
+/// The Python of which the environments of the peers are made.
+pub(crate) fn find() -> anyhow::Result<&'static str> {
     let candidates = ["python3.11", "python3", "python"];
     let Some(found) = candidates.into_iter().find(|candidate| is_right_version(candidate)) else {
         bail!(

@@ -41,24 +41,36 @@ impl FirstHour {
     }
 }
 
-/// The features that are not enabled by default, except for SQLite. The library of MuJoCo is in the Python
-/// environment.
+/// What the tests need of others.
+struct Peers {
+    python: PathBuf,
+    kilted: Option<PathBuf>,
+    node_modules: Option<PathBuf>,
+}
+
+impl Peers {
+    fn install() -> anyhow::Result<Self> {
+        let python = python::interpreter()?;
+        let kilted = match python::kilted_interpreter() {
+            Err(error) if !test_machine::is_strict() => {
+                eprintln!("xtask: the tests with ROS 2 Kilted are skipped: {error:#}");
+                None
+            }
+            interpreter => Some(interpreter?),
+        };
+        Ok(Self { python, kilted, node_modules: node::modules()? })
+    }
+}
+
+/// The features that are not enabled by default. The library of MuJoCo is in the Python environment.
 pub(crate) const ALL: &[&str] = &[
     "--features",
-    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/security,downbeat/sensors,downbeat/tables,downbeat/zenoh",
+    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/security,downbeat/sensors,downbeat/sqlite,downbeat/tables,downbeat/zenoh",
 ];
 
 pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.
-    let python = python::interpreter()?;
-    let kilted = match python::kilted_interpreter() {
-        Err(error) if !test_machine::is_strict() => {
-            eprintln!("xtask: the tests with ROS 2 Kilted are skipped: {error:#}");
-            None
-        }
-        interpreter => Some(interpreter?),
-    };
-    let node_modules = node::modules()?;
+    python::find()?;
     let skips = skips::Run::new()?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
@@ -69,11 +81,18 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     steps.step("the layout", tidy::tidy);
     steps.step("licences, versions and origins of crates", || audit::in_test_run(&skips));
-    steps.step("clippy", || {
-        let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
-        let others = "downbeat/sqlite,benches/zenoh,benches-ros2/security,benches-ros2/zenoh";
-        run(command.args(ALL).args(["--features", others, "--", "--deny", "warnings"]))
+    // What waits for the network, beside what computes.
+    let installed = std::thread::scope(|scope| {
+        let installing = scope.spawn(Peers::install);
+        steps.step("clippy", || {
+            let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
+            let others = "benches/zenoh,benches-ros2/security,benches-ros2/zenoh";
+            run(command.args(ALL).args(["--features", others, "--", "--deny", "warnings"]))
+        });
+        installing.join()
     });
+    let Peers { python, kilted, node_modules } =
+        installed.map_err(|_| anyhow::anyhow!("what installs Python packages has panicked"))??;
     steps.step("messages and robots without optional features", || {
         for package in ["downbeat-msgs", "downbeat"] {
             let arguments = ["clippy", "--package", package, "--no-default-features"];
@@ -83,14 +102,6 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     let notes = Notes::new()?;
     let first_hour = FirstHour::new()?;
-    steps.step("bags in SQLite", || {
-        let package = ["--package", "downbeat-bags", "--features", "sqlite"];
-        let tests = ["--lib", "--test", "bags", "--", "others", "sqlite"];
-        let mut command = cargo(&["test"]);
-        command.args(package).args(tests).env("DOWNBEAT_PYTHON", &python).envs([skips.variable()]);
-        command.envs(node_modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
-        run(command.env("DOWNBEAT_MATRIX", notes.folder()))
-    });
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {
         &["nextest", "run", "--workspace"]
@@ -125,7 +136,6 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("crates as they would be published, and a Debian package of them", || {
         install::cargo_install().and_then(|program| install::debian_package(&program, &skips))
     });
-    steps.step("a ROS workspace, built by colcon", || install::ros_workspace(&skips));
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));
