@@ -47,7 +47,7 @@ const PAGES: [&str; 24] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 39] = [
+const ELSEWHERE: [&str; 41] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
@@ -61,7 +61,9 @@ const ELSEWHERE: [&str; 39] = [
     "downbeat bag bisect",
     "downbeat top --plot", // tests/top.rs
     "downbeat doctor",     // tests/doctor.rs; some machines have problems
-    "downbeat servo scan", // tests/servos.rs
+    "downbeat servo scan", // tests/servos.rs, as the next two
+    "downbeat servo setup",
+    "downbeat servo calibrate",
     "echo 1 | sudo",
     "c++ ", // tests/library.rs, as the next two
     "ros2 topic echo --once /out",

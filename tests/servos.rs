@@ -4,9 +4,13 @@
 
 mod common;
 
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Stdio};
+use std::sync::mpsc::{self, Receiver};
+use std::time::Duration;
 
-use common::{Running, output_of, python, record_until, recorded_messages, text_of, wait_until};
+use common::{Running, downbeat, output_of, python, record_until, recorded_messages, text_of, wait_until};
 use downbeat::modules::servo_bus::protocol::{Id, Instruction, Protocol, ReadEntry, WriteEntry};
 use serde_json::{Value, json};
 
@@ -102,10 +106,16 @@ struct Servos {
 
 impl Servos {
     fn of(robot: &str, baud: u32) -> Self {
+        Self::with_faults(robot, baud, &[])
+    }
+
+    fn with_faults(robot: &str, baud: u32, faults: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let port = folder.path().join("port");
         let description = format!("robots/servos/{robot}.toml");
-        let emulator = Running::start(&["emulate", "servos", &description, "--link", text(&port)]);
+        let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+        let emulate = ["emulate", "servos", &description, "--link", text(&port)];
+        let emulator = Running::start(&[&emulate[..], &faults].concat());
         wait_until("the emulated servos are there", || port.exists());
         // Answers may be late on a busy machine.
         let options = ["--timeout-ms", "200", "--baud", &baud.to_string()].map(str::to_owned).to_vec();
@@ -179,6 +189,189 @@ fn a_scan_at_another_speed_finds_nothing() {
     let servos = Servos::of("so101", 57_600);
     let error = servos.refused("scan", &["--last-id", "1", "--protocol", "feetech_sts"]);
     assert!(error.contains("no device answered; is the power on"), "{error}");
+}
+
+#[test]
+fn setup_writes_a_description_with_which_the_servos_run() {
+    let servos = Servos::of("so101", 1_000_000);
+    let folder = tempfile::tempdir().unwrap();
+    let [description, robot] = ["arm.toml", "robot.toml"].map(|name| folder.path().join(name));
+    let arguments = ["--last-id", "7", "--protocol", "feetech_sts", "--output", text(&description)];
+    let printed = servos.servo("setup", &arguments);
+    assert!(printed.starts_with("id 1: STS3215") && printed.contains("wrote "), "{printed}");
+    assert!(servos.refused("setup", &arguments).contains("exists; name another file with --output"));
+    std::fs::write(
+        &robot,
+        "name = \"arm\"\n[[module]]\nname = \"hardware\"\nkind = \"servo_bus\"\nsettings = { description = \"arm.toml\" }\n",
+    )
+    .unwrap();
+    let bag = folder.path().join("bag");
+    record_until(
+        &["bag", "record", "--robot", text(&robot), "--all", "--output", text(&bag)],
+        &bag,
+        "/joint_states",
+        20,
+    );
+    let reader = downbeat::bags::Reader::open(&bag).unwrap();
+    let states = [reader.topic("/joint_states").unwrap()];
+    let messages = reader.messages(downbeat::bags::Selection::all().topics(states)).unwrap();
+    let names = messages.map(|message| {
+        let message = message.unwrap();
+        downbeat_msgs::cdr::from_slice::<downbeat_msgs::sensor_msgs::msg::JointState>(&message.data)
+            .unwrap()
+            .name
+    });
+    let expected: Vec<String> = (1..=6).map(|id| format!("joint_{id}")).collect();
+    assert_eq!(names.last().unwrap(), expected);
+}
+
+#[test]
+fn setup_names_two_servos_of_one_id_and_a_wrong_supply() {
+    let servos = Servos::with_faults("so101", 1_000_000, &["twin:4", "supply:12.1"]);
+    let folder = tempfile::tempdir().unwrap();
+    let description = folder.path().join("arm.toml");
+    let arguments = ["--last-id", "7", "--protocol", "feetech_sts", "--output", text(&description)];
+    let output = output_of(&servos.line("setup", &arguments));
+    let [printed, error] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+    assert!(!output.status.success() && error.contains("is not written before that is solved"), "{error}");
+    let twins =
+        printed.lines().filter(|line| line.contains("Two servos may have this id")).collect::<Vec<_>>();
+    assert!(
+        twins.len() == 1 && twins[0].starts_with("id 4: 10 of 10 answers are not understood"),
+        "{printed}"
+    );
+    let supply = "id 1: it measures a supply of 12.1 V, and its limits are 4.0 to 8.0 V. Is the power supply the one for a STS3215?";
+    assert!(printed.contains(supply), "{printed}");
+    assert!(!description.exists());
+    servos.servo("setup", &[&arguments[..], &["--force"]].concat());
+    assert!(description.exists());
+}
+
+/// A program that reads lines.
+struct Typed {
+    child: Child,
+    input: ChildStdin,
+    output: Receiver<String>,
+    seen: String,
+}
+
+impl Typed {
+    fn start(arguments: &[&str]) -> Self {
+        let mut command = downbeat(arguments);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::inherit());
+        let mut child = command.spawn().unwrap();
+        let (input, output) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
+        let (sender, lines) = mpsc::channel();
+        std::thread::spawn(move || {
+            BufReader::new(output).lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
+        });
+        Self { child, input, output: lines, seen: String::new() }
+    }
+
+    fn types(&mut self, line: &str) {
+        writeln!(self.input, "{line}").unwrap();
+    }
+
+    /// Waits for a line of output with this text.
+    fn says(&mut self, text: &str) {
+        loop {
+            let line = self.output.recv_timeout(Duration::from_secs(60));
+            let line = line.unwrap_or_else(|_| panic!("no {text:?} after\n{}", self.seen));
+            self.seen.push_str(&line);
+            self.seen.push('\n');
+            if line.contains(text) {
+                return;
+            }
+        }
+    }
+}
+
+impl Drop for Typed {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// One servo is put on the other way round, and one so that its travel passes the end of its turn.
+#[test]
+fn a_calibration_by_hand_finds_stops_zeros_and_signs() {
+    let folder = tempfile::tempdir().unwrap();
+    let [real, description, port] = ["real.toml", "arm.toml", "port"].map(|name| folder.path().join(name));
+    let arm = |joints: [&str; 3]| {
+        let joint =
+            |(id, keys): (usize, &str)| format!("[[joint]]\nname = \"joint_{id}\"\nid = {id}\n{keys}\n");
+        let joints: String = (1..).zip(joints).map(joint).collect();
+        format!(
+            "name = \"arm\"\n[[bus]]\nname = \"arm\"\nport = \"/dev/none\"\nbaud = 1_000_000\nprotocol = \"feetech_sts\"\n\
+             cycle_ms = 10\n[defaults]\nmodel = \"STS3215\"\n{joints}"
+        )
+    };
+    let stops = "limits = [-1.2, 1.5]";
+    let (turned_round, at_the_end) =
+        (format!("{stops}\nzero = 2100\nsign = -1"), format!("{stops}\nzero = 3900"));
+    std::fs::write(&real, arm([&turned_round, &at_the_end, stops])).unwrap();
+    std::fs::write(&description, arm(["limits = [-3.0, 3.0]  # to be calibrated"; 3])).unwrap();
+    let mut hand = Typed::start(&["emulate", "servos", text(&real), "--link", text(&port), "--by-hand"]);
+    wait_until("the emulated servos are there", || port.exists());
+    let mut arm = Typed::start(&[
+        "servo",
+        "calibrate",
+        text(&description),
+        "--port",
+        text(&port),
+        "--timeout-ms",
+        "200",
+        "--margin",
+        "0.1",
+    ]);
+    arm.says("lose their torque now");
+    arm.types("");
+    arm.says("from one stop to the other");
+    let mut turn = |joint: usize, angle: f64| {
+        hand.types(&format!("turn joint_{joint} {angle}"));
+        // The hand turns by 2 rad/s.
+        std::thread::sleep(Duration::from_millis(2500));
+    };
+    for joint in [1, 2] {
+        [-1.2, 1.5, 0.0].into_iter().for_each(|angle| turn(joint, angle));
+    }
+    arm.types("");
+    arm.says("joint_2 passed the end of what servo 2 counts");
+    arm.says("joint_3 was not turned, and stays as it is described");
+    arm.says("at 0 rad, and press Enter");
+    arm.types("");
+    arm.says("joint_1: turn it a little");
+    arm.types("");
+    arm.says("joint_1 was turned by less than 3 degrees");
+    arm.says("joint_1: turn it a little");
+    turn(1, 0.3);
+    arm.types("");
+    arm.says("joint_2: turn it a little");
+    turn(2, 0.3);
+    arm.types("");
+    arm.says("the joints are still limp");
+    assert!(arm.child.wait().unwrap().success());
+
+    let calibrated = downbeat::modules::servo_bus::Description::load(text(&description)).unwrap();
+    let joints = &calibrated.bus("arm").unwrap().joints;
+    let near =
+        |value: f64, expected: f64| assert!((value - expected).abs() < 0.01, "{value}, not {expected}");
+    for joint in &joints[..2] {
+        near(joint.min_rad, -1.1);
+        near(joint.max_rad, 1.4);
+    }
+    assert_eq!(joints.iter().map(|joint| joint.sign).collect::<Vec<_>>(), [-1.0, 1.0, 1.0]);
+    near(joints[0].registers.position.to_si(joints[0].zero - 2100), 0.0);
+    let read =
+        ["servo", "read", text(&port), "2", "present_position", "--timeout-ms", "200", "--baud", "1000000"];
+    let read = text_of(&[&read[..], &["--protocol", "feetech_sts"]].concat());
+    let position = read.split_whitespace().nth(1).unwrap().parse().unwrap();
+    near(joints[1].angle(position), 0.3);
+    assert!((1000..3000).contains(&joints[1].zero), "its travel is in the middle of the turn now");
+    assert_eq!([joints[2].min_rad, joints[2].max_rad], [-3.0, 3.0]);
+    let text = std::fs::read_to_string(&description).unwrap();
+    assert_eq!(text.matches("# to be calibrated").count(), 3, "{text}");
 }
 
 #[test]

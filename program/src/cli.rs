@@ -607,9 +607,13 @@ pub(crate) enum EmulateCommand {
         /// Seed of the starting pose and of random faults, for reproducible runs.
         #[arg(long, default_value_t = 1)]
         seed: u64,
-        /// A fault to emulate, as for darwin_op; may be given more than once.
+        /// A fault to emulate, as for darwin_op; may be given more than once. Beside those, twin:3 (a second
+        /// servo with the id 3) and supply:12.1 (a supply of 12.1 V).
         #[arg(long, value_name = "FAULT")]
         fault: Vec<String>,
+        /// Turn joints by hand: a line `turn JOINT RAD` on standard input turns one to that angle.
+        #[arg(long)]
+        by_hand: bool,
     },
 }
 

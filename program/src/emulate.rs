@@ -1,18 +1,21 @@
 //! `downbeat emulate`
 
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
 use std::time::Duration;
 
 use anyhow::Context;
-use downbeat_darwin_op::emulator::{self as darwin_op_emulator, Emulator, EmulatorOptions, Fault, has_unit};
+use downbeat_darwin_op::emulator::{
+    self as darwin_op_emulator, Emulator, EmulatorOptions, Fault, FaultParseError, check_fault,
+};
 use downbeat_servos::servo_bus::Description;
-use downbeat_servos::servo_bus::protocol::Id;
 
+use super::input;
 use super::stop::Stop;
 
 pub(crate) fn darwin_op(link: PathBuf, seed: u64, faults: &[String]) -> anyhow::Result<()> {
     let stop = Stop::new()?;
-    let emulator = darwin_op_emulator::start(options(&link, seed, faults, has_unit)?)?;
+    let emulator = darwin_op_emulator::start(options(&link, seed, faults, check_fault)?)?;
     tracing::info!("an emulated Darwin OP is at {}", link.display());
     serve(&stop, emulator);
     Ok(())
@@ -24,24 +27,48 @@ pub(crate) fn servos(
     link: PathBuf,
     seed: u64,
     faults: &[String],
+    is_turned_by_hand: bool,
 ) -> anyhow::Result<()> {
     let description = Description::load(description)?;
     let stop = Stop::new()?;
     let plan = description.bus(bus)?;
     let has_servo = |id| plan.joints.iter().any(|joint| joint.id == id);
-    let emulator = Emulator::start_servos(plan, options(&link, seed, faults, has_servo)?)?;
+    let options = options(&link, seed, faults, |fault| fault.check(has_servo))?;
+    let emulator = Emulator::start_servos(plan, options)?;
     tracing::info!("the emulated servos of {} are at {}", description.name, link.display());
-    serve(&stop, emulator);
+    let hands = is_turned_by_hand.then(input::lines).transpose()?;
+    while !stop.is_due() {
+        for line in hands.iter().flat_map(mpsc::Receiver::try_iter) {
+            if let Err(problem) = turn(&emulator, &line) {
+                tracing::error!("{problem}");
+            }
+        }
+        stop.sleep(Duration::from_millis(20));
+    }
+    emulator.stop();
     Ok(())
+}
+
+/// Does what a line says: `turn JOINT RAD`.
+fn turn(emulator: &Emulator, line: &str) -> Result<(), String> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let (joint, angle) = match words[..] {
+        [] => return Ok(()),
+        ["turn", joint, angle] => (joint, angle),
+        _ => return Err(format!("{line:?} is no instruction; one is: turn JOINT RAD")),
+    };
+    let angle = angle.parse().ok().filter(|angle: &f64| angle.is_finite());
+    let angle = angle.ok_or_else(|| format!("{line:?} names no angle in rad"))?;
+    if emulator.turn_by_hand(joint, angle) { Ok(()) } else { Err(format!("there is no joint \"{joint}\"")) }
 }
 
 fn options(
     link: &Path,
     seed: u64,
     faults: &[String],
-    has_servo: impl Fn(Id) -> bool,
+    check: impl Fn(Fault) -> Result<Fault, FaultParseError>,
 ) -> anyhow::Result<EmulatorOptions> {
-    let parse = |text: &String| text.parse::<Fault>()?.check(&has_servo);
+    let parse = |text: &String| check(text.parse()?);
     let faults = faults
         .iter()
         .map(|text| parse(text).with_context(|| format!("--fault {text}")))

@@ -19,6 +19,7 @@ mod expose;
 #[cfg(feature = "football")]
 mod football;
 mod graph;
+mod input;
 mod interface;
 mod logging;
 mod look;
@@ -164,8 +165,8 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Servo(command) => servo::run(command),
         #[cfg(feature = "football")]
         Command::Vision(command) => vision::run(&command),
-        Command::Emulate(EmulateCommand::Servos { description, bus, link, seed, fault }) => {
-            emulate::servos(&description, &bus, link, seed, &fault)
+        Command::Emulate(EmulateCommand::Servos { description, bus, link, seed, fault, by_hand }) => {
+            emulate::servos(&description, &bus, link, seed, &fault, by_hand)
         }
         Command::Emulate(EmulateCommand::DarwinOp { link, seed, fault }) => {
             emulate::darwin_op(link, seed, &fault)

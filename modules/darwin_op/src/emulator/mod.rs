@@ -59,9 +59,21 @@ use robot::Robot;
 use std::time::Duration;
 
 /// Returns whether a Darwin OP has a servo or a foot with this id.
-#[must_use]
-pub fn has_unit(id: Id) -> bool {
+fn has_unit(id: Id) -> bool {
     JOINTS.iter().any(|joint| joint.id == id) || FEET.iter().any(|(_, foot)| *foot == id)
+}
+
+/// Checks that a fault is one of the emulated Darwin OP.
+///
+/// # Errors
+/// Returns an error if the robot has no such servo, or the fault is not emulated for it.
+pub fn check_fault(fault: Fault) -> Result<Fault, FaultParseError> {
+    match fault.kind {
+        FaultKind::Twin(_) | FaultKind::Supply(_) => {
+            Err(FaultParseError::Elsewhere { found: fault.to_string() })
+        }
+        _ => fault.check(has_unit),
+    }
 }
 
 /// Opens the port of a Darwin OP and starts to serve it.

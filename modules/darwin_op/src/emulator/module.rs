@@ -1,6 +1,6 @@
 //! The emulator as a module of the robot whose hardware it emulates.
 
-use super::{Fault, MemoryPorts, has_unit, in_memory, start};
+use super::{Fault, MemoryPorts, check_fault, in_memory, start};
 use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
 use downbeat_servos::servo_emulator::Served;
 
@@ -38,8 +38,7 @@ impl Module for DarwinOpEmulator {
             "what goes wrong, such as dead-servo:5@3s..6s, drop:0.01, flip:0.001, close-port@8s..9s",
         )?;
         let texts = setup.value(faults).map_or(&[][..], Vec::as_slice);
-        let parsed: Result<Vec<Fault>, _> =
-            texts.iter().map(|text| text.parse::<Fault>()?.check(has_unit)).collect();
+        let parsed: Result<Vec<Fault>, _> = texts.iter().map(|text| check_fault(text.parse()?)).collect();
         let faults = parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?;
         let port = setup.value(link).cloned().unwrap_or_default();
         let seed = setup.value(seed).copied().unwrap_or_default();

@@ -13,9 +13,11 @@ pub mod bus;
 pub mod models;
 pub mod protocol;
 
+mod calibration;
 mod description;
 mod diagnostics;
 mod driver;
+mod first_description;
 mod joint;
 mod limp;
 mod line;
@@ -25,7 +27,9 @@ mod reading;
 mod servo;
 mod tool;
 
+pub use calibration::{Calibrator, JointCalibration, TurnedJoint, ZeroPose};
 pub use description::{BusPlan, Description, DescriptionError, DevicePlan, ImuPlan, PowerSwitch};
+pub use first_description::first_description;
 pub use joint::{Drive, Guard, Joint, Measurement, Protection, Quantity, Registers, Thresholds};
 pub use module::{Hardware, ImuReading, SLOW, ServoBus, Topics, battery_state};
 pub use reading::Reading;

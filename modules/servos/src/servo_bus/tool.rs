@@ -12,6 +12,8 @@ use std::time::Duration;
 const JUMP_RAD: f64 = 0.1;
 /// The register of a board that switches the power of the servos behind it.
 const POWER_SWITCH: &str = "dynamixel_power";
+/// How often the position of a servo is read to see whether its answers come.
+const READS_OF_EXAMINATION: usize = 10;
 /// Devices are asked this often before they count as silent.
 const ATTEMPTS: usize = 2;
 
@@ -21,6 +23,8 @@ pub struct ServoPort {
     path: String,
     line: LineSettings,
     own_models: Vec<Arc<Model>>,
+    /// Whether bytes came in place of the last answer that was expected.
+    is_garbled: bool,
 }
 
 /// A device that answered.
@@ -77,6 +81,16 @@ pub enum ServoError {
         id: Id,
         /// The number of its model.
         number: Option<u16>,
+    },
+    /// The model is another one than described.
+    #[error("id {id} is a {found}, and is described as a {described}; are ids mixed up?")]
+    OtherModel {
+        /// The device.
+        id: Id,
+        /// The model in the description.
+        described: String,
+        /// The model that answers.
+        found: String,
     },
     /// The model has no such register.
     #[error("{model} has no register \"{register}\"{near}")]
@@ -135,6 +149,7 @@ impl ServoPort {
             path: path.to_owned(),
             line: LineSettings::default(),
             own_models,
+            is_garbled: false,
         };
         port.speak(LineSettings::default())?;
         Ok(port)
@@ -149,6 +164,12 @@ impl ServoPort {
         self.bus.set_line(line);
         let opened = self.bus.open(&self.path);
         if opened.outcome == Outcome::Ok { Ok(()) } else { Err(ServoError::Port(opened.error)) }
+    }
+
+    /// The speed and protocol.
+    #[must_use]
+    pub fn line(&self) -> LineSettings {
+        self.line
     }
 
     /// Finds the devices among these ids at this speed.
@@ -276,6 +297,57 @@ impl ServoPort {
         let Some(switch) = switch else { return Ok(false) };
         self.speak(found.line)?;
         Ok(self.read_raw(found.id, &switch).is_ok_and(|value| value == 0))
+    }
+
+    /// What is wrong with a servo that was found, in sentences: answers that are not understood or do not
+    /// come, and a supply outside of its limits. Nothing is written.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails.
+    pub fn examine(&mut self, found: &Found) -> Result<Vec<String>, ServoError> {
+        let id = found.id;
+        let Some(model) = found.model.clone() else { return Ok(Vec::new()) };
+        let Some(position) = model.register("present_position") else { return Ok(Vec::new()) };
+        self.speak(found.line)?;
+        let (address, length) = (position.address, position.size);
+        let (mut silent, mut garbled) = (0, 0);
+        for _ in 0..READS_OF_EXAMINATION {
+            match self.ask(&Instruction::Read { id, address, length }, length) {
+                Err(Trouble::PortFailed) => return Err(self.lost()),
+                Err(Trouble::Silent) if self.is_garbled => garbled += 1,
+                Err(Trouble::Silent) => silent += 1,
+                _ => {}
+            }
+        }
+        let mut problems = Vec::new();
+        if garbled > 0 {
+            problems.push(format!(
+                "id {id}: {garbled} of {READS_OF_EXAMINATION} answers are not understood. Two servos may have this id: connect one \
+                 at a time and give each its own with `downbeat servo set-id`; otherwise the line is disturbed"
+            ));
+        }
+        if silent > 0 {
+            problems.push(format!(
+                "id {id}: {silent} of {READS_OF_EXAMINATION} reads have no answer. Look at its plugs and cable, and whether the \
+                 speed of {} bit/s is too high for this adapter",
+                found.line.baud
+            ));
+        }
+        let mut volts = |name: &str| {
+            let register = model.register(name)?;
+            Some(register.to_si(self.read_raw(id, register).ok()?))
+        };
+        if let (Some(supply), Some(min), Some(max)) =
+            (volts("present_voltage"), volts("min_voltage_limit"), volts("max_voltage_limit"))
+            && !(min..=max).contains(&supply)
+        {
+            problems.push(format!(
+                "id {id}: it measures a supply of {supply:.1} V, and its limits are {min:.1} to {max:.1} V. Is the power supply \
+                 the one for a {}?",
+                model.name
+            ));
+        }
+        Ok(problems)
     }
 
     /// Asks a device what it is, which must be a known model.
@@ -430,8 +502,11 @@ impl ServoPort {
 
     fn ask(&mut self, instruction: &Instruction, parameters: u16) -> Result<Vec<u8>, Trouble> {
         let mut exchanges = Vec::new();
-        Line { bus: &mut self.bus, protocol: self.line.protocol, exchanges: &mut exchanges }
-            .ask(instruction, parameters)
+        let mut line = Line { bus: &mut self.bus, protocol: self.line.protocol, exchanges: &mut exchanges };
+        let answer = line.ask(instruction, parameters);
+        let has_bytes = exchanges.last().is_some_and(|exchange| !exchange.reply.is_empty());
+        self.is_garbled = has_bytes && answer == Err(Trouble::Silent);
+        answer
     }
 
     fn explain(&self, id: Id, doing: &str, trouble: Trouble) -> ServoError {

@@ -25,6 +25,11 @@ pub trait Body: Send {
         None
     }
 
+    /// Turns a joint to this angle by hand, unless its servo holds it. Bodies that nobody touches ignore it.
+    fn turn_by_hand(&mut self, index: usize, angle: f64) {
+        let _ = (index, angle);
+    }
+
     /// A step of the owner of the bus begins: see [`MemoryBus`](super::MemoryBus). What others ask of the
     /// body takes effect here, so that its order does not depend on threads.
     fn begin_step(&mut self) {}

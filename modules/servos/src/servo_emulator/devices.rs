@@ -1,5 +1,6 @@
 //! The devices behind a port: how they obey instructions and answer, in all protocols.
 
+use super::fault::Disturbance;
 use super::wire::Answer;
 use crate::servo_bus::protocol::emit_joined;
 use crate::servo_bus::protocol::{Id, Instruction, Packet, Protocol, ReadEntry, Status, StatusError};
@@ -30,11 +31,23 @@ pub trait Devices: Send {
     /// Sets which devices are dead: without power, as if disconnected.
     fn set_dead(&mut self, is_dead: &dyn Fn(Id) -> bool);
 
+    /// Sets what disturbs the servos. Devices that are not disturbed ignore it.
+    fn disturb(&mut self, disturbance: Disturbance) {
+        let _ = disturbance;
+    }
+
     /// Executes an instruction.
     ///
     /// `is_lost` is called before each answer; a lost answer has the same effect as a silent device, also for
     /// the devices after it.
     fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer>;
+
+    /// Turns a joint by hand; see [`Body::turn_by_hand`](super::Body::turn_by_hand). Returns false if there
+    /// is no such joint.
+    fn turn_by_hand(&mut self, joint: &str, angle: f64) -> bool {
+        let _ = (joint, angle);
+        false
+    }
 
     /// Holds a button down for a while; `number` is its position on the robot. Devices without buttons ignore
     /// it.

@@ -101,6 +101,12 @@ impl Emulator {
         self.shared.world().devices.press(number, held);
     }
 
+    /// Turns a joint to this angle by hand, in rad, unless its servo holds it. Returns false if there is no
+    /// such joint.
+    pub fn turn_by_hand(&self, joint: &str, angle: f64) -> bool {
+        self.shared.world().devices.turn_by_hand(joint, angle)
+    }
+
     /// Stops the emulator: the port is closed and the link removed when this returns.
     pub fn stop(mut self) {
         self.end();

@@ -18,6 +18,8 @@ use std::time::Duration;
 /// | `flip:0.001@10s..20s` | in each byte of an answer a bit is flipped with a probability of 0.1 % |
 /// | `flip:1x` | in the next answer one bit is flipped |
 /// | `close-port@8s..9s` | the port is closed, and another one opened a second later |
+/// | `twin:5` | a second servo has the id 5 |
+/// | `supply:12.1` | the servos are supplied with 12.1 V |
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fault {
     /// The kind of fault.
@@ -40,6 +42,11 @@ pub enum FaultKind {
     Flip(Rate),
     /// The port is closed, as if it were unplugged.
     ClosePort,
+    /// A second servo with this id, in another position: both answer at the same time, and what they say
+    /// differently is not understood.
+    Twin(Id),
+    /// The servos are supplied with this voltage, in V.
+    Supply(f64),
 }
 
 /// How often something happens.
@@ -72,7 +79,9 @@ impl Fault {
     /// Returns an error with the id of a servo that the robot does not have.
     pub fn check(self, mut has: impl FnMut(Id) -> bool) -> Result<Self, FaultParseError> {
         match self.kind {
-            FaultKind::DeadServo(id) if !has(id) => Err(FaultParseError::Servo { found: id.to_string() }),
+            FaultKind::DeadServo(id) | FaultKind::Twin(id) if !has(id) => {
+                Err(FaultParseError::Servo { found: id.to_string() })
+            }
             _ => Ok(self),
         }
     }
@@ -83,7 +92,7 @@ impl Fault {
 pub enum FaultParseError {
     /// No fault has this name.
     #[error(
-        "unknown fault {found:?}; available are dead-servo:ID, drop:RATE, flip:RATE and close-port, each with @FROM..TO"
+        "unknown fault {found:?}; available are dead-servo:ID, drop:RATE, flip:RATE, close-port, twin:ID and supply:VOLTS, each with @FROM..TO"
     )]
     Kind {
         /// The given text.
@@ -95,11 +104,23 @@ pub enum FaultParseError {
         /// The given text.
         found: String,
     },
+    /// Only servos that a description names have it.
+    #[error("the fault {found:?} is emulated for servos of a description only, not for this robot")]
+    Elsewhere {
+        /// The fault.
+        found: String,
+    },
     /// Not a rate.
     #[error(
         "{found:?} is not a rate; a rate is a probability from 0 to 1 such as 0.01, or a count such as 3x"
     )]
     Rate {
+        /// The given text.
+        found: String,
+    },
+    /// Not a voltage.
+    #[error("{found:?} is not a voltage; a voltage is from 0 to 100, in V")]
+    Voltage {
         /// The given text.
         found: String,
     },
@@ -141,6 +162,8 @@ impl fmt::Display for Fault {
             FaultKind::Drop(rate) => write!(formatter, "drop:{rate}"),
             FaultKind::Flip(rate) => write!(formatter, "flip:{rate}"),
             FaultKind::ClosePort => formatter.write_str("close-port"),
+            FaultKind::Twin(id) => write!(formatter, "twin:{id}"),
+            FaultKind::Supply(volts) => write!(formatter, "supply:{volts}"),
         }?;
         match (self.from, self.to) {
             (Duration::ZERO, None) => Ok(()),
@@ -166,6 +189,8 @@ fn parse_kind(text: &str) -> Result<FaultKind, FaultParseError> {
         ("drop", rate) => Ok(FaultKind::Drop(parse_rate(rate)?)),
         ("flip", rate) => Ok(FaultKind::Flip(parse_rate(rate)?)),
         ("close-port", "") => Ok(FaultKind::ClosePort),
+        ("twin", id) => Ok(FaultKind::Twin(parse_servo(id)?)),
+        ("supply", volts) => Ok(FaultKind::Supply(parse_voltage(volts)?)),
         _ => Err(FaultParseError::Kind { found: text.to_owned() }),
     }
 }
@@ -183,8 +208,22 @@ fn parse_rate(text: &str) -> Result<Rate, FaultParseError> {
     rate.ok_or_else(|| FaultParseError::Rate { found: text.to_owned() })
 }
 
+fn parse_voltage(text: &str) -> Result<f64, FaultParseError> {
+    let volts = text.parse().ok().filter(|volts| (0.0..=100.0).contains(volts));
+    volts.ok_or_else(|| FaultParseError::Voltage { found: text.to_owned() })
+}
+
 fn parse_time(text: &str) -> Result<Duration, FaultParseError> {
     downbeat_files::duration::parse(text).map_err(|_| FaultParseError::Time { found: text.trim().to_owned() })
+}
+
+/// What disturbs servos other than a loss of their power.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Disturbance {
+    /// The ids that two servos have.
+    pub twins: Vec<Id>,
+    /// The voltage of the supply, if it is not that of the model.
+    pub supply_v: Option<f64>,
 }
 
 /// The faults of a run. Times are those of the emulator.
@@ -210,6 +249,20 @@ impl FaultSchedule {
     #[must_use]
     pub fn is_dead(&self, id: Id, now: Duration) -> bool {
         self.on(now).any(|fault| fault.kind == FaultKind::DeadServo(id))
+    }
+
+    /// What disturbs the servos.
+    #[must_use]
+    pub fn disturbance(&self, now: Duration) -> Disturbance {
+        let mut disturbance = Disturbance::default();
+        for fault in self.on(now) {
+            match fault.kind {
+                FaultKind::Twin(id) => disturbance.twins.push(id),
+                FaultKind::Supply(volts) => disturbance.supply_v = Some(volts),
+                _ => {}
+            }
+        }
+        disturbance
     }
 
     /// Returns whether the port is closed.
@@ -307,9 +360,15 @@ mod tests {
 
     #[test]
     fn a_fault_round_trips_as_text() {
-        for text in
-            ["dead-servo:5@3s..6s", "drop:0.01", "drop:3x@0.5s..", "flip:0.001@10s..20s", "close-port@8s..9s"]
-        {
+        for text in [
+            "dead-servo:5@3s..6s",
+            "drop:0.01",
+            "drop:3x@0.5s..",
+            "flip:0.001@10s..20s",
+            "close-port@8s..9s",
+            "twin:3",
+            "supply:12.1",
+        ] {
             assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
         }
     }
@@ -320,6 +379,8 @@ mod tests {
         assert!(error("dead-serve:5").contains("unknown fault \"dead-serve:5\""));
         assert!(error("close-port:3").contains("unknown fault"));
         assert!(error("dead-servo:254").contains("no servo has the id"));
+        assert!(error("twin:254").contains("no servo has the id"));
+        assert!(error("supply:12V").contains("\"12V\" is not a voltage"));
         assert!(error("drop:1.5").contains("\"1.5\" is not a rate"));
         assert!(error("flip:-1x").contains("is not a rate"));
         assert!(error("drop:0.1@3").contains("\"3\" is not a time"));

@@ -41,12 +41,13 @@
 //! - **Tables**: all registers of the models, with ranges, read-only registers, and EEPROM that is locked.
 //! - **Ports**: a device is silent at another speed than that of its register `baud_rate`.
 //! - **Servos**: position control with P gain and torque limit, velocity and current control, without load;
-//!   temperature; the watchdog of the bus. A servo without power loses its RAM.
+//!   temperature; the watchdog of the bus. A servo without power loses its RAM. A wrong supply is measured
+//!   and reported, and two servos of one id talk at the same time.
 //!
 //! # What is not emulated
-//! Further operating modes; speed and acceleration limits, I and D gains, homing offsets; shutdown on
-//! overload, overheating or a wrong voltage; the values of sensors on devices beside servos, except an IMU
-//! that stands still.
+//! Further operating modes; speed and acceleration limits, I and D gains, homing offsets of Dynamixel;
+//! shutdown on overload, overheating or a wrong voltage; the values of sensors on devices beside servos,
+//! except an IMU that stands still.
 
 mod body;
 mod devices;
@@ -68,7 +69,7 @@ pub use body::{Body, FootForces, ImuMotion, JointMotion, ServoCommand};
 pub use devices::{Device, Devices, answer};
 pub use emulator::Emulator;
 pub use error::EmulatorError;
-pub use fault::{Fault, FaultKind, FaultParseError, FaultSchedule, Rate};
+pub use fault::{Disturbance, Fault, FaultKind, FaultParseError, FaultSchedule, Rate};
 pub use memory::MemoryBus;
 pub use module::{Served, ServoEmulator};
 pub use options::EmulatorOptions;

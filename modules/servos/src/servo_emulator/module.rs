@@ -110,7 +110,7 @@ impl Module for ServoEmulator {
         let faults = setup.read_only_setting(
             "faults",
             Vec::<String>::new(),
-            "what goes wrong, such as dead-servo:5@3s..6s, drop:0.01, flip:0.001, close-port@8s..9s",
+            "what goes wrong, such as dead-servo:5@3s..6s, twin:5, supply:12.1, drop:0.01, flip:0.001, close-port@8s..9s",
         )?;
         let text = setup.value(description).cloned().unwrap_or_default();
         if !text.is_empty() {

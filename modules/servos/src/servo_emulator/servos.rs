@@ -2,12 +2,14 @@
 
 use super::body::{Body, ImuMotion, JointMotion, ServoCommand};
 use super::devices::{Device, Devices, answer};
+use super::fault::Disturbance;
 use super::random::Random;
 use super::wire::Answer;
 use crate::servo_bus::bus::LineSettings;
 use crate::servo_bus::models::{Access, Model, Register, STANDARD_GRAVITY};
-use crate::servo_bus::protocol::{Id, Packet, Protocol, StatusError};
+use crate::servo_bus::protocol::{Id, Instruction, Packet, Protocol, Status, StatusError};
 use crate::servo_bus::{BusPlan, Joint};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -26,6 +28,10 @@ const HAS_STOPPED: i64 = 255;
 const STALL_CURRENT_A: f64 = 2.0;
 /// Of the velocity control: how much of an error is added to the goal.
 const VELOCITY_GAIN: f64 = 2.0;
+/// How fast joints are turned by hand.
+const HAND_RAD_S: f64 = 2.0;
+/// By which bits the position of a second servo with the same id differs.
+const TWIN_BITS: i64 = 0x155;
 /// With full drive, before cooling.
 const HEATING_PER_S: f64 = 0.5;
 const COOLING_TIME_S: f64 = 300.0;
@@ -40,6 +46,7 @@ pub(super) struct Servos {
     body: Box<dyn Body>,
     /// The speed at which the computer sends.
     baud: u32,
+    disturbance: Disturbance,
 }
 
 impl Servos {
@@ -68,6 +75,7 @@ impl Servos {
             units: devices.chain(servos).collect(),
             body,
             baud: line.baud,
+            disturbance: Disturbance::default(),
         };
         servos.switch_power();
         servos
@@ -123,6 +131,23 @@ impl Devices for Servos {
         self.switch_power();
     }
 
+    fn turn_by_hand(&mut self, joint: &str, angle: f64) -> bool {
+        let index = self.plan.joints.iter().position(|known| known.name == joint);
+        if let Some(index) = index {
+            self.body.turn_by_hand(index, angle);
+        }
+        index.is_some()
+    }
+
+    fn disturb(&mut self, disturbance: Disturbance) {
+        if disturbance.supply_v != self.disturbance.supply_v {
+            for unit in self.units.iter_mut().filter(|unit| unit.joint.is_some()) {
+                unit.set_supply(disturbance.supply_v);
+            }
+        }
+        self.disturbance = disturbance;
+    }
+
     fn answer(&mut self, packet: &Packet<'_>, is_lost: &mut dyn FnMut() -> bool) -> Vec<Answer> {
         let imu = self.body.imu();
         for (device, unit) in self.plan.devices.iter().zip(&mut self.units) {
@@ -142,7 +167,13 @@ impl Devices for Servos {
                 unit as &mut dyn Device
             })
             .collect();
-        let answers = answer(protocol, &mut awake, packet, is_lost);
+        let mut answers = answer(protocol, &mut awake, packet, is_lost);
+        if let Ok(Instruction::Read { id, address, length }) = Instruction::parse(packet)
+            && self.disturbance.twins.contains(&id)
+            && let Some(unit) = self.units.iter().find(|unit| unit.declared == id)
+        {
+            answers.iter_mut().for_each(|answer| unit.talk_into(address, length, &mut answer.packet));
+        }
         self.switch_power();
         answers
     }
@@ -214,6 +245,41 @@ impl Unit {
         }
     }
 
+    /// Sets the measured supply; `None` is that of the model.
+    fn set_supply(&mut self, volts: Option<f64>) {
+        let model = Arc::clone(&self.model);
+        if let Some(register) = model.register("present_voltage") {
+            let raw = volts.map_or(register.initial, |volts| register.steps(volts).round() as i64);
+            self.set(register, raw);
+        }
+    }
+
+    /// Whether the supply is outside of the limits that the servo has.
+    fn has_wrong_supply(&self) -> bool {
+        let volts = |name| Some(self.model.register(name)?.to_si(self.get_named(name)?));
+        let (Some(supply), Some(min), Some(max)) =
+            (volts("present_voltage"), volts("min_voltage_limit"), volts("max_voltage_limit"))
+        else {
+            return false;
+        };
+        self.joint.is_some() && !(min..=max).contains(&supply)
+    }
+
+    /// A second servo of the same id and another position answers the same read: on the line, a 0 of either
+    /// wins.
+    fn talk_into(&self, address: u16, length: u16, packet: &mut [u8]) {
+        let (Some((joint, _)), Some(id)) = (&self.joint, Id::new(self.id())) else { return };
+        let (position, mut memory) = (&joint.registers.position, self.memory.clone());
+        put(&mut memory, self.protocol, position, self.get(position) ^ TWIN_BITS);
+        let begin = usize::from(address);
+        let Some(read) = memory.get(begin..begin + usize::from(length)) else { return };
+        let status = Status { id, error: self.error(), parameters: read.to_vec() };
+        let mut second = Vec::new();
+        if status.emit(self.protocol, &mut second).is_ok() {
+            packet.iter_mut().zip(second).for_each(|(byte, second)| *byte &= second);
+        }
+    }
+
     fn baud(&self) -> u32 {
         let value = self.get_named("baud_rate");
         let known = self.model.baud_rates.iter().find(|(known, _)| Some(*known) == value);
@@ -232,7 +298,8 @@ impl Unit {
         }
         self.registered = None;
         if let Some((joint, index)) = &self.joint {
-            let (goal, position) = (joint.registers.goal.clone(), joint.steps(body.joint(*index).position));
+            let goal = joint.registers.goal.clone();
+            let position = self.counted(joint, joint.steps(body.joint(*index).position));
             self.set(&goal, position);
         }
         self.show(body);
@@ -263,12 +330,9 @@ impl Unit {
             let goal = body.joint(*index).position + drive / DRIVE_PER_RADIAN;
             return ServoCommand { goal, gain: DRIVE_PER_RADIAN, max_drive, supply };
         }
-        ServoCommand {
-            goal: joint.angle(self.get(&joint.registers.goal)),
-            gain: DRIVE_PER_RADIAN * share("p_gain"),
-            max_drive,
-            supply,
-        }
+        let position = joint.steps(body.joint(*index).position);
+        let goal = self.get(&joint.registers.goal) + position - self.counted(joint, position);
+        ServoCommand { goal: joint.angle(goal), gain: DRIVE_PER_RADIAN * share("p_gain"), max_drive, supply }
     }
 
     /// The drive of a joint with this velocity, if the operating mode has goals other than positions.
@@ -288,10 +352,18 @@ impl Unit {
         None
     }
 
-    /// A servo that turns on and on counts within one turn if its position has two bytes.
+    /// What the servo reads at this position. With two bytes it counts within one turn; the offset of Feetech
+    /// is taken off.
     fn counted(&self, joint: &Joint, position: i64) -> i64 {
         let Register { size, max, .. } = joint.registers.goal;
-        if size == 2 && self.driven(joint, 0.0).is_some() { position.rem_euclid(max + 1) } else { position }
+        let is_feetech = matches!(self.protocol, Protocol::FeetechSts | Protocol::FeetechScs);
+        let offset = self.get_named("homing_offset").filter(|_| is_feetech).unwrap_or(0);
+        let is_a_turn = joint.registers.position.steps(TAU).round() as i64 == max + 1;
+        if size == 2 && (is_a_turn || self.driven(joint, 0.0).is_some()) {
+            (position - offset).rem_euclid(max + 1)
+        } else {
+            position - offset
+        }
     }
 
     fn advance(&mut self, dt: f64, body: &dyn Body) {
@@ -402,7 +474,7 @@ impl Device for Unit {
     }
 
     fn error(&self) -> StatusError {
-        StatusError::NONE
+        if self.has_wrong_supply() { StatusError::INPUT_VOLTAGE } else { StatusError::NONE }
     }
 
     fn identity(&self) -> [u8; 3] {
@@ -440,26 +512,32 @@ impl Device for Unit {
 /// Joints that turn without load, each on its own.
 struct Joints {
     motions: Vec<JointMotion>,
+    /// Where they are turned by hand.
+    hands: Vec<Option<f64>>,
 }
 
 impl Joints {
     fn at(angles: &[f64]) -> Self {
         let at_rest = |position: &f64| JointMotion { position: *position, ..JointMotion::default() };
-        Self { motions: angles.iter().map(at_rest).collect() }
+        Self { motions: angles.iter().map(at_rest).collect(), hands: vec![None; angles.len()] }
     }
 }
 
 impl Body for Joints {
     fn advance(&mut self, dt: Duration, commands: &[ServoCommand]) {
         let dt = dt.as_secs_f64();
-        for (motion, command) in self.motions.iter_mut().zip(commands) {
+        for ((motion, hand), command) in self.motions.iter_mut().zip(&mut self.hands).zip(commands) {
             motion.drive = command.drive_at(motion.position);
             let net = if motion.drive.abs() < FRICTION { 0.0 } else { motion.drive };
             motion.velocity += (net * NO_LOAD_RAD_S - motion.velocity) * (dt / MOTOR_LAG_S).min(1.0);
             if command.max_drive == 0.0 {
-                // The gear holds it.
-                motion.velocity = 0.0;
+                // The gear holds it, but not against a hand.
+                motion.velocity =
+                    hand.map_or(0.0, |goal| ((goal - motion.position) / dt).clamp(-HAND_RAD_S, HAND_RAD_S));
             }
+            hand.take_if(|goal| {
+                motion.velocity == 0.0 || command.max_drive > 0.0 || *goal == motion.position
+            });
             motion.position += motion.velocity * dt;
         }
     }
@@ -470,5 +548,11 @@ impl Body for Joints {
 
     fn imu(&self) -> ImuMotion {
         ImuMotion { specific_force: [0.0, 0.0, STANDARD_GRAVITY], ..ImuMotion::default() }
+    }
+
+    fn turn_by_hand(&mut self, index: usize, angle: f64) {
+        if let Some(hand) = self.hands.get_mut(index) {
+            *hand = Some(angle);
+        }
     }
 }

@@ -92,6 +92,7 @@ impl World {
         let now = self.now();
         let faults = &self.faults;
         self.devices.set_dead(&|id| faults.is_dead(id, now));
+        self.devices.disturb(faults.disturbance(now));
         self.devices.advance_to(now);
         now
     }

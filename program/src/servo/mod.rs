@@ -1,15 +1,19 @@
 //! `downbeat servo`
 
+mod calibrate;
+mod description_edit;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use calibrate::{Options, calibrate};
 use clap::{Args, Subcommand};
 use downbeat_servos::servo_bus::bus::LineSettings;
 use downbeat_servos::servo_bus::models::{self, Model, Register};
 use downbeat_servos::servo_bus::protocol::{Id, Protocol};
-use downbeat_servos::servo_bus::{Caution, Found, ServoError, ServoPort};
+use downbeat_servos::servo_bus::{Caution, Found, ServoError, ServoPort, first_description};
 
 #[derive(Subcommand)]
 pub(crate) enum ServoCommand {
@@ -20,6 +24,43 @@ pub(crate) enum ServoCommand {
         /// The last id to ask: those from 0 are asked.
         #[arg(long, value_name = "ID", default_value_t = 253)]
         last_id: u8,
+    },
+    /// Write a first description of the servos on a port, once all of them answer well.
+    Setup {
+        #[command(flatten)]
+        port: PortArguments,
+        /// The last id to ask: those from 0 are asked.
+        #[arg(long, value_name = "ID", default_value_t = 253)]
+        last_id: u8,
+        /// The name of the robot and its bus.
+        #[arg(long, value_name = "NAME", default_value = "arm")]
+        name: String,
+        /// The file to write. Default: NAME.toml.
+        #[arg(short, long, value_name = "FILE")]
+        output: Option<PathBuf>,
+        /// Write it in any case, and in place of a file that is there.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Find the stops, zeros and signs of joints that are turned by hand, and write them down.
+    ///
+    /// All joints of the bus lose their torque: hold the robot.
+    Calibrate {
+        /// The description, as for the kind servo_bus.
+        #[arg(value_name = "SERVOS.toml")]
+        description: PathBuf,
+        /// Which bus, if the description has several.
+        #[arg(long, value_name = "NAME", default_value = "")]
+        bus: String,
+        /// The port in place of that of the description.
+        #[arg(long, value_name = "PORT")]
+        port: Option<String>,
+        /// How far limits are inside of the stops, in rad.
+        #[arg(long, value_name = "RAD", default_value_t = 0.035, value_parser = margin)]
+        margin: f64,
+        /// How long a device may take to answer.
+        #[arg(long, value_name = "MS", default_value_t = 10)]
+        timeout_ms: u64,
     },
     /// Print what a device is.
     Ping {
@@ -91,7 +132,18 @@ const BAUDS: [u32; 9] = [1_000_000, 57_600, 2_000_000, 115_200, 3_000_000, 4_000
 
 pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
     match command {
-        ServoCommand::Scan { port, last_id } => scan(&port, last_id),
+        ServoCommand::Scan { port, last_id } => scan(&port, last_id).map(drop),
+        ServoCommand::Setup { port, last_id, name, output, force } => {
+            let output = output.unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
+            set_up(&port, last_id, &name, &output, force)
+        }
+        ServoCommand::Calibrate { description, bus, port, margin, timeout_ms } => calibrate(&Options {
+            description: &description,
+            bus: &bus,
+            port: port.as_deref(),
+            timeout: Duration::from_millis(timeout_ms),
+            margin_rad: margin,
+        }),
         ServoCommand::Ping { port, id } => {
             let (_, found) = port.find(id)?;
             println!("{}", described(&found));
@@ -116,10 +168,11 @@ pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
     }
 }
 
-fn scan(arguments: &PortArguments, last_id: u8) -> anyhow::Result<()> {
+/// Lists the devices on a port.
+fn scan(arguments: &PortArguments, last_id: u8) -> anyhow::Result<(ServoPort, Vec<Found>)> {
     let ids: Vec<Id> = (0..=last_id.min(253)).filter_map(Id::new).collect();
     let mut port = arguments.open()?;
-    let mut count = 0;
+    let mut all = Vec::new();
     for baud in arguments.bauds() {
         let found = match port.scan(*baud, arguments.protocols(), &ids) {
             Ok(found) => found,
@@ -138,14 +191,48 @@ fn scan(arguments: &PortArguments, last_id: u8) -> anyhow::Result<()> {
                 println!("{}", without_power(board, &arguments.path));
             }
         }
-        count += found.len();
+        all.extend(found);
     }
-    if count == 0 {
+    if all.is_empty() {
         bail!(
             "{}: no device answered; is the power on, is the port the right one, and does nothing else use it?",
             arguments.path
         );
     }
+    Ok((port, all))
+}
+
+/// Writes a first description of the servos on a port.
+fn set_up(
+    arguments: &PortArguments,
+    last_id: u8,
+    name: &str,
+    output: &Path,
+    force: bool,
+) -> anyhow::Result<()> {
+    if output.exists() && !force {
+        bail!("{} exists; name another file with --output, or replace it with --force", output.display());
+    }
+    let (mut port, found) = scan(arguments, last_id)?;
+    let mut problems = 0;
+    for found in &found {
+        for problem in port.examine(found)? {
+            println!("{problem}");
+            problems += 1;
+        }
+    }
+    if problems > 0 && !force {
+        bail!("{} is not written before that is solved; --force writes it all the same", output.display());
+    }
+    // A description names them relative to itself.
+    let model = |path: &PathBuf| path.canonicalize().map(|path| path.display().to_string());
+    let models = arguments.model_file.iter().map(model).collect::<Result<Vec<_>, _>>()?;
+    let text = first_description(name, &arguments.path, &models, &found).map_err(anyhow::Error::msg)?;
+    std::fs::write(output, text).with_context(|| format!("cannot write {}", output.display()))?;
+    println!(
+        "wrote {}. Set the names, zeros, signs and limits of its joints before anything moves: docs/servos.md, \"Zero, sign and limits\"",
+        output.display()
+    );
     Ok(())
 }
 
@@ -226,6 +313,11 @@ fn device(raw: u8) -> anyhow::Result<Id> {
     Id::new(raw)
         .filter(|id| id.raw() <= 253)
         .with_context(|| format!("{raw} is no id of a device; ids are 0 to 253"))
+}
+
+fn margin(text: &str) -> Result<f64, String> {
+    let margin = text.parse().ok().filter(|margin| (0.0..=1.0).contains(margin));
+    margin.ok_or_else(|| "a margin is from 0 to 1, in rad".to_owned())
 }
 
 fn caution(force: bool) -> Caution {

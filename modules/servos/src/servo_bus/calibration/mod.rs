@@ -1,0 +1,310 @@
+//! Calibration by hand: where the stops of joints are, their zeros and signs.
+//!
+//! While it goes on, all joints of the bus are limp, and are turned by hand.
+
+mod travel;
+
+use super::description::BusPlan;
+use super::joint::Joint;
+use super::models::Register;
+use super::protocol::{Id, Protocol};
+use super::tool::{Caution, ServoError, ServoPort};
+use std::f64::consts::TAU;
+use std::time::Duration;
+use travel::Travel;
+
+/// A joint that was turned by less than this was not turned by hand, in rad.
+const LEAST_TRAVEL_RAD: f64 = 0.1;
+/// A joint that was turned by all but this much of a turn has no stops, in rad.
+const ALL_ROUND_RAD: f64 = 0.1;
+/// A nudge is at least this large, in rad.
+const LEAST_NUDGE_RAD: f64 = 0.05;
+/// By how much a joint may move while its servo takes an offset, in rad.
+const SHAKE_RAD: f64 = 0.1;
+
+/// The joints of a bus, limp, as they are turned by hand.
+pub struct Calibrator {
+    port: ServoPort,
+    joints: Vec<Limb>,
+}
+
+/// A joint and what is known of it.
+struct Limb {
+    joint: Joint,
+    travel: Travel,
+    is_silent: bool,
+    /// The raw position at 0 rad.
+    zero: i64,
+    sign: f64,
+    stops: Stops,
+    /// Where a nudge began.
+    nudged_from: i64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stops {
+    /// They are where the joint was turned to.
+    Found,
+    /// It turns all the way round.
+    None,
+    /// They could not be found: the joint stays as it is described.
+    Unknown,
+}
+
+/// What a joint reads while it is turned.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TurnedJoint {
+    /// Its name.
+    pub name: String,
+    /// The address of its servo.
+    pub id: Id,
+    /// How far it was turned between its extremes, in rad.
+    pub travel_rad: f64,
+    /// Where between them it is, from 0 to 1.
+    pub place: f64,
+    /// Whether its servo does not answer now.
+    pub is_silent: bool,
+}
+
+/// Where joints are at 0 rad.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ZeroPose {
+    /// Where they are now.
+    Here,
+    /// In the middle between their stops.
+    Middle,
+}
+
+/// What was found of a joint.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointCalibration {
+    /// Its name.
+    pub name: String,
+    /// The raw position at 0 rad.
+    pub zero: i64,
+    /// 1, or -1 if the servo counts against the joint.
+    pub sign: i64,
+    /// The smallest and the largest angle, in rad; `None` if the joint turns all the way round.
+    pub limits: Option<[f64; 2]>,
+}
+
+impl Calibrator {
+    /// Takes over a bus, on which devices may take `slack` to answer. Its joints lose their torque: they have
+    /// to be held.
+    ///
+    /// # Errors
+    /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
+    pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<Self, ServoError> {
+        let models = plan.joints.iter().map(|joint| joint.model.clone()).collect();
+        let mut port = ServoPort::open(port, slack, models)?;
+        port.speak(plan.line)?;
+        for device in &plan.devices {
+            if let Some(power) = &device.power {
+                port.write(device.id, &device.model, &power.register, 1, Caution::Force)?;
+                std::thread::sleep(power.wait);
+            }
+        }
+        let mut joints = Vec::new();
+        for joint in &plan.joints {
+            let (_, model) = port.known(joint.id)?;
+            if model.name != joint.model.name {
+                return Err(ServoError::OtherModel {
+                    id: joint.id,
+                    described: joint.model.name.clone(),
+                    found: model.name.clone(),
+                });
+            }
+            port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
+            let raw = port.read(joint.id, &joint.registers.position)?;
+            let turn = joint.registers.position.steps(TAU).round() as i64;
+            joints.push(Limb {
+                joint: joint.clone(),
+                travel: Travel::at(raw, turn),
+                is_silent: false,
+                zero: joint.zero,
+                sign: joint.sign,
+                stops: Stops::Unknown,
+                nudged_from: raw,
+            });
+        }
+        Ok(Self { port, joints })
+    }
+
+    /// Reads all joints. Has to be called often while they are turned: each may turn by less than half a turn
+    /// from one call to the next.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails.
+    pub fn look(&mut self) -> Result<(), ServoError> {
+        for limb in &mut self.joints {
+            let read = self.port.read(limb.joint.id, &limb.joint.registers.position);
+            limb.is_silent = read.is_err();
+            match read {
+                Ok(raw) => limb.travel.see(raw),
+                Err(ServoError::Port(problem)) => return Err(ServoError::Port(problem)),
+                Err(_) => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// The joints, in the order of the description.
+    pub fn joints(&self) -> impl Iterator<Item = TurnedJoint> {
+        self.joints.iter().map(|limb| {
+            let Travel { position, min, .. } = limb.travel;
+            let steps = limb.travel.steps();
+            TurnedJoint {
+                name: limb.joint.name.clone(),
+                id: limb.joint.id,
+                travel_rad: limb.rad(steps),
+                place: if steps > 0 { (position - min) as f64 / steps as f64 } else { 0.5 },
+                is_silent: limb.is_silent,
+            }
+        })
+    }
+
+    /// Takes the extremes so far for the stops of the joints. Where a travel passes the end of what its servo
+    /// counts, the servo gets an offset, if it has one. Returns sentences about joints that are left as they
+    /// were described, and those with an offset.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails.
+    pub fn take_stops(&mut self) -> Result<Vec<String>, ServoError> {
+        let protocol = self.port.line().protocol;
+        let mut notes = Vec::new();
+        for limb in &mut self.joints {
+            let (name, id) = (limb.joint.name.clone(), limb.joint.id);
+            let travel = limb.rad(limb.travel.steps());
+            if travel < LEAST_TRAVEL_RAD {
+                notes.push(format!("{name} was not turned, and stays as it is described"));
+                continue;
+            }
+            if travel > (TAU - ALL_ROUND_RAD) / limb.joint.gear {
+                limb.stops = Stops::None;
+                notes.push(format!("{name} turns all the way round: its limits stay as they are described"));
+                continue;
+            }
+            let goal = &limb.joint.registers.goal;
+            if (goal.min..=goal.max).contains(&limb.travel.min)
+                && (goal.min..=goal.max).contains(&limb.travel.max)
+            {
+                limb.stops = Stops::Found;
+                continue;
+            }
+            // Only theirs moves the whole turn.
+            let is_feetech = matches!(protocol, Protocol::FeetechSts | Protocol::FeetechScs);
+            let Some(offset) = limb.joint.model.register("homing_offset").filter(|_| is_feetech).cloned()
+            else {
+                notes.push(format!(
+                    "{name} passes the end of what servo {id} counts: put its horn on half a turn further, or its servo; it stays \
+                     as it is described"
+                ));
+                continue;
+            };
+            match set_offset(&mut self.port, limb, &offset)? {
+                Ok(raw) => {
+                    limb.stops = Stops::Found;
+                    notes.push(format!(
+                        "{name} passed the end of what servo {id} counts: its homing_offset is {raw} from now on"
+                    ));
+                }
+                Err(problem) => notes.push(format!("{name} stays as it is described: {problem}")),
+            }
+        }
+        Ok(notes)
+    }
+
+    /// Takes this pose for that in which all joints are at 0 rad. Joints whose stops are unknown stay as they
+    /// are described.
+    pub fn take_zeros(&mut self, pose: ZeroPose) {
+        for limb in self.joints.iter_mut().filter(|limb| limb.stops != Stops::Unknown) {
+            limb.zero = match (pose, limb.stops) {
+                (ZeroPose::Middle, Stops::Found) => limb.travel.middle(),
+                _ => limb.travel.position,
+            };
+        }
+    }
+
+    /// Whether the stops of a joint, or that it has none, are known.
+    #[must_use]
+    pub fn is_calibrated(&self, joint: usize) -> bool {
+        self.joints.get(joint).is_some_and(|limb| limb.stops != Stops::Unknown)
+    }
+
+    /// Begins to watch for a nudge of a joint in its positive direction.
+    pub fn begin_nudge(&mut self, joint: usize) {
+        if let Some(limb) = self.joints.get_mut(joint) {
+            limb.nudged_from = limb.travel.position;
+        }
+    }
+
+    /// Takes the direction in which a joint was turned since then for its positive one. Returns false if it
+    /// was turned too little.
+    pub fn take_sign(&mut self, joint: usize) -> bool {
+        let Some(limb) = self.joints.get_mut(joint) else { return false };
+        let turned = limb.travel.position - limb.nudged_from;
+        if limb.rad(turned.abs()) < LEAST_NUDGE_RAD {
+            return false;
+        }
+        limb.sign = if turned < 0 { -1.0 } else { 1.0 };
+        true
+    }
+
+    /// What was found. Limits are inside of the stops by the margin, in rad.
+    #[must_use]
+    pub fn results(&self, margin_rad: f64) -> Vec<JointCalibration> {
+        let known = self.joints.iter().filter(|limb| limb.stops != Stops::Unknown);
+        let result = |limb: &Limb| {
+            let angle = |raw: i64| limb.sign * limb.rad(raw - limb.zero);
+            let ends = [limb.travel.min, limb.travel.max].map(angle);
+            // Towards the middle.
+            let low = ((ends[0].min(ends[1]) + margin_rad) * 1000.0).ceil() / 1000.0;
+            let high = ((ends[0].max(ends[1]) - margin_rad) * 1000.0).floor() / 1000.0;
+            JointCalibration {
+                name: limb.joint.name.clone(),
+                zero: limb.zero,
+                sign: if limb.sign < 0.0 { -1 } else { 1 },
+                limits: (limb.stops == Stops::Found).then_some([low, high.max(low)]),
+            }
+        };
+        known.map(result).collect()
+    }
+}
+
+impl Limb {
+    /// Of the joint.
+    fn rad(&self, steps: i64) -> f64 {
+        self.joint.registers.position.to_si(steps) / self.joint.gear
+    }
+}
+
+/// Moves what a servo counts so that the travel is in its middle: a servo of Feetech reads its position minus
+/// its offset. Returns the offset, or why it has not taken it.
+fn set_offset(
+    port: &mut ServoPort,
+    limb: &mut Limb,
+    register: &Register,
+) -> Result<Result<i64, String>, ServoError> {
+    let Joint { id, model, registers, .. } = &limb.joint;
+    let turn = registers.position.steps(TAU).round() as i64;
+    let shift = limb.travel.middle() - (registers.goal.min + registers.goal.max + 1) / 2;
+    let old = port.read(*id, register)?;
+    // Within half a turn to either side.
+    let new = (old + shift + turn / 2).rem_euclid(turn) - turn / 2;
+    let new = new.clamp(register.min, register.max);
+    port.write(*id, model, register, new, Caution::Force)?;
+    let before = limb.travel;
+    limb.travel.shift(new - old);
+    // A multiple of a turn makes no difference to the servo.
+    let turns = (limb.travel.middle() - registers.goal.min).div_euclid(turn);
+    limb.travel.shift(turns * turn);
+    let read = port.read(*id, &registers.position)?;
+    if registers.position.to_si((read - limb.travel.position).abs()) > SHAKE_RAD {
+        limb.travel = before;
+        return Ok(Err(format!(
+            "servo {id} reads {read} with the {} {new}, where {} was expected",
+            register.name, limb.travel.position
+        )));
+    }
+    Ok(Ok(new))
+}
