@@ -2,9 +2,12 @@
 
 use std::path::PathBuf;
 use std::process::Command;
+use std::thread::JoinHandle;
+
+use anyhow::Context;
 
 use crate::matrix::Notes;
-use crate::steps::{Steps, run, run_and_repeat, workspace};
+use crate::steps::{Steps, output_of, run, run_and_repeat, workspace};
 use crate::{audit, budget, install, node, python, skips, tidy, wheel};
 
 /// The steps of new users, which the tests of pages and templates write down.
@@ -62,6 +65,55 @@ impl Peers {
     }
 }
 
+/// Lints and documentation, in the time that tests spend waiting. They have a target folder of their own,
+/// since cargo locks it.
+struct Aside(JoinHandle<Vec<(&'static str, anyhow::Result<()>)>>);
+
+impl Aside {
+    fn start() -> anyhow::Result<Self> {
+        let commands = || {
+            let others = ["--features", "benches/zenoh,benches-ros2/security,benches-ros2/zenoh"];
+            let mut clippy = Self::command(&["clippy", "--workspace", "--all-targets"]);
+            clippy.args(ALL).args(others).args(["--", "--deny", "warnings"]);
+            let mut documentation = Self::command(&["doc", "--workspace", "--no-deps", "--quiet"]);
+            documentation.args(ALL).env("RUSTDOCFLAGS", "--deny warnings");
+            let bare = |package| {
+                let mut clippy = Self::command(&["clippy", "--package", package, "--no-default-features"]);
+                clippy.args(["--", "--deny", "warnings"]);
+                clippy
+            };
+            [
+                ("clippy", clippy),
+                ("documentation", documentation),
+                ("messages without optional features", bare("downbeat-msgs")),
+                ("robots without optional features", bare("downbeat")),
+            ]
+        };
+        let run_all = move || {
+            let results = commands().into_iter().map(|(name, mut command)| (name, output_of(&mut command)));
+            results.map(|(name, printed)| (name, printed.map(drop))).collect()
+        };
+        let thread = std::thread::Builder::new().name("aside".to_owned()).spawn(run_all);
+        Ok(Self(thread.context("cannot start a thread")?))
+    }
+
+    /// A command of cargo that leaves the processor to tests. Not wholly: tests that call cargo wait for its
+    /// lock of packages.
+    fn command(arguments: &[&str]) -> Command {
+        let mut command = Command::new("nice");
+        command.args(["-n", "10", env!("CARGO")]).args(arguments).args(["--target-dir", "target/lints"]);
+        command
+    }
+
+    /// Waits for the rest, and reports what came of it.
+    fn finish(self, steps: &mut Steps) -> anyhow::Result<()> {
+        eprintln!("\n== waiting for lints and documentation");
+        let results = self.0.join().map_err(|_| anyhow::anyhow!("lints and documentation have panicked"))?;
+        results.into_iter().for_each(|(name, result)| steps.step(name, || result));
+        Ok(())
+    }
+}
+
 /// The features that are not enabled by default. The library of MuJoCo is in the Python environment.
 pub(crate) const ALL: &[&str] = &[
     "--features",
@@ -81,28 +133,22 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     steps.step("the layout", tidy::tidy);
     steps.step("licences, versions and origins of crates", || audit::in_test_run(&skips));
+    let aside = Aside::start()?;
+    let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     // What waits for the network, beside what computes.
     let installed = std::thread::scope(|scope| {
         let installing = scope.spawn(Peers::install);
-        steps.step("clippy", || {
-            let mut command = cargo(&["clippy", "--workspace", "--all-targets"]);
-            let others = "benches/zenoh,benches-ros2/security,benches-ros2/zenoh";
-            run(command.args(ALL).args(["--features", others, "--", "--deny", "warnings"]))
-        });
+        if has_nextest {
+            steps.step("compiling the tests", || {
+                run(cargo(&["nextest", "run", "--workspace", "--no-run"]).args(ALL))
+            });
+        }
         installing.join()
     });
     let Peers { python, kilted, node_modules } =
         installed.map_err(|_| anyhow::anyhow!("what installs Python packages has panicked"))??;
-    steps.step("messages and robots without optional features", || {
-        for package in ["downbeat-msgs", "downbeat"] {
-            let arguments = ["clippy", "--package", package, "--no-default-features"];
-            run(cargo(&arguments).args(["--", "--deny", "warnings"]))?;
-        }
-        Ok(())
-    });
     let notes = Notes::new()?;
     let first_hour = FirstHour::new()?;
-    let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     let tests: &[&str] = if has_nextest {
         &["nextest", "run", "--workspace"]
     } else {
@@ -139,10 +185,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));
-    steps.step("documentation", || {
-        let arguments = ["doc", "--workspace", "--no-deps", "--quiet"];
-        run(cargo(&arguments).args(ALL).env("RUSTDOCFLAGS", "--deny warnings"))
-    });
+    aside.finish(&mut steps)?;
     skips.print()?;
     steps.finish()
 }
