@@ -202,7 +202,7 @@ fn setup_writes_a_description_with_which_the_servos_run() {
     assert!(servos.refused("setup", &arguments).contains("exists; name another file with --output"));
     std::fs::write(
         &robot,
-        "name = \"arm\"\n[[module]]\nname = \"hardware\"\nkind = \"servo_bus\"\nsettings = { description = \"arm.toml\" }\n",
+        "[robot]\nname = \"arm\"\n[[module]]\nname = \"hardware\"\nkind = \"servo_bus\"\nsettings = { description = \"arm.toml\" }\n",
     )
     .unwrap();
     let bag = folder.path().join("bag");
@@ -308,8 +308,10 @@ fn a_calibration_by_hand_finds_stops_zeros_and_signs() {
         )
     };
     let stops = "limits = [-1.2, 1.5]";
-    let (turned_round, at_the_end) =
-        (format!("{stops}\nzero = 2100\nsign = -1"), format!("{stops}\nzero = 3900"));
+    let (turned_round, at_the_end) = (
+        format!("{stops}\nzero = 2100\nsign = -1"),
+        format!("{stops}\nregisters = {{ homing_offset = -1852 }}"),
+    );
     std::fs::write(&real, arm([&turned_round, &at_the_end, stops])).unwrap();
     std::fs::write(&description, arm(["limits = [-3.0, 3.0]  # to be calibrated"; 3])).unwrap();
     let mut hand = Typed::start(&["emulate", "servos", text(&real), "--link", text(&port), "--by-hand"]);

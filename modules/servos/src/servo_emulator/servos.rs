@@ -218,6 +218,11 @@ impl Unit {
         for register in &model.registers {
             unit.set(register, register.initial);
         }
+        // An offset moves what a servo reads, so the described one is there from the start.
+        let described = unit.joint.as_ref().map(|(joint, _)| joint.further.clone()).unwrap_or_default();
+        for (register, raw) in described.iter().filter(|(register, _)| register.name == "homing_offset") {
+            unit.set(register, *raw);
+        }
         unit.set_named("id", i64::from(id.raw()));
         if let Some((value, _)) = model.baud_rates.iter().find(|(_, baud)| *baud == line.baud) {
             unit.set_named("baud_rate", *value);

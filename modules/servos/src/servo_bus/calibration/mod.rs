@@ -19,6 +19,8 @@ const LEAST_TRAVEL_RAD: f64 = 0.1;
 const ALL_ROUND_RAD: f64 = 0.1;
 /// A nudge is at least this large, in rad.
 const LEAST_NUDGE_RAD: f64 = 0.05;
+/// After this time a servo reads its position with a new offset.
+const SETTLING: Duration = Duration::from_millis(50);
 /// By how much a joint may move while its servo takes an offset, in rad.
 const SHAKE_RAD: f64 = 0.1;
 
@@ -298,12 +300,13 @@ fn set_offset(
     // A multiple of a turn makes no difference to the servo.
     let turns = (limb.travel.middle() - registers.goal.min).div_euclid(turn);
     limb.travel.shift(turns * turn);
-    let read = port.read(*id, &registers.position)?;
-    if registers.position.to_si((read - limb.travel.position).abs()) > SHAKE_RAD {
+    std::thread::sleep(SETTLING);
+    let (read, expected) = (port.read(*id, &registers.position)?, limb.travel.position);
+    if registers.position.to_si((read - expected).abs()) > SHAKE_RAD {
         limb.travel = before;
         return Ok(Err(format!(
-            "servo {id} reads {read} with the {} {new}, where {} was expected",
-            register.name, limb.travel.position
+            "servo {id} reads {read} with the {} {new}, where {expected} was expected",
+            register.name
         )));
     }
     Ok(Ok(new))
