@@ -540,9 +540,7 @@ impl Body for Joints {
                 motion.velocity =
                     hand.map_or(0.0, |goal| ((goal - motion.position) / dt).clamp(-HAND_RAD_S, HAND_RAD_S));
             }
-            hand.take_if(|goal| {
-                motion.velocity == 0.0 || command.max_drive > 0.0 || *goal == motion.position
-            });
+            hand.take_if(|_| motion.velocity == 0.0 || command.max_drive > 0.0);
             motion.position += motion.velocity * dt;
         }
     }

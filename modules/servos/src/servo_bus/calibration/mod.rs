@@ -222,6 +222,7 @@ impl Calibrator {
         for limb in self.joints.iter_mut().filter(|limb| limb.stops != Stops::Unknown) {
             limb.zero = match (pose, limb.stops) {
                 (ZeroPose::Middle, Stops::Found) => limb.travel.middle(),
+                (_, Stops::None) => limb.travel.last, // as the servo reads it, not counted on
                 _ => limb.travel.position,
             };
         }

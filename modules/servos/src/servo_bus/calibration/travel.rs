@@ -6,7 +6,7 @@ pub(super) struct Travel {
     /// The steps of a full turn.
     turn: i64,
     /// The last reading.
-    last: i64,
+    pub(super) last: i64,
     /// The position, counted on.
     pub(super) position: i64,
     pub(super) min: i64,
