@@ -332,8 +332,7 @@ fn a_calibration_by_hand_finds_stops_zeros_and_signs() {
     arm.says("from one stop to the other");
     let mut turn = |joint: usize, angle: f64| {
         hand.types(&format!("turn joint_{joint} {angle}"));
-        // The hand turns by 2 rad/s.
-        std::thread::sleep(Duration::from_millis(2500));
+        hand.says(&format!("joint_{joint} is turned"));
     };
     for joint in [1, 2] {
         [-1.2, 1.5, 0.0].into_iter().for_each(|angle| turn(joint, angle));

@@ -256,7 +256,7 @@ fn a_detached_module_makes_its_transitions_on_its_thread() {
     assert_eq!(make(Transition::Activate), Ok(Active));
     assert_eq!(make(Transition::Deactivate), Ok(Inactive));
     assert!(matches!(make(Transition::Deactivate), Err(TransitionRefused::WrongState { .. })));
-    wait_until("the state is known", || handle.modules().wait(WATCHDOG).unwrap()[0].state == Inactive);
+    assert_eq!(handle.modules().wait(WATCHDOG).unwrap()[0].state, Inactive);
     handle.stop();
     running.join().unwrap().unwrap();
     assert_eq!(log.take(), ["configure", "activate", "deactivate", "shutdown"]);

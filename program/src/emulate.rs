@@ -36,12 +36,17 @@ pub(crate) fn servos(
     let options = options(&link, seed, faults, |fault| fault.check(has_servo))?;
     let emulator = Emulator::start_servos(plan, options)?;
     tracing::info!("the emulated servos of {} are at {}", description.name, link.display());
-    let hands = is_turned_by_hand.then(input::lines).transpose()?;
+    let lines = is_turned_by_hand.then(input::lines).transpose()?;
+    let mut in_hand: Vec<String> = Vec::new();
     while !stop.is_due() {
-        for line in hands.iter().flat_map(mpsc::Receiver::try_iter) {
-            if let Err(problem) = turn(&emulator, &line) {
-                tracing::error!("{problem}");
+        for line in lines.iter().flat_map(mpsc::Receiver::try_iter) {
+            match turn(&emulator, &line) {
+                Ok(joint) => in_hand.extend(joint),
+                Err(problem) => tracing::error!("{problem}"),
             }
+        }
+        for joint in in_hand.extract_if(.., |joint| !emulator.is_in_hand(joint)) {
+            println!("{joint} is turned");
         }
         stop.sleep(Duration::from_millis(20));
     }
@@ -49,17 +54,18 @@ pub(crate) fn servos(
     Ok(())
 }
 
-/// Does what a line says: `turn JOINT RAD`.
-fn turn(emulator: &Emulator, line: &str) -> Result<(), String> {
+/// Does what a line says: `turn JOINT RAD`. Returns the joint.
+fn turn(emulator: &Emulator, line: &str) -> Result<Option<String>, String> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let (joint, angle) = match words[..] {
-        [] => return Ok(()),
+        [] => return Ok(None),
         ["turn", joint, angle] => (joint, angle),
         _ => return Err(format!("{line:?} is no instruction; one is: turn JOINT RAD")),
     };
     let angle = angle.parse().ok().filter(|angle: &f64| angle.is_finite());
     let angle = angle.ok_or_else(|| format!("{line:?} names no angle in rad"))?;
-    if emulator.turn_by_hand(joint, angle) { Ok(()) } else { Err(format!("there is no joint \"{joint}\"")) }
+    let is_joint = emulator.turn_by_hand(joint, angle);
+    is_joint.then(|| Some(joint.to_owned())).ok_or_else(|| format!("there is no joint \"{joint}\""))
 }
 
 fn options(

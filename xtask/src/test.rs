@@ -101,7 +101,7 @@ impl Aside {
     /// lock of packages.
     fn command(arguments: &[&str]) -> Command {
         let mut command = Command::new("nice");
-        command.args(["-n", "10", env!("CARGO")]).args(arguments).args(["--target-dir", "target/lints"]);
+        command.args(["-n", "19", env!("CARGO")]).args(arguments).args(["--target-dir", "target/lints"]);
         command
     }
 

@@ -98,7 +98,7 @@ pub struct ControllerManager {
 /// How many requests wait; more are refused.
 const QUEUE: usize = 64;
 
-/// What is asked of the manager.
+/// What is asked of the manager, which answers one after the other, as ros2_control does.
 enum Request {
     ListControllers(ListControllersRequest, Reply<ListControllers>),
     ListHardware(ListHardwareComponentsRequest, Reply<ListHardwareComponents>),
@@ -168,39 +168,18 @@ fn serve(node: &Node, requests: &Mailbox<Request>, types: Vec<String>) -> Result
         let base_classes = types.iter().map(base).collect();
         ListControllerTypesResponse { types: types.clone(), base_classes }
     };
-    let asked = Asked { node, requests };
+    let qos = QosProfile::SERVICES;
     Ok(vec![
-        node.serve::<ListControllerTypes>("~/list_controller_types", QosProfile::SERVICES, list_types)?,
-        asked.serve("list_controllers", Request::ListControllers)?,
-        asked.serve("list_hardware_components", Request::ListHardware)?,
-        asked.serve("list_hardware_interfaces", Request::ListInterfaces)?,
-        asked.serve("load_controller", Request::Load)?,
-        asked.serve("unload_controller", Request::Unload)?,
-        asked.serve("configure_controller", Request::Configure)?,
-        asked.serve("cleanup_controller", Request::Cleanup)?,
-        asked.serve("switch_controller", Request::Switch)?,
-        asked.serve("set_hardware_component_state", Request::SetHardware)?,
-        asked.serve("reload_controller_libraries", Request::Reload)?,
+        node.serve::<ListControllerTypes>("~/list_controller_types", qos, list_types)?,
+        node.serve_into("~/list_controllers", qos, requests, Request::ListControllers)?,
+        node.serve_into("~/list_hardware_components", qos, requests, Request::ListHardware)?,
+        node.serve_into("~/list_hardware_interfaces", qos, requests, Request::ListInterfaces)?,
+        node.serve_into("~/load_controller", qos, requests, Request::Load)?,
+        node.serve_into("~/unload_controller", qos, requests, Request::Unload)?,
+        node.serve_into("~/configure_controller", qos, requests, Request::Configure)?,
+        node.serve_into("~/cleanup_controller", qos, requests, Request::Cleanup)?,
+        node.serve_into("~/switch_controller", qos, requests, Request::Switch)?,
+        node.serve_into("~/set_hardware_component_state", qos, requests, Request::SetHardware)?,
+        node.serve_into("~/reload_controller_libraries", qos, requests, Request::Reload)?,
     ])
-}
-
-/// Requests that the manager answers one after the other, as ros2_control does.
-struct Asked<'a> {
-    node: &'a Node,
-    requests: &'a Mailbox<Request>,
-}
-
-impl Asked<'_> {
-    fn serve<S: downbeat_msgs::Service>(
-        &self,
-        name: &str,
-        request: fn(S::Request, Reply<S>) -> Request,
-    ) -> Result<Service, NodeError> {
-        let requests = self.requests.clone();
-        self.node.serve_later::<S>(&format!("~/{name}"), QosProfile::SERVICES, move |asked, reply| {
-            if requests.push(request(asked, reply)).is_err() {
-                tracing::warn!("a request to the controller manager is not answered: too many wait");
-            }
-        })
-    }
 }

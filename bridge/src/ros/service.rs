@@ -12,6 +12,7 @@ use crate::middleware::Direction;
 use crate::middleware::rpc::{
     IncomingRequest, RefusalHandler, ReplyError, RequestHandler, RequestServer, Responder,
 };
+use crate::worker::Mailbox;
 use downbeat_executor::Clock;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
@@ -195,6 +196,26 @@ impl Node {
             self.serve_raw(service, &ServiceType::new(S::TYPE_NAME)?, qos, typed::<S>(on_request))?;
         service.on_refusal(refusals_of(KnownService::of::<S>()));
         Ok(service)
+    }
+
+    /// Offers a service whose requests wait in a mailbox until somebody answers them. One that finds it full
+    /// is not answered, which is logged.
+    pub(crate) fn serve_into<S: downbeat_msgs::Service, T: Send + 'static>(
+        &self,
+        service: &str,
+        qos: QosProfile,
+        mailbox: &Mailbox<T>,
+        request: fn(S::Request, Reply<S>) -> T,
+    ) -> Result<Service, NodeError> {
+        let (requests, unanswered) = (mailbox.clone(), Limiter::default());
+        let name = service.to_owned();
+        self.serve_later::<S>(service, qos, move |body, reply| {
+            if requests.push(request(body, reply)).is_err()
+                && let Some(left_out) = unanswered.allow()
+            {
+                tracing::warn!(service = name, "a request is not answered: too many others wait{left_out}");
+            }
+        })
     }
 
     /// Offers a service of a type that this program may not know: requests and replies are their bytes,

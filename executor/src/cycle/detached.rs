@@ -337,6 +337,7 @@ impl Runner {
         };
         self.step += 1;
         self.link.push(Post::Step(Box::new(outcome)));
+        self.cell.give_answers();
     }
 
     fn wait(&mut self) {

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use super::behaviour::Behaviour;
 use super::causes::{Asked, Causes, MODULES, TIMERS};
+use super::id::Place;
 use super::input::Input;
 use super::link::Delivery;
 use super::port::{ModuleChange, ModuleIo, Port, Views};
@@ -38,6 +39,8 @@ pub(crate) struct ModuleCell {
     pub(crate) span: Option<Span>,
     /// The causes of the last run; none if no callback was called.
     ran: Causes,
+    /// Answers of a module on another thread that are sent once its run has been.
+    answers: Vec<Box<dyn FnOnce() + Send>>,
 }
 
 type TransitionReceipt = Option<ReceiptSender<Result<LifecycleState, TransitionRefused>>>;
@@ -83,6 +86,7 @@ impl ModuleCell {
             meter,
             span: None,
             ran: Causes::NONE,
+            answers: Vec::new(),
         }
     }
 
@@ -317,9 +321,23 @@ impl ModuleCell {
                 self.transitions.retain(|(_, receipt)| receipt.is_some());
             }
             if let Some(receipt) = receipt {
-                receipt.send(outcome);
+                self.answer(|| receipt.send(outcome));
             }
         }
+    }
+
+    /// Gives an answer to what another thread has asked of the module. Whoever has it must find in the core what
+    /// it says, so a detached module answers after its run has been posted there.
+    pub(crate) fn answer(&mut self, answer: impl FnOnce() + Send + 'static) {
+        match self.io.id.place {
+            Place::Attached(_) => answer(),
+            Place::Detached(_) => self.answers.push(Box::new(answer)),
+        }
+    }
+
+    /// Gives the answers that wait for the end of a run.
+    pub(crate) fn give_answers(&mut self) {
+        self.answers.drain(..).for_each(|answer| answer());
     }
 
     fn make_transition(

@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use downbeat_msgs::user_file;
 use downbeat_servos::servo_bus::{Calibrator, Description, TurnedJoint, ZeroPose};
 
-use super::description_edit::with_calibrations;
+use super::description_edit::with_calibration;
 use crate::input;
 use crate::screen::Screen;
 use crate::stop::Stop;
@@ -75,11 +75,24 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
     if found.is_empty() {
         bail!("no joint was turned; {} stays as it is", path.display());
     }
-    let calibrated = with_calibrations(&text, &found).with_context(|| path.display().to_string())?;
-    // What cannot be read again is not written.
-    Description::parse(&path.to_string_lossy(), &calibrated)?;
+    let mut calibrated = text;
+    let mut written = Vec::new();
+    for joint in found {
+        let with_it = with_calibration(&calibrated, &joint).with_context(|| path.display().to_string())?;
+        // What cannot be read again is not written: limits that were kept may not fit to a new zero.
+        match Description::parse(&path.to_string_lossy(), &with_it) {
+            Ok(_) => {
+                calibrated = with_it;
+                written.push(joint);
+            }
+            Err(problem) => println!("{} stays as it is described: {problem}", joint.name),
+        }
+    }
+    if written.is_empty() {
+        bail!("nothing was written");
+    }
     std::fs::write(path, calibrated).with_context(|| format!("cannot write {}", path.display()))?;
-    for joint in &found {
+    for joint in &written {
         let limits = joint
             .limits
             .map_or("as described".to_owned(), |[low, high]| format!("{low:.3} to {high:.3} rad"));
@@ -114,7 +127,11 @@ impl Dialogue<'_> {
             }
             let rows = look()?;
             match self.lines.try_recv() {
-                Ok(line) => break line,
+                Ok(line) => {
+                    // What is there now counts.
+                    look()?;
+                    break line;
+                }
                 Err(TryRecvError::Disconnected) => bail!("standard input has ended; nothing was written"),
                 Err(TryRecvError::Empty) => {}
             }

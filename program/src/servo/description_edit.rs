@@ -4,32 +4,30 @@ use anyhow::Context;
 use downbeat_servos::servo_bus::JointCalibration;
 use toml_edit::{Array, DocumentMut, value};
 
-/// The text with what calibration found.
-pub(super) fn with_calibrations(text: &str, found: &[JointCalibration]) -> anyhow::Result<String> {
+/// The text with what calibration found of a joint.
+pub(super) fn with_calibration(text: &str, found: &JointCalibration) -> anyhow::Result<String> {
     let mut document: DocumentMut = text.parse()?;
     let joints = document.get_mut("joint").and_then(|joints| joints.as_array_of_tables_mut());
     let joints = joints.context("the description has no [[joint]]")?;
-    for found in found {
-        let is_it = |name: Option<&str>| name == Some(&*found.name);
-        let joint = joints.iter_mut().find(|joint| is_it(joint.get("name").and_then(|name| name.as_str())));
-        let joint = joint.with_context(|| format!("the description has no joint \"{}\"", found.name))?;
-        // It is part of the new zero.
-        joint.remove("offset");
-        let mut set = |key: &str, new: toml_edit::Item| match joint.get_mut(key) {
-            Some(old) => {
-                let decor = old.as_value().map(|old| old.decor().clone());
-                *old = new;
-                if let (Some(new), Some(decor)) = (old.as_value_mut(), decor) {
-                    *new.decor_mut() = decor;
-                }
+    let is_it = |name: Option<&str>| name == Some(&*found.name);
+    let joint = joints.iter_mut().find(|joint| is_it(joint.get("name").and_then(|name| name.as_str())));
+    let joint = joint.with_context(|| format!("the description has no joint \"{}\"", found.name))?;
+    // It is part of the new zero.
+    joint.remove("offset");
+    let mut set = |key: &str, new: toml_edit::Item| match joint.get_mut(key) {
+        Some(old) => {
+            let decor = old.as_value().map(|old| old.decor().clone());
+            *old = new;
+            if let (Some(new), Some(decor)) = (old.as_value_mut(), decor) {
+                *new.decor_mut() = decor;
             }
-            None => drop(joint.insert(key, new)),
-        };
-        set("zero", value(found.zero));
-        set("sign", value(found.sign));
-        if let Some(limits) = found.limits {
-            set("limits", value(limits.into_iter().collect::<Array>()));
         }
+        None => drop(joint.insert(key, new)),
+    };
+    set("zero", value(found.zero));
+    set("sign", value(found.sign));
+    if let Some(limits) = found.limits {
+        set("limits", value(limits.into_iter().collect::<Array>()));
     }
     Ok(document.to_string())
 }
@@ -45,16 +43,12 @@ mod tests {
                     offset = 12\n\n[[joint]]\nname = \"tilt\"\nid = 2\nlimits = [-1.0, 1.0]\nsign = -1\n";
         let found =
             |name: &str, limits| JointCalibration { name: name.to_owned(), zero: 2100, sign: 1, limits };
-        let calibrated =
-            with_calibrations(text, &[found("tilt", None), found("pan", Some([-1.25, 1.0]))]).unwrap();
+        let calibrated = with_calibration(text, &found("tilt", None)).unwrap();
+        let calibrated = with_calibration(&calibrated, &found("pan", Some([-1.25, 1.0]))).unwrap();
         let expected = "# An arm.\nname = \"arm\"\n\n[[joint]]\nname = \"pan\"  # left and right\nid = 1\nlimits = [-1.25, 1.0]  # rad\n\
                         zero = 2100\nsign = 1\n\n[[joint]]\nname = \"tilt\"\nid = 2\nlimits = [-1.0, 1.0]\nsign = 1\nzero = 2100\n";
         assert_eq!(calibrated, expected);
-        assert!(
-            with_calibrations(text, &[found("roll", None)])
-                .unwrap_err()
-                .to_string()
-                .contains("no joint \"roll\"")
-        );
+        let unknown = with_calibration(text, &found("roll", None)).unwrap_err().to_string();
+        assert!(unknown.contains("no joint \"roll\""), "{unknown}");
     }
 }

@@ -13,7 +13,6 @@ pub use crate::edge::{parameter_value, setting_value};
 
 use super::TopicPattern;
 use crate::clock::SimTime;
-use crate::limiter::Limiter;
 use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
 use crate::worker::{Mailbox, WorkerLink};
 use downbeat_executor::{Core, CoreHandle, SettingInfo};
@@ -132,14 +131,14 @@ impl ParameterServer {
         let mut parameters =
             Parameters::new(core.clone(), worker.clone(), name, Arc::downgrade(&side), exposure, settings);
         let requests = Mailbox::new(QUEUE);
-        let served = Served { node, requests: requests.clone() };
+        let qos = QosProfile::PARAMETERS;
         let services = [
-            served.serve("~/get_parameters", Request::Get)?,
-            served.serve("~/get_parameter_types", Request::Types)?,
-            served.serve("~/set_parameters", Request::Set)?,
-            served.serve("~/set_parameters_atomically", Request::SetAtomically)?,
-            served.serve("~/describe_parameters", Request::Describe)?,
-            served.serve("~/list_parameters", Request::List)?,
+            node.serve_into("~/get_parameters", qos, &requests, Request::Get)?,
+            node.serve_into("~/get_parameter_types", qos, &requests, Request::Types)?,
+            node.serve_into("~/set_parameters", qos, &requests, Request::Set)?,
+            node.serve_into("~/set_parameters_atomically", qos, &requests, Request::SetAtomically)?,
+            node.serve_into("~/describe_parameters", qos, &requests, Request::Describe)?,
+            node.serve_into("~/list_parameters", qos, &requests, Request::List)?,
         ];
         let (incoming, sleeper) = (requests.clone(), worker.clone());
         worker.spawn(async move {
@@ -153,27 +152,5 @@ impl ParameterServer {
             }
         });
         Ok(ParameterServices { _services: services, requests, node: Some(side), worker })
-    }
-}
-
-struct Served<'a> {
-    node: &'a Node,
-    requests: Mailbox<Request>,
-}
-
-impl Served<'_> {
-    fn serve<S: downbeat_msgs::Service>(
-        &self,
-        service: &'static str,
-        request: fn(S::Request, Reply<S>) -> Request,
-    ) -> Result<Service, NodeError> {
-        let (requests, unanswered) = (self.requests.clone(), Limiter::default());
-        self.node.serve_later::<S>(service, QosProfile::PARAMETERS, move |body, reply| {
-            if requests.push(request(body, reply)).is_err()
-                && let Some(left_out) = unanswered.allow()
-            {
-                tracing::warn!(service, "a request is not answered: too many others wait{left_out}");
-            }
-        })
     }
 }

@@ -148,7 +148,8 @@ fn set(phase: &mut SyncPhase<'_>, id: ModuleId, setting: String, value: SettingV
         let (module, result) = (cell.name().to_string(), put(cell, &setting, value));
         let given = result.as_ref().ok().map(|value| (setting.clone(), value.clone()));
         let refused = |reason| SettingRefused::Refused { module, setting, reason };
-        answer(receipt, result.map(drop).map_err(refused));
+        let result = result.map(drop).map_err(refused);
+        cell.answer(|| answer(receipt, result));
         if let Some(port) = cell.port::<SettingsPort>(SETTINGS) {
             port.given.extend(given);
         }

@@ -30,6 +30,12 @@ pub trait Body: Send {
         let _ = (index, angle);
     }
 
+    /// Whether a joint is being turned by hand.
+    fn is_in_hand(&self, index: usize) -> bool {
+        let _ = index;
+        false
+    }
+
     /// A step of the owner of the bus begins: see [`MemoryBus`](super::MemoryBus). What others ask of the
     /// body takes effect here, so that its order does not depend on threads.
     fn begin_step(&mut self) {}

@@ -49,6 +49,12 @@ pub trait Devices: Send {
         false
     }
 
+    /// Whether a joint is being turned by hand.
+    fn is_in_hand(&self, joint: &str) -> bool {
+        let _ = joint;
+        false
+    }
+
     /// Holds a button down for a while; `number` is its position on the robot. Devices without buttons ignore
     /// it.
     fn press(&mut self, number: usize, held: Duration) {

@@ -107,6 +107,12 @@ impl Emulator {
         self.shared.world().devices.turn_by_hand(joint, angle)
     }
 
+    /// Whether a joint is being turned by hand, which ends at its angle or when its servo holds it.
+    #[must_use]
+    pub fn is_in_hand(&self, joint: &str) -> bool {
+        self.shared.world().devices.is_in_hand(joint)
+    }
+
     /// Stops the emulator: the port is closed and the link removed when this returns.
     pub fn stop(mut self) {
         self.end();

@@ -139,6 +139,11 @@ impl Devices for Servos {
         index.is_some()
     }
 
+    fn is_in_hand(&self, joint: &str) -> bool {
+        let index = self.plan.joints.iter().position(|known| known.name == joint);
+        index.is_some_and(|index| self.body.is_in_hand(index))
+    }
+
     fn disturb(&mut self, disturbance: Disturbance) {
         if disturbance.supply_v != self.disturbance.supply_v {
             for unit in self.units.iter_mut().filter(|unit| unit.joint.is_some()) {
@@ -557,5 +562,9 @@ impl Body for Joints {
         if let Some(hand) = self.hands.get_mut(index) {
             *hand = Some(angle);
         }
+    }
+
+    fn is_in_hand(&self, index: usize) -> bool {
+        self.hands.get(index).is_some_and(Option::is_some)
     }
 }
