@@ -11,7 +11,10 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
 use common::{Running, downbeat, output_of, python, record_until, recorded_messages, text_of, wait_until};
+use downbeat::bags::{Reader, Selection};
 use downbeat::modules::servo_bus::protocol::{Id, Instruction, Protocol, ReadEntry, WriteEntry};
+use downbeat::msgs::cdr;
+use downbeat::msgs::sensor_msgs::msg::JointState;
 use serde_json::{Value, json};
 
 fn text(path: &Path) -> &str {
@@ -46,6 +49,44 @@ fn robots_run_from_their_files_alone_and_replay_bit_for_bit() {
         let states = topics.iter().find(|topic| topic["topic"] == "/joint_states").unwrap();
         assert!(states.to_string().contains("compared"), "{states}");
     }
+}
+
+/// A URDF as it is for ros2_control's mock hardware: `downbeat run` drives emulated servos by it.
+#[test]
+fn the_servos_of_a_urdf_are_emulated_where_it_names_a_simulation() {
+    let folder = tempfile::tempdir().unwrap();
+    let [robot, bag] = ["robot.toml", "bag"].map(|name| folder.path().join(name));
+    let joint = |name: &str| {
+        format!(
+            "<joint name=\"{name}\" type=\"revolute\"><limit lower=\"-1\" upper=\"1\" velocity=\"1\" effort=\"1\"/></joint>"
+        )
+    };
+    let servo = |name: &str| {
+        format!(
+            "<joint name=\"{name}\"><command_interface name=\"position\"/><state_interface name=\"position\"/></joint>"
+        )
+    };
+    let urdf = format!(
+        "<?xml version=\"1.0\"?>\n<robot name=\"arm\">{}{}\n<ros2_control name=\"body\" type=\"system\"><hardware>\n\
+         <plugin>mock_components/GenericSystem</plugin></hardware>{}{}</ros2_control></robot>",
+        joint("pan"),
+        joint("tilt"),
+        servo("pan"),
+        servo("tilt"),
+    );
+    std::fs::write(folder.path().join("arm.urdf"), urdf).unwrap();
+    let text_of_robot = "[robot]\nname = \"arm\"\n[[module]]\nkind = \"servo_emulator\"\n\
+                         settings = { description = \"arm.urdf\", link = \"memory:body\" }\n[[module]]\nname = \"hardware\"\n\
+                         kind = \"servo_bus\"\nsettings = { description = \"arm.urdf\" }\n";
+    std::fs::write(&robot, text_of_robot).unwrap();
+    text_of(&["run", text(&robot), "--fast", "--duration", "2s", "--record", text(&bag)]);
+    assert!(recorded_messages(&bag, "/joint_states") > 100);
+    let reader = Reader::open(&bag).unwrap();
+    let states = Selection::all().topics([reader.topic("/joint_states").unwrap()]);
+    let state = reader.messages(states).unwrap().last().unwrap().unwrap();
+    assert_eq!(cdr::from_slice::<JointState>(&state.data).unwrap().name, ["pan", "tilt"]);
+    let refused = output_of(&["servo", "calibrate", text(&folder.path().join("arm.urdf"))]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("is a URDF"), "{refused:?}");
 }
 
 #[test]

@@ -65,12 +65,18 @@ impl Peers {
     }
 }
 
-/// Lints and documentation, in the time that tests spend waiting. They have a target folder of their own,
-/// since cargo locks it.
+/// The target folder of lints and documentation, since cargo locks that of the tests.
+const LINTS: &str = "target/lints";
+
+/// Lints and documentation, in the time that tests spend waiting.
 struct Aside(JoinHandle<Vec<(&'static str, anyhow::Result<()>)>>);
 
 impl Aside {
+    /// Begins once the tests are compiled: macros and build scripts are the same, and are not compiled twice.
     fn start() -> anyhow::Result<Self> {
+        if let Err(error) = lend_to_lints() {
+            eprintln!("xtask: lints compile macros and build scripts again: {error:#}");
+        }
         let commands = || {
             let others = ["--features", "benches/zenoh,benches-ros2/security,benches-ros2/zenoh"];
             let mut clippy = Self::command(&["clippy", "--workspace", "--all-targets"]);
@@ -101,7 +107,7 @@ impl Aside {
     /// lock of packages.
     fn command(arguments: &[&str]) -> Command {
         let mut command = Command::new("nice");
-        command.args(["-n", "19", env!("CARGO")]).args(arguments).args(["--target-dir", "target/lints"]);
+        command.args(["-n", "19", env!("CARGO")]).args(arguments).args(["--target-dir", LINTS]);
         command
     }
 
@@ -112,6 +118,21 @@ impl Aside {
         results.into_iter().for_each(|(name, result)| steps.step(name, || result));
         Ok(())
     }
+}
+
+/// Makes what was compiled for tests known to cargo in the target folder of lints. Programs are linked, what
+/// cargo writes into is copied.
+fn lend_to_lints() -> anyhow::Result<()> {
+    let [tests, lints] = ["target/debug", LINTS].map(|folder| workspace().join(folder));
+    let lints = lints.join("debug");
+    if lints.exists() || !tests.exists() {
+        return Ok(());
+    }
+    std::fs::create_dir_all(&lints).with_context(|| lints.display().to_string())?;
+    for (folder, how) in [("deps", "--link"), ("build", "--preserve"), (".fingerprint", "--preserve")] {
+        run(Command::new("cp").args(["--archive", how]).arg(tests.join(folder)).arg(&lints))?;
+    }
+    Ok(())
 }
 
 /// The features that are not enabled by default. The library of MuJoCo is in the Python environment.
@@ -133,7 +154,6 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("formatting", || run(&mut cargo(&["fmt", "--all", "--check"])));
     steps.step("the layout", tidy::tidy);
     steps.step("licences, versions and origins of crates", || audit::in_test_run(&skips));
-    let aside = Aside::start()?;
     let has_nextest = cargo(&["nextest", "--version"]).output().is_ok_and(|output| output.status.success());
     // What waits for the network, beside what computes.
     let installed = std::thread::scope(|scope| {
@@ -147,6 +167,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     let Peers { python, kilted, node_modules } =
         installed.map_err(|_| anyhow::anyhow!("what installs Python packages has panicked"))??;
+    let aside = Aside::start()?;
     let notes = Notes::new()?;
     let first_hour = FirstHour::new()?;
     let tests: &[&str] = if has_nextest {

@@ -326,8 +326,8 @@ impl ModuleCell {
         }
     }
 
-    /// Gives an answer to what another thread has asked of the module. Whoever has it must find in the core what
-    /// it says, so a detached module answers after its run has been posted there.
+    /// Gives an answer to what another thread has asked of the module. Whoever has it must find in the core
+    /// what it says, so a detached module answers after its run has been posted there.
     pub(crate) fn answer(&mut self, answer: impl FnOnce() + Send + 'static) {
         match self.io.id.place {
             Place::Attached(_) => answer(),

@@ -33,6 +33,12 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
     let path = options.description;
     let text = user_file::read_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     let description = Description::load(&path.to_string_lossy())?;
+    if path.extension().is_some_and(|extension| extension == "urdf") {
+        bail!(
+            "{} is a URDF, and calibration is written into a description in TOML; `downbeat servo setup` writes one",
+            path.display()
+        );
+    }
     let plan = description.bus(options.bus)?;
     let mut dialogue = Dialogue { stop: Stop::new()?, lines: input::lines()?, screen: Screen::of_process() };
     println!("All joints of \"{}\" lose their torque now. Hold the robot, and press Enter.", plan.name);

@@ -19,14 +19,16 @@
 //! limits = [-1.9, 1.9]      # rad
 //! ```
 
+mod file;
+mod ros2_control;
+
 use super::bus::LineSettings;
-use super::joint::{Drive, Guard, Joint, Quantity, Registers};
+use super::joint::{Drive, Joint, Quantity, Registers};
 use super::models::{self, Model, Register};
 use super::protocol::{Id, Protocol};
 use downbeat_files::toml::{self, Spanned};
 use downbeat_files::{suggestion, user_file};
-use serde::Deserialize;
-use std::collections::BTreeMap;
+use file::{BusEntry, DeviceEntry, File, ImuEntry, JointEntry, Mode};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -127,7 +129,8 @@ pub enum DescriptionError {
 }
 
 impl Description {
-    /// Reads a file, or parses a text that contains a line break.
+    /// Reads a file, or parses a text that contains a line break. A URDF, a file with the extension `.urdf`
+    /// or a text that begins with `<`, describes servos in its `<ros2_control>` tags.
     ///
     /// # Errors
     /// Returns an error with file and line if the description or a model file that it names is invalid.
@@ -148,7 +151,12 @@ impl Description {
     }
 
     fn checked(source: Source<'_>) -> Result<Self, DescriptionError> {
-        let file: File = source.0.parse()?;
+        let is_urdf = source.0.path().extension().is_some_and(|extension| extension == "urdf")
+            || source.0.text().trim_start().starts_with('<');
+        let file = match is_urdf {
+            true => ros2_control::file(&source)?,
+            false => source.0.parse()?,
+        };
         let own_models = own_models(&source, &file.models)?;
         let mut buses = Vec::new();
         for entry in &file.bus {
@@ -694,130 +702,5 @@ fn milliseconds(ms: f64) -> Duration {
     Duration::from_secs_f64(ms.clamp(0.0, 60_000.0) / 1000.0)
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct File {
-    name: String,
-    #[serde(default)]
-    models: Vec<Spanned<String>>,
-    #[serde(default)]
-    bus: Vec<Spanned<BusEntry>>,
-    #[serde(default)]
-    defaults: Defaults,
-    #[serde(default)]
-    joint: Vec<Spanned<JointEntry>>,
-    #[serde(default)]
-    device: Vec<Spanned<DeviceEntry>>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BusEntry {
-    name: String,
-    port: String,
-    baud: u32,
-    protocol: models::ProtocolName,
-    cycle_ms: f64,
-    #[serde(default)]
-    fast_reads: bool,
-}
-
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Defaults {
-    bus: Option<Spanned<String>>,
-    model: Option<Spanned<String>>,
-    gains: Option<Gains>,
-    max_torque: Option<f64>,
-    max_current_a: Option<f64>,
-    mode: Option<Mode>,
-    max_velocity_rad_s: Option<f64>,
-    command_timeout_s: Option<f64>,
-    approach_rad_s: Option<f64>,
-    guard: Option<Guard>,
-    #[serde(default)]
-    registers: BTreeMap<String, Spanned<i64>>,
-}
-
-/// What the goals of a joint are.
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum Mode {
-    #[default]
-    Position,
-    Velocity,
-    Effort,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JointEntry {
-    name: String,
-    id: u8,
-    bus: Option<Spanned<String>>,
-    model: Option<Spanned<String>>,
-    limits: Option<[f64; 2]>,
-    sign: Option<i64>,
-    zero: Option<i64>,
-    offset: Option<i64>,
-    gear: Option<f64>,
-    gains: Option<Gains>,
-    max_torque: Option<f64>,
-    max_current_a: Option<f64>,
-    mode: Option<Mode>,
-    max_velocity_rad_s: Option<f64>,
-    command_timeout_s: Option<f64>,
-    approach_rad_s: Option<f64>,
-    guard: Option<Guard>,
-    #[serde(default)]
-    registers: BTreeMap<String, Spanned<i64>>,
-}
-
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Gains {
-    p: Option<i64>,
-    i: Option<i64>,
-    d: Option<i64>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DeviceEntry {
-    name: String,
-    id: u8,
-    bus: Option<Spanned<String>>,
-    model: Spanned<String>,
-    #[serde(default)]
-    read: Vec<Spanned<String>>,
-    power: Option<PowerEntry>,
-    battery: Option<BatteryEntry>,
-    imu: Option<ImuEntry>,
-}
-
-/// Registers of the axes forward, left and up; with a minus in front of those that count against them.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ImuEntry {
-    angular_velocity: [Spanned<String>; 3],
-    linear_acceleration: [Spanned<String>; 3],
-    frame: Option<String>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PowerEntry {
-    register: Spanned<String>,
-    wait_ms: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BatteryEntry {
-    register: Spanned<String>,
-    low_v: f64,
-}
-
 #[cfg(test)]
-#[path = "description_tests.rs"]
 mod tests;

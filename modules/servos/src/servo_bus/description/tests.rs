@@ -142,7 +142,7 @@ fn a_model_file_is_relative_to_the_description() {
     let folder = tempfile::tempdir().unwrap();
     let model = models::find("STS3215").unwrap();
     assert_eq!(model.protocols, [Protocol::FeetechSts]);
-    let text = include_str!("models/sts3215.toml")
+    let text = include_str!("../models/sts3215.toml")
         .replace("STS3215", "SCS99")
         .replace("\"feetech_sts\"", "\"feetech_scs\"");
     std::fs::write(folder.path().join("scs.toml"), &text).unwrap();
@@ -157,4 +157,101 @@ fn a_model_file_is_relative_to_the_description() {
     assert!(
         Description::load("/no/such.toml").unwrap_err().to_string().contains("cannot read the description")
     );
+}
+
+/// An arm of a URDF; its plug-in is on line 4, its joints begin on lines 7 and 12.
+fn urdf(plugin: &str, hardware: &str, first: &str, second: &str) -> String {
+    format!(
+        "<robot name=\"arm\">\n<ros2_control name=\"body\" type=\"system\" rw_rate=\"50\">\n<hardware>\n\
+         <plugin>{plugin}</plugin>\n{hardware}\n</hardware>\n\
+         <joint name=\"pan\">\n<param name=\"id\">11</param>\n{first}\n</joint>\n\n\
+         <joint name=\"tilt\">\n<param name=\"id\">12</param>\n{second}\n</joint>\n</ros2_control>\n\
+         <ros2_control name=\"touch\" type=\"sensor\"><hardware><plugin>some/Sensor</plugin></hardware></ros2_control>\n\
+         <joint name=\"pan\" type=\"revolute\"><limit lower=\"-1.5\" upper=\"1.5\" velocity=\"2.0\" effort=\"1\"/></joint>\n\
+         <joint name=\"tilt\" type=\"revolute\"><limit lower=\"-0.5\" upper=\"0.5\" velocity=\"3.0\" effort=\"1\"/></joint>\n\
+         </robot>\n"
+    )
+}
+
+const POSITION: &str = "<command_interface name=\"position\"/>";
+
+#[test]
+fn servos_of_a_urdf_are_those_of_its_plug_ins() {
+    let port = "<param name=\"port_name\">/dev/ttyUSB1</param><param name=\"baud_rate\">57600</param>";
+    let own = "<param name=\"motor_type\">XL330-M288</param><param name=\"gear_ratio\">-2.0</param>\
+               <param name=\"offset\">0.7853981633974483</param>\
+               <command_interface name=\"position\"><param name=\"min\">-1.0</param></command_interface>";
+    let model = "<param name=\"model\">XM430-W350</param>";
+    let velocity = "<command_interface name=\"velocity\"/><command_interface name=\"effort\"/>";
+    let text = urdf("dynamixel_hardware/DynamixelHardware", &format!("{port}{model}"), own, velocity);
+    let description = Description::parse("arm.urdf", &text).unwrap();
+    assert_eq!((description.buses().len(), &*description.name), (1, "arm"), "the sensor is no bus");
+    let bus = description.bus("body").unwrap();
+    assert_eq!((&*bus.port, bus.line.baud, bus.cycle.as_millis()), ("/dev/ttyUSB1", 57_600, 20));
+    assert_eq!(bus.line.protocol, Protocol::Dynamixel2);
+    let [pan, tilt] = &*bus.joints else { panic!("{:?}", bus.joints) };
+    assert_eq!((&*pan.model.name, &*tilt.model.name), ("XL330-M288", "XM430-W350"));
+    assert_eq!((pan.min_rad, pan.max_rad, pan.gear, pan.sign), (-1.0, 1.5, 2.0, -1.0));
+    assert_eq!(pan.zero, 2048 + 512, "an eighth of a turn");
+    let drive = tilt.drive.as_ref().unwrap();
+    assert_eq!((drive.quantity, drive.largest), (Quantity::Velocity, 3.0));
+
+    let feetech = "<param name=\"offset\">2100</param><param name=\"p_coefficient\">8</param>\
+                   <param name=\"homing_offset\">-12</param><command_interface name=\"position\"/>";
+    let port = "<param name=\"usb_port\">/dev/ttyACM0</param>";
+    let text = urdf("feetech_ros2_driver/FeetechHardwareInterface", port, feetech, POSITION);
+    let description = Description::load(&text).unwrap();
+    let [pan, tilt] = &*description.bus("").unwrap().joints else { panic!("{description:?}") };
+    assert_eq!((pan.zero, tilt.zero), (2100, 2048));
+    assert_eq!(pan.gains, [None, None, Some(8)]);
+    assert!(pan.further.iter().any(|(register, raw)| register.name == "homing_offset" && *raw == -12));
+
+    let mock = urdf("mock_components/GenericSystem", "", POSITION, POSITION)
+        .replace("<param name=\"id\">", "<param name=\"unused\">");
+    let description = Description::load(&mock).unwrap();
+    let bus = description.bus("body").unwrap();
+    assert_eq!(bus.port, "memory:body");
+    assert_eq!(bus.joints.iter().map(|joint| joint.id.to_string()).collect::<Vec<_>>(), ["1", "2"]);
+}
+
+#[test]
+fn what_is_missing_in_a_urdf_is_named_with_its_line() {
+    let refused = |text: &str| Description::parse("arm.urdf", text).unwrap_err().to_string();
+    let dynamixel = "dynamixel_hardware/DynamixelHardware";
+    let port = "<param name=\"port\">/dev/ttyUSB1</param>";
+    for (text, expected) in [
+        ("<robot name=\"arm\"/>".to_owned(), "arm.urdf:1: the URDF has no <ros2_control> tag"),
+        ("<robot>\n<joint></robot>".to_owned(), "arm.urdf:2: "),
+        ("<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\"/>".to_owned(), "arm.urdf:1: this is xacro"),
+        (
+            urdf("dynamixel_hardwear/DynamixelHardware", port, POSITION, POSITION),
+            "arm.urdf:4: the plug-in \"dynamixel_hardwear/DynamixelHardware\" is not known here, did you mean \"dynamixel_hardware/DynamixelHardware\"?",
+        ),
+        (urdf(dynamixel, "", POSITION, POSITION), "arm.urdf:2: \"body\" names no port"),
+        (urdf(dynamixel, port, POSITION, POSITION), "arm.urdf:7: joint \"pan\" has no model"),
+        (
+            urdf("downbeat/Feetech", port, POSITION, "<state_interface name=\"position\"/>"),
+            "arm.urdf:12: joint \"tilt\" has no <command_interface>",
+        ),
+        (
+            urdf("downbeat/Feetech", port, POSITION, POSITION).replace("12</param>", "11</param>"),
+            "arm.urdf:12: ",
+        ),
+        (
+            urdf("downbeat/Feetech", port, POSITION, POSITION).replace("-0.5", "low"),
+            "arm.urdf:19: \"low\" is no such number",
+        ),
+        (
+            urdf(
+                "downbeat/Dynamixel",
+                &format!("{port}<param name=\"model\">XM430</param>"),
+                POSITION,
+                POSITION,
+            ),
+            "arm.urdf:7: ",
+        ),
+    ] {
+        let problem = refused(&text);
+        assert!(problem.starts_with(expected), "{problem}");
+    }
 }
