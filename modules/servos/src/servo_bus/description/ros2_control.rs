@@ -190,14 +190,13 @@ impl Tag<'_> {
                 return Err(source.error(at(*tag), problem));
             }
         };
-        let rate =
-            tag.attribute("rw_rate").and_then(|rate| rate.parse::<f64>().ok()).filter(|rate| *rate > 0.0);
+        let rate = tag.attribute("rw_rate").map(|rate| (at(*tag), rate));
         let bus = BusEntry {
             name: name.clone(),
             port,
             baud: self.number(given(&BAUDS))?.unwrap_or(BAUD),
             protocol: ProtocolName(self.protocol(given(&["protocol"]))?),
-            cycle_ms: rate.map_or(CYCLE_MS, |rate| 1000.0 / rate),
+            cycle_ms: self.number::<f64>(rate)?.map_or(CYCLE_MS, |rate| 1000.0 / rate),
             fast_reads: false,
         };
         file.bus.push(Spanned::new(tag.range(), bus));
@@ -261,10 +260,15 @@ impl Tag<'_> {
                 zero = self.number(raw)?.or(zero);
                 None
             }
-            (Offset::Angle, angle) => {
-                let steps = |angle| Some(register("goal_position")?.steps(angle).round() as i64);
-                self.number(angle)?.and_then(steps)
-            }
+            (Offset::Angle, angle) => match (self.number::<f64>(angle)?, register("goal_position")) {
+                (Some(angle), Some(position)) => Some(position.steps(angle).round() as i64),
+                (Some(_), None) => {
+                    return Err(error(
+                        "has an offset in rad, which only built-in models can have: use its zero",
+                    ));
+                }
+                (None, _) => None,
+            },
         };
         let gains = ["p", "i", "d"].map(|key| {
             let robotis = format!("Position {} Gain", key.to_uppercase());

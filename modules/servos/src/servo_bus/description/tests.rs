@@ -238,6 +238,23 @@ fn what_is_missing_in_a_urdf_is_named_with_its_line() {
             "arm.urdf:12: ",
         ),
         (
+            urdf("downbeat/Feetech", port, POSITION, POSITION).replace("\"50\"", "\"fast\""),
+            "arm.urdf:2: \"fast\" is no such number",
+        ),
+        (
+            urdf("downbeat/Feetech", port, POSITION, POSITION).replace("\"50\"", "\"0\""),
+            "arm.urdf:2: bus \"body\" has a cycle of inf ms",
+        ),
+        (
+            urdf(
+                dynamixel,
+                &format!("{port}<param name=\"model\">MINE</param>"),
+                &format!("<param name=\"offset\">0.1</param>{POSITION}"),
+                POSITION,
+            ),
+            "arm.urdf:7: joint \"pan\" has an offset in rad",
+        ),
+        (
             urdf("downbeat/Feetech", port, POSITION, POSITION).replace("-0.5", "low"),
             "arm.urdf:19: \"low\" is no such number",
         ),
