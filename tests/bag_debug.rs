@@ -11,7 +11,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use common::{downbeat, output_of, text_of};
+use common::{downbeat, open_with_stock_readers, output_of, text_of};
 
 const WALK: &str = "bags/recordings/darwin_op_walk_simulated";
 const WALKER: &str = "bags/recordings/darwin_op_walk_simulated.toml";
@@ -241,6 +241,7 @@ fn a_replay_with_a_change_says_where_the_runs_part() {
     }
     // The bag of the run with the change is a bag.
     assert!(text_of(&["bag", "check", report.join("after").to_str().unwrap()]).contains("0 problems"));
+    open_with_stock_readers(&report.join("after"));
 
     let same = text_of(&["bag", "replay", WALKER, WALK, "--with", "gait.period=0.6"]);
     assert!(same.contains("the two runs are the same"), "{same}");
@@ -279,6 +280,7 @@ fn talker(folder: &Path) -> (PathBuf, PathBuf) {
     let line =
         ["run", robot.to_str().unwrap(), "--fast", "--duration", "2s", "--record", bag.to_str().unwrap()];
     text_of(&line);
+    open_with_stock_readers(&bag);
     (robot, bag)
 }
 

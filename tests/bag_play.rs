@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{Running, WATCHDOG, output_of, text_of};
+use common::{Running, WATCHDOG, open_with_stock_readers, output_of, text_of};
 use downbeat::bags::{TopicDescription, WriterOptions};
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
 use downbeat::bridge::ros::{Node, NodeName, Participant};
@@ -48,6 +48,7 @@ fn bag(folder: &Path, count: i64) -> PathBuf {
         writer.write(chatter, time, time, &string(format!("number {n}"))).unwrap();
     }
     writer.finish().unwrap();
+    open_with_stock_readers(&bag);
     bag
 }
 

@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::{QUIET_ROBOT, output_of, text_of};
+use common::{QUIET_ROBOT, open_with_stock_readers, output_of, text_of};
 use downbeat::bags::metadata::{Metadata, RecordedQos};
 use downbeat::bags::{
     McapOptions, Reader, Selection, Storage, StorageOptions, TopicDescription, WriterOptions,
@@ -71,6 +71,7 @@ fn a_bag_is_checked_and_a_damaged_one_is_repaired() {
     let printed = text_of(&["bag", "reindex", text(&repaired)]);
     assert!(printed.contains(&format!("of {} messages", count(&damaged))), "{printed}");
     assert!(text_of(&["bag", "check", text(&repaired)]).contains("found 0 problems"));
+    open_with_stock_readers(&repaired);
 }
 
 /// What others know of a bag beside its messages.
@@ -113,6 +114,9 @@ fn what_a_bag_says_of_itself_survives_reindexing_repair_and_conversion() {
         let converted = folder.path().join(format!("{storage}_converted"));
         text_of(&["bag", "convert", text(&bag), "-s", storage.identifier(), "-o", text(&converted)]);
         assert_eq!(described(&converted), original, "converted");
+        if storage == Storage::Mcap {
+            [bag, repaired, converted].iter().for_each(|bag| open_with_stock_readers(bag));
+        }
     }
 }
 
@@ -149,6 +153,9 @@ fn bags_are_filtered_merged_cut_and_compared() {
     let latched = Reader::open(at("latched")).unwrap();
     let id = latched.topic("/reference/robot_description").unwrap();
     assert_eq!(latched.topics()[id.index()].message_count, 1, "was published before");
+    ["imu", "rest", "all", "split", "second", "latched"]
+        .iter()
+        .for_each(|name| open_with_stock_readers(&at(name)));
     let output = output_of(&["bag", "convert", text(&bag), "-o", text(&at("none")), "--topics", "/imu"]);
     let message = String::from_utf8(output.stderr).unwrap();
     assert!(message.contains("the bag has no topic /imu; it has "), "{message}");
@@ -265,6 +272,7 @@ fn unreadable_parts_of_a_bag_are_an_error_after_the_rest_was_copied() {
     std::fs::write(at("unended.mcap"), &unended).unwrap();
     text_of(&["bag", "convert", text(&at("unended.mcap")), "-o", text(&at("whole"))]);
     assert_eq!(count(&at("whole")), 100);
+    ["converted", "cut", "whole"].iter().for_each(|name| open_with_stock_readers(&at(name)));
 }
 
 #[test]
@@ -323,6 +331,7 @@ fn a_flipped_bit_in_a_recording_costs_at_most_a_message_and_is_told() {
     let output = output_of(&["bag", "convert", text(&damaged), "--output", text(&converted)]);
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(count(&converted), count(&repaired));
+    [converted, repaired].iter().for_each(|bag| open_with_stock_readers(bag));
 }
 
 #[test]

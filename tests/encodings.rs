@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use common::{QUIET_ROBOT, output_of, python, record_until, robot_file, text_of};
+use common::{QUIET_ROBOT, output_of, python, robot_file, run_until_recorded, text_of};
 use downbeat::bags::{Reader, Selection, TopicDescription, WriterOptions};
 use downbeat::bridge::edge::Interfaces;
 use downbeat::encoding::{RecordedType, topic_info};
@@ -22,7 +22,7 @@ fn text(path: &Path) -> &str {
 fn recorded(folder: &Path, arguments: &[&str], change: impl Fn(String) -> String) -> PathBuf {
     let (robot, bag) = (robot_file(folder, change), folder.join("bag"));
     let common = ["bag", "record", "--robot", text(&robot), "--output", text(&bag)];
-    record_until(&[&common[..], arguments].concat(), &bag, "/joint_states", 150);
+    run_until_recorded(&[&common[..], arguments].concat(), &bag, "/joint_states", 150);
     bag
 }
 

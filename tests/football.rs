@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{downbeat, text_of};
+use common::{downbeat, open_with_stock_readers, text_of};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
@@ -52,6 +52,7 @@ fn a_match_is_played_recorded_and_replayed_bit_for_bit() {
     play(&bags[1], &[]);
     play(&bags[2], &["-p", "match.seed:=2"]);
     assert!(are_same(&bags[0], &bags[1]) && !are_same(&bags[0], &bags[2]));
+    open_with_stock_readers(&bags[0]);
     for launcher in ["linear", "pool:2"] {
         let bag = bags[0].to_str().unwrap();
         let replay = text_of(&["bag", "replay", "robots/match.toml", bag, "--launcher", launcher]);
@@ -87,6 +88,7 @@ fn a_match_runs_again_with_world_referee_and_camera_picture_for_picture() {
     assert_eq!(seen[0], seen[1]);
     assert_ne!(seen[0], seen[2]);
     assert!(are_same(&bags[0], &bags[1]) && !are_same(&bags[0], &bags[2]));
+    open_with_stock_readers(&bags[0]);
 
     let replay = |bag: &Path, launcher: &str, more: &[&str]| {
         let line =

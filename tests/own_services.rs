@@ -8,7 +8,7 @@ mod common;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use common::{Running, downbeat};
+use common::{Running, downbeat, open_with_stock_readers};
 use test_machine::{free_domain, has_compilers};
 
 fn shell(folder: &Path, command: &str) {
@@ -220,6 +220,7 @@ fn libraries_serve_and_call_a_service_that_only_they_know() {
     assert!(echoed.contains("frame_id") && echoed.contains("angle: "), "{echoed}");
     robot.interrupt();
 
+    open_with_stock_readers(&folder.join("morning"));
     let info = text(&command(folder, &domain, &["bag", "info", "morning"]).output().unwrap());
     assert!(info.contains("lab_msgs/msg/Tilt"), "{info}");
     let replay = || {
@@ -331,6 +332,7 @@ fn a_call_to_ros_has_the_type_of_the_module_or_of_the_file() {
     assert!(echoed.contains("data: "), "{echoed}\n{}", robot.output());
     robot.interrupt();
     server.interrupt();
+    open_with_stock_readers(&folder.join("called"));
     // The bag contains the answers of the server, so it replays without it.
     let replayed = command(folder, &domain, &["bag", "replay", "caller.toml", "called"]).output().unwrap();
     assert!(replayed.status.success(), "{}", text(&replayed));
@@ -643,6 +645,7 @@ fn serve_and_use_an_action(
     let refused = send("{angle: 4.0}", &[]);
     assert!(refused.contains("Goal was rejected"), "{refused}");
     robot.interrupt();
+    open_with_stock_readers(&folder.join("turned"));
     let replayed = command(folder, domain, &["bag", "replay", "robot.toml", "turned"]).output().unwrap();
     let said = text(&replayed);
     assert!(replayed.status.success() && said.contains("get_result answers"), "{said}");

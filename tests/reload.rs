@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-use common::{Running, downbeat, recorded_messages, wait_until};
+use common::{Running, downbeat, open_with_stock_readers, recorded_messages, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::ModuleEvent;
@@ -166,6 +166,7 @@ fn a_library_that_raised_starts_again_when_it_is_saved_and_all_versions_replay()
         site.wait_for_more("/sum");
         robot.interrupt();
 
+        open_with_stock_readers(&site.path().join("bag"));
         assert_eq!(site.events(ModuleEvent::MADE).len(), 2, "{keys}");
         let restarts = site.events(ModuleEvent::COMMAND);
         let restarts = restarts.iter().filter(|event| event.command == "restart" && event.module == "sums");

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{WATCHDOG, wait_until};
+use common::{WATCHDOG, open_with_stock_readers, wait_until};
 use downbeat::App;
 use downbeat::bags::{Reader, Recording, Selection, WriterOptions};
 use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
@@ -357,6 +357,7 @@ fn recorded_robot(text: &str, gates: &Arc<[Gate]>, command: impl FnOnce(&Command
     });
     drop(built);
     recording.finish().unwrap();
+    open_with_stock_readers(&bag);
     Recorded { app, robot, bag, _folder: folder }
 }
 
@@ -518,6 +519,7 @@ fn recorded_in_domain(domain: u16, command: impl FnOnce()) -> Recorded {
     let running = prepared.start().unwrap();
     command();
     running.stop().unwrap();
+    open_with_stock_readers(&bag);
     Recorded { app, robot, bag, _folder: folder }
 }
 

@@ -6,7 +6,7 @@ mod common;
 
 use std::path::Path;
 
-use common::{output_of, record_until, recorded_messages, text_of};
+use common::{open_with_stock_readers, output_of, record_until, recorded_messages, text_of};
 use serde_json::Value;
 
 const ROBOT: &str = "robots/sensors.toml";
@@ -40,6 +40,7 @@ fn emulated_sensors_in_simulated_time_give_the_same_bag_in_every_run_and_replay(
     // `diagnostics` of the process contains times of this machine.
     text_of(&["bag", "diff", text(&one), text(&two), "--ignore", "diagnostics"]);
     assert!(recorded_messages(&one, "/scan") > 40 && recorded_messages(&one, "/imu/data") > 400);
+    open_with_stock_readers(&one);
     let compared = compared(ROBOT, text(&one));
     assert!(TOPICS.iter().all(|topic| compared.contains(&(*topic).to_owned())), "{compared:?}");
 }

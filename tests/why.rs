@@ -27,6 +27,11 @@ fn json(arguments: &[&str]) -> Value {
     serde_json::from_str(&text_of(&[arguments, &["--json"]].concat())).unwrap()
 }
 
+/// Whether a run has that cause; a late one has all that came in the meantime.
+fn has_cause(run: &Value, cause: &str) -> bool {
+    run["causes"].as_array().unwrap().iter().any(|of| of == cause)
+}
+
 fn refusal(arguments: &[&str]) -> String {
     let output = output_of(arguments);
     assert!(!output.status.success(), "{arguments:?}");
@@ -41,11 +46,13 @@ fn a_goal_of_the_darwin_op_is_traced_to_its_servos_and_the_chain_is_measured() {
     let why = json(&["bag", "why", bag, "joint_goals#50"]);
     assert_eq!(why["is_exact"], true);
     let mux = &why["message"]["from"]["run"];
-    assert_eq!((&mux["module"], &mux["causes"][0]), (&"mux".into(), &"messages".into()));
+    assert_eq!(mux["module"], "mux");
+    assert!(has_cause(mux, "messages"), "{mux}");
     let command = &mux["received"][0];
     assert_eq!(command["topic"], "motion/joint_commands");
     let motion = &command["from"]["run"];
-    assert_eq!((&motion["module"], &motion["causes"][0]), (&"motion".into(), &"timer".into()));
+    assert_eq!(motion["module"], "motion");
+    assert!(has_cause(motion, "timer"), "{motion}");
     let states = &motion["remembered"][0];
     assert_eq!((&states["topic"], &states["module"]), (&"joint_states".into(), &"hardware".into()));
     let hardware = &states["from"]["run"];

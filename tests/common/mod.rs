@@ -10,6 +10,8 @@ pub mod new_user;
 pub mod program;
 #[path = "../../bridge/tests/common/rclpy.rs"]
 pub mod rclpy;
+#[path = "../../bags/tests/bags/stock_readers.rs"]
+mod stock_readers;
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -86,6 +88,13 @@ pub fn text_of(arguments: &[&str]) -> String {
 /// Records until the bag has `count` messages on a topic, however long that takes. Returns the output of the
 /// program.
 pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> String {
+    let output = run_until_recorded(arguments, bag, topic, count);
+    open_with_stock_readers(bag);
+    output
+}
+
+/// The same of a bag in an encoding that the stock readers do not know.
+pub fn run_until_recorded(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> String {
     let mut recording = Running::start(arguments);
     let start = Instant::now();
     while recorded_messages(bag, topic) < count {
@@ -100,6 +109,14 @@ pub fn record_until(arguments: &[&str], bag: &Path, topic: &str, count: u64) -> 
     }
     recording.interrupt();
     recording.output()
+}
+
+/// Opens a bag with the readers that others wrote, which must find the messages that we find.
+#[track_caller]
+pub fn open_with_stock_readers(bag: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    std::os::unix::fs::symlink(bag, folder.path().join("bag")).unwrap();
+    stock_readers::open_bags(folder.path());
 }
 
 /// Returns the number of messages on a topic of a bag, which may still be being written.

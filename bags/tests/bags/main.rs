@@ -24,8 +24,11 @@ mod salvage;
 mod splits;
 #[cfg(feature = "sqlite")]
 mod sqlite;
+mod stock_readers;
 mod storage;
 mod support;
 mod types;
 #[cfg(target_os = "linux")]
 mod under_load;
+
+use downbeat_bags::Reader;

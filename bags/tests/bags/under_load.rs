@@ -7,7 +7,6 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::os::linux::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -23,11 +22,11 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::sensor_msgs::msg::CompressedImage;
 use downbeat_msgs::std_srvs::srv::SetBoolEvent;
-use serde_json::{Value, json};
 
 use crate::disk::SmallDisk;
 use crate::interrupted::{BAG, child, kill};
-use crate::python::{read_with_python, topic};
+use crate::python::topic;
+use crate::stock_readers;
 
 /// How many minutes the longest recording takes.
 const MINUTES: &str = "DOWNBEAT_MINUTES";
@@ -164,37 +163,11 @@ fn count_in_order(bag: &Path) -> u64 {
 /// Opens all bags in the folder with other readers, which must find the messages that we find. Returns the
 /// names of the readers.
 fn open_with_others(folder: &Path) -> String {
-    let mut ours: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
     for bag in fs::read_dir(folder).unwrap() {
-        let path = bag.unwrap().path();
-        let reader = Reader::open(&path).unwrap();
-        assert_eq!(reader.truncation().count(), 0, "{}", path.display());
-        let topics = reader.topics().iter().filter(|topic| topic.message_count > 0);
-        let counts = topics.map(|topic| (topic.info.name.clone(), topic.message_count)).collect();
-        ours.insert(path.file_name().unwrap().to_str().unwrap().to_owned(), counts);
+        let bag = bag.unwrap().path();
+        assert_eq!(Reader::open(&bag).unwrap().truncation().count(), 0, "{}", bag.display());
     }
-    let mut readers = Vec::new();
-    if let Some(found) = read_with_python("open_bags.py", folder) {
-        for (bag, counts) in &ours {
-            assert_eq!(found[bag]["rosbags"], json!(counts), "{bag}");
-            // It reads no names of parts of services.
-            let messages: BTreeMap<_, _> =
-                counts.iter().filter(|(topic, _)| !topic.ends_with("/_service_event")).collect();
-            assert_eq!(found[bag]["mcap_ros2"], json!(messages), "{bag}");
-        }
-        readers.extend(["rosbags", "mcap-ros2-support"]);
-    }
-    if let Some(modules) = test_machine::node_modules() {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node/count_messages.mjs");
-        let mut command = Command::new("node");
-        command.arg(script).arg(folder).env("DOWNBEAT_NODE_MODULES", modules);
-        let output = command.output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let found: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(found, json!(ours));
-        readers.push("@mcap/core");
-    }
-    readers.join(", ")
+    stock_readers::open_bags(folder).join(", ")
 }
 
 /// Copies what can be read of a bag into a whole one, and returns the number of its messages.

@@ -1,5 +1,5 @@
 """Opens bags with `rosbags`, which compares the type hashes, and with `mcap-ros2-support`; decodes every message with both.
-Prints for each bag, by reader, the number of decoded messages of each topic, or why the bag cannot be opened.
+Prints for each reader, by bag, the number of decoded messages of each topic, or why the bag cannot be opened.
 
 Usage: open_bags.py FOLDER, whose folders are the bags. `mcap-ros2-support` reads no names of parts of services and actions: their topics
 are left out there.
@@ -36,12 +36,11 @@ def with_mcap_ros2(bag: Path) -> dict:
     return counts
 
 
-found = {}
+found = {"rosbags": {}, "mcap_ros2": {}}
 for bag in sorted(Path(sys.argv[1]).iterdir()):
-    found[bag.name] = {}
     for name, read in (("rosbags", with_rosbags), ("mcap_ros2", with_mcap_ros2)):
         try:
-            found[bag.name][name] = read(bag)
+            found[name][bag.name] = read(bag)
         except Exception as error:  # reported to the test, which names the bag
-            found[bag.name][name] = repr(error)
+            found[name][bag.name] = repr(error)
 print(json.dumps(found))
