@@ -8,7 +8,7 @@ use bytes::Bytes;
 use downbeat_bags::metadata::RecordedQos;
 use downbeat_bags::{MessageFormat, RecordedTopic, TopicDescription};
 use downbeat_edge::{Interfaces, KnownType, UnknownType};
-use downbeat_msgs::dynamic::{Definitions, RecordedDefinition, TypeLookupError};
+use downbeat_msgs::dynamic::{Definitions, RecordedDefinition, Schemas, TypeLookupError};
 use downbeat_msgs::encoding::{self, Codec, Encoding};
 use downbeat_msgs::foxglove;
 
@@ -126,8 +126,8 @@ impl RecordedType {
         let Some(format) = topic.info.format.as_ref().filter(|_| !topic.info.is_cdr()) else {
             let message_type = interfaces.find_message(&topic.info.type_name)?;
             // Messages that pass through as bytes are those of the recorded definition.
-            let recorded = topic.info.type_hash.as_str();
-            if message_type.is_raw() && !recorded.is_empty() && recorded != message_type.hash() {
+            let is_other = || recorded_hash(&topic.info).is_some_and(|hash| hash != message_type.hash());
+            if message_type.is_raw() && is_other() {
                 return Err(RecordedTypeError::Definition {
                     topic: topic.info.name.clone(),
                     type_name: message_type.name().into(),
@@ -188,5 +188,39 @@ impl RecordedType {
             Some(codec) => codec.decode(&data).map(Bytes::from),
             None => Ok(data),
         }
+    }
+}
+
+/// The hash of the definition in a bag; many recorders write the text alone.
+fn recorded_hash(info: &TopicDescription) -> Option<String> {
+    if !info.type_hash.is_empty() {
+        return Some(info.type_hash.clone());
+    }
+    let mut schemas = Schemas::new("the bag");
+    schemas.add(&info.type_name, "ros2msg", &info.definition).ok()?;
+    Definitions::new().with(schemas).find_text(&info.type_name).ok().map(|(_, hash)| hash)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use downbeat_bags::Reader;
+
+    #[test]
+    fn another_definition_is_refused_also_where_a_bag_has_no_hash() {
+        let bag =
+            Reader::open(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/bags/idl_simple.mcap")).unwrap();
+        let of = |fields: &str| {
+            let interfaces = Interfaces::carried();
+            let rule = "=".repeat(80);
+            interfaces
+                .learn("my_msgs/msg/Simple", &format!("{rule}\nMSG: my_msgs/msg/Simple\n{fields}"))
+                .unwrap();
+            RecordedType::of(&bag.topics()[0], &interfaces)
+        };
+        assert!(bag.topics()[0].info.type_hash.is_empty());
+        assert!(of("int32 a\nfloat64 b\n").is_ok());
+        assert!(matches!(of("int64 a\nfloat64 b\n"), Err(RecordedTypeError::Definition { .. })));
     }
 }
