@@ -150,6 +150,14 @@ fn the_robot_file_of_the_simulated_darwin_op_is_one() {
 
 #[test]
 fn cyclone_dds_spawns_and_deletes_a_parcel() {
+    let resource = json!({"resource_string": "kind = \"box\"\nsize = [0.2, 0.1, 0.1]"});
+    // As the two versions of simulation_interfaces have it.
+    spawn_and_delete("", "SpawnEntity", &resource);
+    let of_version_2 = json!({ "entity_resource": resource });
+    spawn_and_delete(", interfaces = \"2.1\"", "SpawnEntity 2.1", &of_version_2);
+}
+
+fn spawn_and_delete(settings: &str, spawn: &str, resource: &Value) {
     let domain = free_domain();
     let Some(mut peer) = Peer::cyclonedds(domain) else { return };
     let folder = tempfile::tempdir().unwrap();
@@ -157,11 +165,10 @@ fn cyclone_dds_spawns_and_deletes_a_parcel() {
     let world = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/worlds/field.toml");
     let services = "services = [\"simulator/spawn_entity\", \"simulator/delete_entity\"]\n";
     let text = ROBOT.replace("LAUNCHER", "").replace("WORLD", world) + services;
-    std::fs::write(&robot, text).unwrap();
+    std::fs::write(&robot, text.replace(", camera_hz = 5.0", settings)).unwrap();
     let mut program = Running::start(&["run", robot.to_str().unwrap(), "--domain", &domain.to_string()]);
     let mut ask = |name: &str, fields: Value| {
-        let service =
-            format!("/simulator/{}", if name == "SpawnEntity" { "spawn_entity" } else { "delete_entity" });
+        let service = format!("/simulator/{}", if name == spawn { "spawn_entity" } else { "delete_entity" });
         let kind = format!("simulation_interfaces/srv/{name}");
         let answer = peer.ask(json!({"do": "request", "service": service, "type": kind, "fields": fields}));
         assert!(answer.is_object(), "no answer of {service}:\n{}", program.output());
@@ -171,19 +178,19 @@ fn cyclone_dds_spawns_and_deletes_a_parcel() {
         "position": {"x": 1.0, "y": 0.5, "z": 0.3},
         "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
     });
-    let parcel = json!({
+    let mut parcel = json!({
         "name": "parcel",
         "allow_renaming": false,
-        "entity_resource": {"resource_string": "kind = \"box\"\nsize = [0.2, 0.1, 0.1]"},
         "initial_pose": {"header": {"frame_id": "world"}, "pose": pose},
     });
-    let spawned = ask("SpawnEntity", parcel.clone());
+    parcel.as_object_mut().unwrap().extend(resource.as_object().unwrap().clone());
+    let spawned = ask(spawn, parcel.clone());
     assert_eq!(
         (&spawned["result"]["result"], &spawned["entity_name"]),
         (&json!(1), &json!("parcel")),
         "{spawned}"
     );
-    let again = ask("SpawnEntity", parcel);
+    let again = ask(spawn, parcel);
     assert_eq!(again["result"]["result"], 101, "the name is taken: {again}");
     let deleted = ask("DeleteEntity", json!({"entity": "parcel"}));
     assert_eq!(deleted["result"]["result"], 1, "{deleted}");

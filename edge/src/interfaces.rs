@@ -115,8 +115,22 @@ impl Interfaces {
     /// # Errors
     /// [`InterfaceConflict`] if a name of the set is registered with another definition.
     pub fn with(&self, set: impl InterfaceSet) -> Result<Self, InterfaceConflict> {
-        let tables = Arc::new(Tables::clone(&self.tables).with(set)?);
-        Ok(Self { tables, registered: Arc::default(), learned: Arc::clone(&self.learned) })
+        let tables = Tables::clone(&self.tables).with(set, OtherVersions::Refused)?;
+        Ok(self.of_tables(tables))
+    }
+
+    /// Returns these interfaces with the Rust types of another version of packages that are known: modules may
+    /// use them, while a name alone still means the known version.
+    #[must_use]
+    pub fn with_other_version(&self, set: impl InterfaceSet) -> Self {
+        match Tables::clone(&self.tables).with(set, OtherVersions::Admitted) {
+            Ok(tables) => self.of_tables(tables),
+            Err(_) => self.clone(), // none is refused
+        }
+    }
+
+    fn of_tables(&self, tables: Tables) -> Self {
+        Self { tables: Arc::new(tables), registered: Arc::default(), learned: Arc::clone(&self.learned) }
     }
 
     /// The same interfaces for one robot of several in a program: what clones of these learn later is not
@@ -468,34 +482,43 @@ impl fmt::Debug for Interfaces {
 }
 
 static CARRIED: LazyLock<Arc<Tables>> = LazyLock::new(|| {
-    let tables = Tables::default().with(downbeat_msgs::INTERFACES);
+    let tables = Tables::default().with(downbeat_msgs::INTERFACES, OtherVersions::Refused);
     Arc::new(tables.unwrap_or_else(|conflict| panic!("what is carried is wrong: {conflict}")))
 });
 
 impl Tables {
-    fn with(self, set: impl InterfaceSet) -> Result<Self, InterfaceConflict> {
-        let mut registration = Registration { tables: self, conflict: None };
+    fn with(self, set: impl InterfaceSet, other_versions: OtherVersions) -> Result<Self, InterfaceConflict> {
+        let mut registration = Registration { tables: self, other_versions, conflict: None };
         set.visit(&mut registration);
         registration.conflict.map_or(Ok(registration.tables), Err)
     }
 }
 
+/// Whether a known name may come with another definition.
+#[derive(Clone, Copy, PartialEq)]
+enum OtherVersions {
+    Refused,
+    /// The name stays with the known one.
+    Admitted,
+}
+
 /// Registers the interfaces of a set.
 struct Registration {
     tables: Tables,
+    other_versions: OtherVersions,
     conflict: Option<InterfaceConflict>,
 }
 
 impl Registration {
-    /// Returns true if the name is new, or has the same definition.
+    /// Returns true if the name is new or has the same definition, or another one is admitted.
     fn admits(&mut self, hash: &'static str, known: Option<&'static str>, of: &'static Description) -> bool {
         match known.filter(|known| *known != hash) {
-            Some(known) => {
+            Some(known) if self.other_versions == OtherVersions::Refused => {
                 let conflict = InterfaceConflict { name: of.type_name, known, other: hash };
                 self.conflict.get_or_insert(conflict);
                 false
             }
-            None => {
+            _ => {
                 self.tables.descriptions.insert(hash, of);
                 true
             }
@@ -619,6 +642,17 @@ mod tests {
         assert_eq!(carried, other);
         assert_eq!(carried.rust_type(), TypeId::of::<downbeat_msgs::std_msgs::msg::Bool>());
         assert_eq!(other.rust_type(), TypeId::of::<Bool>());
+        assert_eq!(interfaces.messages().count(), Interfaces::carried().messages().count());
+    }
+
+    #[test]
+    fn another_version_is_found_by_its_rust_type_and_its_hash_alone() {
+        let interfaces = Interfaces::carried().with_other_version(WideInt8::INTERFACES);
+        let known = interfaces.message("std_msgs/msg/Int8").unwrap();
+        assert_eq!(known.hash(), downbeat_msgs::std_msgs::msg::Int8::TYPE_HASH);
+        let other = interfaces.message_of(TypeId::of::<WideInt8>()).unwrap();
+        assert_eq!(other.hash(), WideInt8::TYPE_HASH);
+        assert_eq!(interfaces.described(WideInt8::TYPE_HASH).unwrap().type_name, "std_msgs/msg/Int8");
         assert_eq!(interfaces.messages().count(), Interfaces::carried().messages().count());
     }
 

@@ -57,6 +57,8 @@ impl Catalog {
         // No carried interface has the names of these.
         #[cfg(feature = "leagues")]
         let interfaces = interfaces.with(downbeat_football::INTERFACES).unwrap_or_default();
+        #[cfg(feature = "physics")]
+        let interfaces = interfaces.with_other_version(downbeat_physics::version_2::INTERFACES);
         #[cfg(feature = "sensors")]
         let interfaces = interfaces.with(downbeat_sensors::INTERFACES).unwrap_or_default();
         #[cfg(feature = "state_machine")]

@@ -210,6 +210,20 @@ class SpawnEntityRequest(IdlStruct, typename="simulation_interfaces::srv::dds_::
     seq: types.int64
     name: str
     allow_renaming: bool
+    uri: str
+    resource_string: str
+    entity_namespace: str
+    initial_pose: PoseStamped
+
+
+@dataclass
+class SpawnEntityRequest2(IdlStruct, typename="simulation_interfaces::srv::dds_::SpawnEntity_Request_"):
+    """Of version 2.1."""
+
+    guid: types.uint64
+    seq: types.int64
+    name: str
+    allow_renaming: bool
     entity_resource: Resource
     entity_namespace: str
     initial_pose: PoseStamped
@@ -339,6 +353,7 @@ SERVICES = {
     ),
     "controller_manager_msgs/srv/SwitchController": (SwitchControllerRequest, SwitchControllerResponse),
     "simulation_interfaces/srv/SpawnEntity": (SpawnEntityRequest, SpawnEntityResponse),
+    "simulation_interfaces/srv/SpawnEntity 2.1": (SpawnEntityRequest2, SpawnEntityResponse),
     "simulation_interfaces/srv/DeleteEntity": (DeleteEntityRequest, DeleteEntityResponse),
 }
 

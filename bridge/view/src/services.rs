@@ -4,6 +4,7 @@ use crate::outbox::{Frame, Outbox};
 use crate::protocol::call_failure;
 use downbeat_edge::{EncodedCaller, Interfaces, KnownService};
 use downbeat_executor::{Core, ServiceInfo, SetupError};
+use downbeat_msgs::dynamic::{Definitions, Schemas};
 use serde_json::{Value, json};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -33,8 +34,17 @@ pub(crate) fn shown(core: &mut Core, interfaces: &Interfaces) -> Result<Vec<Show
     let mut shown = Vec::new();
     for (id, info) in (1..).zip(served) {
         let Some(service_type) = interfaces.service_in(core, &info.name) else { continue };
-        let text =
-            |part| definitions.find_text(&format!("{}_{part}", service_type.name())).map(|found| found.0);
+        let name = service_type.name();
+        // Of another version than the name stands for.
+        let own =
+            interfaces.service(name).is_ok_and(|known| known.hash() != service_type.hash()).then(|| {
+                let mut schemas = Schemas::new("the service");
+                schemas
+                    .add(name, "ros2msg", service_type.definition())
+                    .map(|()| Definitions::new().with(schemas))
+            });
+        let definitions = own.as_ref().and_then(|own| own.as_ref().ok()).unwrap_or(&definitions);
+        let text = |part| definitions.find_text(&format!("{name}_{part}")).map(|found| found.0);
         let (Ok(request), Ok(response)) = (text("Request"), text("Response")) else { continue };
         let caller = service_type.caller(core, &info.name)?;
         shown.push(ShownService { id, name: info.name, service_type, texts: [request, response], caller });

@@ -48,6 +48,12 @@ pub mod tasks;
 mod world;
 mod world_file;
 
+/// Version 2.1 of simulation_interfaces, as far as it differs from the carried one.
+#[allow(rustdoc::broken_intra_doc_links)] // units in brackets, as ROS writes them in comments of messages
+pub mod version_2 {
+    downbeat_msgs::include_interfaces!();
+}
+
 pub use arena::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Picture, RobotTruth};
 pub use error::SimulationError;
 pub use harness::{DARWIN_OP, SimulatedRobot, SimulatedRunError};

@@ -11,7 +11,7 @@ use downbeat_msgs::simulation_interfaces::action::{
     SimulateStepsSendGoalRequest, SimulateStepsSendGoalResponse,
 };
 use downbeat_msgs::simulation_interfaces::msg::{
-    EntityCategory, Resource, Result as Outcome, SimulationState, SimulatorFeatures,
+    EntityCategory, Result as Outcome, SimulationState, SimulatorFeatures,
 };
 use downbeat_msgs::simulation_interfaces::srv::{
     DeleteEntityRequest, DeleteEntityResponse, GetEntitiesRequest, GetEntitiesResponse,
@@ -21,6 +21,7 @@ use downbeat_msgs::simulation_interfaces::srv::{
     SpawnEntityRequest, SpawnEntityResponse, StepSimulationRequest, StepSimulationResponse,
 };
 use downbeat_physics::simulator::HumanoidSimulator;
+use downbeat_physics::version_2::simulation_interfaces as version_2;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -92,8 +93,7 @@ impl Robot {
     fn spawn(&mut self, name: &str, resource: &str, position: [f64; 3]) -> SpawnEntityResponse {
         let mut request = SpawnEntityRequest { name: name.into(), ..Default::default() };
         let is_description = resource.contains('=');
-        let Resource { uri, resource_string } = &mut request.entity_resource;
-        *(if is_description { resource_string } else { uri }) = resource.into();
+        *(if is_description { &mut request.resource_string } else { &mut request.uri }) = resource.into();
         let [x, y, z] = position;
         request.initial_pose.pose.position = Point { x, y, z };
         self.call("simulator/spawn_entity", request)
@@ -221,8 +221,7 @@ fn a_paused_world_moves_by_steps_only() {
     robot.run_for(1000 * MS);
     let mut state = robot.ball().state;
     state.twist.linear.x = 1.0;
-    let request =
-        SetEntityStateRequest { entity: "ball".into(), state, set_twist: true, ..Default::default() };
+    let request = SetEntityStateRequest { entity: "ball".into(), state };
     let set: SetEntityStateResponse = robot.call("simulator/set_entity_state", request);
     assert_eq!(set.result.result, Outcome::RESULT_OK, "{}", set.result.error_message);
     let refused: StepSimulationResponse =
@@ -259,8 +258,7 @@ fn a_reset_puts_everything_back() {
     let start = robot.ball().state.pose.position;
     let mut state = robot.ball().state;
     state.pose.position.x = 2.0;
-    let request =
-        SetEntityStateRequest { entity: "ball".into(), state, set_pose: true, ..Default::default() };
+    let request = SetEntityStateRequest { entity: "ball".into(), state };
     let _: SetEntityStateResponse = robot.call("simulator/set_entity_state", request);
     robot.run_for(20 * MS);
     assert!((robot.ball().state.pose.position.x - 2.0).abs() < 0.01);
@@ -291,7 +289,7 @@ fn entities_are_found_by_name_and_category() {
     let missing: GetEntityStateResponse =
         robot.call("simulator/get_entity_state", GetEntityStateRequest { entity: "bal".into() });
     assert_eq!(missing.result.result, Outcome::RESULT_NOT_FOUND);
-    let fixed = SetEntityStateRequest { entity: "wall_1".into(), set_pose: true, ..Default::default() };
+    let fixed = SetEntityStateRequest { entity: "wall_1".into(), ..Default::default() };
     let refused: SetEntityStateResponse = robot.call("simulator/set_entity_state", fixed);
     assert!(refused.result.error_message.contains("fixed"), "{}", refused.result.error_message);
 }
@@ -303,7 +301,7 @@ fn spawned_things_fall_roll_and_stand_until_they_are_deleted() {
     let known: GetSpawnablesResponse =
         robot.call("simulator/get_spawnables", GetSpawnablesRequest::default());
     for (index, spawnable) in known.spawnables.iter().enumerate() {
-        let uri = &spawnable.entity_resource.uri;
+        let uri = &spawnable.uri;
         let answer = robot.spawn(&format!("my_{uri}"), uri, [1.0, index as f64, 0.6]);
         assert_eq!(answer.result.result, Outcome::RESULT_OK, "{}", answer.result.error_message);
     }
@@ -349,11 +347,47 @@ fn what_cannot_be_spawned_is_refused_with_the_reason() {
         assert!(answer.error_message.contains(message), "{}", answer.error_message);
     }
     let mut request = SpawnEntityRequest { name: "ball".into(), allow_renaming: true, ..Default::default() };
-    request.entity_resource.uri = "ball".into();
+    request.uri = "ball".into();
     request.initial_pose.pose.position.z = 2.0;
     let renamed: SpawnEntityResponse = robot.call("simulator/spawn_entity", request);
     assert_eq!(renamed.entity_name, "ball_1");
     assert_eq!(robot.delete("goal_post_1"), Outcome::RESULT_OPERATION_FAILED);
+}
+
+#[test]
+fn the_services_of_version_2_are_served_on_request() {
+    let mut robot = Robot::with("[ball]", &[("interfaces", "2.1".to_owned().into())]);
+    robot.run_for(1000 * MS);
+    let known: version_2::srv::GetSpawnablesResponse =
+        robot.call("simulator/get_spawnables", version_2::srv::GetSpawnablesRequest::default());
+    let uris = known.spawnables.iter().map(|spawnable| &*spawnable.entity_resource.uri);
+    assert_eq!(uris.collect::<Vec<_>>(), ["ball", "box", "post"]);
+    let mut request = version_2::srv::SpawnEntityRequest { name: "parcel".into(), ..Default::default() };
+    request.entity_resource.uri = "box".into();
+    request.initial_pose.pose.position.x = 2.0;
+    request.initial_pose.pose.position.z = 0.5;
+    let spawned: version_2::srv::SpawnEntityResponse = robot.call("simulator/spawn_entity", request);
+    assert_eq!((spawned.result.result, &*spawned.entity_name), (Outcome::RESULT_OK, "parcel"));
+
+    // Only what the flags name is set.
+    let start = robot.ball().state;
+    let mut request = version_2::srv::SetEntityStateRequest {
+        entity: "ball".into(),
+        set_twist: true,
+        ..Default::default()
+    };
+    request.state.pose.position.x = 2.0;
+    request.state.twist.linear.x = 1.0;
+    let set: version_2::srv::SetEntityStateResponse =
+        robot.call("simulator/set_entity_state", request.clone());
+    assert_eq!(set.result.result, Outcome::RESULT_OK, "{}", set.result.error_message);
+    robot.run_for(100 * MS);
+    let moved = robot.ball().state.pose.position.x - start.pose.position.x;
+    assert!((0.05..0.15).contains(&moved), "{moved}");
+    request.set_pose = true;
+    request.state.pose.orientation.w = 2.0;
+    let refused: version_2::srv::SetEntityStateResponse = robot.call("simulator/set_entity_state", request);
+    assert_eq!(refused.result.result, version_2::srv::SetEntityStateResponse::INVALID_POSE);
 }
 
 #[test]

@@ -208,7 +208,8 @@ impl Module for HumanoidSimulator {
                 .map_err(|error| setup.refuse_value(settings.link, error.to_string()))?;
         }
         self.parts = Some(Parts { simulation, emulator, options, servos, world, spawned: Vec::new(), root });
-        services::declare(setup, &mut self.services)?;
+        let interfaces = value(setup, settings.interfaces);
+        services::declare(setup, &mut self.services, &interfaces)?;
         setup.subscribe("push", Self::on_push)?;
         let period = |hz: f64| Duration::from_secs_f64(1.0 / hz);
         setup.every(

@@ -1,5 +1,6 @@
 //! The settings of the simulator.
 
+use super::services::VERSIONS;
 use crate::camera::Camera;
 use crate::harness::{DARWIN_OP, joint_names};
 use crate::model::{Marks, Model};
@@ -45,6 +46,7 @@ pub(super) struct Settings {
     pub(super) ground_truth_hz: Setting<f64>,
     pub(super) camera_hz: Setting<f64>,
     pub(super) push_timeout: Setting<f64>,
+    pub(super) interfaces: Setting<String>,
 }
 
 impl Settings {
@@ -123,6 +125,12 @@ impl Settings {
                 0.5,
                 0.0..=3600.0,
                 "s by which the stamp of a push may be older or newer than now; 0: any; a stamp of 0 means now",
+            )?,
+            interfaces: setup.read_only_choice(
+                "interfaces",
+                VERSIONS[0],
+                &VERSIONS,
+                "the version of simulation_interfaces whose services are served; Jazzy and Kilted have 1.5",
             )?,
         })
     }

@@ -64,6 +64,8 @@ enum Request {
     Below(PathBuf),
     /// One package of an ament prefix, by its name.
     Installed(String),
+    /// One package of which `downbeat-msgs` has another version, by its folder.
+    OtherVersion(PathBuf),
 }
 
 impl Build {
@@ -76,6 +78,14 @@ impl Build {
     /// `action`.
     pub fn package(mut self, folder: impl Into<PathBuf>) -> Self {
         self.requests.push(Request::Folder(folder.into()));
+        self
+    }
+
+    /// Adds a package of which `downbeat-msgs` carries another version: as [`package`](Self::package). Its folder
+    /// has all of its own types that those refer to. A program registers them beside the carried ones
+    /// (`Interfaces::with_other_version`), and a module uses them by their Rust types.
+    pub fn other_version(mut self, folder: impl Into<PathBuf>) -> Self {
+        self.requests.push(Request::OtherVersion(folder.into()));
         self
     }
 

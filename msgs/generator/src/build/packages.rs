@@ -50,6 +50,7 @@ pub(super) fn collect(
                 })?;
                 found.add(&folder, environment, watch)?;
             }
+            Request::OtherVersion(folder) => found.add_version(folder, watch)?,
         }
     }
     while let Some((owner, field, wanted)) = found.missing_package() {
@@ -81,11 +82,18 @@ impl Found {
         environment: &Environment,
         watch: &mut dyn FnMut(String),
     ) -> Result<(), BuildError> {
-        watch_package(folder, watch);
         let package = Catalog::package_name(folder);
         if environment.enabled.contains(&package) {
+            watch_package(folder, watch);
             return Err(BuildError::Carried { folder: folder.into(), package });
         }
+        self.add_version(folder, watch)
+    }
+
+    /// Adds a package that `downbeat-msgs` may have too.
+    fn add_version(&mut self, folder: &Path, watch: &mut dyn FnMut(String)) -> Result<(), BuildError> {
+        watch_package(folder, watch);
+        let package = Catalog::package_name(folder);
         if !has_interfaces(folder) || self.catalog.add_package(folder)? == 0 {
             return Err(BuildError::NoInterfaces { folder: folder.into() });
         }

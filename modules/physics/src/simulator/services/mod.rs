@@ -5,7 +5,10 @@
 //! not.
 //!
 //! # References
-//! `ros-simulation/simulation_interfaces` 2.1.0.
+//! `ros-simulation/simulation_interfaces` 1.5.0, which Jazzy and Kilted have; on request 2.1.0, three of whose
+//! services differ ([`version_2`]).
+
+mod version_2;
 
 use super::{HumanoidSimulator, Ports, WORLD, header, isometry, pose_message, twist_message};
 use crate::simulation::{Request, RunState, Snapshot};
@@ -17,7 +20,7 @@ use downbeat_msgs::simulation_interfaces::action::{
     SimulateSteps, SimulateStepsFeedback, SimulateStepsResult,
 };
 use downbeat_msgs::simulation_interfaces::msg::{
-    EntityCategory, EntityFilters, EntityInfo, EntityState, Resource, Result as Outcome, SimulationState,
+    EntityCategory, EntityFilters, EntityInfo, EntityState, Result as Outcome, SimulationState,
     SimulatorFeatures, Spawnable,
 };
 use downbeat_msgs::simulation_interfaces::srv::{
@@ -42,6 +45,9 @@ pub(super) struct Services {
     action: ActionServer<SimulateSteps>,
 }
 
+/// Versions of simulation_interfaces, as the setting names them; the first one is that of Jazzy.
+pub(super) const VERSIONS: [&str; 2] = ["1.5", "2.1"];
+
 /// The most steps of one request: more than an hour of simulated time.
 const MOST_STEPS: u64 = 1_000_000;
 /// The longest name of an entity, in bytes.
@@ -54,6 +60,7 @@ const CHECK: Duration = Duration::from_millis(20);
 pub(super) fn declare(
     setup: &mut Setup<'_, HumanoidSimulator>,
     services: &mut Services,
+    version: &str,
 ) -> Result<(), SetupError> {
     setup.serve(
         "simulator/get_simulator_features",
@@ -70,9 +77,13 @@ pub(super) fn declare(
     setup.serve("simulator/get_entities_states", HumanoidSimulator::get_entities_states)?;
     setup.serve("simulator/get_entity_info", HumanoidSimulator::get_entity_info)?;
     setup.serve("simulator/get_entity_state", HumanoidSimulator::get_entity_state)?;
-    setup.serve("simulator/set_entity_state", HumanoidSimulator::set_entity_state)?;
-    setup.serve("simulator/get_spawnables", |_, _: &GetSpawnablesRequest, _| Ok(spawnables()))?;
-    setup.serve("simulator/spawn_entity", HumanoidSimulator::spawn_entity)?;
+    if version == VERSIONS[0] {
+        setup.serve("simulator/set_entity_state", HumanoidSimulator::set_entity_state)?;
+        setup.serve("simulator/get_spawnables", |_, _: &GetSpawnablesRequest, _| Ok(spawnables()))?;
+        setup.serve("simulator/spawn_entity", HumanoidSimulator::spawn_entity)?;
+    } else {
+        version_2::declare(setup)?;
+    }
     setup.serve("simulator/delete_entity", HumanoidSimulator::delete_entity)?;
     ActionServer::builder(|module: &mut HumanoidSimulator| &mut module.services.action)
         .on_goal(|module, _, goal, _| match module.run_state() {
@@ -121,7 +132,7 @@ fn features(engine: Engine) -> GetSimulatorFeaturesResponse {
 
 fn spawnables() -> GetSpawnablesResponse {
     let spawnables = SPAWNABLES.map(|(name, about)| Spawnable {
-        entity_resource: Resource { uri: name.to_owned(), ..Resource::default() },
+        uri: name.to_owned(),
         description: about.to_owned(),
         ..Spawnable::default()
     });
@@ -129,6 +140,21 @@ fn spawnables() -> GetSpawnablesResponse {
 }
 
 const BUSY: &str = "too many requests wait; try again";
+const INVALID_POSE: &str = "the quaternion has not norm 1, or the position is beyond 1000 m";
+
+/// What is set of the state of an entity.
+#[derive(Clone, Copy)]
+struct StateParts {
+    pose: bool,
+    twist: bool,
+}
+
+/// Why the state of an entity is not set.
+enum StateRefusal {
+    /// The pose is invalid.
+    Pose(&'static str),
+    Other(Outcome),
+}
 
 fn ok() -> Outcome {
     Outcome { result: Outcome::RESULT_OK, error_message: String::new() }
@@ -400,26 +426,35 @@ impl HumanoidSimulator {
         request: &SetEntityStateRequest,
         ctx: &mut Context<'_, Ports>,
     ) -> Result<SetEntityStateResponse, String> {
-        let result = self.try_set_entity_state(request, ctx.now()).unwrap_or_else(|refusal| refusal);
+        let all = StateParts { pose: true, twist: true };
+        let result = self.try_set_entity_state(&request.entity, &request.state, all, ctx.now());
+        let result = result.unwrap_or_else(|refusal| match refusal {
+            StateRefusal::Pose(why) => failed(Outcome::RESULT_OPERATION_FAILED, why),
+            StateRefusal::Other(outcome) => outcome,
+        });
         Ok(SetEntityStateResponse { result })
     }
 
-    fn try_set_entity_state(&self, request: &SetEntityStateRequest, now: Time) -> Result<Outcome, Outcome> {
-        let refused = |why: &str| failed(Outcome::RESULT_OPERATION_FAILED, why);
-        let (category, mut motion) = self.entity(&request.entity, now)?;
-        let EntityState { header, pose, twist, .. } = &request.state;
+    fn try_set_entity_state(
+        &self,
+        entity: &str,
+        state: &EntityState,
+        parts: StateParts,
+        now: Time,
+    ) -> Result<Outcome, StateRefusal> {
+        let refused = |why: &str| StateRefusal::Other(failed(Outcome::RESULT_OPERATION_FAILED, why));
+        let (category, mut motion) = self.entity(entity, now).map_err(StateRefusal::Other)?;
+        let EntityState { header, pose, twist, .. } = state;
         if !["", WORLD].contains(&header.frame_id.as_str()) {
             return Err(refused("only poses in the frame \"world\" are possible"));
         }
         if category == EntityCategory::CATEGORY_STATIC_OBJECT {
             return Err(refused("it is fixed; give it a mass in the world file"));
         }
-        if request.set_pose {
-            let why = "the quaternion has not norm 1, or the position is beyond 1000 m";
-            motion.world_from_body =
-                isometry(pose).ok_or_else(|| failed(SetEntityStateResponse::INVALID_POSE, why))?;
+        if parts.pose {
+            motion.world_from_body = isometry(pose).ok_or(StateRefusal::Pose(INVALID_POSE))?;
         }
-        if request.set_twist {
+        if parts.twist {
             motion.linear = [twist.linear.x, twist.linear.y, twist.linear.z].into();
             motion.angular = [twist.angular.x, twist.angular.y, twist.angular.z].into();
             let is_possible = |of: glam::DVec3| of.length() <= 1000.0;
@@ -428,13 +463,13 @@ impl HumanoidSimulator {
             }
         }
         let is_robot = category == EntityCategory::CATEGORY_ROBOT;
-        if is_robot && request.set_twist && (motion.linear.length() > 0.0 || motion.angular.length() > 0.0) {
+        if is_robot && parts.twist && (motion.linear.length() > 0.0 || motion.angular.length() > 0.0) {
             return Err(refused("the velocity of the robot cannot be set; push it"));
         }
-        if !request.set_pose && !request.set_twist {
+        if !parts.pose && !parts.twist {
             return Ok(ok());
         }
-        let thing = (!is_robot).then(|| request.entity.clone());
+        let thing = (!is_robot).then(|| entity.to_owned());
         Ok(self.ask(Request::SetMotion { thing, motion }))
     }
 }
@@ -465,8 +500,8 @@ impl HumanoidSimulator {
     /// Returns the name.
     fn try_spawn(&mut self, request: &SpawnEntityRequest, now: Time) -> Result<String, Outcome> {
         self.check_that_bodies_can_change()?;
-        let SpawnEntityRequest { name, allow_renaming, entity_resource, initial_pose, .. } = request;
-        let mut spawned = match (entity_resource.uri.as_str(), entity_resource.resource_string.as_str()) {
+        let SpawnEntityRequest { name, allow_renaming, uri, resource_string, initial_pose, .. } = request;
+        let mut spawned = match (uri.as_str(), resource_string.as_str()) {
             ("", "") => {
                 let why = "neither uri nor resource_string is given";
                 return Err(failed(SpawnEntityResponse::NO_RESOURCE, why));
@@ -487,10 +522,9 @@ impl HumanoidSimulator {
             let why = "only poses in the frame \"world\" are possible";
             return Err(failed(SpawnEntityResponse::INVALID_POSE, why));
         }
-        let invalid = "the quaternion has not norm 1, or the position is beyond 1000 m";
-        spawned.world_from_body =
-            isometry(&initial_pose.pose).ok_or_else(|| failed(SpawnEntityResponse::INVALID_POSE, invalid))?;
-        spawned.name = self.free_name(name, *allow_renaming, &entity_resource.uri, now)?;
+        spawned.world_from_body = isometry(&initial_pose.pose)
+            .ok_or_else(|| failed(SpawnEntityResponse::INVALID_POSE, INVALID_POSE))?;
+        spawned.name = self.free_name(name, *allow_renaming, uri, now)?;
         let Some(parts) = &mut self.parts else {
             return Err(failed(Outcome::RESULT_OPERATION_FAILED, "the simulator is not set up"));
         };
