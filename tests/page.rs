@@ -3,11 +3,16 @@
 
 mod common;
 
+use std::path::Path;
 use std::process::Command;
 
 use common::browser::script;
 use common::rclpy::Peer;
-use common::{Running, downbeat, record_until, robot_file};
+use common::{Running, downbeat, record_until, robot_file, text_of};
+use downbeat::bags::{Reader, Selection};
+use downbeat::msgs::downbeat_interfaces::msg::RobotState;
+use downbeat::msgs::sensor_msgs::msg::JointState;
+use downbeat::msgs::{cdr, std_msgs};
 use serde_json::json;
 use test_machine::free_domain;
 
@@ -86,4 +91,52 @@ fn why_the_robot_fell_is_found_in_the_page() {
     let robot = format!("{WALK}.toml");
     let shown = Running::start(&["bag", "debug", &robot, WALK, "--page", "0"]);
     pass(script.env("DOWNBEAT_PAGE", page_of(&shown)), &shown);
+}
+
+/// The Darwin OP walks in simulated physics; its motions are in a file.
+#[cfg(feature = "physics")]
+#[test]
+fn a_motion_is_made_in_the_page_and_played_in_physics() {
+    let Some(mut script) = script("motions.mjs") else { return };
+    let domain = free_domain().to_string();
+    let folder = tempfile::tempdir().unwrap();
+    let [file, motions, bag] = ["robot.toml", "motions.toml", "bag"].map(|name| folder.path().join(name));
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+    let robot = std::fs::read_to_string(robots.join("darwin_op_walks.toml")).unwrap();
+    let robot = robot
+        .replace("kind = \"motions\"\n", "kind = \"motions\"\nsettings = { file = \"motions.toml\" }\n")
+        .replace("worlds/field.toml", robots.join("worlds/field.toml").to_str().unwrap())
+        .replace("\"darwin_op.urdf\"", &format!("{:?}", robots.join("darwin_op.urdf")))
+        .replace(", camera_hz = 30.0", "");
+    std::fs::write(&file, robot).unwrap();
+    let nod = "# Of a robot that nods.\n\n[nod]\n\n[[nod.frame]]\nduration_s = 1.0 # slowly\ndegrees = { head_tilt = 10, head_pan = 5 }\n\n\
+               [nod_left]\nmirror_of = \"nod\"\n";
+    std::fs::write(&motions, nod).unwrap();
+    let [line, record] = [&file, &bag].map(|path| path.to_str().unwrap());
+    let mut shown = Running::start(&["run", line, "--domain", &domain, "--view=0", "--record", record]);
+    pass(script.env("DOWNBEAT_PAGE", page_of(&shown)).env("DOWNBEAT_FILE", &motions), &shown);
+    shown.interrupt();
+
+    // The servos have turned, and the robot has not fallen.
+    let reader = Reader::open(&bag).unwrap();
+    let of = |topic: &str| {
+        let selection = Selection::all().topics([reader.topic(topic).unwrap()]);
+        reader.messages(selection).unwrap().map(|message| message.unwrap().data)
+    };
+    let arm = of("/joint_states").map(|message| {
+        let state: JointState = cdr::from_slice(&message).unwrap();
+        let joint = state.name.iter().position(|name| name == "r_sho_pitch").unwrap();
+        state.position[joint].to_degrees()
+    });
+    let arm: Vec<f64> = arm.collect();
+    let highest = arm.iter().copied().fold(f64::MIN, f64::max);
+    assert!((55.0..65.0).contains(&highest) && (arm[arm.len() - 1] + 40.0).abs() < 5.0, "{highest}");
+    let falls = of("/robot_state").filter(|state| {
+        let state: std_msgs::msg::String = cdr::from_slice(state).unwrap();
+        state.data != RobotState::UPRIGHT
+    });
+    assert_eq!(falls.count(), 0);
+    // What was edited is a part of the run.
+    let replay = text_of(&["bag", "replay", line, record]);
+    assert!(replay.contains("/motions/joint_commands"), "{replay}");
 }

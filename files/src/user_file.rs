@@ -1,10 +1,12 @@
-//! Reads files that a user names: robot files, descriptions, charts, parameters and the like.
+//! Reads files that a user names, and replaces them: robot files, descriptions, charts, parameters and the
+//! like.
 //!
 //! A pipe, a device or a socket in the place of a file would block the program or fill its memory, and so
 //! would a file of many gigabytes. They are refused by kind and size before anything is read.
 
-use std::fs::{File, Metadata};
-use std::io::{self, Read};
+use std::ffi::OsString;
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read, Write};
 use std::path::Path;
 
 use crate::FileKind;
@@ -74,6 +76,32 @@ pub fn read_text_within(path: impl AsRef<Path>, most: u64) -> io::Result<String>
         let line = line_of(error.as_bytes(), error.utf8_error().valid_up_to());
         io::Error::new(io::ErrorKind::InvalidData, format!("it is not UTF-8 text, from line {line} on"))
     })
+}
+
+/// Puts a new file in the place of another, which keeps its permissions. Whatever happens, the old one or the
+/// new one is there as a whole.
+///
+/// # Errors
+/// Returns an error if the new file cannot be written or put there. The old one is then as it was.
+pub fn replace(path: impl AsRef<Path>, text: &str) -> io::Result<()> {
+    let path = path.as_ref();
+    let mut name = OsString::from(".");
+    name.push(path.file_name().unwrap_or_default());
+    name.push(format!(".{}.new", std::process::id()));
+    let new = path.with_file_name(name);
+    let written = (|| {
+        let mut file = File::create(&new)?;
+        file.write_all(text.as_bytes())?;
+        if let Ok(metadata) = fs::metadata(path) {
+            file.set_permissions(metadata.permissions())?;
+        }
+        file.sync_all()?;
+        fs::rename(&new, path)
+    })();
+    if written.is_err() {
+        let _ = fs::remove_file(&new);
+    }
+    written
 }
 
 fn require_regular(metadata: &Metadata) -> io::Result<()> {

@@ -8,7 +8,7 @@ use crate::emulator::{DarwinOpEmulator, MemoryPorts};
 use crate::falls::Falls;
 use crate::gait::Gait;
 use crate::hardware::DarwinOp;
-use crate::motions::MotionPlayer;
+use crate::motions::{MotionPlayer, PANEL};
 use crate::stand_nod_wave::StandNodWave;
 
 /// The kinds, whose hardware and emulators meet at these ports.
@@ -37,7 +37,8 @@ pub fn kinds(ports: &MemoryPorts) -> Vec<Kind> {
         Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default)
             .with_files(&["humanoid"]),
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
-            .with_files(&["file", "humanoid"]),
+            .with_files(&["file", "humanoid"])
+            .with_panel("Motions", PANEL, &["motions/play", "motions/playing", "joint_states"]),
         Kind::new("falls", "detects falls, goes limp, and gets up", Falls::default).with_files(&["humanoid"]),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),
     ]

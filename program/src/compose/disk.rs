@@ -2,8 +2,8 @@
 
 use serde_json::{Map, Value, json};
 use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, ErrorKind, Write};
+use std::fs;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use downbeat_msgs::user_file;
@@ -61,7 +61,7 @@ impl Place {
 
     /// Writes the whole file or nothing.
     pub(super) fn write(&self, text: &str) -> io::Result<Saved> {
-        replace(&self.path, text)?;
+        user_file::replace(&self.path, text)?;
         Ok(Saved(Some(text.to_owned())))
     }
 
@@ -85,7 +85,7 @@ impl Place {
             };
         }
         let layout = json!({ "version": LAYOUT_VERSION, "modules": modules });
-        replace(&self.layout(), &format!("{layout:#}\n"))
+        user_file::replace(self.layout(), &format!("{layout:#}\n"))
     }
 
     /// Writes files beside the robot file, except those that exist.
@@ -97,7 +97,7 @@ impl Place {
             let path = self.path.with_file_name(name);
             let written = match path.exists() {
                 true => Ok(()),
-                false => replace(&path, text),
+                false => user_file::replace(&path, text),
             };
             written.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
         }
@@ -123,25 +123,4 @@ impl Place {
         name.push(".layout.json");
         self.path.with_file_name(name)
     }
-}
-
-/// Puts a new file in the place of another, which keeps its permissions.
-fn replace(path: &Path, text: &str) -> io::Result<()> {
-    let mut name = OsString::from(".");
-    name.push(path.file_name().unwrap_or_default());
-    name.push(format!(".{}.new", std::process::id()));
-    let new = path.with_file_name(name);
-    let written = (|| {
-        let mut file = File::create(&new)?;
-        file.write_all(text.as_bytes())?;
-        if let Ok(metadata) = fs::metadata(path) {
-            file.set_permissions(metadata.permissions())?;
-        }
-        file.sync_all()?;
-        fs::rename(&new, path)
-    })();
-    if written.is_err() {
-        let _ = fs::remove_file(&new);
-    }
-    written
 }

@@ -97,7 +97,7 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
     if written.is_empty() {
         bail!("nothing was written");
     }
-    std::fs::write(path, calibrated).with_context(|| format!("cannot write {}", path.display()))?;
+    user_file::replace(path, &calibrated).with_context(|| format!("cannot write {}", path.display()))?;
     for joint in &written {
         let limits = joint
             .limits

@@ -1,5 +1,7 @@
-//! What the page asks of a robot beside its core: recordings, the log and the measured chains.
+//! What the page asks of a robot beside its core: recordings, the log, the measured chains, and files of modules
+//! that it has edited.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -8,6 +10,7 @@ use downbeat_bags::{Recording, RecordingControl, RecordingSender};
 use downbeat_bridge::expose::Exposure;
 use downbeat_edge::CoreAccess;
 use downbeat_executor::{CoreHandle, TopicInfo};
+use downbeat_msgs::user_file;
 use downbeat_view::{Ask, Host};
 use parking_lot::Mutex;
 use serde_json::{Value, json};
@@ -31,7 +34,14 @@ pub(super) struct PageHost {
     first: Option<(RecordingSender, RecordingControl)>,
     /// The recording that the page began.
     own: Mutex<Option<OwnRecording>>,
+    files: ModuleFiles,
 }
+
+/// The files that settings name, by module and setting.
+pub(super) type ModuleFiles = HashMap<(String, String), PathBuf>;
+
+/// The largest file that the page writes, in bytes.
+const LARGEST_FILE: usize = 1 << 20;
 
 struct OwnRecording {
     recording: Recording,
@@ -45,9 +55,10 @@ impl PageHost {
         log: Option<LogTail>,
         latencies: Latencies,
         first: Option<&Recording>,
+        files: ModuleFiles,
     ) -> Self {
         let first = first.map(|recording| (recording.sender(), recording.control()));
-        Self { core, recordable, log, latencies, first, own: Mutex::default() }
+        Self { core, recordable, log, latencies, first, own: Mutex::default(), files }
     }
 
     /// Takes in topics that modules bring while the robot runs.
@@ -145,6 +156,28 @@ impl PageHost {
         written.map(|()| Value::Null).map_err(|error| error.to_string())
     }
 
+    /// Writes a file that a setting of a module names. The module keeps what it has read of the old one.
+    fn save_file(&self, ask: Ask<'_>) -> Result<Value, String> {
+        let [module, setting, text] = ["module", "setting", "text"].map(|name| ask.require_text(name));
+        let (module, setting, text) = (module?, setting?, text?);
+        let path = self.files.get(&(module.to_owned(), setting.to_owned())).ok_or_else(|| {
+            format!("the robot file gives \"{module}\" no {setting}: without one there is nothing to save to")
+        })?;
+        if text.len() > LARGEST_FILE {
+            return Err(format!("it has {} bytes; at most {LARGEST_FILE} are saved", text.len()));
+        }
+        if !path.is_file() {
+            return Err(format!(
+                "{} is inside the program: `downbeat robots copy` makes files of a carried robot",
+                path.display()
+            ));
+        }
+        user_file::replace(path, text)
+            .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+        tracing::info!("the page has saved {}", path.display());
+        Ok(json!({ "path": path }))
+    }
+
     fn log(&self, ask: Ask<'_>) -> Result<Value, String> {
         let log = self.log.as_ref().ok_or("this program does not keep its log for the page")?;
         let after = ask.arguments.get("after").and_then(Value::as_u64);
@@ -176,6 +209,7 @@ impl Host for PageHost {
             "stop_recording" => change(&|| self.stop()),
             "record_snapshot" => change(&|| self.snapshot()),
             "pause_recording" => change(&|| self.running().map(|(_, control)| json!(control.pause()))),
+            "save_file" => change(&|| self.save_file(ask)),
             "resume_recording" => change(&|| self.running().map(|(_, control)| json!(control.resume()))),
             _ => return None,
         })

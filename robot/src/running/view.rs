@@ -13,7 +13,7 @@ use downbeat_view::{
 };
 use parking_lot::Mutex;
 
-use super::page_host::PageHost;
+use super::page_host::{ModuleFiles, PageHost};
 use super::recording::Recordable;
 use super::{NodeLog, StartError};
 use crate::recorder::RecorderError;
@@ -42,7 +42,9 @@ impl RobotView {
         let recordable = Recordable::of(robot, is_simulated, None).map_err(|error| error.to_string());
         let tail = log.map(|log| log.tail.clone());
         let latencies = robot.latencies.clone();
-        let host = Arc::new(PageHost::new(robot.core.handle(), recordable, tail, latencies, recording));
+        let files = files(&robot.file);
+        let host = PageHost::new(robot.core.handle(), recordable, tail, latencies, recording, files);
+        let host = Arc::new(host);
         let page = page(&robot.file, Arc::clone(&host));
         let link = CoreLink::of(&mut robot.core, &robot.file.catalog.interfaces)?;
         let mut view = Self { link, options, page, host, server: None, later: Mutex::default() };
@@ -156,6 +158,18 @@ fn page(file: &RobotFile, host: Arc<PageHost>) -> PageOptions {
         host: Some(host),
         ..PageOptions::default()
     }
+}
+
+/// The files that settings of modules name.
+fn files(file: &RobotFile) -> ModuleFiles {
+    let of_module = |module: &ModuleEntry| {
+        let named = module.kind.files().iter().filter_map(|setting| {
+            let SettingValue::Text(path) = &module.settings.get(setting)?.value else { return None };
+            (!path.is_empty()).then(|| ((module.name.clone(), setting.clone()), PathBuf::from(path)))
+        });
+        named.collect::<Vec<_>>()
+    };
+    file.modules.iter().flat_map(of_module).collect()
 }
 
 /// The panel that a module brings: that of its kind, or one beside its file.

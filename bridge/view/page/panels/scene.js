@@ -1,10 +1,11 @@
 // @ts-check
 // The robot in 3D: URDF and joint states, frames, trails, markers, and the simulated world.
 
+import { rgb, surroundings } from './scene/colors.js';
 import { Markers } from './scene/markers.js';
-import { add, compose, identity, matrix, poseOf, product, project, rotate, scale, sub, turn } from './scene/math.js';
-import { box, capsule, cylinder, parseStl, sphere } from './scene/meshes.js';
+import { add, compose, identity, matrix, poseOf, product, project, rotate, sub, turn } from './scene/math.js';
 import { Orbit } from './scene/orbit.js';
+import { Shapes, UNITS, standing } from './scene/shapes.js';
 import { Transforms, plain } from './scene/transforms.js';
 import { forward, parseUrdf } from './scene/urdf.js';
 import { Renderer } from './scene/webgl.js';
@@ -19,7 +20,6 @@ import { words } from '../connection.js';
 
 /** @type {Options} */
 const DEFAULTS = { frame: '', follow: true, robot: true, collision: false, frames: false, names: false, trail: true, grid: true, world: true, field: 'auto' };
-const UNITS = { box: box(), sphere: sphere(), cylinder: cylinder() };
 const BALL = { radius: 0.05, color: [0.92, 0.38, 0.1, 1] };
 /** As `world.field` of the simulator has it by default (docs/physics.md). */
 const FIELD = { length: 9, width: 6, line: 0.05, mark: 1.8, circle: 1.5, area: [0.6, 3.45], goal: 2.25, height: 1.1 };
@@ -28,9 +28,6 @@ const TRAIL_POINTS = 3000;
 const TRAIL_STEP = 0.004;
 /** Pictures for new data; the hand on the camera gets all that the screen has. */
 const DATA_PERIOD_MS = 30;
-
-/** @param {string} name of a token @returns {number[]} red, green, blue from 0 to 1 */
-const rgb = (name) => (token(name).match(/[\d.]+/g) ?? ['0', '0', '0']).slice(0, 3).map((part) => Number(part) / 255);
 
 /** @type {import('../panel.js').Panel} */
 export default {
@@ -60,10 +57,7 @@ export default {
     const positions = new Map();
     /** @type {Map<string, { pose: Pose, frame: string, isBall: boolean }>} */
     const entities = new Map();
-    /** @type {Map<string, import('./scene/meshes.js').Mesh | null>} By URI; `null` while it loads or if that failed. */
-    const files = new Map();
-    /** @type {Map<string, import('./scene/meshes.js').Mesh>} */
-    const capsules = new Map();
+    const shapes = new Shapes(robot, () => changed(), (text) => tell(text));
     /** @type {number[][]} */
     let trail = [];
     /** @type {number[] | null} Where the robot was in the last picture. */
@@ -137,7 +131,7 @@ export default {
       if (data === descriptionText) return;
       descriptionText = data;
       try { description = parseUrdf(data); problem.hidden = true; } catch (error) { description = null; tell(words(error)); }
-      files.clear();
+      shapes.clear();
       changed();
     }, { latest: true });
     robot.subscribe('/joint_states', ({ name, position }) => {
@@ -182,51 +176,6 @@ export default {
       return transforms.root(description?.root ?? transforms.frames.keys().next().value ?? '')[0];
     }
 
-    /** @param {string} uri @returns {import('./scene/meshes.js').Mesh | null} */
-    function file(uri) {
-      const known = files.get(uri);
-      if (known !== undefined) return known;
-      files.set(uri, null);
-      if (!/\.stl$/i.test(uri)) { tell(`only STL meshes are shown: ${uri}`); return null; }
-      robot.asset(uri).then((data) => { files.set(uri, parseStl(data)); changed(); }, (error) => tell(words(error)));
-      return null;
-    }
-
-    /** @param {import('./scene/urdf.js').Shape} shape @param {Pose} link @param {number[]} color @returns {import('./scene/webgl.js').Item | null} */
-    function itemOf({ kind, size, origin, uri }, link, color) {
-      const pose = compose(link, origin);
-      switch (kind) {
-        case 'box': return { mesh: UNITS.box, model: matrix(pose, size), color };
-        case 'sphere': return { mesh: UNITS.sphere, model: matrix(pose, [size[0], size[0], size[0]]), color };
-        case 'cylinder': return { mesh: UNITS.cylinder, model: matrix(pose, [size[0], size[0], size[1]]), color };
-        case 'capsule': {
-          const key = size.join();
-          if (!capsules.has(key)) capsules.set(key, capsule(size[0], size[1]));
-          return { mesh: /** @type {any} */ (capsules.get(key)), model: matrix(pose), color };
-        }
-        default: {
-          const mesh = uri ? file(uri) : null;
-          return mesh && { mesh, model: matrix(pose, size), color };
-        }
-      }
-    }
-
-    /** How far the lowest shape is below the root: a robot without odometry stands on the ground. @param {Map<string, Pose>} links */
-    function lowest(links) {
-      let low = 0;
-      for (const [name, { visual, collision }] of description?.links ?? []) {
-        for (const { kind, size, origin } of [...visual, ...collision]) {
-          if (kind === 'mesh') continue;
-          const pose = compose(links.get(name) ?? identity(), origin);
-          const [x, y, z] = kind === 'box' ? scale(size, 0.5) : kind === 'sphere' ? [size[0], size[0], size[0]] : [size[0], size[0], size[1] / 2];
-          for (const corner of [[x, y, z], [x, y, -z], [x, -y, z], [x, -y, -z], [-x, y, z], [-x, y, -z], [-x, -y, z], [-x, -y, -z]]) {
-            low = Math.min(low, pose.p[2] + rotate(pose.q, corner)[2]);
-          }
-        }
-      }
-      return low;
-    }
-
     const paint = painter((now) => {
       if (!isDirty) return;
       if (renderer.isBusy() || (!orbit.isHeld && now - lastDrawnMs < Math.max(DATA_PERIOD_MS, renderer.tookMs * 2))) { paint.request(); return; }
@@ -250,14 +199,14 @@ export default {
       let base = null;
       if (description) {
         const hasPlace = transforms.names().includes(description.root) && transforms.root(description.root)[0] !== description.root;
-        base = (hasPlace && placeOf(description.root)) || { p: [0, 0, -lowest(links)], q: [0, 0, 0, 1] };
+        base = (hasPlace && placeOf(description.root)) || standing(description, links);
       }
       const worldOf = (/** @type {string} */ link) => compose(/** @type {Pose} */ (base), links.get(link) ?? identity());
       if (description && base) {
         for (const [name, { visual, collision }] of description.links) {
           const pose = worldOf(name);
-          if (options.robot) for (const shape of visual) { const item = itemOf(shape, pose, shape.color); if (item) drawn.items.push(item); }
-          if (options.collision) for (const shape of collision) { const item = itemOf(shape, pose, [0.25, 0.75, 1, 0.35]); if (item) drawn.items.push(item); }
+          if (options.robot) for (const shape of visual) { const item = shapes.item(shape, pose, shape.color); if (item) drawn.items.push(item); }
+          if (options.collision) for (const shape of collision) { const item = shapes.item(shape, pose, [0.25, 0.75, 1, 0.35]); if (item) drawn.items.push(item); }
         }
         // The way on the ground, under the robot.
         const at = [base.p[0], base.p[1], 0.004];
@@ -301,8 +250,7 @@ export default {
         }
       }
       const camera = orbit.camera();
-      const colors = { sky: rgb('--scene-sky'), ground: rgb('--scene-ground'), grid: rgb('--scene-grid'), field: rgb('--scene-field'), line: rgb('--scene-field-line') };
-      renderer.draw(camera, colors, { ...drawn, field, hasGrid: options.grid, reach: Math.max(8, orbit.distance * 7) });
+      renderer.draw(camera, surroundings(), { ...drawn, field, hasGrid: options.grid, reach: Math.max(8, orbit.distance * 7) });
       write(product(camera.projection, camera.view), drawn.texts);
     }
 

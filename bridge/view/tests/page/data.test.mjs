@@ -4,6 +4,7 @@ import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { Chains, drawnOf, wayBetween } from '../../page/panels/graph_chains.js';
 import { History, edgesOf, isDebug, isOwn, summary } from '../../page/panels/graph_data.js';
+import { cableTrouble } from '../../page/panels/servos.js';
 import { Timeline, niceStep, publishersOf } from '../../page/panels/timeline_data.js';
 
 const times = (more = {}) => ({ count: 0, sum_ns: 0, p50_ns: 0, p99_ns: 0, max_ns: 0, ...more });
@@ -236,4 +237,15 @@ test('publishers come from the graph', () => {
 
 test('steps of an axis are round', () => {
   assert.deepEqual([niceStep(100, 10), niceStep(120, 10), niceStep(999, 3), niceStep(1e9, 8)], [10, 20, 500, 2e8]);
+});
+
+test('a bad cable is between the last servo that answers and the first that does not', () => {
+  const chain = (/** @type {string} */ lost, bus = 'arm') => [...lost].map((mark, index) => ({ name: `${bus}_${index + 1}`, id: index + 1, bus, level: 0, lostMs: mark === 'x' ? 1000 : -Infinity }));
+  assert.equal(cableTrouble(chain('......'), 2000), '');
+  assert.match(cableTrouble(chain('...xxx'), 2000), /From arm_4 \(id 4\) on, servos of arm miss answers: look at the cable between arm_3 and arm_4/);
+  assert.match(cableTrouble(chain('xxxxxx'), 2000), /No servo of arm answers reliably: its power, or the cable to arm_1/);
+  assert.equal(cableTrouble(chain('..x...'), 2000), '', 'one servo alone');
+  assert.equal(cableTrouble(chain('.....x'), 2000), '', 'the last one alone');
+  assert.equal(cableTrouble(chain('...xxx'), 60_000), '', 'long ago');
+  assert.match(cableTrouble([...chain('......', 'legs'), ...chain('.xx', 'arm')], 2000), /cable between arm_1 and arm_2/);
 });

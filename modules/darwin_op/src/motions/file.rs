@@ -51,6 +51,9 @@ pub const MAX_FRAMES: usize = 50_000;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Motions {
     motions: BTreeMap<String, Arc<Motion>>,
+    /// The motions that mirror images are of.
+    originals: BTreeMap<String, String>,
+    text: String,
 }
 
 /// What is wrong with a file of motions.
@@ -77,7 +80,7 @@ impl Motions {
 
     fn checked(source: &Source<'_>) -> Result<Self, MotionFileError> {
         let entries: BTreeMap<Spanned<String>, MotionEntry> = source.source.parse()?;
-        let mut motions = BTreeMap::new();
+        let (mut motions, mut originals) = (BTreeMap::new(), BTreeMap::new());
         for (name, entry) in entries.iter().filter(|(_, entry)| entry.mirror_of.is_none()) {
             motions.insert(name.get_ref().clone(), Arc::new(entry.motion(name, source)?));
         }
@@ -103,14 +106,25 @@ impl Motions {
                 ..motion.mirrored(source.humanoid)
             };
             motions.insert(name.get_ref().clone(), Arc::new(mirrored));
+            originals.insert(name.get_ref().clone(), original.get_ref().clone());
         }
-        Ok(Self { motions })
+        Ok(Self { motions, originals, text: source.source.text().to_owned() })
     }
 
     /// The motion of that name.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&Arc<Motion>> {
         self.motions.get(name)
+    }
+
+    /// The motion whose mirror image the motion of that name is.
+    pub(super) fn original_of(&self, name: &str) -> Option<&str> {
+        self.originals.get(name).map(String::as_str)
+    }
+
+    /// The text of the file.
+    pub(super) fn text(&self) -> &str {
+        &self.text
     }
 
     /// The names of all motions, sorted.

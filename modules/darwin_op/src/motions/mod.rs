@@ -8,6 +8,7 @@
 //! | `motions/playing` | `std_msgs/String` | the motion that plays, or an empty name; when it changes and once a second |
 //! | `motions/joint_commands` | `sensor_msgs/JointState` | positions of the joints that the motion moves, every 8 ms |
 //! | `joint_states`, `joint_goals` (in) | `sensor_msgs/JointState` | where a motion starts |
+//! | `motions/get`, `motions/set` | services `downbeat_interfaces/GetMotions`, `SetMotion` | for editors: the motions, and one changed until the program ends |
 //! | `imu/data` (in) | `sensor_msgs/Imu` | with orientation: for motions that keep their balance |
 //! | `walking` (in) | `std_msgs/Bool` | a motion waits until the robot has stopped |
 //!
@@ -26,6 +27,7 @@
 //! After its last frame the joints keep their goals.
 
 mod balance;
+mod editing;
 pub mod file;
 mod motion;
 mod path;
@@ -41,19 +43,29 @@ use balance::Attitude;
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_msgs::downbeat_interfaces::action::{PlayMotion, PlayMotionFeedback, PlayMotionResult};
+use downbeat_msgs::downbeat_interfaces::srv::{
+    GetMotionsRequest, GetMotionsResponse, SetMotionRequest, SetMotionResponse,
+};
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
 use downbeat_servos::step::standstill;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// The panel of the page: it makes motions.
+pub const PANEL: &str = include_str!("motions.panel.js");
+
 /// The motions of the Darwin OP.
 pub const DARWIN_OP: &str = include_str!("../../darwin_op_motions.toml");
+
+const BUILT_IN: &str = "darwin_op_motions.toml";
 
 /// Plays key-frame motions; see the [module page](self).
 #[derive(Debug, Default)]
 pub struct MotionPlayer {
     motions: Motions,
+    /// Where they are from; empty if they are built in.
+    file: String,
     server: ActionServer<PlayMotion>,
     pose: PresentPose,
     attitude: Option<Attitude>,
@@ -212,6 +224,46 @@ impl MotionPlayer {
         }
     }
 
+    fn get(
+        &mut self,
+        _: &GetMotionsRequest,
+        _: &mut Context<'_, Ports>,
+    ) -> Result<GetMotionsResponse, String> {
+        let joints = self.pose.humanoid().joints();
+        let motions = self.motions.names().filter_map(|name| {
+            let motion = self.motions.get(name)?;
+            Some(editing::message(name, motion, self.motions.original_of(name)))
+        });
+        Ok(GetMotionsResponse {
+            file: self.file.clone(),
+            joints: joints.iter().map(|joint| joint.name.clone()).collect(),
+            lower: joints.iter().map(|joint| joint.limits[0]).collect(),
+            upper: joints.iter().map(|joint| joint.limits[1]).collect(),
+            motions: motions.collect(),
+        })
+    }
+
+    /// A motion that plays goes on as it was.
+    fn set(
+        &mut self,
+        request: &SetMotionRequest,
+        _: &mut Context<'_, Ports>,
+    ) -> Result<SetMotionResponse, String> {
+        let humanoid = self.pose.humanoid();
+        let file = if self.file.is_empty() { BUILT_IN } else { &self.file };
+        Ok(match editing::with(&self.motions, file, &request.motion, humanoid) {
+            Ok(motions) => {
+                let motion = motions.get(&request.motion.name);
+                let (period, poses) =
+                    motion.map(|motion| editing::poses(motion, humanoid)).unwrap_or_default();
+                let text = motions.text().to_owned();
+                self.motions = motions;
+                SetMotionResponse { success: true, text, period, poses, ..SetMotionResponse::default() }
+            }
+            Err(message) => SetMotionResponse { message, ..SetMotionResponse::default() },
+        })
+    }
+
     fn report(&mut self, ctx: &mut Context<'_, Ports>) {
         self.report_at = ctx.now() + REPORT;
         let data = self.playing.as_ref().map(|playing| playing.name.clone()).unwrap_or_default();
@@ -231,11 +283,12 @@ impl Module for MotionPlayer {
         )?;
         let motions = match setup.value(file).map(String::as_str).unwrap_or_default() {
             "" if Arc::ptr_eq(&humanoid, &Humanoid::darwin_op()) => {
-                Motions::parse("darwin_op_motions.toml", DARWIN_OP, &humanoid)
+                Motions::parse(BUILT_IN, DARWIN_OP, &humanoid)
             }
             "" => Ok(Motions::default()),
             path => Motions::read(path, &humanoid),
         };
+        self.file = setup.value(file).cloned().unwrap_or_default();
         self.pose = PresentPose::new(humanoid);
         self.motions = motions.map_err(|error| setup.refuse_value(file, error.to_string()))?;
         let ports = Ports {
@@ -261,6 +314,8 @@ impl Module for MotionPlayer {
             player.is_walking = walking.data;
         })?;
         setup.subscribe("motions/play", Self::on_play)?;
+        setup.serve("motions/get", Self::get)?;
+        setup.serve("motions/set", Self::set)?;
         setup.subscribe::<Empty, _>("motions/stop", |player, _, ctx| player.end("stopped", ctx))?;
         ActionServer::builder(|player: &mut Self| &mut player.server)
             .on_goal(|player, _, goal, _| match player.is_known(&goal.name) {
