@@ -107,7 +107,7 @@ fn a_motion_is_made_in_the_page_and_played_in_physics() {
         .replace("kind = \"motions\"\n", "kind = \"motions\"\nsettings = { file = \"motions.toml\" }\n")
         .replace("worlds/field.toml", robots.join("worlds/field.toml").to_str().unwrap())
         .replace("\"darwin_op.urdf\"", &format!("{:?}", robots.join("darwin_op.urdf")))
-        .replace(", camera_hz = 30.0", "");
+        .replace("camera_hz = 30.0", "camera_hz = 1.0");
     std::fs::write(&file, robot).unwrap();
     let nod = "# Of a robot that nods.\n\n[nod]\n\n[[nod.frame]]\nduration_s = 1.0 # slowly\ndegrees = { head_tilt = 10, head_pan = 5 }\n\n\
                [nod_left]\nmirror_of = \"nod\"\n";

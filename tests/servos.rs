@@ -538,3 +538,30 @@ fn packets_are_those_of_dynamixel_sdk() {
         assert_eq!(ours, packet.as_str().unwrap(), "{protocol} {instruction:?}");
     }
 }
+
+/// The page shows the steps that the terminal asks for, with a hand that turns all joints.
+#[test]
+fn a_six_joint_arm_is_calibrated_in_the_page() {
+    let Some(mut script) = common::browser::script("calibrate.mjs") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let so101 = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
+    let so101 = std::fs::read_to_string(so101).unwrap();
+    // The arm is put together so that two joints are elsewhere than the description says.
+    let real = so101.replace("name = \"elbow_flex\"\n", "name = \"elbow_flex\"\nzero = 1900\n");
+    let real = real.replace("name = \"shoulder_lift\"\n", "name = \"shoulder_lift\"\nsign = -1\n");
+    assert_eq!((real.matches("zero").count(), real.matches("sign =").count()), (2, 1));
+    std::fs::write(folder.path().join("real.toml"), &real).unwrap();
+    let description = folder.path().join("arm.toml");
+    std::fs::write(&description, so101).unwrap();
+    let output = script.env("DOWNBEAT_FOLDER", folder.path()).output().unwrap();
+    let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    assert!(output.status.success(), "{}", said.concat());
+
+    let of = |path: &Path| downbeat::modules::servo_bus::Description::load(text(path)).unwrap();
+    let (found, real) = (of(&description), of(&folder.path().join("real.toml")));
+    let (found, real) = (&found.bus("arm").unwrap().joints, &real.bus("arm").unwrap().joints);
+    for (found, real) in found.iter().zip(real) {
+        assert_eq!(found.sign, real.sign, "{}", found.name);
+        assert!((found.zero - real.zero).abs() < 3, "{}: {}, not {}", found.name, found.zero, real.zero);
+    }
+}

@@ -1,23 +1,14 @@
 //! `downbeat servo calibrate`
 
 use std::path::Path;
-use std::sync::mpsc::{Receiver, TryRecvError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use downbeat_msgs::user_file;
-use downbeat_servos::servo_bus::{Calibrator, Description, TurnedJoint, ZeroPose};
+use downbeat_servos::servo_bus::{Calibrator, Description, JointCalibration, ZeroPose};
 
 use super::description_edit::with_calibration;
-use crate::input;
-use crate::screen::Screen;
-use crate::stop::Stop;
-
-/// How often the table on the screen changes.
-const REFRESH: Duration = Duration::from_millis(100);
-
-/// The characters between the stops of a joint on the screen.
-const BAR: usize = 30;
+use super::dialogue::{DONE, Dialogue};
 
 pub(super) struct Options<'a> {
     pub(super) description: &'a Path,
@@ -26,6 +17,8 @@ pub(super) struct Options<'a> {
     pub(super) port: Option<&'a str>,
     pub(super) timeout: Duration,
     pub(super) margin_rad: f64,
+    /// The port of a page that asks in place of the terminal; 0 takes a free one.
+    pub(super) page: Option<u16>,
 }
 
 /// Leads through the calibration of a bus, and writes what was found into its description.
@@ -39,22 +32,30 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
             path.display()
         );
     }
+    let mut dialogue = Dialogue::new(options.page)?;
+    let found = turned(options, &description, &mut dialogue)
+        .and_then(|found| write(path, text, found, &mut dialogue));
+    dialogue.end(found)
+}
+
+/// Asks for everything that is to be turned, and returns what that says of each joint.
+fn turned(
+    options: &Options,
+    description: &Description,
+    dialogue: &mut Dialogue,
+) -> anyhow::Result<Vec<JointCalibration>> {
     let plan = description.bus(options.bus)?;
-    let mut dialogue = Dialogue { stop: Stop::new()?, lines: input::lines()?, screen: Screen::of_process() };
-    println!("All joints of \"{}\" lose their torque now. Hold the robot, and press Enter.", plan.name);
-    dialogue.answer(|| Ok(Vec::new()))?;
+    let begin = format!("All joints of \"{}\" lose their torque now: hold the robot", plan.name);
+    dialogue.ask(&begin, &[DONE], None)?;
     let mut bus = Calibrator::begin(plan, options.port.unwrap_or(&plan.port), options.timeout)?;
 
-    println!("Turn each joint by hand from one stop to the other. When all are done, press Enter.");
-    dialogue.answer_while_turning(&mut bus)?;
+    dialogue.ask("Turn each joint by hand from one stop to the other", &[DONE], Some(&mut bus))?;
     for note in bus.take_stops()? {
-        println!("{note}");
+        dialogue.say(note);
     }
-    println!(
-        "Bring all joints to where they are to be at 0 rad, and press Enter; or type \"middle\" for the middle between \
-         their stops."
-    );
-    let pose = match &*dialogue.answer_while_turning(&mut bus)? {
+    let middle = ("middle", "the middle between their stops");
+    let pose = "Bring all joints to where they are to be at 0 rad";
+    let pose = match &*dialogue.ask(pose, &[DONE, middle], Some(&mut bus))? {
         "middle" => ZeroPose::Middle,
         _ => ZeroPose::Here,
     };
@@ -65,22 +66,27 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
             continue;
         }
         bus.begin_nudge(index);
-        loop {
-            println!(
-                "{name}: turn it a little in its positive direction, and press Enter; or type \"keep\" for the sign of the \
-                 description."
-            );
-            if dialogue.answer_while_turning(&mut bus)? == "keep" || bus.take_sign(index) {
-                break;
-            }
-            println!("{name} was turned by less than 3 degrees.");
+        let nudge = format!("{name}: turn it a little in its positive direction");
+        let keep = ("keep", "the sign of the description");
+        while dialogue.ask(&nudge, &[DONE, keep], Some(&mut bus))? != "keep" && !bus.take_sign(index) {
+            dialogue.say(format!("{name} was turned by less than 3 degrees."));
         }
     }
 
     let found = bus.results(options.margin_rad);
     if found.is_empty() {
-        bail!("no joint was turned; {} stays as it is", path.display());
+        bail!("no joint was turned; {} stays as it is", options.description.display());
     }
+    Ok(found)
+}
+
+/// Writes what was found into the description.
+fn write(
+    path: &Path,
+    text: String,
+    found: Vec<JointCalibration>,
+    dialogue: &mut Dialogue,
+) -> anyhow::Result<()> {
     let mut calibrated = text;
     let mut written = Vec::new();
     for joint in found {
@@ -91,7 +97,7 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
                 calibrated = with_it;
                 written.push(joint);
             }
-            Err(problem) => println!("{} stays as it is described: {problem}", joint.name),
+            Err(problem) => dialogue.say(format!("{} stays as it is described: {problem}", joint.name)),
         }
     }
     if written.is_empty() {
@@ -102,61 +108,9 @@ pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
         let limits = joint
             .limits
             .map_or("as described".to_owned(), |[low, high]| format!("{low:.3} to {high:.3} rad"));
-        println!("{:<20} zero {:>6}  sign {:>2}  limits {limits}", joint.name, joint.zero, joint.sign);
+        let JointCalibration { name, zero, sign, .. } = joint;
+        dialogue.say(format!("{name:<20} zero {zero:>6}  sign {sign:>2}  limits {limits}"));
     }
-    println!("wrote {}; the joints are still limp", path.display());
+    dialogue.say(format!("wrote {}; the joints are still limp", path.display()));
     Ok(())
-}
-
-/// Questions and answers on the terminal.
-struct Dialogue<'a> {
-    stop: Stop,
-    lines: Receiver<String>,
-    screen: &'a Screen,
-}
-
-impl Dialogue<'_> {
-    /// Waits for a line, and shows the joints meanwhile.
-    fn answer_while_turning(&mut self, bus: &mut Calibrator) -> anyhow::Result<String> {
-        self.answer(|| {
-            bus.look()?;
-            Ok(bus.joints().map(|joint| row(&joint)).collect())
-        })
-    }
-
-    /// Waits for a line; `look` is called all the time, and returns what is shown.
-    fn answer(&mut self, mut look: impl FnMut() -> anyhow::Result<Vec<String>>) -> anyhow::Result<String> {
-        let mut next = Instant::now();
-        let answer = loop {
-            if self.stop.is_due() {
-                bail!("stopped; nothing was written");
-            }
-            let rows = look()?;
-            match self.lines.try_recv() {
-                Ok(line) => {
-                    // What is there now counts.
-                    look()?;
-                    break line;
-                }
-                Err(TryRecvError::Disconnected) => bail!("standard input has ended; nothing was written"),
-                Err(TryRecvError::Empty) => {}
-            }
-            if Instant::now() >= next {
-                self.screen.show(rows);
-                next = Instant::now() + REFRESH;
-            }
-            self.stop.sleep(Duration::from_millis(1));
-        };
-        self.screen.show(Vec::new());
-        self.screen.flush();
-        Ok(answer.trim().to_owned())
-    }
-}
-
-fn row(joint: &TurnedJoint) -> String {
-    let TurnedJoint { name, id, travel_rad, place, is_silent } = joint;
-    let at = (place * (BAR - 1) as f64).round() as usize;
-    let bar: String = (0..BAR).map(|place| if place == at { '|' } else { '-' }).collect();
-    let silent = if *is_silent { "  does not answer" } else { "" };
-    format!("{name:<20} id {id:>3}  [{bar}] {:>5.1} degrees{silent}", travel_rad.to_degrees())
 }

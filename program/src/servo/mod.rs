@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod description_edit;
+mod dialogue;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -61,6 +62,9 @@ pub(crate) enum ServoCommand {
         /// How long a device may take to answer.
         #[arg(long, value_name = "MS", default_value_t = 10)]
         timeout_ms: u64,
+        /// Ask in a browser, in a page at this port; 0 takes a free one.
+        #[arg(long, value_name = "PORT")]
+        page: Option<u16>,
     },
     /// Print what a device is.
     Ping {
@@ -137,12 +141,13 @@ pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
             let output = output.unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
             set_up(&port, last_id, &name, &output, force)
         }
-        ServoCommand::Calibrate { description, bus, port, margin, timeout_ms } => calibrate(&Options {
+        ServoCommand::Calibrate { description, bus, port, margin, timeout_ms, page } => calibrate(&Options {
             description: &description,
             bus: &bus,
             port: port.as_deref(),
             timeout: Duration::from_millis(timeout_ms),
             margin_rad: margin,
+            page,
         }),
         ServoCommand::Ping { port, id } => {
             let (_, found) = port.find(id)?;

@@ -1,5 +1,5 @@
 // @ts-check
-// Questions to the editor behind the page, and what it answers.
+// Questions to the program behind the page, and what the editor of robot files answers.
 
 /**
  * @typedef {{ name: string, is: 'topic' | 'service' | 'action', does: 'publishes' | 'subscribes' | 'serves' | 'calls', type: string }} Port
@@ -41,7 +41,7 @@ function takeToken() {
   }
 }
 
-/** The connection to the editor: `state` events, and questions that wait for it. */
+/** The connection to the program: `state` events, and questions that wait for it. */
 export class Editor extends EventTarget {
   constructor() {
     super();
@@ -71,7 +71,7 @@ export class Editor extends EventTarget {
       else waiting?.resolve(message.ok);
     };
     socket.onclose = () => {
-      for (const { reject } of this.asked.values()) reject(new Error('the connection to the editor is lost'));
+      for (const { reject } of this.asked.values()) reject(new Error('the connection is lost'));
       this.asked.clear();
       this.change(false);
       setTimeout(() => this.connect(), this.pauseMs);
@@ -94,7 +94,7 @@ export class Editor extends EventTarget {
   ask(ask, args = {}) {
     return new Promise((resolve, reject) => {
       if (!this.isOpen) {
-        reject(new Error('there is no connection to the editor: is `downbeat compose` still running?'));
+        reject(new Error('there is no connection: is the program still running?'));
         return;
       }
       this.lastId += 1;

@@ -49,6 +49,7 @@ use downbeat_msgs::downbeat_interfaces::srv::{
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
 use downbeat_servos::step::standstill;
+use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -64,7 +65,7 @@ const BUILT_IN: &str = "darwin_op_motions.toml";
 #[derive(Debug, Default)]
 pub struct MotionPlayer {
     motions: Motions,
-    /// Where they are from; empty if they are built in.
+    /// The name of the file that they are from; empty if they are built in.
     file: String,
     server: ActionServer<PlayMotion>,
     pose: PresentPose,
@@ -288,7 +289,9 @@ impl Module for MotionPlayer {
             "" => Ok(Motions::default()),
             path => Motions::read(path, &humanoid),
         };
-        self.file = setup.value(file).cloned().unwrap_or_default();
+        // Without its folder, which a replay may name in another way.
+        let name = setup.value(file).and_then(|path| FilePath::new(path).file_name());
+        self.file = name.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         self.pose = PresentPose::new(humanoid);
         self.motions = motions.map_err(|error| setup.refuse_value(file, error.to_string()))?;
         let ports = Ports {

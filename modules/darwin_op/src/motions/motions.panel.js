@@ -38,8 +38,8 @@ export default {
     const stage = h('div', { class: 'stage', style: { height: '18rem', flex: 'none' } }, picture.element);
     const button = (text, onclick, attributes = {}) => h('button', { type: 'button', class: 'button', onclick, ...attributes }, text);
     const chosen = h('select', { 'aria-label': 'Motion', 'data-testid': 'motion-chosen', onchange: () => choose(chosen.value) });
-    const name = h('input', { 'aria-label': 'Name', size: 14, 'data-testid': 'motion-name', onchange: () => { motion.name = name.value.trim(); touch(); } });
-    const about = h('input', { 'aria-label': 'What it does', size: 28, placeholder: 'what it does', onchange: () => { motion.about = about.value; touch(); } });
+    const name = h('input', { type: 'text', 'aria-label': 'Name', size: 14, 'data-testid': 'motion-name', onchange: () => { motion.name = name.value.trim(); touch(); } });
+    const about = h('input', { type: 'text', 'aria-label': 'What it does', size: 28, placeholder: 'what it does', onchange: () => { motion.about = about.value; touch(); } });
     const interpolation = h('select', { 'aria-label': 'Between frames', onchange: () => { motion.interpolation = interpolation.value; touch(); } },
       ['smooth', 'through', 'linear'].map((value) => h('option', { value }, value)));
     const speed = h('input', { type: 'number', min: '5', max: '100', step: '5', value: String(SLOW * 100), 'aria-label': 'Speed in percent', 'data-testid': 'motion-speed', style: { width: '4.5em' } });
@@ -63,8 +63,8 @@ export default {
       ),
       problem, note,
       h('div', { style: { display: 'flex', flexWrap: 'wrap', gap: '1.2rem', alignItems: 'flex-start' } },
-        h('table', { 'data-testid': 'motion-frames' }, h('thead', null, h('tr', null, ['Frame', 'Way, s', 'Pause, s', ''].map((title) => h('th', { scope: 'col' }, title)))), frames),
-        h('table', { 'data-testid': 'motion-joints' }, h('thead', null, h('tr', null, ['Moves', 'Joint', 'Angle', '°'].map((title) => h('th', { scope: 'col' }, title)))), sliders)));
+        h('table', { 'data-testid': 'motion-frames', style: { width: 'auto' } }, h('thead', null, h('tr', null, ['Frame', 'Way, s', 'Pause, s', ''].map((title) => h('th', { scope: 'col' }, title)))), frames),
+        h('table', { 'data-testid': 'motion-joints', style: { width: 'auto' } }, h('thead', null, h('tr', null, ['Moves', 'Joint', 'Angle', '°'].map((title) => h('th', { scope: 'col' }, title)))), sliders)));
     root.append(nothing);
 
     // ---- frames

@@ -10,6 +10,9 @@ import { Renderer } from './webgl.js';
 import { fitCanvas, h, onTheme, painter } from '../../panel.js';
 import { words } from '../../connection.js';
 
+/** From which the whole robot is seen, in m. */
+const CLOSE = 1;
+
 export class PoseView {
   /**
    * @param {import('../../panel.js').PanelRobot} robot @param {string} label for screen readers
@@ -26,6 +29,7 @@ export class PoseView {
     this.request = () => paint.request();
     this.shapes = new Shapes(robot, this.request, tell);
     this.orbit = new Orbit(this.element, this.request);
+    this.orbit.distance = CLOSE;
     this.element.addEventListener('keydown', (event) => {
       if (!event.ctrlKey && !event.metaKey && !event.altKey && this.orbit.key(event)) event.preventDefault();
     });
