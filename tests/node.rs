@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use common::matrix::{Way, With, check};
+use common::matrix::{Check, Way, With, check};
 use common::rclpy::Peer;
 use common::{Running, robot_file, wait_until};
 use serde_json::{Value, json};
@@ -116,6 +116,44 @@ fn a_robot_that_follows_clock_stamps_its_messages_with_that_time() {
         stamps.iter().filter(|&&stamp| stamp >= 1000).count() >= 20
     });
     assert!(stamps.iter().all(|stamp| (0..=milliseconds / 1000).contains(stamp)), "{stamps:?}");
+    robot.interrupt();
+    peer.leave();
+}
+
+/// The wheels of Kilted have no messages of sensors: texts, parameters and the lifecycle are what they know.
+#[test]
+fn rclpy_of_kilted_reads_and_changes_a_robot() {
+    let checks = [
+        check("Node services", "robot_description", With::Kilted, Way::Out),
+        check("Parameters", "settings of the demo", With::Kilted, Way::In),
+        check("Selection", "lifecycle in the robot file", With::Kilted, Way::In),
+    ];
+    let domain = free_domain();
+    let Some(mut peer) = Peer::kilted(domain) else { return checks.into_iter().for_each(Check::skipped) };
+    let folder = tempfile::tempdir().unwrap();
+    let mut robot = run(domain, folder.path(), "lifecycle = [\"motion\"]");
+    let (latched, text) = (json!({"depth": 1, "durability": "transient_local"}), "std_msgs/msg/String");
+    peer.ask(json!({"do": "subscribe", "topic": "/robot_description", "type": text, "qos": latched}));
+    assert_eq!(peer.take("/robot_description", 1)[0]["fields"]["data"], URDF);
+
+    let mut parameters = |call: &str, argument: Value| {
+        peer.ask(json!({"do": "parameters", "node": "/darwin_op", "call": call, "argument": argument}))
+    };
+    let set = parameters("set_parameters", json!({"mux.hold_s": 2.5}));
+    assert_eq!(set["results"][0]["successful"], true, "{set}");
+    let read = parameters("get_parameters", json!(["mux.hold_s"]));
+    assert_eq!(read["values"][0]["double_value"], 2.5, "{read}");
+
+    let mut call = |name: &str, kind: &str, request: Value| {
+        let service = format!("/motion/{name}");
+        peer.ask(json!({"do": "client", "service": service, "type": format!("lifecycle_msgs/srv/{kind}")}));
+        assert_eq!(peer.ask(json!({"do": "wait_for_service", "service": service})), true);
+        peer.ask(json!({"do": "call", "service": service, "requests": [request]}))[0].clone()
+    };
+    assert_eq!(call("get_state", "GetState", json!({}))["current_state"]["label"], "active");
+    let changed = call("change_state", "ChangeState", json!({"transition": {"label": "deactivate"}}));
+    assert_eq!(changed["success"], true, "{changed}");
+    assert_eq!(call("get_state", "GetState", json!({}))["current_state"]["label"], "inactive");
     robot.interrupt();
     peer.leave();
 }
