@@ -51,7 +51,7 @@ test('three key frames are made from the pose of the robot and by hand', async (
   await turn('r_sho_pitch', 60);
   await until('the arm is raised in 3D', async () => !(await picture()).equals(standing));
   await click('copy');
-  await turn('r_sho_pitch', -40);
+  await turn('r_sho_pitch', -60);
   assert.equal(await page.getByTestId('motion-frames').locator('tbody tr').count(), 3);
   await page.getByTestId('motion-frame-2').click();
   assert.equal(await angle('r_sho_pitch').inputValue(), '60');
@@ -82,7 +82,7 @@ test('it is saved in the file, whose other lines stay', async () => {
   await until('it is saved', async () => (await note()).startsWith('Saved in '));
   const after = file();
   assert(after.startsWith(before), 'nothing else has changed');
-  assert.match(after.slice(before.length), /^\n\[greet\]\n[^]*\[\[greet\.frame\]\]\nduration_s = 0\.8\ndegrees = \{ r_sho_pitch = -40\.0 \}\n$/);
+  assert.match(after.slice(before.length), /^\n\[greet\]\n[^]*\[\[greet\.frame\]\]\nduration_s = 0\.8\ndegrees = \{ r_sho_pitch = -60\.0 \}\n$/);
 });
 
 test('it is played', async () => {
