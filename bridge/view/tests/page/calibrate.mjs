@@ -75,5 +75,5 @@ test('each step is asked for in the page, and the joints are shown while they tu
     await done();
   }
   await asks('Calibrated');
-  assert.match(await page.getByTestId('calibrate-lines').innerText(), /gripper +zero +\d+ +sign +1 +limits -0\.05\d? to 1\.55\d? rad[^]*wrote .*arm\.toml; the joints are still limp/);
+  assert.match(await page.getByTestId('calibrate-lines').innerText(), /gripper +zero +\d+ +sign +1 +limits -0\.0[45]\d to 1\.5[45]\d rad[^]*wrote .*arm\.toml; the joints are still limp/);
 });

@@ -66,9 +66,16 @@ pub(super) fn with(
 }
 
 fn write(table: &mut Table, edited: &MotionMessage, joints: &[Joint]) {
-    let mut set = |key: &str, is_default: bool, new: Item| match is_default {
-        true => drop(table.remove(key)),
-        false => drop(table.insert(key, new)),
+    let mut set = |key: &str, is_default: bool, mut new: Item| match table.get_mut(key) {
+        _ if is_default => drop(table.remove(key)),
+        Some(old) => {
+            // With the comment behind it.
+            if let (Some(old), Some(new)) = (old.as_value(), new.as_value_mut()) {
+                *new.decor_mut() = old.decor().clone();
+            }
+            *old = new;
+        }
+        None => drop(table.insert(key, new)),
     };
     set("mirror_of", edited.mirror_of.is_empty(), value(&edited.mirror_of));
     set("about", edited.about.is_empty(), value(&edited.about));
