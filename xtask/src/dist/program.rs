@@ -66,11 +66,7 @@ impl Program {
     /// Packs the folder as a tarball and returns its path: sorted, without owners, all with one time.
     pub(super) fn tarball(&self, release: &Release) -> anyhow::Result<PathBuf> {
         let file = release.out.join(format!("{}.tar.gz", release.name()));
-        let mut tar = Command::new("tar");
-        tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--format=ustar"]);
-        tar.args(["--mode=u=rwX,go=rX", "--use-compress-program=gzip -9 --no-name"]);
-        tar.arg(format!("--mtime=@{}", release.time)).arg("--create").arg("--file").arg(&file);
-        run(tar.arg("--directory").arg(self.folder.parent().unwrap_or(&self.folder)).arg(release.name()))?;
+        release.pack(&self.folder, &file)?;
         Ok(file)
     }
 }

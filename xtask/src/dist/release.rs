@@ -7,7 +7,7 @@ use anyhow::Context;
 
 use super::cross::{self, Target};
 use crate::crates::{self, cargo_home};
-use crate::steps::{output_of, workspace};
+use crate::steps::{output_of, run, workspace};
 
 /// The features of the program and the wheel beside the default ones: all but `rustdds`, a second DDS engine
 /// for comparison. SQLite and the TLS of Zenoh compile C.
@@ -47,6 +47,16 @@ impl Release {
     /// `downbeat-VERSION-TARGET`
     pub(super) fn name(&self) -> String {
         format!("downbeat-{}-{}", self.version, self.target.triple())
+    }
+
+    /// Packs a folder into `file`, a `.tar.gz` with the same bytes for the same contents.
+    pub(super) fn pack(&self, folder: &Path, file: &Path) -> anyhow::Result<()> {
+        let mut tar = Command::new("tar");
+        tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--format=ustar"]);
+        tar.args(["--mode=u=rwX,go=rX", "--use-compress-program=gzip -9 --no-name"]);
+        tar.arg(format!("--mtime=@{}", self.time)).arg("--create").arg("--file").arg(file);
+        let name = folder.file_name().context("a folder without a name")?;
+        run(tar.arg("--directory").arg(folder.parent().unwrap_or(folder)).arg(name))
     }
 
     /// The environment in which cargo and maturin compile.

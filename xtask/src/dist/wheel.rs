@@ -74,13 +74,16 @@ pub(super) fn sources(release: &Release) -> anyhow::Result<PathBuf> {
     maturin.args(["-m", "maturin", "sdist", "--out"]).arg(&folder);
     run_in(&workspace().join("python"), maturin.env("SOURCE_DATE_EPOCH", release.time.to_string()))?;
     let name = format!("downbeat_robotics-{}.tar.gz", release.version);
-    // Cargo reads all manifests in it, as whoever builds from it does.
     run(Command::new("tar").arg("-xzf").arg(folder.join(&name)).arg("-C").arg(&folder))?;
     let unpacked = folder.join(format!("downbeat_robotics-{}", release.version));
-    let mut cargo = Command::new("cargo");
-    cargo.args(["metadata", "--format-version", "1", "--locked"]).stdout(Stdio::null());
-    run_in(&unpacked, &mut cargo)?;
+    // Cargo reads all manifests in it, as whoever builds from it does. Its lock file loses what only benches use,
+    // which are not in it: with that, nobody could build with --locked.
+    for lock in ["--offline", "--locked"] {
+        let mut cargo = Command::new("cargo");
+        cargo.args(["metadata", "--format-version", "1", lock]).stdout(Stdio::null());
+        run_in(&unpacked, &mut cargo)?;
+    }
     let file = release.out.join(&name);
-    std::fs::copy(folder.join(&name), &file).with_context(|| format!("cannot write {}", file.display()))?;
+    release.pack(&unpacked, &file)?;
     Ok(file)
 }
