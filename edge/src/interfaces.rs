@@ -119,8 +119,8 @@ impl Interfaces {
         Ok(self.of_tables(tables))
     }
 
-    /// Returns these interfaces with the Rust types of another version of packages that are known: modules may
-    /// use them, while a name alone still means the known version.
+    /// Returns these interfaces with the Rust types of another version of packages that are known: modules
+    /// may use them, while a name alone still means the known version.
     #[must_use]
     pub fn with_other_version(&self, set: impl InterfaceSet) -> Self {
         match Tables::clone(&self.tables).with(set, OtherVersions::Admitted) {

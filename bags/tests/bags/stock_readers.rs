@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 
 use super::Reader;
 
-/// Opens the bags in a folder with the stock readers that are there. Each decodes every message, and must find
-/// as many on every topic as we do. Returns the names of the readers.
+/// Opens the bags in a folder with the stock readers that are there. Each decodes every message, and must
+/// find as many on every topic as we do. Returns the names of the readers.
 ///
 /// `mcap-ros2-support` reads no names of parts of services and actions; those topics are left out.
 #[track_caller]

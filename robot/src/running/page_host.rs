@@ -1,5 +1,5 @@
-//! What the page asks of a robot beside its core: recordings, the log, the measured chains, and files of modules
-//! that it has edited.
+//! What the page asks of a robot beside its core: recordings, the log, the measured chains, and files of
+//! modules that it has edited.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

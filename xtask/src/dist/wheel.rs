@@ -76,8 +76,8 @@ pub(super) fn sources(release: &Release) -> anyhow::Result<PathBuf> {
     let name = format!("downbeat_robotics-{}.tar.gz", release.version);
     run(Command::new("tar").arg("-xzf").arg(folder.join(&name)).arg("-C").arg(&folder))?;
     let unpacked = folder.join(format!("downbeat_robotics-{}", release.version));
-    // Cargo reads all manifests in it, as whoever builds from it does. Its lock file loses what only benches use,
-    // which are not in it: with that, nobody could build with --locked.
+    // Cargo reads all manifests in it, as whoever builds from it does. Its lock file loses what only benches
+    // use, which are not in it: with that, nobody could build with --locked.
     for lock in ["--offline", "--locked"] {
         let mut cargo = Command::new("cargo");
         cargo.args(["metadata", "--format-version", "1", lock]).stdout(Stdio::null());

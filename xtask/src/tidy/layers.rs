@@ -95,6 +95,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-kind",
             "downbeat-kinematics",
             "downbeat-msgs",
+            "downbeat-msgs-generator",
             "downbeat-servos",
             "downbeat-transforms",
         ],

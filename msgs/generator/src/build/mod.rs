@@ -81,8 +81,8 @@ impl Build {
         self
     }
 
-    /// Adds a package of which `downbeat-msgs` carries another version: as [`package`](Self::package). Its folder
-    /// has all of its own types that those refer to. A program registers them beside the carried ones
+    /// Adds a package of which `downbeat-msgs` carries another version: as [`package`](Self::package). Its
+    /// folder has all of its own types that those refer to. A program registers them beside the carried ones
     /// (`Interfaces::with_other_version`), and a module uses them by their Rust types.
     pub fn other_version(mut self, folder: impl Into<PathBuf>) -> Self {
         self.requests.push(Request::OtherVersion(folder.into()));

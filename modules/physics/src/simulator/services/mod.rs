@@ -5,8 +5,8 @@
 //! not.
 //!
 //! # References
-//! `ros-simulation/simulation_interfaces` 1.5.0, which Jazzy and Kilted have; on request 2.1.0, three of whose
-//! services differ ([`version_2`]).
+//! `ros-simulation/simulation_interfaces` 1.5.0, which Jazzy and Kilted have; on request 2.1.0, three of
+//! whose services differ ([`version_2`]).
 
 mod version_2;
 
