@@ -32,6 +32,10 @@ impl Home {
                 command.env(kept, value);
             }
         }
+        // Cargo runs this program with it; without it, rustup would install a toolchain in her home.
+        if let (None, Some(home)) = (std::env::var_os("RUSTUP_HOME"), std::env::home_dir()) {
+            command.env("RUSTUP_HOME", home.join(".rustup"));
+        }
         command
     }
 }
