@@ -32,9 +32,12 @@ pub(crate) struct DistArguments {
     /// Only the tarball and its SBOM.
     #[arg(long)]
     program: bool,
+    /// Only the sources of the wheel, for which nothing is compiled.
+    #[arg(long, conflicts_with = "program")]
+    sources: bool,
     /// Install from the files that are there already, each into a clean environment, run the demo robot, and
     /// remove it again.
-    #[arg(long, conflicts_with = "program")]
+    #[arg(long, conflicts_with_all = ["program", "sources"])]
     test: bool,
 }
 
@@ -43,6 +46,9 @@ pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
     let release = Release::new(arguments.target, arguments.out)?;
     if arguments.test {
         return from_nothing::test(&release);
+    }
+    if arguments.sources {
+        return print(&[wheel::sources(&release)?]);
     }
     let program = program::build(&release)?;
     let mut files = vec![program.tarball(&release)?];
