@@ -485,6 +485,7 @@ fn a_type_that_only_the_ament_path_knows_is_recorded_with_its_definition() {
     });
     recorder.interrupt();
     let reader = Reader::open(&bag).unwrap();
+    assert_eq!(counts(&bag), BTreeMap::from([("/blades".to_owned(), 7)]));
     let info = &reader.topics()[reader.topic("/blades").unwrap().index()].info;
     assert!(info.definition.starts_with(blade) && info.definition.contains("MSG: std_msgs/Header"));
     assert!(info.type_hash.starts_with("RIHS01_"));

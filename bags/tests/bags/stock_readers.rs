@@ -48,6 +48,11 @@ fn compare(folder: &Path, reader: &str, found: &Value, reads: fn(&str) -> bool) 
         let ours: BTreeMap<_, _> = topics.map(|topic| (&topic.info.name, topic.message_count)).collect();
         let name = path.file_name().unwrap().to_str().unwrap();
         assert_eq!(found[name], json!(ours), "{}, read by {reader}", path.display());
+        // Of the topics that this reader reads, metadata.yaml has the same numbers.
+        let metadata = bag.metadata().map(|metadata| &metadata.topics[..]).unwrap_or_default();
+        let noted = metadata.iter().filter(|topic| topic.message_count > 0 && reads(&topic.type_name));
+        let noted: BTreeMap<_, _> = noted.map(|topic| (&topic.name, topic.message_count)).collect();
+        assert!(bag.metadata().is_none() || noted == ours, "{}: {noted:?}, not {ours:?}", path.display());
     }
 }
 
