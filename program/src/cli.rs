@@ -20,6 +20,8 @@ use super::bag::cut::CutArguments;
 use super::bag::debug::DebugArguments;
 use super::bag::diff::DiffArguments;
 use super::bag::export::ExportArguments;
+#[cfg(feature = "tables")]
+use super::bag::import::ImportArguments;
 use super::bag::info::InfoArguments;
 use super::bag::latency::LatencyArguments;
 use super::bag::play::PlayArguments;
@@ -538,8 +540,15 @@ pub(crate) enum BagCommand {
     Cut(CutArguments),
     /// Compare two bags message by message; if they differ, print the first difference and exit with code 1.
     Diff(DiffArguments),
-    /// Write topics as tables: CSV, JSON lines or Apache Parquet, one file per topic.
+    /// Write topics as tables, CSV, JSON lines or Apache Parquet, one file per topic; or demonstrations as a data
+    /// set of LeRobot.
     Export(ExportArguments),
+    /// Write a data set of LeRobot as a bag, to be looked at and played.
+    #[cfg(feature = "tables")]
+    Import(ImportArguments),
+    /// (Not in this program, built without "tables".) Write a data set of LeRobot as a bag.
+    #[cfg(not(feature = "tables"))]
+    Import(NotBuiltIn),
     /// Print why a message was published: the runs of modules that led to it, back to what came from outside.
     ///
     /// In a bag that was recorded in a robot this is exact, if it has the topic module_runs. In other bags,

@@ -145,6 +145,10 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Bag(BagCommand::Cut(arguments)) => bag::cut::cut(&arguments),
         Command::Bag(BagCommand::Diff(arguments)) => bag::diff::diff(&arguments),
         Command::Bag(BagCommand::Export(arguments)) => bag::export::export(&arguments, catalog),
+        #[cfg(feature = "tables")]
+        Command::Bag(BagCommand::Import(arguments)) => bag::import::import(&arguments),
+        #[cfg(not(feature = "tables"))]
+        Command::Bag(BagCommand::Import(_)) => not_built("tables", ""),
         Command::Bag(BagCommand::Why(arguments)) => bag::why::why(&arguments, catalog),
         Command::Bag(BagCommand::Latency(arguments)) => bag::latency::latency(&arguments, catalog),
         #[cfg(feature = "plots")]
@@ -195,6 +199,8 @@ fn ends_when_done(command: &Command) -> bool {
         BagCommand::Info(_) | BagCommand::Check(_) | BagCommand::Repair(_) | BagCommand::Reindex(_) => true,
         BagCommand::Convert(_) | BagCommand::Cut(_) | BagCommand::Diff(_) | BagCommand::Export(_) => true,
         BagCommand::Why(_) | BagCommand::Latency(_) => true,
+        #[cfg(feature = "tables")]
+        BagCommand::Import(_) => true,
         #[cfg(feature = "plots")]
         BagCommand::Plot(_) => true,
         _ => false,

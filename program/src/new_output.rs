@@ -27,6 +27,8 @@ pub(crate) enum Output {
     Bag,
     /// A directory of tables.
     Tables,
+    /// A directory of a data set.
+    Dataset,
     File,
 }
 
@@ -35,6 +37,7 @@ impl Output {
         match self {
             Self::Bag => "bag",
             Self::Tables => "directory of tables",
+            Self::Dataset => "data set",
             Self::File => "file",
         }
     }
@@ -47,6 +50,7 @@ impl Output {
         match self {
             Self::Bag => ["metadata.yaml", ".metadata.yaml.new"].contains(&name) || ends_with(&BAG),
             Self::Tables => ends_with(&TABLES),
+            Self::Dataset => false,
             Self::File => false,
         }
     }
@@ -82,7 +86,11 @@ impl Force {
                 let entry = entry.with_context(|| format!("cannot read {shown}"))?;
                 let name = entry.file_name();
                 let is_of_it = match entry.path().is_dir() {
-                    true => output == Output::Bag && name == SOURCES_FOLDER && has_only_files(&entry.path()),
+                    true => match output {
+                        Output::Bag => name == SOURCES_FOLDER && has_only_files(&entry.path()),
+                        Output::Dataset => ["meta", "data", "videos"].iter().any(|known| name == *known),
+                        Output::Tables | Output::File => false,
+                    },
                     false => output.holds(&name.to_string_lossy()),
                 };
                 if !is_of_it {

@@ -141,7 +141,7 @@ pub(crate) struct WatchedRobot {
 }
 
 /// How long a robot may take to stop when the process that started it has ended.
-#[cfg(feature = "view")]
+#[cfg(any(feature = "football", feature = "view"))]
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 const REFRESH: Duration = Duration::from_millis(250);

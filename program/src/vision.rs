@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
-use downbeat_vision::{Class, Colours, Encoding, Picture, Samples, Table};
+use downbeat_vision::{Class, Colours, Encoding, Picture, Samples, Table, classified};
 use serde::Deserialize;
 
 use super::bag;
@@ -204,7 +204,7 @@ fn of_bag(path: &Path, name: &str, at: f64) -> anyhow::Result<Pixels> {
     let mut messages = reader.messages(Selection::all().topics([topic]).from(from))?;
     let message = messages.next().with_context(|| format!("{name} has no message from {at} s on"))??;
     let image: Image = cdr::from_slice(&message.data).with_context(|| name.clone())?;
-    let picture = Picture::of(&image)?;
+    let picture = Picture::of(&image)?.with_colours()?;
     let mut rgb = Vec::with_capacity(3 * picture.width() * picture.height());
     picture.each_pixel(|_, pixel| rgb.extend(pixel));
     Ok(Pixels { size: [image.width, image.height], rgb })
@@ -243,7 +243,7 @@ fn write_beside(
     table: &Table,
 ) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
-    for (name, rgb) in [("picture", &pixels.rgb), ("classes", &picture.classified(table))] {
+    for (name, rgb) in [("picture", &pixels.rgb), ("classes", &classified(picture, table))] {
         let path = folder.join(format!("{name}_{number}.png"));
         write_png(&path, pixels.size, rgb).with_context(|| format!("writing {}", path.display()))?;
     }

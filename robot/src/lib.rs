@@ -11,6 +11,8 @@ mod catalog;
 pub mod causes;
 mod commanders;
 mod controllers;
+#[cfg(feature = "tables")]
+pub mod dataset;
 pub mod encoding;
 mod expose;
 mod failure;

@@ -13,6 +13,7 @@ mod football;
 mod install;
 mod markdown;
 mod matrix;
+mod neighbours;
 mod node;
 mod notices;
 mod packaging;
@@ -96,7 +97,11 @@ enum Command {
     },
     /// The crates as they would be published: packaged, installed with `cargo install` from a registry in a
     /// folder, and a project of `downbeat new` built with them. Part of the test run.
-    Crates,
+    Crates {
+        /// Only compile what is installed.
+        #[arg(long)]
+        compile: bool,
+    },
     /// The Debian package of what `crates` installs, checked, installed into an empty root, run and removed.
     /// Part of the test run.
     Deb {
@@ -131,6 +136,9 @@ enum Command {
     /// The long proofs of the football player, about an hour: vision, localisation, an empty goal, matches,
     /// recorded matches. Prints each figure beside its goal, and fails if one misses it.
     Football(football::FootballArguments),
+    /// LeRobot itself reads the data sets that `bag export` writes, and writes one that `bag import` reads; and how
+    /// fast they are written. Downloads 4 GB.
+    Neighbours,
     /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the
     /// falls or the physics; then runs the tests that replay it.
     RecordWalk,
@@ -158,11 +166,13 @@ fn main() -> ExitCode {
         Command::Aarch64 => aarch64::aarch64(),
         Command::Bags => bags::bags(),
         Command::Recorder { minutes } => recorder::recorder(minutes),
-        Command::Crates => install::cargo_install().map(drop),
+        Command::Crates { compile: true } => install::compile_packages(),
+        Command::Crates { compile: false } => install::cargo_install().map(drop),
         Command::Deb { program } => program
             .map_or_else(install::cargo_install, Ok)
             .and_then(|program| with_skips(|skips| install::debian_package(&program, skips))),
         Command::Colcon => with_skips(install::ros_workspace),
+        Command::Neighbours => neighbours::neighbours(),
         Command::RecordWalk => walk::record(),
         Command::Wheel { test: true, .. } => with_skips(wheel::test),
         Command::Wheel { test: false, features } => {

@@ -1,5 +1,6 @@
 //! `cargo xtask test`
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 use std::process::Command;
 use std::thread::JoinHandle;
@@ -68,7 +69,7 @@ impl Peers {
 /// The target folder of lints and documentation, since cargo locks that of the tests.
 const LINTS: &str = "target/lints";
 
-/// Lints and documentation, in the time that tests spend waiting.
+/// Lints, documentation, and what the packages of a release compile, in the time that tests spend waiting.
 struct Aside(JoinHandle<Vec<(&'static str, anyhow::Result<()>)>>);
 
 impl Aside {
@@ -77,22 +78,27 @@ impl Aside {
         if let Err(error) = lend_to_lints() {
             eprintln!("xtask: lints compile macros and build scripts again: {error:#}");
         }
-        let commands = || {
+        let own = std::env::current_exe().context("the path of xtask is not known")?;
+        let commands = move || {
             let others = ["--features", "benches/zenoh,benches-ros2/security,benches-ros2/zenoh"];
-            let mut clippy = Self::command(&["clippy", "--workspace", "--all-targets"]);
+            let mut clippy = Self::lint(&["clippy", "--workspace", "--all-targets"]);
             clippy.args(ALL).args(others).args(["--", "--deny", "warnings"]);
-            let mut documentation = Self::command(&["doc", "--workspace", "--no-deps", "--quiet"]);
+            let mut documentation = Self::lint(&["doc", "--workspace", "--no-deps", "--quiet"]);
             documentation.args(ALL).env("RUSTDOCFLAGS", "--deny warnings");
             let bare = |package| {
-                let mut clippy = Self::command(&["clippy", "--package", package, "--no-default-features"]);
+                let mut clippy = Self::lint(&["clippy", "--package", package, "--no-default-features"]);
                 clippy.args(["--", "--deny", "warnings"]);
                 clippy
             };
+            // This program once more, whose commands are as modest as it is.
+            let mut packages = Self::modest(&own);
+            packages.args(["crates", "--compile"]);
             [
                 ("clippy", clippy),
                 ("documentation", documentation),
                 ("messages without optional features", bare("downbeat-msgs")),
                 ("robots without optional features", bare("downbeat")),
+                ("compiling the crates as they would be published", packages),
             ]
         };
         let run_all = move || {
@@ -103,19 +109,28 @@ impl Aside {
         Ok(Self(thread.context("cannot start a thread")?))
     }
 
-    /// A command of cargo that leaves the processor to tests. Not wholly: tests that call cargo wait for its
-    /// lock of packages.
-    fn command(arguments: &[&str]) -> Command {
+    /// A command that leaves the processor to tests. Not wholly: tests that call cargo wait for its lock of
+    /// packages.
+    fn modest(program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new("nice");
-        command.args(["-n", "19", env!("CARGO")]).args(arguments).args(["--target-dir", LINTS]);
+        command.args(["-n", "19"]).arg(program);
+        command
+    }
+
+    fn lint(arguments: &[&str]) -> Command {
+        let mut command = Self::modest(env!("CARGO"));
+        command.args(arguments).args(["--target-dir", LINTS]);
         command
     }
 
     /// Waits for the rest, and reports what came of it.
     fn finish(self, steps: &mut Steps) -> anyhow::Result<()> {
-        eprintln!("\n== waiting for lints and documentation");
-        let results = self.0.join().map_err(|_| anyhow::anyhow!("lints and documentation have panicked"))?;
-        results.into_iter().for_each(|(name, result)| steps.step(name, || result));
+        eprintln!("\n== waiting for lints, documentation and packages");
+        let results =
+            self.0.join().map_err(|_| anyhow::anyhow!("what runs beside the tests has panicked"))?;
+        for (name, result) in results {
+            steps.step(name, || result);
+        }
         Ok(())
     }
 }
@@ -200,13 +215,15 @@ pub(crate) fn test() -> anyhow::Result<()> {
         budget::check(if has_nextest { ALL } else { &["--features", "downbeat/tables"] })
     });
     steps.step("the Python package", || wheel::test(&skips));
-    steps.step("crates as they would be published, and a Debian package of them", || {
-        install::cargo_install().and_then(|program| install::debian_package(&program, &skips))
-    });
     steps.step("what works with ROS 2", || notes.compare());
     steps.step("the first hour: what the pages say, typed in an empty home", || first_hour.print());
     steps.step("documentation tests", || run(cargo(&["test", "--workspace", "--doc", "--quiet"]).args(ALL)));
-    aside.finish(&mut steps)?;
+    // With what was compiled beside the tests.
+    let packaged = aside.finish(&mut steps);
+    steps.step("crates as they would be published, and a Debian package of them", || {
+        packaged?;
+        install::cargo_install().and_then(|program| install::debian_package(&program, &skips))
+    });
     skips.print()?;
     steps.finish()
 }

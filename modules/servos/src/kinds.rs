@@ -10,6 +10,9 @@ use crate::joint_command_mux::JointCommandMux;
 use crate::servo_bus::ServoBus;
 use crate::servo_bus::bus::RecordedBus;
 use crate::servo_emulator::{MemoryPorts, ServoEmulator};
+use crate::teleoperation::EPISODES_PANEL;
+use crate::teleoperation::episodes::Episodes;
+use crate::teleoperation::leader_arm::LeaderArm;
 
 /// The kinds, whose hardware and emulators meet at these ports.
 #[must_use]
@@ -22,6 +25,12 @@ pub fn kinds(ports: &MemoryPorts) -> Vec<Kind> {
             DiffDriveController::default,
         )
         .claiming_joints(),
+        Kind::new(
+            "episodes",
+            "says where demonstrations for a robot that learns begin and end",
+            Episodes::default,
+        )
+        .with_panel("Episodes", EPISODES_PANEL, &["episodes"]),
         Kind::new(
             "forward_command",
             "passes positions, velocities or efforts on to joints",
@@ -39,6 +48,7 @@ pub fn kinds(ports: &MemoryPorts) -> Vec<Kind> {
             JointTrajectoryController::default,
         )
         .claiming_joints(),
+        Kind::new("leader_arm", "lets an arm follow another one that a hand moves", LeaderArm::default),
         Kind::new(
             "servo_bus",
             "the hardware of a robot of serial servos, Dynamixel or Feetech, as a file describes it",

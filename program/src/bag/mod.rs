@@ -11,6 +11,8 @@ pub(super) mod cut;
 pub(super) mod debug;
 pub(super) mod diff;
 pub(super) mod export;
+#[cfg(feature = "tables")]
+pub(super) mod import;
 pub(super) mod info;
 pub(super) mod latency;
 mod output;

@@ -13,7 +13,7 @@ use super::custom_data;
 use super::record_options::{Copying, GivenOptions};
 use crate::new_output::{Force, Output};
 use crate::unfinished::Unfinished;
-use downbeat_bags::{Copied, Copy, Reader, Storage, StorageOptions};
+use downbeat_bags::{Copied, Copy, Reader, Storage, StorageOptions, WriterOptions};
 use downbeat_robot::{RecordOptions, SOURCES_FOLDER};
 
 /// How a new bag is written.
@@ -35,6 +35,25 @@ pub(crate) struct LayoutArguments {
     options: GivenOptions<Copying>,
 }
 
+impl LayoutArguments {
+    /// How the bag is written; in the storage `default` unless the options name one.
+    pub(super) fn writer(&self, default: Storage) -> anyhow::Result<WriterOptions> {
+        let mut record = RecordOptions::default();
+        record.writer.storage = StorageOptions::of(default)?;
+        self.options.apply(&mut record)?;
+        Ok(record.writer)
+    }
+
+    /// The folder of the bag while it is written.
+    pub(super) fn unfinished<'a>(
+        &self,
+        directory: &Path,
+        inputs: impl IntoIterator<Item = &'a Path>,
+    ) -> anyhow::Result<Unfinished> {
+        Unfinished::directory(directory, (self.force, Output::Bag), inputs)
+    }
+}
+
 /// Writes the copy of `bags` into a new bag, with their custom data, their distribution of ROS 2 and the
 /// versions of modules in them, and prints its summary. The storage is `default` unless the options name one.
 pub(crate) fn write(
@@ -44,14 +63,10 @@ pub(crate) fn write(
     layout: &LayoutArguments,
     default: Storage,
 ) -> anyhow::Result<Copied> {
-    let replaces = (layout.force, Output::Bag);
-    let unfinished = Unfinished::directory(directory, replaces, bags.iter().map(Reader::path))?;
-    let mut record = RecordOptions::default();
-    record.writer.storage = StorageOptions::of(default)?;
-    layout.options.apply(&mut record)?;
-    let storage = record.writer.storage.storage();
-    let options =
-        custom_data(bags).fold(record.writer, |options, (key, value)| options.custom_data(key, value));
+    let unfinished = layout.unfinished(directory, bags.iter().map(Reader::path))?;
+    let options = layout.writer(default)?;
+    let storage = options.storage.storage();
+    let options = custom_data(bags).fold(options, |options, (key, value)| options.custom_data(key, value));
     let options = match ros_distro(bags) {
         Some(ros_distro) => options.ros_distro(ros_distro),
         None => options,

@@ -9,7 +9,7 @@ use downbeat_bags::{BagMessage, Reader, RecordedTopic, Selection, TopicDescripti
 use downbeat_msgs::printable;
 use downbeat_robot::table::DecodeError;
 
-#[derive(Args, Clone, Default)]
+#[derive(Args, Clone, Default, PartialEq)]
 pub(crate) struct TopicArguments {
     /// Only these topics.
     #[arg(long, num_args = 1.., value_name = "TOPIC")]
@@ -57,6 +57,12 @@ impl TopicArguments {
             excluded_types: self.exclude_topic_types.clone(),
             excluded_regex: self.exclude_regex.as_deref().map(whole).transpose()?,
         })
+    }
+
+    /// Whether no topic was asked for, and none excluded.
+    #[cfg(feature = "tables")]
+    pub(crate) fn is_everything(&self) -> bool {
+        *self == Self::default()
     }
 
     /// The absolute names of the topics that were asked for, and of the events of the services.

@@ -12,8 +12,7 @@ use crate::steps::workspace;
 /// Packages the crates, installs the program from the packages, runs the robot that it carries, and builds
 /// and runs a project that it makes. Nothing of the checkout is used but the packages.
 pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
-    let cargo = Cargo::new(&workspace().join("target/install"))?;
-    let program = cargo.install(&workspace().join("target/install/installed"), &["--debug"])?;
+    let (cargo, program) = installed()?;
     let home = Home::new()?;
     let arrival = Arrival::of(&program, &home)?;
     println!(
@@ -43,6 +42,19 @@ pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
     let robot = cargo.build.join("debug/my_robot");
     user(&robot, &["run", "my_robot/robot.toml", "--duration", "1s"])?;
     Ok(program)
+}
+
+/// Compiles what [`cargo_install`] installs, which takes less time from then on.
+pub(crate) fn compile_packages() -> anyhow::Result<()> {
+    installed().map(drop)
+}
+
+/// Packages the crates, and installs the program from the packages.
+fn installed() -> anyhow::Result<(Cargo, PathBuf)> {
+    let folder = workspace().join("target/install");
+    let cargo = Cargo::new(&folder)?;
+    let program = cargo.install(&folder.join("installed"), &["--debug"])?;
+    Ok((cargo, program))
 }
 
 /// Installs the program as a user does, for release, from nothing but the packages, below a folder. Returns

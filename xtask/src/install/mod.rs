@@ -8,5 +8,5 @@ mod registry;
 
 pub(crate) use arrival::{Arrival, Figures, Home};
 pub(crate) use colcon::{ros_workspace, ros_workspace_for_release};
-pub(crate) use crates::{cargo_install, cargo_install_for_release};
+pub(crate) use crates::{cargo_install, cargo_install_for_release, compile_packages};
 pub(crate) use deb::debian_package;

@@ -69,6 +69,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-transforms",
         ],
     ),
+    ("downbeat-pictures", &["downbeat-msgs"]),
     (
         "downbeat-sensors",
         &[
@@ -77,6 +78,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-files",
             "downbeat-kind",
             "downbeat-msgs",
+            "downbeat-pictures",
             "downbeat-servos",
         ],
     ),
@@ -120,6 +122,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-football",
             "downbeat-kind",
             "downbeat-msgs",
+            "downbeat-pictures",
             "downbeat-transforms",
         ],
     ),
@@ -202,6 +205,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-msgs",
             "downbeat-network",
             "downbeat-physics",
+            "downbeat-pictures",
             "downbeat-player",
             "downbeat-robots",
             "downbeat-sensors",

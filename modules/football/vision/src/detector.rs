@@ -2,11 +2,11 @@
 
 use crate::colours::{Class, Colours, Table};
 use crate::labels::Labels;
-use crate::picture::Picture;
 use crate::seen::{Exposure, Seen};
 use crate::view::View;
 use crate::{balls, markings, posts_and_robots};
 use downbeat_football::Field;
+use downbeat_pictures::Picture;
 
 /// Finds what is on a field. The same picture gives the same result.
 #[derive(Clone, Debug)]

@@ -1,8 +1,8 @@
 //! Pictures for people: what was seen, and which colour belongs to what.
 
 use crate::colours::{Class, Table};
-use crate::picture::Picture;
 use crate::seen::{Seen, TeamColour};
+use downbeat_pictures::Picture;
 use glam::DVec2;
 
 /// A picture that is drawn into; red, green, blue, row by row.
@@ -21,61 +21,57 @@ const BLACK: [u8; 3] = [0, 0, 0];
 /// The length of half a cross, in pixels.
 const CROSS: f64 = 4.0;
 
-impl Picture<'_> {
-    /// The picture with what was seen in it: the field boundary in blue, lines in red, intersections as
-    /// yellow crosses, balls and the centre circle in magenta, goal posts in cyan, robots in the colour of
-    /// their team or else in black. Red, green, blue, row by row.
-    #[must_use]
-    pub fn annotated(&self, seen: &Seen) -> Vec<u8> {
-        let mut canvas = Canvas { size: [self.width(), self.height()], data: Vec::new() };
-        canvas.data.reserve_exact(3 * self.width() * self.height());
-        self.each_pixel(|_, rgb| canvas.data.extend(rgb));
-        seen.boundary.windows(2).for_each(|ends| canvas.line(ends[0], ends[1], BLUE));
-        seen.lines.iter().for_each(|line| canvas.line(line.pixels[0], line.pixels[1], RED));
-        if let Some(circle) = &seen.circle {
-            let [from, to] = circle.bounds;
-            canvas.ellipse((from + to) / 2.0, (to - from) / 2.0, MAGENTA);
-        }
-        for post in &seen.posts {
-            canvas.standing(post.foot, post.size, CYAN);
-        }
-        for robot in &seen.robots {
-            let colour = match robot.team {
-                Some(TeamColour::Blue) => BLUE,
-                Some(TeamColour::Red) => RED,
-                None => BLACK,
-            };
-            canvas.standing(robot.foot, robot.size, colour);
-        }
-        for intersection in &seen.intersections {
-            for arm in [DVec2::X, DVec2::Y] {
-                canvas.line(intersection.pixel - CROSS * arm, intersection.pixel + CROSS * arm, YELLOW);
-            }
-        }
-        for ball in &seen.balls {
-            canvas.ellipse(ball.centre, DVec2::splat(ball.radius + 1.0), MAGENTA);
-        }
-        canvas.data
+/// The picture with what was seen in it: the field boundary in blue, lines in red, intersections as
+/// yellow crosses, balls and the centre circle in magenta, goal posts in cyan, robots in the colour of
+/// their team or else in black. Red, green, blue, row by row.
+#[must_use]
+pub fn annotated(picture: &Picture<'_>, seen: &Seen) -> Vec<u8> {
+    let mut canvas = Canvas { size: [picture.width(), picture.height()], data: picture.to_rgb() };
+    seen.boundary.windows(2).for_each(|ends| canvas.line(ends[0], ends[1], BLUE));
+    seen.lines.iter().for_each(|line| canvas.line(line.pixels[0], line.pixels[1], RED));
+    if let Some(circle) = &seen.circle {
+        let [from, to] = circle.bounds;
+        canvas.ellipse((from + to) / 2.0, (to - from) / 2.0, MAGENTA);
     }
+    for post in &seen.posts {
+        canvas.standing(post.foot, post.size, CYAN);
+    }
+    for robot in &seen.robots {
+        let colour = match robot.team {
+            Some(TeamColour::Blue) => BLUE,
+            Some(TeamColour::Red) => RED,
+            None => BLACK,
+        };
+        canvas.standing(robot.foot, robot.size, colour);
+    }
+    for intersection in &seen.intersections {
+        for arm in [DVec2::X, DVec2::Y] {
+            canvas.line(intersection.pixel - CROSS * arm, intersection.pixel + CROSS * arm, YELLOW);
+        }
+    }
+    for ball in &seen.balls {
+        canvas.ellipse(ball.centre, DVec2::splat(ball.radius + 1.0), MAGENTA);
+    }
+    canvas.data
+}
 
-    /// The picture with one colour for each class: the carpet green, lines white, the ball orange, goals
-    /// yellow, teams blue and red, everything else black. Red, green, blue, row by row.
-    #[must_use]
-    pub fn classified(&self, table: &Table) -> Vec<u8> {
-        let mut data = Vec::with_capacity(3 * self.width() * self.height());
-        self.each_pixel(|_, rgb| {
-            data.extend(match table.class_of(rgb) {
-                Class::Other => BLACK,
-                Class::Green => [0, 140, 0],
-                Class::White => [255; 3],
-                Class::Orange => [255, 128, 0],
-                Class::Yellow => YELLOW,
-                Class::Blue => BLUE,
-                Class::Red => RED,
-            });
+/// The picture with one colour for each class: the carpet green, lines white, the ball orange, goals
+/// yellow, teams blue and red, everything else black. Red, green, blue, row by row.
+#[must_use]
+pub fn classified(picture: &Picture<'_>, table: &Table) -> Vec<u8> {
+    let mut data = Vec::with_capacity(3 * picture.width() * picture.height());
+    picture.each_pixel(|_, rgb| {
+        data.extend(match table.class_of(rgb) {
+            Class::Other => BLACK,
+            Class::Green => [0, 140, 0],
+            Class::White => [255; 3],
+            Class::Orange => [255, 128, 0],
+            Class::Yellow => YELLOW,
+            Class::Blue => BLUE,
+            Class::Red => RED,
         });
-        data
-    }
+    });
+    data
 }
 
 impl Canvas {
@@ -134,20 +130,20 @@ mod tests {
             confidence: 1.0,
         };
         let seen = Seen { balls: vec![ball], posts: vec![post], ..Seen::default() };
-        let drawn = picture.annotated(&seen);
+        let drawn = annotated(&picture, &seen);
         let pixel = |column: usize, row: usize| [0, 1, 2].map(|part| drawn[3 * (32 * row + column) + part]);
         assert_eq!(pixel(14, 20), MAGENTA);
         assert_eq!(pixel(10, 16), MAGENTA);
         assert_eq!(pixel(28, 5), CYAN);
         assert_eq!(pixel(10, 20), [40, 130, 50]);
-        assert_eq!(picture.annotated(&Seen::default()), data);
+        assert_eq!(annotated(&picture, &Seen::default()), data);
     }
 
     #[test]
     fn classes_have_a_colour_each() {
         let data = [[40, 130, 50], [235, 235, 235], [230, 90, 20], [10, 10, 10]].concat().repeat(16 * 4);
         let picture = Picture::new([16, 16], 48, Encoding::Rgb8, &data).unwrap();
-        let drawn = picture.classified(&Table::new(&Colours::default()));
+        let drawn = classified(&picture, &Table::new(&Colours::default()));
         assert_eq!(drawn[..12], [[0, 140, 0], [255; 3], [255, 128, 0], BLACK].concat());
     }
 }

@@ -2,8 +2,8 @@
 //! boundary of the field.
 
 use crate::colours::{Class, Table};
-use crate::picture::Picture;
 use crate::view::View;
+use downbeat_pictures::Picture;
 use glam::DVec2;
 
 /// Classes and brightness, row by row.

@@ -1,7 +1,7 @@
 //! Colour classes from marks in pictures.
 
 use crate::colours::{Class, ClassRange, Colours, hsv};
-use crate::picture::Picture;
+use downbeat_pictures::Picture;
 use glam::DVec2;
 
 /// Colours of classes, from marks that a person sets in pictures.
@@ -222,7 +222,7 @@ fn tails(class: &'static str, numbers: impl Iterator<Item = f64>) -> Result<[f64
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::picture::Encoding;
+    use downbeat_pictures::Encoding;
 
     /// Marks on plain pictures of these colours.
     fn learned(marks: &[(Class, [u8; 3])]) -> Result<Colours, LearnError> {

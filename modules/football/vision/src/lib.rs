@@ -26,17 +26,17 @@ mod labels;
 mod learn;
 mod markings;
 mod module;
-mod picture;
 mod posts_and_robots;
 mod seen;
 mod view;
 
 pub use colours::{Class, ClassRange, Colours, ColoursError, Table};
 pub use detector::Detector;
+pub use downbeat_pictures::{Encoding, Picture, PictureError};
+pub use drawing::{annotated, classified};
 pub use kinds::kinds;
 pub use learn::{LearnError, Samples};
 pub use module::Vision;
-pub use picture::{Encoding, Picture, PictureError};
 pub use seen::{
     Exposure, Seen, SeenBall, SeenCircle, SeenIntersection, SeenLine, SeenPost, SeenRobot, TeamColour,
 };

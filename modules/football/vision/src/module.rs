@@ -2,7 +2,7 @@
 
 use crate::colours::Colours;
 use crate::detector::Detector;
-use crate::picture::Picture;
+use crate::drawing::annotated;
 use crate::seen::{Exposure, Seen, SeenIntersection, SeenRobot, TeamColour};
 use crate::view::{Camera, CameraError, View};
 use downbeat_executor::{Context, Kept, Module, Publication, Received, Setting, Setup, SetupError, Time};
@@ -18,6 +18,7 @@ use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::geometry_msgs::msg::{Point, Vector3};
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_pictures::Picture;
 use downbeat_transforms::{Isometry, TransformBuffer, listen};
 use glam::{DQuat, DVec2, DVec3};
 use std::path::Path;
@@ -34,7 +35,7 @@ use std::time::Duration;
 /// | `vision/pixels/{field_boundary,markings,balls,goalposts,robots}` | soccer_vision_2d_msgs | in the picture |
 /// | `vision/{field_boundary,markings,balls,goalposts,robots}` | soccer_vision_3d_msgs | on the floor, in `base_footprint` |
 /// | `vision/ball` | soccer_model_msgs/Ball | the most certain ball with its covariance, in `base_footprint`; no velocity |
-/// | `vision/annotated` | sensor_msgs/Image | with the setting `annotated`: the picture with what was seen ([`Picture::annotated`]) |
+/// | `vision/annotated` | sensor_msgs/Image | with the setting `annotated`: the picture with what was seen ([`annotated`](crate::annotated)) |
 /// | `diagnostics` | diagnostic_msgs/DiagnosticArray | when the state changes: what is wrong with pictures, and the remedy |
 ///
 /// All have the stamp of the picture. `base_footprint` is on the floor below the base of the robot, with x
@@ -100,7 +101,7 @@ impl Vision {
 
     fn on_image(&mut self, image: Received<'_, Image>, ctx: &mut Context<'_, Ports>) {
         // A picture that cannot be used is not kept.
-        if let Err(problem) = Picture::of(&image) {
+        if let Err(problem) = Picture::of(&image).and_then(Picture::with_colours) {
             return self.report(&problem.to_string(), ctx);
         }
         self.waiting = Some((ctx.now(), image.keep()));
@@ -137,7 +138,7 @@ impl Vision {
         };
         let Some(detector) = &mut self.detector else { return };
         let view = View { camera, ground_from_camera };
-        let picture = match Picture::of(&image) {
+        let picture = match Picture::of(&image).and_then(Picture::with_colours) {
             Ok(picture) => picture,
             Err(problem) => return self.report(&problem.to_string(), ctx),
         };
@@ -149,7 +150,7 @@ impl Vision {
                 encoding: "rgb8".to_owned(),
                 is_bigendian: 0,
                 step: 3 * image.width,
-                data: picture.annotated(&seen),
+                data: annotated(&picture, &seen),
                 width: image.width,
                 height: image.height,
             };

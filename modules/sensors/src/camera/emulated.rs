@@ -5,9 +5,9 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use downbeat_executor::Time;
+use downbeat_pictures::jpeg::Head;
+use downbeat_pictures::pattern;
 
-use super::jpeg::Head;
-use super::pattern;
 use super::source::{Captured, Format, Frame, Granted, LONGEST_SIDE, Source, Wanted};
 
 /// The largest file, in bytes.

@@ -28,8 +28,6 @@
 
 mod calibration;
 mod emulated;
-mod jpeg;
-mod pattern;
 mod source;
 mod v4l2;
 mod yuyv;
@@ -42,6 +40,7 @@ use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, Image};
 use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_pictures::jpeg::{self, Head};
 
 pub use calibration::{Calibration, CalibrationError};
 pub use emulated::Pictures;
@@ -50,7 +49,6 @@ pub use v4l2::V4l2;
 
 use crate::diagnostics::{Complaint, Reporter, Status, value};
 use crate::kernel::name_of;
-use jpeg::Head;
 
 /// How long the module waits before it opens a camera again.
 const RETRY: Duration = Duration::from_secs(1);

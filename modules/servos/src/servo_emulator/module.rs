@@ -2,7 +2,8 @@
 
 use super::{Emulator, EmulatorError, EmulatorOptions, Fault, MemoryPorts, NameInUse, Timing};
 use crate::servo_bus::{BusPlan, Description};
-use downbeat_executor::{Context, Module, Setup, SetupError, TransitionError};
+use downbeat_executor::{Context, Module, Received, Setup, SetupError, TransitionError};
+use downbeat_msgs::sensor_msgs::msg::JointState;
 use std::path::PathBuf;
 
 /// Runs an [`Emulator`] of described servos as long as the robot runs, so that the hardware module finds a
@@ -10,7 +11,8 @@ use std::path::PathBuf;
 ///
 /// Settings: `description` and `bus`, as those of the hardware module; `link`, the path of the port, or
 /// `memory:NAME` for a port in memory, which exists from the setup on; `seed`; `faults`, each in the textual
-/// form of [`Fault`]. It has no topics: everything goes through the port. Leave it out of replays.
+/// form of [`Fault`]. On `hand` (`sensor_msgs/JointState`) it takes angles to which a hand turns joints that have no
+/// torque; everything else goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct ServoEmulator {
     served: Served,
@@ -82,6 +84,12 @@ impl Served {
         Ok(())
     }
 
+    /// The emulator, while there is one.
+    #[must_use]
+    pub fn emulator(&self) -> Option<&Emulator> {
+        self.emulator.as_ref()
+    }
+
     /// Closes the pseudo terminal. A port in memory stays: it is no more than the robot itself.
     pub fn close(&mut self) {
         if self.options.timing == Timing::Measured {
@@ -127,6 +135,14 @@ impl Module for ServoEmulator {
         let faults = parsed.map_err(|error| setup.refuse_value(faults, error.to_string()))?;
         let port = setup.value(link).cloned().unwrap_or_default();
         let seed = setup.value(seed).copied().unwrap_or_default();
+        setup.subscribe("hand", |module: &mut Self, turned: Received<'_, JointState>, _| {
+            let Some(emulator) = module.served.emulator() else { return };
+            for (joint, angle) in
+                turned.name.iter().zip(&turned.position).filter(|(_, angle)| angle.is_finite())
+            {
+                emulator.turn_by_hand(joint, *angle);
+            }
+        })?;
         let Some(plan) = &self.plan else { return Ok(()) };
         let make = |options: &EmulatorOptions| Emulator::servos_in_memory(plan, options);
         self.served

@@ -1,8 +1,11 @@
 //! `downbeat bag export`
 
+#[cfg(feature = "tables")]
+mod lerobot;
 mod table;
 
 use std::collections::HashMap;
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
@@ -19,9 +22,10 @@ use table::{FileNames, Table};
 
 #[derive(Args)]
 pub(crate) struct ExportArguments {
-    /// A rosbag2 directory or a single file.
-    pub(crate) bag: PathBuf,
-    /// The new directory, with one file per topic.
+    /// A rosbag2 directory or a single file; for a data set of LeRobot several of them.
+    #[arg(required = true, value_name = "BAG")]
+    pub(crate) bags: Vec<PathBuf>,
+    /// The new directory: with one file per topic, or of a data set.
     #[arg(long, short, value_name = "DIR")]
     pub(crate) output: PathBuf,
     #[command(flatten)]
@@ -31,6 +35,34 @@ pub(crate) struct ExportArguments {
     pub(crate) format: Format,
     #[command(flatten)]
     pub(crate) topics: TopicArguments,
+    #[command(flatten)]
+    pub(crate) dataset: DatasetArguments,
+}
+
+/// What a data set of LeRobot is made of.
+#[derive(Args, Default, PartialEq)]
+#[command(next_help_heading = "Options of --format lerobot")]
+pub(crate) struct DatasetArguments {
+    /// Frames per second; 30 if not given.
+    #[arg(long)]
+    fps: Option<NonZeroU32>,
+    /// What the robot does, `observation.state`: a topic, or some of its fields, such as
+    /// joint_states:position,velocity. Without fields the positions of joints, or all numbers of messages without
+    /// joints; joint_states if not given.
+    #[arg(long, value_name = "TOPIC[:FIELD,…]")]
+    state: Option<String>,
+    /// What it is commanded, `action`; joint_commands if not given.
+    #[arg(long, value_name = "TOPIC[:FIELD,…]")]
+    action: Option<String>,
+    /// A camera, `observation.images.NAME`: front=camera/image_raw.
+    #[arg(long, num_args = 1.., value_name = "NAME=TOPIC")]
+    images: Vec<String>,
+    /// What is done, in words, in episodes for which the bag does not say it.
+    #[arg(long)]
+    task: Option<String>,
+    /// The kind of robot: so101_follower.
+    #[arg(long, value_name = "NAME")]
+    robot_type: Option<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -42,6 +74,8 @@ pub(crate) enum Format {
     /// Apache Parquet: typed columns, for pandas, Polars and DuckDB; if the program is built with the feature
     /// `tables`.
     Parquet,
+    /// A data set of LeRobot (v3.0) from which policies learn; needs `tables` too.
+    Lerobot,
 }
 
 impl Format {
@@ -50,7 +84,7 @@ impl Format {
     fn together(self) -> usize {
         match self {
             Self::Csv | Self::Jsonl => 256,
-            Self::Parquet => 8,
+            Self::Parquet | Self::Lerobot => 8,
         }
     }
 
@@ -58,19 +92,29 @@ impl Format {
         match self {
             Self::Csv => "csv",
             Self::Jsonl => "jsonl",
-            Self::Parquet => "parquet",
+            Self::Parquet | Self::Lerobot => "parquet",
         }
     }
 }
 
 pub(crate) fn export(arguments: &ExportArguments, catalog: &Catalog) -> anyhow::Result<()> {
     let interfaces = &catalog.interfaces;
-    let bag = open(&arguments.bag)?;
-    let filter = arguments.topics.filter()?;
-    arguments.topics.check(bag.topics().iter().map(|topic| &topic.info))?;
-    if cfg!(not(feature = "tables")) && matches!(arguments.format, Format::Parquet) {
+    if cfg!(not(feature = "tables")) && matches!(arguments.format, Format::Parquet | Format::Lerobot) {
         return not_built("tables", "available are csv and jsonl");
     }
+    #[cfg(feature = "tables")]
+    if let Format::Lerobot = arguments.format {
+        return lerobot::export(arguments, interfaces);
+    }
+    if arguments.dataset != DatasetArguments::default() {
+        bail!("--fps, --state, --action, --images, --task and --robot-type are of --format lerobot");
+    }
+    let [bag] = &*arguments.bags else {
+        bail!("tables are made of one bag; `downbeat bag convert` joins several")
+    };
+    let bag = open(bag)?;
+    let filter = arguments.topics.filter()?;
+    arguments.topics.check(bag.topics().iter().map(|topic| &topic.info))?;
     let output = &arguments.output;
     let replaces = (arguments.force, Output::Tables);
     let unfinished = Unfinished::directory(output, replaces, [bag.path()])?;

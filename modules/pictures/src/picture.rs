@@ -13,19 +13,27 @@ pub enum Encoding {
     Uyvy,
     /// Two pixels in four bytes: Y U Y V (`yuv422_yuy2`, `yuyv`).
     Yuyv,
+    /// Red, green, blue, and how opaque it is.
+    Rgba8,
+    /// Blue, green, red, and how opaque it is.
+    Bgra8,
+    /// Brightness.
+    Mono8,
 }
 
 /// Why a picture is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
     /// Its encoding is not supported.
-    #[error("the encoding \"{0}\" is not supported; set the camera to rgb8, bgr8, yuv422 or yuv422_yuy2")]
+    #[error(
+        "the encoding \"{0}\" is not supported; set the camera to rgb8, bgr8, mono8, yuv422 or yuv422_yuy2"
+    )]
     Encoding(String),
     /// It has no colours.
     #[error(
-        "the picture has no colours (\"{0}\"); ball and field are found by colour: set the camera to rgb8 or yuv422_yuy2"
+        "the picture has no colours (mono8); what is looked for is found by its colour: set the camera to rgb8 or yuv422_yuy2"
     )]
-    Mono(String),
+    Mono,
     /// Its size is not possible.
     #[error(
         "a picture of {0} x {1} pixels; 16 x 16 to 4096 x 4096 are possible, and an even width for yuv422"
@@ -82,14 +90,24 @@ impl<'a> Picture<'a> {
     /// [`PictureError`].
     pub fn of(image: &'a Image) -> Result<Self, PictureError> {
         let encoding = match image.encoding.to_ascii_lowercase().as_str() {
-            "rgb8" => Encoding::Rgb8,
+            "rgb8" | "8uc3" => Encoding::Rgb8,
             "bgr8" => Encoding::Bgr8,
+            "rgba8" | "8uc4" => Encoding::Rgba8,
+            "bgra8" => Encoding::Bgra8,
+            "mono8" | "8uc1" => Encoding::Mono8,
             "yuv422" | "uyvy" => Encoding::Uyvy,
             "yuv422_yuy2" | "yuyv" => Encoding::Yuyv,
-            "mono8" | "mono16" | "8uc1" | "16uc1" => return Err(PictureError::Mono(image.encoding.clone())),
-            other => return Err(PictureError::Encoding(other.chars().take(32).collect())),
+            _ => return Err(PictureError::Encoding(image.encoding.chars().take(32).collect())),
         };
         Self::new([image.width, image.height], image.step as usize, encoding, &image.data)
+    }
+
+    /// The picture, if it has colours.
+    ///
+    /// # Errors
+    /// [`PictureError::Mono`].
+    pub fn with_colours(self) -> Result<Self, PictureError> {
+        if self.encoding == Encoding::Mono8 { Err(PictureError::Mono) } else { Ok(self) }
     }
 
     /// Columns.
@@ -102,6 +120,14 @@ impl<'a> Picture<'a> {
     #[must_use]
     pub fn height(&self) -> usize {
         self.height
+    }
+
+    /// All pixels, row by row: red, green, blue.
+    #[must_use]
+    pub fn to_rgb(&self) -> Vec<u8> {
+        let mut rgb = Vec::with_capacity(3 * self.width * self.height);
+        self.each_pixel(|_, pixel| rgb.extend(pixel));
+        rgb
     }
 
     /// Calls back with the index of each pixel, row by row, and its red, green and blue.
@@ -118,6 +144,21 @@ impl<'a> Picture<'a> {
                 Encoding::Bgr8 => {
                     for (column, pixel) in bytes.chunks_exact(3).take(width).enumerate() {
                         take(first + column, [pixel[2], pixel[1], pixel[0]]);
+                    }
+                }
+                Encoding::Rgba8 => {
+                    for (column, pixel) in bytes.chunks_exact(4).take(width).enumerate() {
+                        take(first + column, [pixel[0], pixel[1], pixel[2]]);
+                    }
+                }
+                Encoding::Bgra8 => {
+                    for (column, pixel) in bytes.chunks_exact(4).take(width).enumerate() {
+                        take(first + column, [pixel[2], pixel[1], pixel[0]]);
+                    }
+                }
+                Encoding::Mono8 => {
+                    for (column, level) in bytes.iter().take(width).enumerate() {
+                        take(first + column, [*level; 3]);
                     }
                 }
                 Encoding::Uyvy | Encoding::Yuyv => {
@@ -140,6 +181,8 @@ impl Encoding {
         match self {
             Self::Rgb8 | Self::Bgr8 => 3,
             Self::Uyvy | Self::Yuyv => 2,
+            Self::Rgba8 | Self::Bgra8 => 4,
+            Self::Mono8 => 1,
         }
     }
 }
@@ -167,6 +210,8 @@ mod tests {
             (Encoding::Bgr8, [20, 90, 230].repeat(2)),
             (Encoding::Uyvy, vec![u, y, v, y]),
             (Encoding::Yuyv, vec![y, u, y, v]),
+            (Encoding::Rgba8, [230, 90, 20, 255].repeat(2)),
+            (Encoding::Bgra8, [20, 90, 230, 7].repeat(2)),
         ] {
             let data = group.repeat(8 * 16);
             let picture = Picture::new([16, 16], data.len() / 16, encoding, &data).unwrap();
@@ -191,7 +236,9 @@ mod tests {
             ..Image::default()
         };
         let refused = |image: &Image| Picture::of(image).err().unwrap().to_string();
-        assert!(refused(&image("mono8", 320, 240, 320, 76_800)).contains("set the camera to rgb8"));
+        let grey = image("mono8", 320, 240, 320, 76_800);
+        let problem = Picture::of(&grey).unwrap().with_colours().unwrap_err();
+        assert!(problem.to_string().contains("set the camera to rgb8"));
         assert!(refused(&image("32FC1", 320, 240, 1280, 1)).contains("not supported"));
         assert!(refused(&image("rgb8", u32::MAX, u32::MAX, u32::MAX, 3)).contains("4096"));
         assert!(refused(&image("rgb8", 320, 240, 960, 100)).contains("has 100 bytes"));

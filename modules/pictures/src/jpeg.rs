@@ -11,10 +11,10 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Lengths of the codes and values of a Huffman table.
-pub(super) type Huffman = ([u8; 16], &'static [u8]);
+pub(crate) type Huffman = ([u8; 16], &'static [u8]);
 
 /// The tables of K.3: DC and AC of luminance, DC and AC of chrominance.
-pub(super) const TABLES: [Huffman; 4] = [
+pub(crate) const TABLES: [Huffman; 4] = [
     ([0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0], &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]),
     (
         [0, 2, 1, 3, 3, 2, 4, 3, 5, 5, 4, 4, 0, 0, 1, 0x7d],
@@ -52,7 +52,7 @@ pub(super) const TABLES: [Huffman; 4] = [
 ];
 
 /// The classes and numbers of [`TABLES`] in a segment of them.
-pub(super) const TABLE_NUMBERS: [u8; 4] = [0x00, 0x10, 0x01, 0x11];
+pub(crate) const TABLE_NUMBERS: [u8; 4] = [0x00, 0x10, 0x01, 0x11];
 
 const START: u8 = 0xd8;
 const END: u8 = 0xd9;
@@ -61,9 +61,11 @@ const SCAN: u8 = 0xda;
 
 /// What stands before the pixels of a JPEG.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Head {
-    pub(super) width: u32,
-    pub(super) height: u32,
+pub struct Head {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
     has_tables: bool,
     /// Where the first scan begins, with its marker.
     scan_at: usize,
@@ -74,7 +76,7 @@ impl Head {
     ///
     /// # Errors
     /// What is wrong with the picture.
-    pub(super) fn of(jpeg: &[u8]) -> Result<Self, &'static str> {
+    pub fn of(jpeg: &[u8]) -> Result<Self, &'static str> {
         const CUT: &str = "it is cut off";
         if jpeg.get(..2) != Some(&[0xff, START]) {
             return Err("it is no JPEG");
@@ -111,7 +113,8 @@ impl Head {
     }
 
     /// Whether the end of the picture is there. Cameras may fill up what follows it.
-    pub(super) fn has_end(&self, jpeg: &[u8]) -> bool {
+    #[must_use]
+    pub fn has_end(&self, jpeg: &[u8]) -> bool {
         let pixels = jpeg.get(self.scan_at..).unwrap_or_default();
         pixels.windows(2).any(|pair| pair == [0xff, END])
     }
@@ -122,7 +125,7 @@ impl Head {
 ///
 /// # Errors
 /// What is wrong with the picture.
-pub(super) fn decode(jpeg: &[u8], head: &Head) -> Result<Vec<u8>, String> {
+pub fn decode(jpeg: &[u8], head: &Head) -> Result<Vec<u8>, String> {
     let (width, height) = (head.width as usize, head.height as usize);
     let options = DecoderOptions::default()
         .set_max_width(width)
@@ -148,7 +151,7 @@ fn with_tables<'a>(jpeg: &'a [u8], head: &Head) -> Cow<'a, [u8]> {
 }
 
 /// The segment with the typical tables.
-pub(super) fn tables() -> Vec<u8> {
+pub(crate) fn tables() -> Vec<u8> {
     let length: usize = TABLES.iter().map(|(lengths, values)| 1 + lengths.len() + values.len()).sum();
     let mut segment = vec![0xff, HUFFMAN];
     segment.extend(u16::try_from(length + 2).unwrap_or_default().to_be_bytes());
@@ -163,8 +166,8 @@ pub(super) fn tables() -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::pattern;
     use super::*;
+    use crate::pattern;
     use fuzzing::{Random, rounds};
 
     fn picture() -> Vec<u8> {

@@ -2,7 +2,7 @@
 //!
 //! All pixels of a block of 16 x 8 have one colour, so that a JPEG of it needs no transform.
 
-use super::jpeg::{TABLE_NUMBERS, TABLES, tables};
+use crate::jpeg::{TABLE_NUMBERS, TABLES, tables};
 
 /// Columns and rows of a block of one colour: a minimum coded unit of a JPEG with half as many columns of
 /// colour as of brightness.
@@ -31,7 +31,8 @@ fn colour(row: usize, column: usize, columns: usize, number: u32) -> [u8; 3] {
 }
 
 /// A picture of the pattern as YUYV, without bytes between its rows. The width is even.
-pub(super) fn yuyv(width: u32, height: u32, number: u32) -> Vec<u8> {
+#[must_use]
+pub fn yuyv(width: u32, height: u32, number: u32) -> Vec<u8> {
     let (width, height) = (width as usize, height as usize);
     let mut bytes = Vec::with_capacity(width * height * 2);
     for row in 0..height {
@@ -45,7 +46,8 @@ pub(super) fn yuyv(width: u32, height: u32, number: u32) -> Vec<u8> {
 }
 
 /// A picture of the pattern as a JPEG, as cameras send it: baseline, 4:2:2.
-pub(super) fn jpeg(width: u32, height: u32, number: u32) -> Vec<u8> {
+#[must_use]
+pub fn jpeg(width: u32, height: u32, number: u32) -> Vec<u8> {
     let mut jpeg = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
     // Steps of 8 make the coefficient of a block of one colour that colour itself.
     jpeg.extend([8; 64]);

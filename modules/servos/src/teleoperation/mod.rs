@@ -1,0 +1,7 @@
+//! Robots that are shown what to do: an arm that follows another one, and episodes of it to learn from.
+
+pub mod episodes;
+pub mod leader_arm;
+
+/// The panel with the buttons of [`episodes`].
+pub(crate) const EPISODES_PANEL: &str = include_str!("episodes.panel.js");

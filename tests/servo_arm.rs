@@ -1,0 +1,136 @@
+//! Follows docs/servo_arm.md from an empty folder, with two emulated arms, of which the leader is turned by a hand.
+//! The arms are calibrated in `tests/servos.rs`.
+#![allow(clippy::unwrap_used, missing_docs)]
+#![cfg(all(feature = "sensors", feature = "tables"))]
+
+mod common;
+
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use common::{Running, downbeat, open_with_stock_readers, python, wait_until};
+use serde_json::json;
+
+/// The blocks of the page in a language.
+fn blocks(language: &str) -> Vec<String> {
+    let page = include_str!("../docs/servo_arm.md");
+    let blocks = page.split(&format!("```{language}\n")).skip(1);
+    blocks.map(|block| block.split("```").next().unwrap().to_owned()).collect()
+}
+
+/// A reader of the page, in a folder.
+struct Reader<'a>(&'a Path);
+
+impl Reader<'_> {
+    /// What is typed for a line of the page. The ports are in the folder, and there is no browser.
+    fn command(&self, line: &str) -> Command {
+        let typed = line
+            .replace("ros2 ", "downbeat ")
+            .replace("/dev/ttyACM", self.0.join("ttyACM").to_str().unwrap())
+            .replace("--name", "--timeout-ms 200 --baud 1000000 --protocol feetech_sts --last-id 7 --name");
+        let mut shell = Command::new("sh");
+        let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
+        let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+        let settled = downbeat(&[]);
+        shell
+            .args(["-c", &format!("exec {typed}")])
+            .envs(settled.get_envs().filter_map(|(name, value)| Some((name, value?))));
+        shell.current_dir(self.0).env("PATH", path).stdin(Stdio::null());
+        shell
+    }
+
+    /// Types a line, which must succeed, and returns what is printed.
+    fn types(&self, line: &str) -> String {
+        let output = self.command(line).output().unwrap();
+        let text =
+            [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+        assert!(output.status.success(), "{line}: {text}");
+        text
+    }
+}
+
+#[test]
+fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
+    let folder = tempfile::tempdir().unwrap();
+    let reader = Reader(folder.path());
+    let of_arm = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
+    let mut hands = ["ttyACM0", "ttyACM1"].map(|port| {
+        let port = folder.path().join(port);
+        let mut emulate = downbeat(&["emulate", "servos", of_arm.to_str().unwrap(), "--by-hand", "--link"]);
+        emulate.arg(&port).stdin(Stdio::piped());
+        let mut arm = emulate.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        wait_until("the emulated arm is there", || port.exists());
+        (arm.stdin.take().unwrap(), arm)
+    });
+
+    let pages = blocks("sh");
+    let lines: Vec<Vec<&str>> = pages.iter().map(|block| block.lines().collect()).collect();
+    let [setups, _calibrations, run, follow, demonstrate, trajectory, export, import] = &*lines else {
+        panic!("{lines:?}")
+    };
+    for line in setups {
+        let printed = reader.types(line);
+        assert!(printed.contains("STS3215"), "{printed}");
+    }
+    let robot = blocks("toml").remove(0).replace("kind = \"camera\"", "kind = \"camera_emulator\"");
+    let robot =
+        robot.replace("device = \"/dev/video0\", width = 640, height = 480", "width = 64, height = 48");
+    std::fs::write(folder.path().join("robot.toml"), robot).unwrap();
+
+    let mut robot = Running::start_by(&mut reader.command(&run[0].replace("--view", "")));
+    robot.wait_for_output("exposed to ROS 2: /episodes");
+    let printed = reader.types(follow[0]);
+    assert!(printed.contains("goes to the leader"), "{printed}");
+    let mut turn = |joint: &str, angle: f64| {
+        writeln!(hands[1].0, "turn {joint} {angle}").unwrap();
+        hands[1].0.flush().unwrap();
+    };
+    // Of the first joint, which is the shoulder's.
+    let position = || -> f64 {
+        let printed =
+            reader.types("ros2 topic echo --once --field position /joint_states sensor_msgs/msg/JointState");
+        let mut words = printed.split(|letter: char| !(letter.is_ascii_digit() || "-.e".contains(letter)));
+        words.find_map(|word| word.parse().ok()).unwrap_or_else(|| panic!("{printed}"))
+    };
+    let [set_task, start, keep, start_again, discard] = &demonstrate[..] else { panic!("{demonstrate:?}") };
+    reader.types(set_task);
+    assert!(reader.types(start).contains("episode 0 begins"));
+    turn("shoulder_pan", 0.6);
+    wait_until("the follower is where the leader is", || (position() - 0.6).abs() < 0.03);
+    turn("shoulder_pan", 0.1);
+    wait_until("it goes back with it", || (position() - 0.1).abs() < 0.03);
+    assert!(reader.types(keep).contains("episode 0 is kept"));
+    reader.types(start_again);
+    assert!(reader.types(discard).contains("episode 1 is discarded"));
+
+    for line in trajectory {
+        let printed = reader.types(line);
+        assert!(line.contains("/follow std") || printed.contains("SUCCEEDED"), "{printed}");
+    }
+    wait_until("the arm is at the end of the trajectory", || (position() - 0.2).abs() < 0.03);
+    robot.interrupt();
+    assert!(robot.wait().success(), "{}", robot.output());
+    for (_, mut arm) in hands {
+        arm.kill().unwrap();
+        arm.wait().unwrap();
+    }
+
+    let printed = reader.types(export[0]);
+    assert!(printed.contains("wrote 1 episodes with"), "{printed}");
+    open_with_stock_readers(&folder.path().join("demonstrations"));
+    if let Some(found) = python("read_dataset.py", &[&folder.path().join("dataset")]) {
+        assert_eq!(found["episodes"][0]["tasks"], json!(["put the red cube into the box"]));
+        assert_eq!(found["names"]["observation.state"][0], "joint_1.pos");
+        let column = |key: &str| -> Vec<f64> {
+            found[key].as_array().unwrap().iter().map(|frame| frame[0].as_f64().unwrap()).collect()
+        };
+        let highest = |key: &str| column(key).into_iter().fold(f64::MIN, f64::max);
+        assert!((highest("action") - 0.6).abs() < 0.05, "{}", highest("action"));
+        assert!((highest("state") - 0.6).abs() < 0.05, "{}", highest("state"));
+        assert!(found["pictures"]["observation.images.front"][0].as_u64().unwrap() > 3);
+    }
+    for line in import {
+        reader.types(line);
+    }
+}
