@@ -1,5 +1,5 @@
-//! Demonstrations as data sets of LeRobot, read by pyarrow, and back. `cargo xtask neighbours` reads them with
-//! LeRobot itself.
+//! Demonstrations as data sets of LeRobot, read by pyarrow, and back. `cargo xtask neighbours` reads them
+//! with LeRobot itself.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -68,8 +68,8 @@ fn picture(level: u8) -> Image {
     }
 }
 
-/// Ten seconds of an arm of two joints at 100 Hz, with pictures at 10 Hz and two kept episodes: from 1 s to 3 s and
-/// from 7 s to 8 s.
+/// Ten seconds of an arm of two joints at 100 Hz, with pictures at 10 Hz and two kept episodes: from 1 s to 3
+/// s and from 7 s to 8 s.
 fn demonstrations(folder: &Path) -> PathBuf {
     let mut bag = Recording::new(folder.join("demonstrations"));
     for number in 0..1000 {

@@ -1,5 +1,5 @@
-//! Follows docs/servo_arm.md from an empty folder, with two emulated arms, of which the leader is turned by a hand.
-//! The arms are calibrated in `tests/servos.rs`.
+//! Follows docs/servo_arm.md from an empty folder, with two emulated arms, of which the leader is turned by a
+//! hand. The arms are calibrated in `tests/servos.rs`.
 #![allow(clippy::unwrap_used, missing_docs)]
 #![cfg(all(feature = "sensors", feature = "tables"))]
 

@@ -540,8 +540,8 @@ pub(crate) enum BagCommand {
     Cut(CutArguments),
     /// Compare two bags message by message; if they differ, print the first difference and exit with code 1.
     Diff(DiffArguments),
-    /// Write topics as tables, CSV, JSON lines or Apache Parquet, one file per topic; or demonstrations as a data
-    /// set of LeRobot.
+    /// Write topics as tables, CSV, JSON lines or Apache Parquet, one file per topic; or demonstrations as a
+    /// data set of LeRobot.
     Export(ExportArguments),
     /// Write a data set of LeRobot as a bag, to be looked at and played.
     #[cfg(feature = "tables")]

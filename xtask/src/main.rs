@@ -136,8 +136,8 @@ enum Command {
     /// The long proofs of the football player, about an hour: vision, localisation, an empty goal, matches,
     /// recorded matches. Prints each figure beside its goal, and fails if one misses it.
     Football(football::FootballArguments),
-    /// LeRobot itself reads the data sets that `bag export` writes, and writes one that `bag import` reads; and how
-    /// fast they are written. Downloads 4 GB.
+    /// LeRobot itself reads the data sets that `bag export` writes, and writes one that `bag import` reads;
+    /// and how fast they are written. Downloads 4 GB.
     Neighbours,
     /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the
     /// falls or the physics; then runs the tests that replay it.

@@ -1,6 +1,7 @@
 //! Columns of Parquet as data sets have them: numbers, lists of numbers, pictures and text, without gaps.
 //!
-//! Lists are written as Arrow writes them, <https://github.com/apache/parquet-format/blob/master/LogicalTypes.md>.
+//! Lists are written as Arrow writes them,
+//! <https://github.com/apache/parquet-format/blob/master/LogicalTypes.md>.
 
 use std::fs::File;
 use std::path::Path;
@@ -29,7 +30,8 @@ pub(super) enum Cells {
     DoubleLists(Vec<Vec<f64>>),
     IntegerLists(Vec<Vec<i64>>),
     TextLists(Vec<Vec<String>>),
-    /// One number for each of three colours, as an array of three rows and one column: `[[[r]], [[g]], [[b]]]`.
+    /// One number for each of three colours, as an array of three rows and one column: `[[[r]], [[g]],
+    /// [[b]]]`.
     Colours(Vec<[f64; 3]>),
     /// The bytes of pictures.
     Pictures(Vec<ByteArray>),

@@ -136,8 +136,8 @@ impl<'a> Topics<'a> {
         Ok(())
     }
 
-    /// Writes the frames of each episode of the bag, and calls back with each message. Returns how many parts of
-    /// the bag cannot be read.
+    /// Writes the frames of each episode of the bag, and calls back with each message. Returns how many parts
+    /// of the bag cannot be read.
     pub(super) fn write(
         &self,
         what: &Demonstration,
@@ -168,8 +168,8 @@ impl<'a> Topics<'a> {
         Ok(damaged)
     }
 
-    /// The messages of these topics, without parts of the bag that cannot be read: [`write`](Self::write) counts
-    /// those.
+    /// The messages of these topics, without parts of the bag that cannot be read: [`write`](Self::write)
+    /// counts those.
     fn messages(
         &self,
         ids: impl IntoIterator<Item = TopicId>,
@@ -267,7 +267,8 @@ struct Sampler<'a> {
     next: Option<(i64, i64)>,
     state: HeldNumbers<'a>,
     action: HeldNumbers<'a>,
-    /// For each number of the action the place of that name in the state, which it has before it is commanded.
+    /// For each number of the action the place of that name in the state, which it has before it is
+    /// commanded.
     action_in_state: Vec<Option<usize>>,
     pictures: Vec<Option<HeldPicture>>,
     sizes: &'a [Option<[usize; 2]>],

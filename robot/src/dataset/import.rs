@@ -67,8 +67,8 @@ impl Dataset {
     }
 
     /// Writes it into a bag: `joint_states`, `joint_commands`, `NAME/image_raw/compressed` for each picture
-    /// `observation.images.NAME`, and `episodes`. The first frame has the time `start`, in ns since the epoch;
-    /// between episodes is one second. `seen` is called with the number of written frames.
+    /// `observation.images.NAME`, and `episodes`. The first frame has the time `start`, in ns since the
+    /// epoch; between episodes is one second. `seen` is called with the number of written frames.
     ///
     /// # Errors
     /// If a file cannot be read, or the bag cannot be written.

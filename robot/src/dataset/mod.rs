@@ -1,9 +1,10 @@
-//! Demonstrations as data sets of LeRobot, from which policies learn, and back: the format LeRobotDataset v3.0,
-//! <https://huggingface.co/docs/lerobot/lerobot-dataset-v3>.
+//! Demonstrations as data sets of LeRobot, from which policies learn, and back: the format LeRobotDataset
+//! v3.0, <https://huggingface.co/docs/lerobot/lerobot-dataset-v3>.
 //!
-//! A data set has frames at equal distances: the state of the robot, the action that it was given, and pictures.
-//! Frames belong to episodes, and each episode to a task in words. Positions are in rad, velocities in rad/s,
-//! where the messages have them so; names of numbers are those of joints with `.pos`, `.vel` or `.eff`.
+//! A data set has frames at equal distances: the state of the robot, the action that it was given, and
+//! pictures. Frames belong to episodes, and each episode to a task in words. Positions are in rad, velocities
+//! in rad/s, where the messages have them so; names of numbers are those of joints with `.pos`, `.vel` or
+//! `.eff`.
 
 mod columns;
 mod frames;
@@ -52,8 +53,8 @@ pub struct Demonstration {
 pub struct NumberTopic {
     /// Its name.
     pub topic: String,
-    /// The fields that are meant, numbers or arrays of them. Without any, `position` of messages that name its
-    /// elements, else all numbers outside of headers.
+    /// The fields that are meant, numbers or arrays of them. Without any, `position` of messages that name
+    /// its elements, else all numbers outside of headers.
     pub fields: Vec<String>,
 }
 
@@ -210,11 +211,11 @@ impl DatasetError {
     }
 }
 
-/// Makes a data set of bags, in a folder that is empty or does not exist. `seen` is called with each message that
-/// was read.
+/// Makes a data set of bags, in a folder that is empty or does not exist. `seen` is called with each message
+/// that was read.
 ///
-/// Each kept episode of a bag is one of the data set, as messages of `downbeat_interfaces/Episode` say it; a bag
-/// without these is one episode. A frame has of each topic the last message that was received before it.
+/// Each kept episode of a bag is one of the data set, as messages of `downbeat_interfaces/Episode` say it; a
+/// bag without these is one episode. A frame has of each topic the last message that was received before it.
 ///
 /// # Errors
 /// If a bag lacks a topic, its messages cannot be used, there is no frame, or the folder cannot be written.

@@ -55,8 +55,8 @@ impl Statistics {
         statistics
     }
 
-    /// Of all of these together, as LeRobot joins those of episodes: quantiles are means, weighted by how many
-    /// frames they are of.
+    /// Of all of these together, as LeRobot joins those of episodes: quantiles are means, weighted by how
+    /// many frames they are of.
     pub(super) fn together(parts: &[&Self]) -> Self {
         let count: u64 = parts.iter().map(|part| part.count).sum();
         let elements = parts.first().map_or(0, |part| part.values[MEAN].len());

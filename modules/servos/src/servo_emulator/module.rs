@@ -11,8 +11,8 @@ use std::path::PathBuf;
 ///
 /// Settings: `description` and `bus`, as those of the hardware module; `link`, the path of the port, or
 /// `memory:NAME` for a port in memory, which exists from the setup on; `seed`; `faults`, each in the textual
-/// form of [`Fault`]. On `hand` (`sensor_msgs/JointState`) it takes angles to which a hand turns joints that have no
-/// torque; everything else goes through the port. Leave it out of replays.
+/// form of [`Fault`]. On `hand` (`sensor_msgs/JointState`) it takes angles to which a hand turns joints that
+/// have no torque; everything else goes through the port. Leave it out of replays.
 #[derive(Default)]
 pub struct ServoEmulator {
     served: Served,

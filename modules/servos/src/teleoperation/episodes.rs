@@ -11,8 +11,8 @@
 //! | --- | --- | --- |
 //! | `task` | | what is shown, in words; may be changed between episodes |
 //!
-//! `downbeat bag export --format lerobot` makes a data set of the kept ones. The panel *Episodes* has buttons, and
-//! keys: space begins, the right arrow keeps, the left one discards.
+//! `downbeat bag export --format lerobot` makes a data set of the kept ones. The panel *Episodes* has
+//! buttons, and keys: space begins, the right arrow keeps, the left one discards.
 
 use downbeat_executor::{Context, Module, Publication, Setting, Setup, SetupError};
 use downbeat_msgs::downbeat_interfaces::msg::Episode;

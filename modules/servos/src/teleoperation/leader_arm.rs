@@ -15,8 +15,9 @@
 //! | `following` | false | whether it follows from the start |
 //! | `handover_speed` | 0.5 | rad/s; how fast a joint goes to where the leader is, when following begins |
 //!
-//! A joint first moves from where the follower is to where the leader is, at `handover_speed`; from then on it
-//! follows each message. If the leader is silent for 0.25 s, the follower stays where it is, and begins anew.
+//! A joint first moves from where the follower is to where the leader is, at `handover_speed`; from then on
+//! it follows each message. If the leader is silent for 0.25 s, the follower stays where it is, and begins
+//! anew.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

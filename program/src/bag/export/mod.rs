@@ -47,8 +47,8 @@ pub(crate) struct DatasetArguments {
     #[arg(long)]
     fps: Option<NonZeroU32>,
     /// What the robot does, `observation.state`: a topic, or some of its fields, such as
-    /// joint_states:position,velocity. Without fields the positions of joints, or all numbers of messages without
-    /// joints; joint_states if not given.
+    /// joint_states:position,velocity. Without fields the positions of joints, or all numbers of messages
+    /// without joints; joint_states if not given.
     #[arg(long, value_name = "TOPIC[:FIELD,…]")]
     state: Option<String>,
     /// What it is commanded, `action`; joint_commands if not given.
