@@ -10,7 +10,7 @@ use common::browser::script;
 use common::rclpy::Peer;
 use common::{Running, downbeat, record_until, robot_file, text_of};
 use downbeat::bags::{Reader, Selection};
-use downbeat::msgs::downbeat_interfaces::msg::RobotState;
+use downbeat::msgs::downbeat_interfaces::msg::{Episode, RobotState};
 use downbeat::msgs::sensor_msgs::msg::JointState;
 use downbeat::msgs::{cdr, std_msgs};
 use serde_json::json;
@@ -91,6 +91,27 @@ fn why_the_robot_fell_is_found_in_the_page() {
     let robot = format!("{WALK}.toml");
     let shown = Running::start(&["bag", "debug", &robot, WALK, "--page", "0"]);
     pass(script.env("DOWNBEAT_PAGE", page_of(&shown)), &shown);
+}
+
+#[test]
+fn episodes_are_kept_and_discarded_by_button_and_by_key() {
+    let Some(mut script) = script("episodes.mjs") else { return };
+    let domain = free_domain().to_string();
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let record = ["--record", bag.to_str().unwrap()];
+    let line = ["run", "robots/so101_teleop.toml", "--domain", &domain, "--view=0"];
+    let mut shown = Running::start(&[&line[..], &record].concat());
+    pass(script.env("DOWNBEAT_PAGE", page_of(&shown)), &shown);
+    shown.interrupt();
+
+    let reader = Reader::open(&bag).unwrap();
+    let selection = Selection::all().topics([reader.topic("/episodes").unwrap()]);
+    let messages = reader.messages(selection).unwrap();
+    let said = messages.map(|message| cdr::from_slice::<Episode>(&message.unwrap().data).unwrap());
+    let said: Vec<_> = said.map(|episode| (episode.number, episode.state)).collect();
+    let [started, kept, discarded] = [Episode::STARTED, Episode::KEPT, Episode::DISCARDED];
+    assert_eq!(said, [(0, started), (0, kept), (1, started), (1, discarded)]);
 }
 
 /// The Darwin OP walks in simulated physics; its motions are in a file.
