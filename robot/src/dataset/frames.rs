@@ -242,8 +242,12 @@ struct HeldNumbers<'a> {
 
 impl HeldNumbers<'_> {
     fn hold(&mut self, numbers: Vec<(String, f64)>, at: i64) {
-        for (name, value) in numbers {
-            if let Some(place) = self.names.iter().position(|known| *known == name) {
+        for (index, (name, value)) in numbers.into_iter().enumerate() {
+            // Nearly always in the same order.
+            let is_here = self.names.get(index) == Some(&name);
+            let place =
+                if is_here { Some(index) } else { self.names.iter().position(|known| *known == name) };
+            if let Some(place) = place {
                 self.values[place] = Some(value);
                 self.at = at;
             }
