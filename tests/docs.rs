@@ -47,7 +47,7 @@ const PAGES: [&str; 24] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 41] = [
+const ELSEWHERE: [&str; 42] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
@@ -61,9 +61,10 @@ const ELSEWHERE: [&str; 41] = [
     "downbeat bag bisect",
     "downbeat top --plot", // tests/top.rs
     "downbeat doctor",     // tests/doctor.rs; some machines have problems
-    "downbeat servo scan", // tests/servos.rs, as the next two
+    "downbeat servo scan", // tests/servos.rs, as the next three
     "downbeat servo setup",
     "downbeat servo calibrate",
+    "downbeat servo tune",
     "echo 1 | sudo",
     "c++ ", // tests/library.rs, as the next two
     "ros2 topic echo --once /out",

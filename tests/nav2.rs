@@ -1,5 +1,5 @@
-//! A base with two wheels as Nav2 drives it: commands with stamps, odometry, transforms and a managed node, with
-//! rclpy in the place of Nav2's servers.
+//! A base with two wheels as Nav2 drives it: commands with stamps, odometry, transforms and a managed node,
+//! with rclpy in the place of Nav2's servers.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;

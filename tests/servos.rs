@@ -417,6 +417,60 @@ fn a_calibration_by_hand_finds_stops_zeros_and_signs() {
 }
 
 #[test]
+fn offsets_are_found_by_eye_with_joints_that_go_slowly_to_zero_and_are_moved_by_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let [description, port] = ["arm.toml", "port"].map(|name| folder.path().join(name));
+    let arm = "name = \"arm\"\n[[bus]]\nname = \"arm\"\nport = \"/dev/none\"\nbaud = 1_000_000\nprotocol = \"feetech_sts\"\n\
+               cycle_ms = 10\n[defaults]\nmodel = \"STS3215\"\n[[joint]]\nname = \"pan\"\nid = 1\nlimits = [-1.0, 1.0]\n\
+               offset = 5 # before\n[[joint]]\nname = \"tilt\"\nid = 2\nlimits = [-1.0, 1.0]\nsign = -1\n[[joint]]\n\
+               name = \"wheel\"\nid = 3\nmode = \"velocity\"\nmax_velocity_rad_s = 3.0\n";
+    std::fs::write(&description, arm).unwrap();
+    let _emulator = Running::start(&["emulate", "servos", text(&description), "--link", text(&port)]);
+    wait_until("the emulated servos are there", || port.exists());
+    let of_line = ["--baud", "1000000", "--protocol", "feetech_sts", "--timeout-ms", "200"];
+    let read = |id: &str, register: &str| -> i64 {
+        let read = text_of(&[&["servo", "read", text(&port), id, register][..], &of_line].concat());
+        read.split_whitespace().nth(1).unwrap().parse().unwrap()
+    };
+    let tune = ["servo", "tune", text(&description), "--port", text(&port), "--timeout-ms", "200"];
+    let mut arm = Typed::start(&tune);
+    arm.says("get their torque now, and go slowly to 0 rad");
+    assert_eq!(read("1", "torque_enable"), 0);
+    arm.types("");
+    arm.says("wheel is driven by velocities or efforts, and has no offset");
+    arm.says("pan: move it until");
+    for answer in ["++", "+", "-", "-"] {
+        arm.types(answer);
+        arm.says("pan: move it until");
+    }
+    arm.types("");
+    arm.says("tilt: move it until");
+    arm.types("++");
+    arm.says("tilt: move it until");
+    // Further than any tolerance.
+    for _ in 0..22 {
+        arm.types("++");
+        arm.says("tilt: move it until");
+    }
+    arm.types("++");
+    arm.says("tilt is 20 degrees away from its zero");
+    (0..22).for_each(|_| arm.types("--"));
+    arm.types("");
+    arm.says("lose their torque now");
+    arm.types("");
+    arm.says("wrote ");
+    assert!(arm.child.wait().unwrap().success());
+    // A servo of 4096 steps, of which 2048 is the middle; the second one counts the other way.
+    assert_eq!((read("1", "goal_position"), read("2", "goal_position")), (2048 + 5 + 9, 2048 - 10));
+    assert_eq!((read("1", "torque_enable"), read("2", "torque_enable")), (0, 0));
+    let tuned = std::fs::read_to_string(&description).unwrap();
+    assert!(
+        tuned.contains("offset = 14 # before\n") && tuned.contains("sign = -1\noffset = -10\n"),
+        "{tuned}"
+    );
+}
+
+#[test]
 fn registers_are_read_and_written_by_name() {
     let servos = Servos::of("so101", 1_000_000);
     assert_eq!(servos.servo("ping", &["3"]), "id 3: STS3215, firmware 3, feetech_sts at 1000000 bit/s\n");

@@ -1,5 +1,5 @@
 // @ts-check
-// The calibration of servos, step by step, while the joints are turned by hand: `downbeat servo calibrate --page`.
+// The calibration of servos, step by step, while the joints are turned by hand: `downbeat servo calibrate --page`; and the search for offsets, `downbeat servo tune --page`.
 
 import { Editor } from './compose/asks.js';
 import { words } from './connection.js';
@@ -8,7 +8,7 @@ import { h, replace, setText } from './panel.js';
 /**
  * @typedef {{ name: string, id: number, travel: number, place: number, isSilent: boolean }} Joint  `travel`: so far, in degrees; `place`: between
  *   its extremes, from 0 to 1
- * @typedef {{ lines: string[], question: string, number: number, answers: { answer: string, is: string }[], joints: Joint[], isOver: boolean,
+ * @typedef {{ done: string, lines: string[], question: string, number: number, answers: { answer: string, is: string }[], joints: Joint[], isOver: boolean,
  *   error: string | null }} Shown
  */
 
@@ -33,7 +33,7 @@ function fail(error) {
 let asked = -1;
 /** @param {Shown} shown */
 function show(shown) {
-  if (shown.isOver) setText(question, shown.error ? 'It has ended' : 'Calibrated');
+  if (shown.isOver) setText(question, shown.error ? 'It has ended' : shown.done);
   else setText(question, `${shown.question}.`);
   if (shown.error) fail(shown.error);
   const number = shown.isOver ? Infinity : shown.number;

@@ -9,45 +9,32 @@ use downbeat_servos::servo_bus::{Calibrator, Description, JointCalibration, Zero
 
 use super::description_edit::with_calibration;
 use super::dialogue::{DONE, Dialogue};
+use super::{OfDescription, text_of};
 
-pub(super) struct Options<'a> {
-    pub(super) description: &'a Path,
-    pub(super) bus: &'a str,
-    /// In place of that of the description.
-    pub(super) port: Option<&'a str>,
-    pub(super) timeout: Duration,
-    pub(super) margin_rad: f64,
-    /// The port of a page that asks in place of the terminal; 0 takes a free one.
-    pub(super) page: Option<u16>,
-}
-
-/// Leads through the calibration of a bus, and writes what was found into its description.
-pub(super) fn calibrate(options: &Options) -> anyhow::Result<()> {
-    let path = options.description;
-    let text = user_file::read_text(path).with_context(|| format!("cannot read {}", path.display()))?;
+/// Leads through the calibration of a bus, and writes what was found into its description. Limits are inside
+/// of the stops by the margin, in rad.
+pub(super) fn calibrate(options: &OfDescription, margin: f64) -> anyhow::Result<()> {
+    let path = &options.description;
+    let text = text_of(path)?;
     let description = Description::load(&path.to_string_lossy())?;
-    if path.extension().is_some_and(|extension| extension == "urdf") {
-        bail!(
-            "{} is a URDF, and calibration is written into a description in TOML; `downbeat servo setup` writes one",
-            path.display()
-        );
-    }
-    let mut dialogue = Dialogue::new(options.page)?;
-    let found = turned(options, &description, &mut dialogue)
+    let mut dialogue = Dialogue::new(options.page, "Calibrated")?;
+    let found = turned(options, margin, &description, &mut dialogue)
         .and_then(|found| write(path, text, found, &mut dialogue));
     dialogue.end(found)
 }
 
 /// Asks for everything that is to be turned, and returns what that says of each joint.
 fn turned(
-    options: &Options,
+    options: &OfDescription,
+    margin: f64,
     description: &Description,
     dialogue: &mut Dialogue,
 ) -> anyhow::Result<Vec<JointCalibration>> {
-    let plan = description.bus(options.bus)?;
+    let plan = description.bus(&options.bus)?;
     let begin = format!("All joints of \"{}\" lose their torque now: hold the robot", plan.name);
     dialogue.ask(&begin, &[DONE], None)?;
-    let mut bus = Calibrator::begin(plan, options.port.unwrap_or(&plan.port), options.timeout)?;
+    let slack = Duration::from_millis(options.timeout_ms);
+    let mut bus = Calibrator::begin(plan, options.port.as_deref().unwrap_or(&plan.port), slack)?;
 
     dialogue.ask("Turn each joint by hand from one stop to the other", &[DONE], Some(&mut bus))?;
     for note in bus.take_stops()? {
@@ -73,7 +60,7 @@ fn turned(
         }
     }
 
-    let found = bus.results(options.margin_rad);
+    let found = bus.results(margin);
     if found.is_empty() {
         bail!("no joint was turned; {} stays as it is", options.description.display());
     }

@@ -1,20 +1,44 @@
 //! Changes of a description of servos, which keep its comments and order.
 
 use anyhow::Context;
-use downbeat_servos::servo_bus::JointCalibration;
-use toml_edit::{Array, DocumentMut, value};
+use downbeat_servos::servo_bus::{JointCalibration, JointOffset};
+use toml_edit::{Array, DocumentMut, Item, Table, value};
 
 /// The text with what calibration found of a joint.
 pub(super) fn with_calibration(text: &str, found: &JointCalibration) -> anyhow::Result<String> {
     let mut document: DocumentMut = text.parse()?;
-    let joints = document.get_mut("joint").and_then(|joints| joints.as_array_of_tables_mut());
-    let joints = joints.context("the description has no [[joint]]")?;
-    let is_it = |name: Option<&str>| name == Some(&*found.name);
-    let joint = joints.iter_mut().find(|joint| is_it(joint.get("name").and_then(|name| name.as_str())));
-    let joint = joint.with_context(|| format!("the description has no joint \"{}\"", found.name))?;
+    let joint = joint(&mut document, &found.name)?;
     // It is part of the new zero.
     joint.remove("offset");
-    let mut set = |key: &str, new: toml_edit::Item| match joint.get_mut(key) {
+    set(joint, "zero", value(found.zero));
+    set(joint, "sign", value(found.sign));
+    if let Some(limits) = found.limits {
+        set(joint, "limits", value(limits.into_iter().collect::<Array>()));
+    }
+    Ok(document.to_string())
+}
+
+/// The text with a joint whose offset is larger by this.
+pub(super) fn with_offset(text: &str, found: &JointOffset) -> anyhow::Result<String> {
+    let mut document: DocumentMut = text.parse()?;
+    let joint = joint(&mut document, &found.name)?;
+    let before = joint.get("offset").and_then(|offset| offset.as_integer()).unwrap_or_default();
+    set(joint, "offset", value(before + found.steps));
+    Ok(document.to_string())
+}
+
+/// The table of a joint.
+fn joint<'a>(document: &'a mut DocumentMut, name: &str) -> anyhow::Result<&'a mut Table> {
+    let joints = document.get_mut("joint").and_then(|joints| joints.as_array_of_tables_mut());
+    let joints = joints.context("the description has no [[joint]]")?;
+    let is_it = |known: Option<&str>| known == Some(name);
+    let joint = joints.iter_mut().find(|joint| is_it(joint.get("name").and_then(|name| name.as_str())));
+    joint.with_context(|| format!("the description has no joint \"{name}\""))
+}
+
+/// Sets a key, and keeps the comment behind its value.
+fn set(table: &mut Table, key: &str, new: Item) {
+    match table.get_mut(key) {
         Some(old) => {
             let decor = old.as_value().map(|old| old.decor().clone());
             *old = new;
@@ -22,14 +46,8 @@ pub(super) fn with_calibration(text: &str, found: &JointCalibration) -> anyhow::
                 *new.decor_mut() = decor;
             }
         }
-        None => drop(joint.insert(key, new)),
-    };
-    set("zero", value(found.zero));
-    set("sign", value(found.sign));
-    if let Some(limits) = found.limits {
-        set("limits", value(limits.into_iter().collect::<Array>()));
+        None => drop(table.insert(key, new)),
     }
-    Ok(document.to_string())
 }
 
 #[cfg(test)]
@@ -50,5 +68,11 @@ mod tests {
         assert_eq!(calibrated, expected);
         let unknown = with_calibration(text, &found("roll", None)).unwrap_err().to_string();
         assert!(unknown.contains("no joint \"roll\""), "{unknown}");
+        let moved = |name: &str| JointOffset { name: name.to_owned(), steps: -20, angle: 0.0 };
+        let tuned = with_offset(&with_offset(text, &moved("pan")).unwrap(), &moved("tilt")).unwrap();
+        assert_eq!(
+            tuned,
+            text.replace("offset = 12", "offset = -8").replace("sign = -1\n", "sign = -1\noffset = -20\n")
+        );
     }
 }

@@ -3,18 +3,20 @@
 mod calibrate;
 mod description_edit;
 mod dialogue;
+mod tune;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use calibrate::{Options, calibrate};
+use calibrate::calibrate;
 use clap::{Args, Subcommand};
 use downbeat_servos::servo_bus::bus::LineSettings;
 use downbeat_servos::servo_bus::models::{self, Model, Register};
 use downbeat_servos::servo_bus::protocol::{Id, Protocol};
 use downbeat_servos::servo_bus::{Caution, Found, ServoError, ServoPort, first_description};
+use tune::tune;
 
 #[derive(Subcommand)]
 pub(crate) enum ServoCommand {
@@ -47,24 +49,19 @@ pub(crate) enum ServoCommand {
     ///
     /// All joints of the bus lose their torque: hold the robot.
     Calibrate {
-        /// The description, as for the kind servo_bus.
-        #[arg(value_name = "SERVOS.toml")]
-        description: PathBuf,
-        /// Which bus, if the description has several.
-        #[arg(long, value_name = "NAME", default_value = "")]
-        bus: String,
-        /// The port in place of that of the description.
-        #[arg(long, value_name = "PORT")]
-        port: Option<String>,
+        #[command(flatten)]
+        of: OfDescription,
         /// How far limits are inside of the stops, in rad.
         #[arg(long, value_name = "RAD", default_value_t = 0.035, value_parser = margin)]
         margin: f64,
-        /// How long a device may take to answer.
-        #[arg(long, value_name = "MS", default_value_t = 10)]
-        timeout_ms: u64,
-        /// Ask in a browser, in a page at this port; 0 takes a free one.
-        #[arg(long, value_name = "PORT")]
-        page: Option<u16>,
+    },
+    /// Find the offsets of joints by eye, and write them down.
+    ///
+    /// All joints of the bus get their torque, and go slowly to 0 rad; each is then moved by single steps
+    /// until it looks right.
+    Tune {
+        #[command(flatten)]
+        of: OfDescription,
     },
     /// Print what a device is.
     Ping {
@@ -111,6 +108,26 @@ pub(crate) enum ServoCommand {
     },
 }
 
+/// A bus of a description, and who is asked about it.
+#[derive(Args)]
+pub(crate) struct OfDescription {
+    /// The description, as for the kind servo_bus.
+    #[arg(value_name = "SERVOS.toml")]
+    description: PathBuf,
+    /// Which bus, if the description has several.
+    #[arg(long, value_name = "NAME", default_value = "")]
+    bus: String,
+    /// The port in place of that of the description.
+    #[arg(long, value_name = "PORT")]
+    port: Option<String>,
+    /// How long a device may take to answer.
+    #[arg(long, value_name = "MS", default_value_t = 10)]
+    timeout_ms: u64,
+    /// Ask in a browser, in a page at this port; 0 takes a free one.
+    #[arg(long, value_name = "PORT")]
+    page: Option<u16>,
+}
+
 #[derive(Args)]
 pub(crate) struct PortArguments {
     /// The serial port, such as /dev/ttyUSB0.
@@ -141,14 +158,8 @@ pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
             let output = output.unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
             set_up(&port, last_id, &name, &output, force)
         }
-        ServoCommand::Calibrate { description, bus, port, margin, timeout_ms, page } => calibrate(&Options {
-            description: &description,
-            bus: &bus,
-            port: port.as_deref(),
-            timeout: Duration::from_millis(timeout_ms),
-            margin_rad: margin,
-            page,
-        }),
+        ServoCommand::Calibrate { of, margin } => calibrate(&of, margin),
+        ServoCommand::Tune { of } => tune(&of),
         ServoCommand::Ping { port, id } => {
             let (_, found) = port.find(id)?;
             println!("{}", described(&found));
@@ -171,6 +182,19 @@ pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
             Ok(())
         }
     }
+}
+
+/// The text of a description that is to be changed.
+fn text_of(description: &Path) -> anyhow::Result<String> {
+    let text = downbeat_msgs::user_file::read_text(description)
+        .with_context(|| format!("cannot read {}", description.display()))?;
+    if description.extension().is_some_and(|extension| extension == "urdf") {
+        bail!(
+            "{} is a URDF, and what is found is written into a description in TOML; `downbeat servo setup` writes one",
+            description.display()
+        );
+    }
+    Ok(text)
 }
 
 /// Lists the devices on a port.

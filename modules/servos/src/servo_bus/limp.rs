@@ -15,6 +15,12 @@ pub(crate) struct Reach {
     max: i64,
 }
 
+impl Reach {
+    pub(crate) fn new(min: i64, max: i64) -> Self {
+        Self { min, max }
+    }
+}
+
 /// The reach of a servo with these settings, the first bytes of its table, after these have been written.
 pub(crate) fn reach_of(
     joint: &Joint,

@@ -27,7 +27,7 @@ mod reading;
 mod servo;
 mod tool;
 
-pub use calibration::{Calibrator, JointCalibration, TurnedJoint, ZeroPose};
+pub use calibration::{Calibrator, JointCalibration, JointOffset, Tuner, TurnedJoint, ZeroPose};
 pub use description::{BusPlan, Description, DescriptionError, DevicePlan, ImuPlan, PowerSwitch};
 pub use first_description::first_description;
 pub use joint::{Drive, Guard, Joint, Measurement, Protection, Quantity, Registers, Thresholds};

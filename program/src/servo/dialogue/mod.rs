@@ -7,7 +7,7 @@ mod terminal;
 use std::time::Duration;
 
 use anyhow::bail;
-use downbeat_servos::servo_bus::Calibrator;
+use downbeat_servos::servo_bus::{Calibrator, ServoError, Tuner, TurnedJoint};
 
 use crate::stop::Stop;
 #[cfg(feature = "view")]
@@ -19,6 +19,34 @@ pub(super) type Answer = (&'static str, &'static str);
 
 /// What was asked for is done.
 pub(super) const DONE: Answer = ("", "done");
+
+/// Joints that are shown while a question waits.
+pub(super) trait Joints {
+    /// Reads them.
+    fn look(&mut self) -> Result<(), ServoError>;
+
+    fn shown(&self) -> Vec<TurnedJoint>;
+}
+
+impl Joints for Calibrator {
+    fn look(&mut self) -> Result<(), ServoError> {
+        self.look()
+    }
+
+    fn shown(&self) -> Vec<TurnedJoint> {
+        self.joints().collect()
+    }
+}
+
+impl Joints for Tuner {
+    fn look(&mut self) -> Result<(), ServoError> {
+        self.look()
+    }
+
+    fn shown(&self) -> Vec<TurnedJoint> {
+        self.joints().collect()
+    }
+}
 
 /// Asks a person.
 pub(super) struct Dialogue {
@@ -33,13 +61,14 @@ enum Front {
 }
 
 impl Dialogue {
-    /// On the terminal, or in a page at this port.
-    pub(super) fn new(page: Option<u16>) -> anyhow::Result<Self> {
+    /// On the terminal, or in a page at this port, which says `done` when it is over.
+    #[cfg_attr(not(feature = "view"), allow(unused_variables))]
+    pub(super) fn new(page: Option<u16>, done: &'static str) -> anyhow::Result<Self> {
         let stop = Stop::new()?;
         let front = match page {
             None => Front::Terminal(Terminal::new()?),
             #[cfg(feature = "view")]
-            Some(port) => Front::Page(Page::open(port)?),
+            Some(port) => Front::Page(Page::open(port, done)?),
             #[cfg(not(feature = "view"))]
             Some(_) => return crate::not_built("view", "without --page the terminal asks"),
         };
@@ -55,12 +84,17 @@ impl Dialogue {
         }
     }
 
+    /// Whether nobody has asked to stop.
+    pub(super) fn goes_on(&self) -> bool {
+        !self.stop.is_due()
+    }
+
     /// Waits for an answer, which is one of these, and shows the joints of the bus meanwhile.
     pub(super) fn ask(
         &mut self,
         question: &str,
         answers: &[Answer],
-        mut bus: Option<&mut Calibrator>,
+        mut bus: Option<&mut dyn Joints>,
     ) -> anyhow::Result<String> {
         match &mut self.front {
             Front::Terminal(terminal) => terminal.ask(question, answers),
@@ -72,9 +106,9 @@ impl Dialogue {
                 bail!("stopped; nothing was written");
             }
             let mut look = || -> anyhow::Result<Vec<_>> {
-                let Some(bus) = bus.as_deref_mut() else { return Ok(Vec::new()) };
+                let Some(bus) = &mut bus else { return Ok(Vec::new()) };
                 bus.look()?;
-                Ok(bus.joints().collect())
+                Ok(bus.shown())
             };
             let joints = look()?;
             let answer = match &mut self.front {

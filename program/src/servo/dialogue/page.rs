@@ -25,6 +25,8 @@ struct State(Mutex<Shown>);
 /// What the page shows, and the answer that it gave.
 #[derive(Default)]
 struct Shown {
+    /// What it says when it is over.
+    done: &'static str,
     lines: Vec<String>,
     /// The question and its number; an answer to another one comes too late.
     question: String,
@@ -39,8 +41,8 @@ struct Shown {
 }
 
 impl Page {
-    pub(super) fn open(port: u16) -> anyhow::Result<Self> {
-        let state = Arc::<State>::default();
+    pub(super) fn open(port: u16, done: &'static str) -> anyhow::Result<Self> {
+        let state = Arc::new(State(Mutex::new(Shown { done, ..Shown::default() })));
         let page = PageOptions {
             port: Some(port),
             start: "calibrate.html",
@@ -100,6 +102,7 @@ impl Shown {
         self.has_seen_end |= self.end.is_some();
         let answers = self.answers.iter().map(|(typed, is)| json!({ "answer": typed, "is": is }));
         json!({
+            "done": self.done,
             "lines": self.lines,
             "question": self.question,
             "number": self.number,

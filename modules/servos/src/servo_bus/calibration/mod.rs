@@ -1,8 +1,10 @@
-//! Calibration by hand: where the stops of joints are, their zeros and signs.
-//!
-//! While it goes on, all joints of the bus are limp, and are turned by hand.
+//! Calibration by hand: where the stops of joints are, their zeros and signs. While it goes on, all joints of
+//! the bus are limp, and are turned by hand. And by eye, with joints that are held: [`Tuner`].
 
 mod travel;
+mod tuner;
+
+pub use tuner::{JointOffset, Tuner};
 
 use super::description::BusPlan;
 use super::joint::Joint;
@@ -97,25 +99,9 @@ impl Calibrator {
     /// # Errors
     /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
     pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<Self, ServoError> {
-        let models = plan.joints.iter().map(|joint| joint.model.clone()).collect();
-        let mut port = ServoPort::open(port, slack, models)?;
-        port.speak(plan.line)?;
-        for device in &plan.devices {
-            if let Some(power) = &device.power {
-                port.write(device.id, &device.model, &power.register, 1, Caution::Force)?;
-                std::thread::sleep(power.wait);
-            }
-        }
+        let mut port = opened(plan, port, slack)?;
         let mut joints = Vec::new();
         for joint in &plan.joints {
-            let (_, model) = port.known(joint.id)?;
-            if model.name != joint.model.name {
-                return Err(ServoError::OtherModel {
-                    id: joint.id,
-                    described: joint.model.name.clone(),
-                    found: model.name.clone(),
-                });
-            }
             port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
             let raw = port.read(joint.id, &joint.registers.position)?;
             let turn = joint.registers.position.steps(TAU).round() as i64;
@@ -272,6 +258,30 @@ impl Calibrator {
         };
         known.map(result).collect()
     }
+}
+
+/// Opens a bus, switches the power of its servos on, and checks that they are of the described models.
+fn opened(plan: &BusPlan, port: &str, slack: Duration) -> Result<ServoPort, ServoError> {
+    let models = plan.joints.iter().map(|joint| joint.model.clone()).collect();
+    let mut port = ServoPort::open(port, slack, models)?;
+    port.speak(plan.line)?;
+    for device in &plan.devices {
+        if let Some(power) = &device.power {
+            port.write(device.id, &device.model, &power.register, 1, Caution::Force)?;
+            std::thread::sleep(power.wait);
+        }
+    }
+    for joint in &plan.joints {
+        let (_, model) = port.known(joint.id)?;
+        if model.name != joint.model.name {
+            return Err(ServoError::OtherModel {
+                id: joint.id,
+                described: joint.model.name.clone(),
+                found: model.name.clone(),
+            });
+        }
+    }
+    Ok(port)
 }
 
 impl Limb {

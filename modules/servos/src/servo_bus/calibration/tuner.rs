@@ -1,0 +1,185 @@
+//! Offsets of joints, found by eye: the robot holds its joints at 0 rad, and each is moved by single steps
+//! until it looks right.
+
+use super::super::description::BusPlan;
+use super::super::joint::Joint;
+use super::super::limp::{Limp, Reach};
+use super::super::protocol::StatusError;
+use super::super::tool::{Caution, ServoError, ServoPort};
+use super::{TurnedJoint, opened};
+use std::time::Duration;
+
+/// How fast joints go to 0 rad, in rad/s.
+const APPROACH_RAD_S: f64 = 0.3;
+/// How often their goals are written on the way.
+const PERIOD: Duration = Duration::from_millis(20);
+/// Joints are moved at most this far from where they are described to be, in rad: more is no tolerance, but a
+/// wrong zero.
+const MOST_RAD: f64 = 0.35;
+
+/// The joints of a bus, held near 0 rad.
+pub struct Tuner {
+    port: ServoPort,
+    joints: Vec<Held>,
+}
+
+/// A joint that has its torque.
+struct Held {
+    joint: Joint,
+    /// The raw position at 0 rad, or at the nearer limit, as it is described.
+    reference: i64,
+    goal: i64,
+    is_silent: bool,
+}
+
+/// By how much a joint was moved away from where it is described to be at 0 rad.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointOffset {
+    /// Its name.
+    pub name: String,
+    /// In raw steps, to be added to its `offset`.
+    pub steps: i64,
+    /// In rad.
+    pub angle: f64,
+}
+
+impl Tuner {
+    /// Takes over a bus, on which devices may take `slack` to answer. Its joints hold where they are; those
+    /// that cannot, and wheels, are left alone, which the sentences say.
+    ///
+    /// # Errors
+    /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
+    pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<(Self, Vec<String>), ServoError> {
+        let mut port = opened(plan, port, slack)?;
+        let (mut joints, mut notes) = (Vec::new(), Vec::new());
+        for joint in &plan.joints {
+            if joint.drive.is_some() {
+                notes.push(format!("{} is driven by velocities or efforts, and has no offset", joint.name));
+                continue;
+            }
+            let position = port.read(joint.id, &joint.registers.position)?;
+            let reach = reach(&mut port, joint)?;
+            if let Some(limp) = Limp::of(joint, reach, position, StatusError::default()) {
+                notes.push(limp.words(joint));
+                continue;
+            }
+            let reference = joint.steps(0.0_f64.clamp(joint.min_rad, joint.max_rad));
+            let mut held = Held { joint: joint.clone(), reference, goal: position, is_silent: false };
+            held.go_to(&mut port, position)?;
+            port.write(joint.id, &joint.model, &joint.registers.torque, 1, Caution::Force)?;
+            joints.push(held);
+        }
+        Ok((Self { port, joints }, notes))
+    }
+
+    /// Brings all joints slowly to where they are described to be at 0 rad, or to the nearer end of their
+    /// limits. Ends early if `goes_on` returns false.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails, or a servo refuses.
+    pub fn go_to_zero(&mut self, mut goes_on: impl FnMut() -> bool) -> Result<(), ServoError> {
+        let mut is_there = false;
+        while !is_there && goes_on() {
+            is_there = true;
+            for held in &mut self.joints {
+                let Joint { registers, gear, .. } = &held.joint;
+                let reach = registers.goal.steps(APPROACH_RAD_S * gear * PERIOD.as_secs_f64());
+                let reach = reach.abs().ceil().max(1.0) as i64;
+                let goal = held.reference.clamp(held.goal - reach, held.goal + reach);
+                if goal != held.goal {
+                    is_there = false;
+                    held.go_to(&mut self.port, goal)?;
+                }
+            }
+            std::thread::sleep(PERIOD);
+        }
+        Ok(())
+    }
+
+    /// Moves a joint by raw steps of its servo, those in its positive direction positive. Returns false if it
+    /// would be further from its zero than a tolerance is.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails, or the servo refuses.
+    pub fn step(&mut self, joint: usize, steps: i64) -> Result<bool, ServoError> {
+        let Some(held) = self.joints.get_mut(joint) else { return Ok(false) };
+        let goal = held.goal + if held.joint.sign < 0.0 { -steps } else { steps };
+        let is_possible = (held.joint.registers.goal.min..=held.joint.registers.goal.max).contains(&goal);
+        if !is_possible || held.offset(goal).abs() > MOST_RAD {
+            return Ok(false);
+        }
+        held.go_to(&mut self.port, goal)?;
+        Ok(true)
+    }
+
+    /// Looks whether all servos answer.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails.
+    pub fn look(&mut self) -> Result<(), ServoError> {
+        for held in &mut self.joints {
+            let read = self.port.read(held.joint.id, &held.joint.registers.position);
+            held.is_silent = read.is_err();
+            if let Err(ServoError::Port(problem)) = read {
+                return Err(ServoError::Port(problem));
+            }
+        }
+        Ok(())
+    }
+
+    /// The joints, with the angles by which they were moved as their travel.
+    pub fn joints(&self) -> impl Iterator<Item = TurnedJoint> {
+        self.offsets().zip(&self.joints).map(|(offset, held)| TurnedJoint {
+            name: offset.name,
+            id: held.joint.id,
+            travel_rad: offset.angle,
+            place: (0.5 + offset.angle / (2.0 * MOST_RAD)).clamp(0.0, 1.0),
+            is_silent: held.is_silent,
+        })
+    }
+
+    /// By how much each was moved.
+    pub fn offsets(&self) -> impl Iterator<Item = JointOffset> {
+        self.joints.iter().map(|held| JointOffset {
+            name: held.joint.name.clone(),
+            steps: held.goal - held.reference,
+            angle: held.offset(held.goal),
+        })
+    }
+
+    /// Takes the torque off all joints.
+    ///
+    /// # Errors
+    /// Returns an error if the port fails, or a servo refuses.
+    pub fn release(&mut self) -> Result<(), ServoError> {
+        for Held { joint, .. } in &self.joints {
+            self.port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
+        }
+        Ok(())
+    }
+}
+
+impl Held {
+    /// How far a raw position is from where the joint is described to be, in rad.
+    fn offset(&self, goal: i64) -> f64 {
+        self.joint.angle(goal) - self.joint.angle(self.reference)
+    }
+
+    fn go_to(&mut self, port: &mut ServoPort, goal: i64) -> Result<(), ServoError> {
+        let Joint { id, model, registers, .. } = &self.joint;
+        port.write(*id, model, &registers.goal, goal, Caution::Force)?;
+        self.goal = goal;
+        Ok(())
+    }
+}
+
+/// Where the goals of a servo can be.
+fn reach(port: &mut ServoPort, joint: &Joint) -> Result<Reach, ServoError> {
+    let goal = &joint.registers.goal;
+    let mut limit = |name: &str, otherwise: i64| match joint.model.register(name) {
+        Some(register) => port.read(joint.id, register),
+        None => Ok(otherwise),
+    };
+    let (min, max) = (limit("min_position_limit", goal.min)?, limit("max_position_limit", goal.max)?);
+    Ok(Reach::new(min.max(goal.min), max.min(goal.max)))
+}
