@@ -448,13 +448,13 @@ fn offsets_are_found_by_eye_with_joints_that_go_slowly_to_zero_and_are_moved_by_
     arm.types("++");
     arm.says("tilt: move it until");
     // Further than any tolerance.
-    for _ in 0..22 {
+    for _ in 0..21 {
         arm.types("++");
         arm.says("tilt: move it until");
     }
     arm.types("++");
     arm.says("tilt is 20 degrees away from its zero");
-    (0..22).for_each(|_| arm.types("--"));
+    (0..21).for_each(|_| arm.types("--"));
     arm.types("");
     arm.says("lose their torque now");
     arm.types("");
