@@ -40,6 +40,14 @@ impl Reader<'_> {
         shell
     }
 
+    /// Where the first joint of the follower is, the shoulder's, in rad.
+    fn position(&self) -> f64 {
+        let echo = "ros2 topic echo --once --field position /joint_states sensor_msgs/msg/JointState";
+        let printed = self.types(echo);
+        let mut words = printed.split(|letter: char| !(letter.is_ascii_digit() || "-.e".contains(letter)));
+        words.find_map(|word| word.parse().ok()).unwrap_or_else(|| panic!("{printed}"))
+    }
+
     /// Types a line, which must succeed, and returns what is printed.
     fn types(&self, line: &str) -> String {
         let output = self.command(line).output().unwrap();
@@ -86,20 +94,13 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
         writeln!(hands[1].0, "turn {joint} {angle}").unwrap();
         hands[1].0.flush().unwrap();
     };
-    // Of the first joint, which is the shoulder's.
-    let position = || -> f64 {
-        let printed =
-            reader.types("ros2 topic echo --once --field position /joint_states sensor_msgs/msg/JointState");
-        let mut words = printed.split(|letter: char| !(letter.is_ascii_digit() || "-.e".contains(letter)));
-        words.find_map(|word| word.parse().ok()).unwrap_or_else(|| panic!("{printed}"))
-    };
     let [set_task, start, keep, start_again, discard] = &demonstrate[..] else { panic!("{demonstrate:?}") };
     reader.types(set_task);
     assert!(reader.types(start).contains("episode 0 begins"));
     turn("shoulder_pan", 0.6);
-    wait_until("the follower is where the leader is", || (position() - 0.6).abs() < 0.03);
+    wait_until("the follower is where the leader is", || (reader.position() - 0.6).abs() < 0.03);
     turn("shoulder_pan", 0.1);
-    wait_until("it goes back with it", || (position() - 0.1).abs() < 0.03);
+    wait_until("it goes back with it", || (reader.position() - 0.1).abs() < 0.03);
     assert!(reader.types(keep).contains("episode 0 is kept"));
     reader.types(start_again);
     assert!(reader.types(discard).contains("episode 1 is discarded"));
@@ -108,7 +109,7 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
         let printed = reader.types(line);
         assert!(line.contains("/follow std") || printed.contains("SUCCEEDED"), "{printed}");
     }
-    wait_until("the arm is at the end of the trajectory", || (position() - 0.2).abs() < 0.03);
+    wait_until("the arm is at the end of the trajectory", || (reader.position() - 0.2).abs() < 0.03);
     robot.interrupt();
     assert!(robot.wait().success(), "{}", robot.output());
     for (_, mut arm) in hands {
@@ -133,4 +134,48 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
     for line in import {
         reader.types(line);
     }
+}
+
+/// The leader is another program: the robot files of the page, with emulators beside the hardware.
+#[test]
+fn an_arm_follows_a_leader_over_the_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let reader = Reader(folder.path());
+    let files = blocks("toml");
+    let [whole, leader, expose] = &files[..] else { panic!("{files:?}") };
+    let of_arm = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
+    for name in ["leader.toml", "follower.toml"] {
+        std::fs::copy(&of_arm, folder.path().join(name)).unwrap();
+    }
+    let emulated = |text: &str, name: &str| {
+        let hardware = format!("settings = {{ description = \"{name}.toml\" }}");
+        assert!(text.contains(&hardware), "{text}");
+        let with_port = format!("settings = {{ description = \"{name}.toml\", port = \"memory:{name}\" }}");
+        let emulator = format!(
+            "[[module]]\nname = \"emulator\"\nkind = \"servo_emulator\"\nremap = {{ hand = \"leader/hand\" }}\n\
+             settings = {{ description = \"{name}.toml\", link = \"memory:{name}\" }}\n\n"
+        );
+        text.replacen("[[module]]", &format!("{emulator}[[module]]"), 1).replace(&hardware, &with_port)
+    };
+    let hand = "in = [{ topic = \"leader/hand\", type = \"sensor_msgs/msg/JointState\" }, {";
+    let leader = emulated(leader, "leader").replace("in = [{", hand);
+    // Hardware of the follower, and who follows.
+    let modules: Vec<&str> = whole.split("\n\n").collect();
+    let module =
+        |name: &str| modules.iter().find(|module| module.contains(&format!("name = {name:?}"))).unwrap();
+    let follower = format!("{}\n\n{}\n\n{expose}", module("follower"), module("leader_arm"));
+    let follower = format!("[robot]\nname = \"follower\"\n\n{}", emulated(&follower, "follower"));
+    let mut robots = [("leader", leader), ("follower", follower)].map(|(name, text)| {
+        let file = folder.path().join(format!("{name}_robot.toml"));
+        std::fs::write(&file, text).unwrap();
+        let robot = Running::start_by(&mut reader.command(&format!("downbeat run {name}_robot.toml")));
+        robot.wait_for_output("joint_states");
+        robot
+    });
+    reader.types("ros2 service call /follow std_srvs/srv/SetBool \"{data: true}\"");
+    let turned = "{name: [shoulder_pan], position: [-0.5]}";
+    let hand = format!("ros2 topic pub --once -w 1 /leader/hand sensor_msgs/msg/JointState \"{turned}\"");
+    reader.types(&hand);
+    wait_until("the follower is where the leader is", || (reader.position() + 0.5).abs() < 0.03);
+    robots.iter_mut().for_each(Running::interrupt);
 }
