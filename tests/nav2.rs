@@ -159,6 +159,7 @@ fn a_base_is_driven_by_stamped_commands_and_stops_when_they_end() {
     assert_eq!(nav2.change("deactivate"), true);
     nav2.drive(0.1, Duration::ZERO);
     assert_eq!(nav2.change("activate"), true);
+    assert!((nav2.place_at_rest() - stopped).abs() < 0.005);
     wait_until("it drives again", || {
         nav2.drive(-0.1, Duration::ZERO);
         std::thread::sleep(Duration::from_millis(50));

@@ -11,6 +11,7 @@ use std::process::{Command, Stdio};
 
 use common::{Running, downbeat, open_with_stock_readers, python, wait_until};
 use serde_json::json;
+use test_machine::free_domain;
 
 /// The blocks of the page in a language.
 fn blocks(language: &str) -> Vec<String> {
@@ -20,14 +21,21 @@ fn blocks(language: &str) -> Vec<String> {
 }
 
 /// A reader of the page, in a folder.
-struct Reader<'a>(&'a Path);
+struct Reader<'a> {
+    folder: &'a Path,
+    domain: String,
+}
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn new(folder: &'a Path) -> Self {
+        Self { folder, domain: free_domain().to_string() }
+    }
+
     /// What is typed for a line of the page. The ports are in the folder, and there is no browser.
     fn command(&self, line: &str) -> Command {
         let typed = line
             .replace("ros2 ", "downbeat ")
-            .replace("/dev/ttyACM", self.0.join("ttyACM").to_str().unwrap())
+            .replace("/dev/ttyACM", self.folder.join("ttyACM").to_str().unwrap())
             .replace("--name", "--timeout-ms 200 --baud 1000000 --protocol feetech_sts --last-id 7 --name");
         let mut shell = Command::new("sh");
         let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
@@ -36,7 +44,11 @@ impl Reader<'_> {
         shell
             .args(["-c", &format!("exec {typed}")])
             .envs(settled.get_envs().filter_map(|(name, value)| Some((name, value?))));
-        shell.current_dir(self.0).env("PATH", path).stdin(Stdio::null());
+        shell
+            .current_dir(self.folder)
+            .env("PATH", path)
+            .env("ROS_DOMAIN_ID", &self.domain)
+            .stdin(Stdio::null());
         shell
     }
 
@@ -61,7 +73,7 @@ impl Reader<'_> {
 #[test]
 fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
     let folder = tempfile::tempdir().unwrap();
-    let reader = Reader(folder.path());
+    let reader = Reader::new(folder.path());
     let of_arm = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
     let mut hands = ["ttyACM0", "ttyACM1"].map(|port| {
         let port = folder.path().join(port);
@@ -140,7 +152,7 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
 #[test]
 fn an_arm_follows_a_leader_over_the_network() {
     let folder = tempfile::tempdir().unwrap();
-    let reader = Reader(folder.path());
+    let reader = Reader::new(folder.path());
     let files = blocks("toml");
     let [whole, leader, expose] = &files[..] else { panic!("{files:?}") };
     let of_arm = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
@@ -175,7 +187,10 @@ fn an_arm_follows_a_leader_over_the_network() {
     reader.types("ros2 service call /follow std_srvs/srv/SetBool \"{data: true}\"");
     let turned = "{name: [shoulder_pan], position: [-0.5]}";
     let hand = format!("ros2 topic pub --once -w 1 /leader/hand sensor_msgs/msg/JointState \"{turned}\"");
-    reader.types(&hand);
-    wait_until("the follower is where the leader is", || (reader.position() + 0.5).abs() < 0.03);
+    wait_until("the follower is where the leader is", || {
+        // Again and again: a servo that still has its torque is not turned.
+        reader.types(&hand);
+        (reader.position() + 0.5).abs() < 0.03
+    });
     robots.iter_mut().for_each(Running::interrupt);
 }

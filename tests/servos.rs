@@ -453,7 +453,9 @@ fn offsets_are_found_by_eye_with_joints_that_go_slowly_to_zero_and_are_moved_by_
         arm.says("tilt: move it until");
     }
     arm.types("++");
-    arm.says("tilt is 20 degrees away from its zero");
+    arm.says("tilt cannot be moved further");
+    arm.types("+1");
+    arm.says("\"+1\" is no answer");
     (0..21).for_each(|_| arm.types("--"));
     arm.types("");
     arm.says("lose their torque now");

@@ -61,6 +61,29 @@ fn has_only_files(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_file))
 }
 
+/// Whether a folder is `data` or `meta` of a data set of LeRobot, with nothing else in it.
+fn is_of_dataset(folder: &Path) -> bool {
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let all = |folder: &Path, holds: &dyn Fn(&Path) -> bool| {
+        fs::read_dir(folder).is_ok_and(|entries| {
+            entries.into_iter().all(|entry| entry.is_ok_and(|entry| holds(&entry.path())))
+        })
+    };
+    let is_file =
+        |path: &Path| path.is_file() && name(path).starts_with("file-") && name(path).ends_with(".parquet");
+    let is_chunk = |path: &Path| name(path).starts_with("chunk-") && all(path, &is_file);
+    let is_of_meta = |path: &Path| match &*name(path) {
+        "info.json" | "stats.json" | "tasks.parquet" => path.is_file(),
+        "episodes" => all(path, &is_chunk),
+        _ => false,
+    };
+    match &*name(folder) {
+        "data" => all(folder, &is_chunk),
+        "meta" => all(folder, &is_of_meta),
+        _ => false,
+    }
+}
+
 impl Force {
     /// Checks that `path` can be written, before a long operation starts.
     pub(crate) fn check(self, output: Output, path: &Path) -> anyhow::Result<()> {
@@ -88,7 +111,7 @@ impl Force {
                 let is_of_it = match entry.path().is_dir() {
                     true => match output {
                         Output::Bag => name == SOURCES_FOLDER && has_only_files(&entry.path()),
-                        Output::Dataset => ["meta", "data", "videos"].iter().any(|known| name == *known),
+                        Output::Dataset => is_of_dataset(&entry.path()),
                         Output::Tables | Output::File => false,
                     },
                     false => output.holds(&name.to_string_lossy()),

@@ -205,9 +205,7 @@ fn of_bag(path: &Path, name: &str, at: f64) -> anyhow::Result<Pixels> {
     let message = messages.next().with_context(|| format!("{name} has no message from {at} s on"))??;
     let image: Image = cdr::from_slice(&message.data).with_context(|| name.clone())?;
     let picture = Picture::of(&image)?.with_colours()?;
-    let mut rgb = Vec::with_capacity(3 * picture.width() * picture.height());
-    picture.each_pixel(|_, pixel| rgb.extend(pixel));
-    Ok(Pixels { size: [image.width, image.height], rgb })
+    Ok(Pixels { size: [image.width, image.height], rgb: picture.to_rgb() })
 }
 
 impl Pixels {

@@ -25,9 +25,7 @@ pub enum Encoding {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
     /// Its encoding is not supported.
-    #[error(
-        "the encoding \"{0}\" is not supported; set the camera to rgb8, bgr8, mono8, yuv422 or yuv422_yuy2"
-    )]
+    #[error("the encoding \"{0}\" is not supported; set the camera to rgb8, bgr8, yuv422 or yuv422_yuy2")]
     Encoding(String),
     /// It has no colours.
     #[error(
@@ -90,9 +88,9 @@ impl<'a> Picture<'a> {
     /// [`PictureError`].
     pub fn of(image: &'a Image) -> Result<Self, PictureError> {
         let encoding = match image.encoding.to_ascii_lowercase().as_str() {
-            "rgb8" | "8uc3" => Encoding::Rgb8,
+            "rgb8" => Encoding::Rgb8,
             "bgr8" => Encoding::Bgr8,
-            "rgba8" | "8uc4" => Encoding::Rgba8,
+            "rgba8" => Encoding::Rgba8,
             "bgra8" => Encoding::Bgra8,
             "mono8" | "8uc1" => Encoding::Mono8,
             "yuv422" | "uyvy" => Encoding::Uyvy,

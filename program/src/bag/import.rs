@@ -21,8 +21,9 @@ pub(crate) struct ImportArguments {
 
 pub(crate) fn import(arguments: &ImportArguments) -> anyhow::Result<()> {
     let ImportArguments { dataset: folder, output: OutputArguments { output, layout }, start } = arguments;
-    if !(0.0..4e9).contains(start) {
-        anyhow::bail!("--start {start}: a time from 0 to 4e9 s can be written");
+    // Stamps of messages have 31 bits of seconds.
+    if !(0.0..2e9).contains(start) {
+        anyhow::bail!("--start {start}: a time from 0 to 2e9 s can be written");
     }
     let unfinished = layout.unfinished(output, [folder.as_path()])?;
     let dataset = Dataset::open(folder)?;
@@ -34,6 +35,12 @@ pub(crate) fn import(arguments: &ImportArguments) -> anyhow::Result<()> {
     unfinished.finish()?;
     for (feature, why) in &imported.left_out {
         tracing::warn!("{feature} is left out: {why}");
+    }
+    if imported.missing > 0 {
+        tracing::warn!(
+            "{} values of frames are not in the data set, such as pictures in files beside it",
+            imported.missing
+        );
     }
     let (episodes, frames) = (imported.episodes, imported.frames);
     println!("wrote {episodes} episodes with {frames} frames into {}", output.display());

@@ -68,7 +68,8 @@ mod tests {
         assert_eq!(calibrated, expected);
         let unknown = with_calibration(text, &found("roll", None)).unwrap_err().to_string();
         assert!(unknown.contains("no joint \"roll\""), "{unknown}");
-        let moved = |name: &str| JointOffset { name: name.to_owned(), steps: -20, angle: 0.0 };
+        let moved =
+            |name: &str| JointOffset { name: name.to_owned(), reference: 0.0, steps: -20, angle: 0.0 };
         let tuned = with_offset(&with_offset(text, &moved("pan")).unwrap(), &moved("tilt")).unwrap();
         assert_eq!(
             tuned,

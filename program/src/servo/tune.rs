@@ -47,23 +47,24 @@ fn moved(
     let tuned = at_zero(&mut bus, dialogue);
     // Whatever happened.
     let end = dialogue.ask("All joints lose their torque now: hold the robot", &[DONE], Some(&mut bus));
-    bus.release()?;
-    tuned.and(end)?;
+    let released = bus.release();
+    tuned.and(end.map(drop))?;
+    released?;
     Ok(bus.offsets().collect())
 }
 
 fn at_zero(bus: &mut Tuner, dialogue: &mut Dialogue) -> anyhow::Result<()> {
     bus.go_to_zero(|| dialogue.goes_on())?;
-    let names: Vec<_> = bus.joints().map(|joint| joint.name).collect();
+    let joints: Vec<_> = bus.offsets().map(|offset| (offset.name, offset.reference.to_degrees())).collect();
     let answers: Vec<Answer> = [DONE].into_iter().chain(MOVES.map(|(answer, _)| answer)).collect();
-    for (index, name) in names.iter().enumerate() {
-        let question = format!("{name}: move it until it is where it is to be at 0 rad");
+    for (index, (name, degrees)) in joints.iter().enumerate() {
+        let question = format!("{name}: move it until it is where it is to be at {degrees:.1} degrees");
         loop {
             let answer = dialogue.ask(&question, &answers, Some(bus))?;
             let Some((_, steps)) = MOVES.iter().find(|((typed, _), _)| *typed == answer) else { break };
             if !bus.step(index, *steps)? {
                 dialogue.say(format!(
-                    "{name} is 20 degrees away from its zero: `downbeat servo calibrate` finds another"
+                    "{name} cannot be moved further: an offset is at most 20 degrees; `downbeat servo calibrate` finds another zero"
                 ));
             }
         }
@@ -78,12 +79,23 @@ fn write(path: &Path, text: String, moved: &[JointOffset], dialogue: &mut Dialog
         bail!("no joint was moved; {} stays as it is", path.display());
     }
     let mut tuned = text;
-    for offset in &moved {
-        tuned = with_offset(&tuned, offset).with_context(|| path.display().to_string())?;
+    let mut written = Vec::new();
+    for offset in moved {
+        let with_it = with_offset(&tuned, offset).with_context(|| path.display().to_string())?;
+        // Limits may not fit to the new zero; the other joints keep what was found.
+        match Description::parse(&path.to_string_lossy(), &with_it) {
+            Ok(_) => {
+                tuned = with_it;
+                written.push(offset);
+            }
+            Err(problem) => dialogue.say(format!("{} stays as it is described: {problem}", offset.name)),
+        }
     }
-    Description::parse(&path.to_string_lossy(), &tuned)?;
+    if written.is_empty() {
+        bail!("nothing was written");
+    }
     user_file::replace(path, &tuned).with_context(|| format!("cannot write {}", path.display()))?;
-    for JointOffset { name, steps, angle } in moved {
+    for JointOffset { name, steps, angle, .. } in written {
         dialogue.say(format!("{name:<20} offset {steps:+} ({:+.2} degrees)", angle.to_degrees()));
     }
     dialogue.say(format!("wrote {}", path.display()));

@@ -3,6 +3,7 @@
 //! A frame has what was known at its time: of every topic the last message that had been received by then.
 
 use std::collections::VecDeque;
+use std::num::NonZeroU32;
 
 use bytes::Bytes;
 use downbeat_bags::{BagMessage, Reader, Selection, TopicId};
@@ -13,11 +14,14 @@ use downbeat_msgs::sensor_msgs::msg::{CompressedImage, Image};
 use super::picture::PictureFile;
 use super::vectors::{MOST_NUMBERS, numbers};
 use super::writer::{DatasetWriter, FrameValue};
-use super::{DatasetError, Demonstration, Late, NumberTopic, PictureTopic};
+use super::{DatasetError, Demonstration, Late, NumberTopic, PictureTopic, time_of_frame};
 use crate::table::Decoder;
 
 /// A picture or a state that is older than this in a frame, in ns, is reported.
 const OLD: i64 = 250_000_000;
+
+/// An episode whose states pause for longer, in ns, is none: nobody moves, or the clock was set.
+const LONGEST_PAUSE: i64 = 60_000_000_000;
 
 /// The type of the messages that say where episodes begin and end, and its values.
 pub(super) const EPISODE: &str = "downbeat_interfaces/msg/Episode";
@@ -149,7 +153,8 @@ impl<'a> Topics<'a> {
         let spans = self.spans(&what.task)?;
         let mut sampler = Sampler::new(self, what, survey, spans, writer, late);
         let ids = [self.state.id, self.action.id].into_iter();
-        let ids: Vec<_> = ids.chain(self.pictures.iter().map(|pictures| pictures.id)).collect();
+        let ids = ids.chain(self.pictures.iter().map(|pictures| pictures.id));
+        let ids: Vec<_> = ids.chain(self.episodes.iter().map(|(id, _)| *id)).collect();
         let mut damaged = 0;
         for message in self.bag.messages(Selection::all().topics(ids))? {
             match message {
@@ -169,7 +174,7 @@ impl<'a> Topics<'a> {
     }
 
     /// The messages of these topics, without parts of the bag that cannot be read: [`write`](Self::write)
-    /// counts those.
+    /// reads all of them again, and counts those.
     fn messages(
         &self,
         ids: impl IntoIterator<Item = TopicId>,
@@ -186,6 +191,10 @@ impl<'a> Topics<'a> {
             return Ok(vec![Span { from, to, task: task.to_owned() }]);
         };
         let (mut spans, mut open) = (Vec::new(), None);
+        let warn = |what: &str| tracing::warn!("{}: {what}", self.bag.path().display());
+        if self.bag.topics()[id.index()].message_count == 0 {
+            warn("it has a topic of episodes, and none was begun");
+        }
         for message in self.messages([*id])? {
             let episode = decoder.decode(message.data).map_err(|error| DatasetError::Decode {
                 topic: self.bag.topics()[id.index()].info.name.clone(),
@@ -193,21 +202,24 @@ impl<'a> Topics<'a> {
             })?;
             let text = episode.get("task").ok().and_then(|value| value.as_str()).unwrap_or_default();
             match episode.get("state").ok().and_then(|value| value.as_u64()) {
-                Some(STARTED) => open = Some((message.log_time, text.to_owned())),
+                Some(STARTED) => {
+                    if open.replace((message.log_time, text.to_owned())).is_some() {
+                        warn("an episode was begun before the one before it had ended, which is left out");
+                    }
+                }
                 Some(KEPT) => {
                     if let Some((from, said)) = open.take() {
                         let task = if said.is_empty() { task.to_owned() } else { said };
                         spans.push(Span { from, to: message.log_time, task });
+                    } else {
+                        warn("an episode was kept whose beginning is not in the bag; it is left out");
                     }
                 }
                 _ => open = None,
             }
         }
         if open.is_some() {
-            tracing::warn!(
-                "{}: its last episode was neither kept nor discarded, and is left out",
-                self.bag.path().display()
-            );
+            warn("its last episode was neither kept nor discarded, and is left out");
         }
         Ok(spans)
     }
@@ -265,7 +277,7 @@ struct HeldPicture {
 /// Makes frames while messages are received.
 struct Sampler<'a> {
     topics: &'a Topics<'a>,
-    fps: i64,
+    fps: NonZeroU32,
     spans: VecDeque<Span>,
     /// The time of the first frame of the episode, and the number of the next.
     next: Option<(i64, i64)>,
@@ -293,7 +305,7 @@ impl<'a> Sampler<'a> {
         let in_state = |name: &String| survey.state.iter().position(|known| known == name);
         Self {
             topics,
-            fps: i64::from(what.fps.get()),
+            fps: what.fps,
             spans: spans.into(),
             next: None,
             state: held(&survey.state),
@@ -338,7 +350,7 @@ impl<'a> Sampler<'a> {
             }
             if let Some((first, mut number)) = self.next {
                 loop {
-                    let at = first + number * 1_000_000_000 / self.fps;
+                    let at = time_of_frame(first, number, self.fps);
                     if at >= time || at > to {
                         break;
                     }
@@ -395,7 +407,12 @@ impl<'a> Sampler<'a> {
         });
         let action = action.collect();
         self.late.iter_mut().for_each(|late| late.frames += 1);
-        note_age(self.late, 0, at - self.state.at);
+        let age = at.saturating_sub(self.state.at);
+        if age > LONGEST_PAUSE {
+            let topic = self.topics.state.topic.topic.clone();
+            return Err(DatasetError::Pause { topic, seconds: age as f64 / 1e9 });
+        }
+        note_age(self.late, 0, age);
         for (number, held) in self.pictures.iter_mut().enumerate() {
             let Some(held) = held else { continue };
             note_age(self.late, number + 1, at - held.at);

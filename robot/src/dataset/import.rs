@@ -1,6 +1,7 @@
 //! A data set as a bag.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 use downbeat_bags::{TopicDescription, TopicId, Writer};
@@ -16,7 +17,7 @@ use super::picture::format;
 use super::rows::{FeatureInfo, Info, data_files, each_row, integer, numbers, picture, tasks};
 use super::vectors::joint_of;
 use super::writer::OF_ALL;
-use super::{ACTION, DatasetError, PICTURES, STATE};
+use super::{ACTION, DatasetError, PICTURES, STATE, time_of_frame};
 
 /// What was found in a data set.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -25,6 +26,9 @@ pub struct Imported {
     pub episodes: u64,
     /// How many frames in all of them.
     pub frames: u64,
+    /// How many values of frames are not there: pictures that are files beside the data set, or not what
+    /// their feature says.
+    pub missing: u64,
     /// Features that a bag has no place for, and why.
     pub left_out: Vec<(String, &'static str)>,
 }
@@ -104,13 +108,16 @@ impl Dataset {
                     imported.episodes += 1;
                 }
                 // Not the rounded seconds of the row.
-                let since = frame.max(0) as f64 / info.fps * 1e9;
-                at = first.saturating_add(since.round() as i64);
+                at = match whole_number(info.fps) {
+                    Some(fps) => time_of_frame(first, frame.max(0), fps),
+                    None => first.saturating_add((frame.max(0) as f64 / info.fps * 1e9).round() as i64),
+                };
                 let header = Header { stamp: stamp(at), frame_id: String::new() };
                 for target in &targets {
                     let Some((_, field)) = field(&target.key) else { continue };
-                    if let Some(message) = target.message(field, &header) {
-                        writer.write(target.topic, at, at, &message)?;
+                    match target.message(field, &header) {
+                        Some(message) => writer.write(target.topic, at, at, &message)?,
+                        None => imported.missing += 1,
                     }
                 }
                 imported.frames += 1;
@@ -120,6 +127,10 @@ impl Dataset {
         }
         if episodes.current.is_some() {
             episodes.say(writer, Episode::KEPT, at)?;
+        }
+        if imported.frames < info.total_frames {
+            let problem = format!("{} of its {} frames are there", imported.frames, info.total_frames);
+            return Err(DatasetError::file(&folder.join("data"), problem));
         }
         if let Some(kind) = &info.robot_type {
             writer.set_custom_data("robot_type", kind);
@@ -136,7 +147,7 @@ fn targets(
 ) -> Result<(Vec<Target>, Vec<(String, &'static str)>), DatasetError> {
     let (mut targets, mut left_out) = (Vec::new(), Vec::new());
     for (key, feature) in features {
-        let camera = key.strip_prefix(PICTURES).map(|name| name.replace('.', "/"));
+        let camera = key.strip_prefix(PICTURES).map(topic_name);
         let (kind, topic) = match (key.as_str(), feature.dtype.as_str(), camera) {
             (STATE, _, _) => (TargetKind::Joints(feature), topic::<JointState>("/joint_states")),
             (ACTION, _, _) => (TargetKind::Joints(feature), topic::<JointState>("/joint_commands")),
@@ -206,10 +217,25 @@ impl Target {
                     values.resize(values.len().max(at + 1), f64::NAN);
                     values[at] = value;
                 }
+                for values in [&mut joints.position, &mut joints.velocity, &mut joints.effort] {
+                    if !values.is_empty() {
+                        values.resize(joints.name.len(), f64::NAN);
+                    }
+                }
                 Some(cdr::to_vec(&joints))
             }
         }
     }
+}
+
+/// A name that topics may have: `.` separates, and what they may not have becomes `_`.
+fn topic_name(name: &str) -> String {
+    let letter = |letter: char| match letter {
+        '.' => '/',
+        letter if letter.is_ascii_alphanumeric() => letter,
+        _ => '_',
+    };
+    name.chars().map(letter).collect()
 }
 
 fn topic<M: Message>(name: &str) -> TopicDescription {
@@ -225,5 +251,9 @@ fn topic<M: Message>(name: &str) -> TopicDescription {
 
 fn stamp(at: i64) -> Time {
     let (sec, nanosec) = (at.div_euclid(1_000_000_000), at.rem_euclid(1_000_000_000));
-    Time { sec: sec as i32, nanosec: nanosec as u32 }
+    Time { sec: i32::try_from(sec).unwrap_or(i32::MAX), nanosec: nanosec as u32 }
+}
+
+fn whole_number(fps: f64) -> Option<NonZeroU32> {
+    NonZeroU32::new(fps as u32).filter(|whole| f64::from(whole.get()) == fps)
 }

@@ -54,7 +54,7 @@ pub struct NumberTopic {
     /// Its name.
     pub topic: String,
     /// The fields that are meant, numbers or arrays of them. Without any, `position` of messages that name
-    /// its elements, else all numbers outside of headers.
+    /// its elements, else all numbers outside of headers and of arrays of more than 1000 elements.
     pub fields: Vec<String>,
 }
 
@@ -65,6 +65,13 @@ pub struct PictureTopic {
     pub name: String,
     /// The name of the topic.
     pub topic: String,
+}
+
+/// The time of a frame, in ns, with the first one at `first`.
+fn time_of_frame(first: i64, number: i64, fps: NonZeroU32) -> i64 {
+    let (number, fps) = (i128::from(number), i128::from(fps.get()));
+    let since = (number * 1_000_000_000 + fps / 2) / fps;
+    first.saturating_add(i64::try_from(since).unwrap_or(i64::MAX))
 }
 
 /// A column of a data set.
@@ -178,6 +185,16 @@ pub enum DatasetError {
         before: [usize; 2],
         /// Width and height of another.
         now: [usize; 2],
+    },
+    /// The states of an episode have a gap.
+    #[error(
+        "{topic} pauses for {seconds:.0} s in an episode, or the clock was set; `downbeat bag cut` takes the part before or after it"
+    )]
+    Pause {
+        /// The topic.
+        topic: String,
+        /// How long.
+        seconds: f64,
     },
     /// There are no frames.
     #[error("no episode has a frame: see above, and `downbeat bag info`")]

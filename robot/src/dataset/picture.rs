@@ -17,7 +17,7 @@ pub(super) struct PictureFile {
     rgb: Option<Vec<u8>>,
 }
 
-/// What a PNG may take when it is decoded: 16 384 pixels a side would be 3 GB.
+/// What a picture may take when it is decoded.
 const MOST_BYTES: usize = 256 << 20;
 
 impl PictureFile {
@@ -61,13 +61,17 @@ fn is_png(file: &[u8]) -> bool {
 }
 
 fn size(file: &[u8]) -> Result<[usize; 2], String> {
-    if is_png(file) {
+    let (width, height) = if is_png(file) {
         let reader = png::Decoder::new(Cursor::new(file)).read_info().map_err(|error| error.to_string())?;
-        let (width, height) = reader.info().size();
-        return Ok([width as usize, height as usize]);
+        reader.info().size()
+    } else {
+        let head = Head::of(file).map_err(|_| "it is neither JPEG nor PNG".to_owned())?;
+        (head.width, head.height)
+    };
+    if u64::from(width) * u64::from(height) * 3 > MOST_BYTES as u64 {
+        return Err(format!("a picture of {width} x {height} pixels is too large"));
     }
-    let head = Head::of(file).map_err(|_| "it is neither JPEG nor PNG".to_owned())?;
-    Ok([head.width as usize, head.height as usize])
+    Ok([width as usize, height as usize])
 }
 
 fn decode_png(file: &[u8]) -> Result<Vec<u8>, String> {
@@ -120,5 +124,13 @@ mod tests {
         assert_eq!(read.rgb().unwrap().len(), 64 * 32 * 3);
         assert_eq!(PictureFile::of_file(file(b"GIF89a")).err().unwrap(), "it is neither JPEG nor PNG");
         assert!(PictureFile::of_file(file(b"\x89PNG\r\n")).is_err());
+        // Height and width stand behind the marker of the frame.
+        let at = jpeg.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap() + 5;
+        let mut huge = jpeg;
+        huge[at..at + 4].fill(0xff);
+        assert_eq!(
+            PictureFile::of_file(file(&huge)).err().unwrap(),
+            "a picture of 65535 x 65535 pixels is too large"
+        );
     }
 }

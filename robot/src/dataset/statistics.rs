@@ -131,18 +131,19 @@ impl Default for Levels {
 const LOOKED_AT: usize = 150;
 
 impl Levels {
-    /// Counts the pixels of a picture, or some of them in rows and columns of equal distance.
-    pub(super) fn add(&mut self, [width, height]: [usize; 2], rgb: &[u8]) {
+    /// Counts the pixels of a picture, or some of them in rows and columns of equal distance, for as many
+    /// pictures as it stands for.
+    pub(super) fn add(&mut self, [width, height]: [usize; 2], rgb: &[u8], stands_for: u64) {
         let step = (width.max(height) / LOOKED_AT).max(1);
         for row in rgb.chunks_exact(3 * width.max(1)).step_by(step) {
             for pixel in row.chunks_exact(3).step_by(step) {
                 self.counts
                     .iter_mut()
                     .zip(pixel)
-                    .for_each(|(counts, level)| counts[usize::from(*level)] += 1);
+                    .for_each(|(counts, level)| counts[usize::from(*level)] += stands_for);
             }
         }
-        self.pictures += 1;
+        self.pictures += stands_for;
     }
 
     /// Of levels from 0 to 1.
@@ -207,7 +208,7 @@ mod tests {
     #[test]
     fn levels_of_a_picture_are_between_0_and_1() {
         let mut levels = Levels::default();
-        levels.add([2, 2], &[0, 255, 51, 0, 255, 51, 255, 255, 51, 255, 255, 51]);
+        levels.add([2, 2], &[0, 255, 51, 0, 255, 51, 255, 255, 51, 255, 255, 51], 1);
         let found = levels.statistics();
         assert_eq!(value(&found, "mean"), [0.5, 1.0, 0.2]);
         assert_eq!(value(&found, "std")[0], 0.5);

@@ -12,7 +12,8 @@ const SHORT: [(&str, &str); 3] = [("position", "pos"), ("velocity", "vel"), ("ef
 
 /// The finite numbers in these fields of a message, with their names: of the array `position`, beside which
 /// `name` names the elements, `shoulder_pan.pos`; of another array `data[3]`. Without fields those of
-/// `position` if there are names, else all, without those of headers.
+/// `position` if there are names, else all, without those of headers. There may be one more than
+/// [`MOST_NUMBERS`], of very many.
 ///
 /// # Errors
 /// What is wrong with a field.
@@ -20,7 +21,7 @@ pub(super) fn numbers(message: &DynamicMessage, fields: &[String]) -> Result<Vec
     let mut found = Vec::new();
     let chosen = match fields {
         [] if names_beside(message, "position").is_some() => vec!["position".to_owned()],
-        [] => numbers_of(message, MOST_NUMBERS).into_iter().map(|number| number.field).collect(),
+        [] => numbers_of(message, MOST_NUMBERS + 1).into_iter().map(|number| number.field).collect(),
         fields => fields.to_vec(),
     };
     for field in &chosen {
@@ -30,7 +31,7 @@ pub(super) fn numbers(message: &DynamicMessage, fields: &[String]) -> Result<Vec
         match message.get(field).map_err(|error| error.to_string())? {
             ValueRef::Array(array) => {
                 let names = names_beside(message, field).unwrap_or_default();
-                for (index, value) in array.iter().enumerate() {
+                for (index, value) in array.iter().enumerate().take(MOST_NUMBERS + 1) {
                     let Some(value) = number(value) else {
                         return Err(format!("{field} is an array of something else than numbers"));
                     };
@@ -45,7 +46,6 @@ pub(super) fn numbers(message: &DynamicMessage, fields: &[String]) -> Result<Vec
         }
     }
     found.retain(|(_, value)| value.is_finite());
-    found.truncate(MOST_NUMBERS);
     Ok(found)
 }
 

@@ -148,9 +148,10 @@ impl DatasetWriter {
                 (FrameValue::Picture(picture), Cells::Pictures(cells), Seen::Pictures { count, levels }) => {
                     self.bytes += picture.bytes.len();
                     cells.push(ByteArray::from(picture.bytes.clone()));
-                    if *count < ALL_LOOKED_AT || *count % LOOKED_AT_LATER == 0 {
+                    let is_early = *count < ALL_LOOKED_AT;
+                    if is_early || count.is_multiple_of(LOOKED_AT_LATER) {
                         let rgb = picture.rgb().map_err(DatasetError::Picture)?;
-                        levels.add(picture.size, &rgb);
+                        levels.add(picture.size, &rgb, if is_early { 1 } else { LOOKED_AT_LATER as u64 });
                     }
                     *count += 1;
                 }

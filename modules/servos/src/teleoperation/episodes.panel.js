@@ -55,13 +55,15 @@ export default {
 
     const KEYS = { ' ': 'start', ArrowRight: 'keep', ArrowLeft: 'discard' };
     function pressed(/** @type {KeyboardEvent} */ event) {
-      const isTyping = event.target instanceof Element && event.target.closest('input, select, textarea');
       const what = KEYS[event.key];
-      if (!what || isTyping || event.repeat || !root.isConnected || root.offsetParent === null) return;
+      const isElsewhere = event.target instanceof Element && event.target.closest('input, textarea, select, button, [contenteditable], dialog, [popover]');
+      if (!what || isElsewhere || event.repeat || event.ctrlKey || event.metaKey || event.altKey || root.offsetParent === null) return;
+      // Before the page, for which space is a pause.
       event.preventDefault();
+      event.stopPropagation();
       ask(what);
     }
-    addEventListener('keydown', pressed);
-    return { destroy() { removeEventListener('keydown', pressed); } };
+    addEventListener('keydown', pressed, { capture: true });
+    return { destroy() { removeEventListener('keydown', pressed, { capture: true }); } };
   },
 };

@@ -5,7 +5,7 @@
 //! | `leader/joint_states` (in) | `sensor_msgs/JointState` | of the arm that is moved by hand |
 //! | `joint_states` (in) | `sensor_msgs/JointState` | of the arm that follows |
 //! | `joint_commands` | `sensor_msgs/JointState` | positions for the arm that follows, with each message of the leader |
-//! | `leader/joint_torque` | `sensor_msgs/JointState` | takes the torque off the leader when its joints are first seen, and when following begins |
+//! | `leader/joint_torque` | `sensor_msgs/JointState` | takes the torque off the leader when its joints are first seen, and while it is followed |
 //! | `follow` (service) | `std_srvs/SetBool` | begins and ends following; at the end the follower stays where it is |
 //!
 //! | setting | default | |
@@ -31,6 +31,10 @@ use crate::stamps::header;
 /// A leader that is silent for longer is not followed.
 const SILENCE: Duration = Duration::from_millis(250);
 
+/// While it is followed, the leader is told this often that its joints have no torque: a message on a network
+/// may be lost.
+const RELEASE: Duration = Duration::from_secs(1);
+
 /// The longest time for which a joint moves at once on its way to the leader.
 const LONGEST_STEP: f64 = 0.05;
 
@@ -50,12 +54,15 @@ pub struct LeaderArm {
     /// The joints that have arrived at the leader or are on their way, with their last goals.
     goals: BTreeMap<String, Goal>,
     last: Option<Time>,
+    released: Option<Time>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Goal {
     angle: f64,
     has_arrived: bool,
+    /// When it followed from a measurement.
+    at: Time,
 }
 
 /// The keys of [`LeaderArm`].
@@ -84,23 +91,23 @@ impl LeaderArm {
             self.release(ctx);
         }
         let now = ctx.now();
-        let since = self.last.map(|last| now.saturating_since(last));
+        let since = self.last.map(|last| now.saturating_since(last)).unwrap_or_default();
         self.last = Some(now);
         if !self.is_following {
             return;
         }
-        if since.is_some_and(|since| since > SILENCE) && !self.goals.is_empty() {
-            tracing::warn!(
-                "the leader was silent for {:.2} s: the follower stopped",
-                since.unwrap_or_default().as_secs_f64()
-            );
-            self.goals.clear();
+        if self.released.is_none_or(|released| now.saturating_since(released) > RELEASE) {
+            self.release(ctx);
         }
-        let reach =
-            *ctx.get(ctx.ports.handover_speed) * since.unwrap_or_default().as_secs_f64().min(LONGEST_STEP);
+        let reach = *ctx.get(ctx.ports.handover_speed) * since.as_secs_f64().min(LONGEST_STEP);
         let mut command = JointState { header: header(now, ""), ..JointState::default() };
-        for (name, angle) in states.name.iter().zip(&states.position) {
-            if let Some(angle) = self.goal(name, *angle, reach) {
+        for (index, (name, angle)) in states.name.iter().zip(&states.position).enumerate() {
+            // The last position of a servo that is silent has neither.
+            let is_nan = |values: &[f64]| values.get(index).is_some_and(|value| value.is_nan());
+            if is_nan(&states.velocity) && is_nan(&states.effort) {
+                continue;
+            }
+            if let Some(angle) = self.goal(name, *angle, reach, now) {
                 command.name.push(name.clone());
                 command.position.push(angle);
             }
@@ -111,15 +118,24 @@ impl LeaderArm {
     }
 
     /// Where a joint is to go, if it follows and its place is known. It moves by at most `reach` until it has
-    /// arrived.
-    fn goal(&mut self, name: &str, leader: f64, reach: f64) -> Option<f64> {
+    /// arrived, and begins anew after a silence of the leader.
+    fn goal(&mut self, name: &str, leader: f64, reach: f64, now: Time) -> Option<f64> {
         let place = self.joints.iter().position(|known| known == name);
         if !leader.is_finite() || (place.is_none() && !self.joints.is_empty()) {
             return None;
         }
         let wanted = leader * place.and_then(|place| self.scale.get(place)).copied().unwrap_or(1.0);
-        let start = Goal { angle: *self.follower.get(name)?, has_arrived: false };
+        let start = Goal { angle: *self.follower.get(name)?, has_arrived: false, at: now };
         let goal = self.goals.entry(name.to_owned()).or_insert(start);
+        let silence = now.saturating_since(goal.at);
+        if silence > SILENCE {
+            tracing::warn!(
+                "{name} of the leader was silent for {:.2} s: the follower stopped",
+                silence.as_secs_f64()
+            );
+            *goal = start;
+        }
+        goal.at = now;
         goal.has_arrived = goal.has_arrived || (wanted - goal.angle).abs() <= reach;
         goal.angle =
             if goal.has_arrived { wanted } else { wanted.clamp(goal.angle - reach, goal.angle + reach) };
@@ -127,7 +143,8 @@ impl LeaderArm {
     }
 
     /// Takes the torque off the leader.
-    fn release(&self, ctx: &mut Context<'_, Ports>) {
+    fn release(&mut self, ctx: &mut Context<'_, Ports>) {
+        self.released = Some(ctx.now());
         let name = self.limp.clone();
         let effort = vec![0.0; name.len()];
         let header = header(ctx.now(), "");
@@ -272,6 +289,20 @@ mod tests {
         assert_eq!(arms.step(-0.4, 10), Some(-0.4), "from now on each message");
         // After a pause it moves slowly again.
         assert_eq!(arms.step(0.4, 400), Some(-0.4 + 0.5 * LONGEST_STEP));
+        // And while the servo of the joint alone is silent: the last position stays, without velocity and
+        // effort.
+        for _ in 0..200 {
+            arms.step(0.4, 10);
+        }
+        assert_eq!(arms.pan, 0.4);
+        let stale = JointState { velocity: vec![f64::NAN], effort: vec![f64::NAN], ..at(&[("pan", 0.4)]) };
+        for _ in 0..40 {
+            arms.clock.advance(Duration::from_millis(10));
+            arms.core.inlet("leader/joint_states").unwrap().publish(stale.clone()).unwrap();
+            (0..3).for_each(|_| arms.core.cycle().unwrap());
+        }
+        assert!(arms.commands.take().is_empty());
+        assert_eq!(arms.step(-0.4, 10), Some(0.4 - 0.5 * 0.01));
         assert!(arms.follow(false).contains("stays"));
         assert_eq!(arms.step(0.4, 10), None);
     }

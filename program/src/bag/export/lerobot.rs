@@ -66,11 +66,17 @@ fn demonstration(arguments: &DatasetArguments) -> anyhow::Result<Demonstration> 
         }
         Ok(PictureTopic { name: name.to_owned(), topic: absolute(topic) })
     };
+    let pictures = images.iter().map(picture).collect::<anyhow::Result<Vec<_>>>()?;
+    for (index, one) in pictures.iter().enumerate() {
+        if pictures[..index].iter().any(|other| other.name == one.name) {
+            bail!("--images: two cameras are called {}", one.name);
+        }
+    }
     Ok(Demonstration {
         fps: fps.unwrap_or(FPS),
         state: numbers(state.as_deref().unwrap_or("joint_states")),
         action: numbers(action.as_deref().unwrap_or("joint_commands")),
-        pictures: images.iter().map(picture).collect::<anyhow::Result<_>>()?,
+        pictures,
         task: task.clone().unwrap_or_default(),
         robot_type: robot_type.clone(),
     })

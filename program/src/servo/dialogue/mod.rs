@@ -116,6 +116,12 @@ impl Dialogue {
                 #[cfg(feature = "view")]
                 Front::Page(page) => page.answer(&joints),
             };
+            if let Some(answer) = &answer
+                && !answers.iter().any(|(typed, _)| typed == answer)
+            {
+                self.say(format!("{answer:?} is no answer to: {question}"));
+                continue;
+            }
             if let Some(answer) = answer {
                 // What is there now counts.
                 look()?;

@@ -37,6 +37,8 @@ struct Held {
 pub struct JointOffset {
     /// Its name.
     pub name: String,
+    /// Where it is described to be, in rad: at 0, or at the nearer of its limits.
+    pub reference: f64,
     /// In raw steps, to be added to its `offset`.
     pub steps: i64,
     /// In rad.
@@ -50,26 +52,37 @@ impl Tuner {
     /// # Errors
     /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
     pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<(Self, Vec<String>), ServoError> {
-        let mut port = opened(plan, port, slack)?;
-        let (mut joints, mut notes) = (Vec::new(), Vec::new());
+        let mut tuner = Self { port: opened(plan, port, slack)?, joints: Vec::new() };
+        let notes = tuner.hold(plan);
+        if notes.is_err() {
+            // What was held already is let go; the first error says what is wrong.
+            let _ = tuner.release();
+        }
+        notes.map(|notes| (tuner, notes))
+    }
+
+    /// Gives the joints their torque where they are.
+    fn hold(&mut self, plan: &BusPlan) -> Result<Vec<String>, ServoError> {
+        let Self { port, joints } = self;
+        let mut notes = Vec::new();
         for joint in &plan.joints {
             if joint.drive.is_some() {
                 notes.push(format!("{} is driven by velocities or efforts, and has no offset", joint.name));
                 continue;
             }
             let position = port.read(joint.id, &joint.registers.position)?;
-            let reach = reach(&mut port, joint)?;
+            let reach = reach(port, joint)?;
             if let Some(limp) = Limp::of(joint, reach, position, StatusError::default()) {
                 notes.push(limp.words(joint));
                 continue;
             }
             let reference = joint.steps(0.0_f64.clamp(joint.min_rad, joint.max_rad));
             let mut held = Held { joint: joint.clone(), reference, goal: position, is_silent: false };
-            held.go_to(&mut port, position)?;
-            port.write(joint.id, &joint.model, &joint.registers.torque, 1, Caution::Force)?;
+            held.go_to(port, position)?;
             joints.push(held);
+            port.write(joint.id, &joint.model, &joint.registers.torque, 1, Caution::Force)?;
         }
-        Ok((Self { port, joints }, notes))
+        Ok(notes)
     }
 
     /// Brings all joints slowly to where they are described to be at 0 rad, or to the nearer end of their
@@ -78,19 +91,21 @@ impl Tuner {
     /// # Errors
     /// Returns an error if the port fails, or a servo refuses.
     pub fn go_to_zero(&mut self, mut goes_on: impl FnMut() -> bool) -> Result<(), ServoError> {
-        let mut is_there = false;
+        let (mut is_there, mut period) = (false, 0_u64);
         while !is_there && goes_on() {
             is_there = true;
             for held in &mut self.joints {
                 let Joint { registers, gear, .. } = &held.joint;
-                let reach = registers.goal.steps(APPROACH_RAD_S * gear * PERIOD.as_secs_f64());
-                let reach = reach.abs().ceil().max(1.0) as i64;
+                let reach = registers.goal.steps(APPROACH_RAD_S * gear * PERIOD.as_secs_f64()).abs();
+                // A coarse servo takes a step in some periods only.
+                let reach = ((period + 1) as f64 * reach) as i64 - (period as f64 * reach) as i64;
                 let goal = held.reference.clamp(held.goal - reach, held.goal + reach);
+                is_there &= held.goal == held.reference;
                 if goal != held.goal {
-                    is_there = false;
                     held.go_to(&mut self.port, goal)?;
                 }
             }
+            period += 1;
             std::thread::sleep(PERIOD);
         }
         Ok(())
@@ -142,6 +157,7 @@ impl Tuner {
     pub fn offsets(&self) -> impl Iterator<Item = JointOffset> {
         self.joints.iter().map(|held| JointOffset {
             name: held.joint.name.clone(),
+            reference: held.joint.angle(held.reference),
             steps: held.goal - held.reference,
             angle: held.offset(held.goal),
         })
@@ -150,12 +166,14 @@ impl Tuner {
     /// Takes the torque off all joints.
     ///
     /// # Errors
-    /// Returns an error if the port fails, or a servo refuses.
+    /// Returns the first error, if the port fails, or a servo refuses; the others lose it all the same.
     pub fn release(&mut self) -> Result<(), ServoError> {
-        for Held { joint, .. } in &self.joints {
-            self.port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
-        }
-        Ok(())
+        let port = &mut self.port;
+        let mut released = |Held { joint, .. }: &Held| {
+            port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)
+        };
+        let results: Vec<_> = self.joints.iter().map(&mut released).collect();
+        results.into_iter().collect()
     }
 }
 
