@@ -16,8 +16,8 @@ use test_machine::free_domain;
 /// The blocks of the page in a language.
 fn blocks(language: &str) -> Vec<String> {
     let page = include_str!("../docs/servo_arm.md");
-    let blocks = page.split(&format!("```{language}\n")).skip(1);
-    blocks.map(|block| block.split("```").next().unwrap().to_owned()).collect()
+    let start = format!("```{language}\n");
+    page.split(&start).skip(1).map(|block| block.split("```").next().unwrap().to_owned()).collect()
 }
 
 /// A reader of the page, in a folder.
