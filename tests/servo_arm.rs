@@ -175,7 +175,8 @@ fn an_arm_follows_a_leader_over_the_network() {
     let modules: Vec<&str> = whole.split("\n\n").collect();
     let module =
         |name: &str| modules.iter().find(|module| module.contains(&format!("name = {name:?}"))).unwrap();
-    let follower = format!("{}\n\n{}\n\n{expose}", module("follower"), module("leader_arm"));
+    let follower = ["follower", "leader_arm", "mux"].map(|name| *module(name)).join("\n\n");
+    let follower = format!("{follower}\n\n{expose}");
     let follower = format!("[robot]\nname = \"follower\"\n\n{}", emulated(&follower, "follower"));
     let mut robots = [("leader", leader), ("follower", follower)].map(|(name, text)| {
         let file = folder.path().join(format!("{name}_robot.toml"));
