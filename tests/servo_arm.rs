@@ -100,6 +100,7 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
 
     let mut robot = Running::start_by(&mut reader.command(&run[0].replace("--view", "")));
     robot.wait_for_output("exposed to ROS 2: /episodes");
+    reader.types("ros2 topic echo --once /leader/joint_states sensor_msgs/msg/JointState");
     let printed = reader.types(follow[0]);
     assert!(printed.contains("goes to the leader"), "{printed}");
     let mut turn = |joint: &str, angle: f64| {
