@@ -75,7 +75,9 @@ fn demonstrations(folder: &Path) -> PathBuf {
     for number in 0..1000 {
         let at = SECOND + number * SECOND / 100;
         let seconds = number as f64 / 100.0;
-        bag.joints("/joint_states", at, &[("pan", seconds), ("gripper", -seconds)]);
+        // The shoulder is not measured at first.
+        let pan = if number == 0 { f64::NAN } else { seconds };
+        bag.joints("/joint_states", at, &[("pan", pan), ("gripper", -seconds)]);
         // The gripper is not commanded before 7.5 s.
         match number {
             ..750 => bag.joints("/joint_commands", at, &[("pan", seconds + 0.5)]),

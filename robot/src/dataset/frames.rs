@@ -55,7 +55,45 @@ pub(super) struct Topics<'a> {
 /// What was found in the messages of a bag before frames are made of them.
 #[derive(Default)]
 pub(super) struct Survey {
-    /// Names in the order in which they appeared.
+    state: Names,
+    action: Names,
+    sizes: Vec<Option<[usize; 2]>>,
+}
+
+/// Names of numbers in the order in which they appeared, and whether each was ever a number.
+#[derive(Default)]
+struct Names(Vec<(String, bool)>);
+
+impl Names {
+    fn see(&mut self, index: usize, name: String, value: f64) {
+        // Nearly always in the same order.
+        let place = match self.0.get(index).is_some_and(|(known, _)| *known == name) {
+            true => Some(index),
+            false => self.0.iter().position(|(known, _)| *known == name),
+        };
+        match place {
+            Some(place) => self.0[place].1 |= value.is_finite(),
+            None => self.0.push((name, value.is_finite())),
+        }
+    }
+
+    fn of_numbers(self) -> Vec<String> {
+        self.0.into_iter().filter(|(_, is_number)| *is_number).map(|(name, _)| name).collect()
+    }
+}
+
+impl Survey {
+    /// What all of it is. Actions are in the order of the state, as far as they have its names.
+    pub(super) fn found(self) -> Found {
+        let (state, mut action) = (self.state.of_numbers(), self.action.of_numbers());
+        action.sort_by_key(|name| state.iter().position(|known| known == name).unwrap_or(usize::MAX));
+        Found { state, action, sizes: self.sizes }
+    }
+}
+
+/// What is the same in all bags.
+pub(super) struct Found {
+    /// Names of the numbers.
     pub(super) state: Vec<String>,
     pub(super) action: Vec<String>,
     /// Width and height of the pictures of each camera, if there was one.
@@ -119,12 +157,10 @@ impl<'a> Topics<'a> {
     pub(super) fn survey(&self, survey: &mut Survey) -> Result<(), DatasetError> {
         for (numbers, names) in [(&self.state, &mut survey.state), (&self.action, &mut survey.action)] {
             for message in self.messages([numbers.id])? {
-                for (name, _) in numbers.of(message.data)? {
-                    if !names.contains(&name) {
-                        names.push(name);
-                    }
+                for (index, (name, value)) in numbers.of(message.data)?.into_iter().enumerate() {
+                    names.see(index, name, value);
                 }
-                if names.len() > MOST_NUMBERS {
+                if names.0.len() > MOST_NUMBERS {
                     return Err(DatasetError::TooMany { topic: numbers.topic.topic.clone() });
                 }
             }
@@ -145,7 +181,7 @@ impl<'a> Topics<'a> {
     pub(super) fn write(
         &self,
         what: &Demonstration,
-        survey: &Survey,
+        survey: &Found,
         writer: &mut DatasetWriter,
         late: &mut Vec<Late>,
         seen: &mut dyn FnMut(),
@@ -254,7 +290,8 @@ struct HeldNumbers<'a> {
 
 impl HeldNumbers<'_> {
     fn hold(&mut self, numbers: Vec<(String, f64)>, at: i64) {
-        for (index, (name, value)) in numbers.into_iter().enumerate() {
+        let numbers = numbers.into_iter().enumerate().filter(|(_, (_, value))| value.is_finite());
+        for (index, (name, value)) in numbers {
             // Nearly always in the same order.
             let is_here = self.names.get(index) == Some(&name);
             let place =
@@ -296,7 +333,7 @@ impl<'a> Sampler<'a> {
     fn new(
         topics: &'a Topics<'a>,
         what: &Demonstration,
-        survey: &'a Survey,
+        survey: &'a Found,
         spans: Vec<Span>,
         writer: &'a mut DatasetWriter,
         late: &'a mut Vec<Late>,

@@ -246,6 +246,7 @@ pub fn export(
     let topics = bags.iter().map(|bag| Topics::of(bag, what, interfaces)).collect::<Result<Vec<_>, _>>()?;
     let mut survey = Survey::default();
     topics.iter().try_for_each(|topics| topics.survey(&mut survey))?;
+    let survey = survey.found();
     for (topic, names) in [(&what.state, &survey.state), (&what.action, &survey.action)] {
         if names.is_empty() {
             return Err(DatasetError::NoNumbers { topic: topic.topic.clone() });

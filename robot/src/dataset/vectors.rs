@@ -10,7 +10,7 @@ pub(super) const MOST_NUMBERS: usize = 1000;
 /// Short names of the arrays of `JointState`, as LeRobot calls what motors have.
 const SHORT: [(&str, &str); 3] = [("position", "pos"), ("velocity", "vel"), ("effort", "eff")];
 
-/// The finite numbers in these fields of a message, with their names: of the array `position`, beside which
+/// The numbers in these fields of a message, with their names: of the array `position`, beside which
 /// `name` names the elements, `shoulder_pan.pos`; of another array `data[3]`. Without fields those of
 /// `position` if there are names, else all, without those of headers. There may be one more than
 /// [`MOST_NUMBERS`], of very many.
@@ -45,7 +45,6 @@ pub(super) fn numbers(message: &DynamicMessage, fields: &[String]) -> Result<Vec
             },
         }
     }
-    found.retain(|(_, value)| value.is_finite());
     Ok(found)
 }
 
@@ -94,9 +93,10 @@ mod tests {
     }
 
     #[test]
-    fn positions_of_joints_have_the_names_of_lerobot_and_nan_is_none() {
+    fn numbers_of_joints_have_the_names_of_lerobot() {
         let found = numbers(&joint_states(), &[]).unwrap();
-        assert_eq!(found, [("pan.pos".to_owned(), 0.5)]);
+        assert_eq!(found[0], ("pan.pos".to_owned(), 0.5));
+        assert!(found[1].0 == "tilt.pos" && found[1].1.is_nan());
         let found = numbers(&joint_states(), &fields(&["velocity", "position[0]"])).unwrap();
         let names: Vec<_> = found.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["pan.vel", "tilt.vel", "position[0]"]);
