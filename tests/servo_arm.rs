@@ -7,7 +7,7 @@ mod common;
 
 use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 
 use common::{Running, downbeat, open_with_stock_readers, python, wait_until};
 use serde_json::json;
@@ -18,6 +18,36 @@ fn blocks(language: &str) -> Vec<String> {
     let page = include_str!("../docs/servo_arm.md");
     let start = format!("```{language}\n");
     page.split(&start).skip(1).map(|block| block.split("```").next().unwrap().to_owned()).collect()
+}
+
+/// An emulated arm that a hand turns. It ends with this.
+struct Arm {
+    program: Child,
+    hand: ChildStdin,
+}
+
+impl Arm {
+    fn start(description: &Path, port: &Path) -> Self {
+        let mut emulate =
+            downbeat(&["emulate", "servos", description.to_str().unwrap(), "--by-hand", "--link"]);
+        emulate.arg(port).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut program = emulate.spawn().unwrap();
+        let hand = program.stdin.take().unwrap();
+        let arm = Self { program, hand };
+        wait_until("the emulated arm is there", || port.exists());
+        arm
+    }
+
+    fn turn(&mut self, joint: &str, angle: f64) {
+        writeln!(self.hand, "turn {joint} {angle}").unwrap();
+    }
+}
+
+impl Drop for Arm {
+    fn drop(&mut self) {
+        let _ = self.program.kill();
+        let _ = self.program.wait();
+    }
 }
 
 /// A reader of the page, in a folder.
@@ -36,7 +66,7 @@ impl<'a> Reader<'a> {
         let typed = line
             .replace("ros2 ", "downbeat ")
             .replace("/dev/ttyACM", self.folder.join("ttyACM").to_str().unwrap())
-            .replace("--name", "--timeout-ms 200 --baud 1000000 --protocol feetech_sts --last-id 7 --name");
+            .replace("--name", "--timeout-ms 1000 --baud 1000000 --protocol feetech_sts --last-id 7 --name");
         let mut shell = Command::new("sh");
         let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
         let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
@@ -75,14 +105,8 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
     let folder = tempfile::tempdir().unwrap();
     let reader = Reader::new(folder.path());
     let of_arm = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
-    let mut hands = ["ttyACM0", "ttyACM1"].map(|port| {
-        let port = folder.path().join(port);
-        let mut emulate = downbeat(&["emulate", "servos", of_arm.to_str().unwrap(), "--by-hand", "--link"]);
-        emulate.arg(&port).stdin(Stdio::piped());
-        let mut arm = emulate.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        wait_until("the emulated arm is there", || port.exists());
-        (arm.stdin.take().unwrap(), arm)
-    });
+    let [_follower, mut leader] =
+        ["ttyACM0", "ttyACM1"].map(|port| Arm::start(&of_arm, &folder.path().join(port)));
 
     let pages = blocks("sh");
     let lines: Vec<Vec<&str>> = pages.iter().map(|block| block.lines().collect()).collect();
@@ -103,16 +127,12 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
     reader.types("ros2 topic echo --once /leader/joint_states sensor_msgs/msg/JointState");
     let printed = reader.types(follow[0]);
     assert!(printed.contains("goes to the leader"), "{printed}");
-    let mut turn = |joint: &str, angle: f64| {
-        writeln!(hands[1].0, "turn {joint} {angle}").unwrap();
-        hands[1].0.flush().unwrap();
-    };
     let [set_task, start, keep, start_again, discard] = &demonstrate[..] else { panic!("{demonstrate:?}") };
     reader.types(set_task);
     assert!(reader.types(start).contains("episode 0 begins"));
-    turn("shoulder_pan", 0.6);
+    leader.turn("shoulder_pan", 0.6);
     wait_until("the follower is where the leader is", || (reader.position() - 0.6).abs() < 0.03);
-    turn("shoulder_pan", 0.1);
+    leader.turn("shoulder_pan", 0.1);
     wait_until("it goes back with it", || (reader.position() - 0.1).abs() < 0.03);
     assert!(reader.types(keep).contains("episode 0 is kept"));
     reader.types(start_again);
@@ -125,10 +145,6 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
     wait_until("the arm is at the end of the trajectory", || (reader.position() - 0.2).abs() < 0.03);
     robot.interrupt();
     assert!(robot.wait().success(), "{}", robot.output());
-    for (_, mut arm) in hands {
-        arm.kill().unwrap();
-        arm.wait().unwrap();
-    }
 
     let printed = reader.types(export[0]);
     assert!(printed.contains("wrote 1 episodes with"), "{printed}");
