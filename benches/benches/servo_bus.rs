@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 const CYCLES: u32 = 1500;
 const READY: u32 = 500;
 const CYCLE: Duration = Duration::from_millis(8);
-const DESCRIPTION: &str = include_str!("../../robots/servos/op3.toml");
+const DESCRIPTION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/servos/op3.toml");
 
 struct Robot {
     core: Core,
@@ -34,7 +34,7 @@ impl Robot {
         let options = ModuleOptions { settings, ..ModuleOptions::default() };
         core.add_with("hardware", ServoBus::new(bus), options).unwrap();
         let commands = core.inlet("joint_commands").unwrap();
-        let description = Description::parse("op3", DESCRIPTION).unwrap();
+        let description = Description::load(DESCRIPTION).unwrap();
         let names = description.bus("").unwrap().joints.iter().map(|joint| joint.name.clone()).collect();
         Self { core, clock, commands, names }
     }
@@ -50,7 +50,7 @@ impl Robot {
 }
 
 fn recording() -> Vec<BusExchange> {
-    let description = Description::parse("op3", DESCRIPTION).unwrap();
+    let description = Description::load(DESCRIPTION).unwrap();
     let options = EmulatorOptions { timing: Timing::Stepped, ..EmulatorOptions::default() };
     let emulator = Emulator::servos_in_memory(description.bus("").unwrap(), &options);
     let mut robot = Robot::new(Box::new(emulator.bus()));
