@@ -166,7 +166,7 @@ impl Levels {
                 });
                 found.next().map_or(0.0, |(level, _)| level)
             };
-            let ends = [seen().next(), seen().last()].map(Option::unwrap_or_default);
+            let ends = [seen().next(), seen().next_back()].map(Option::unwrap_or_default);
             let deviation = sum(&|level| (level - mean).powi(2)).sqrt();
             let quantiles = QUANTILES.map(|(share, _)| quantile(share));
             let values = ends.into_iter().chain([mean, deviation]).chain(quantiles);
