@@ -370,4 +370,5 @@ fn frames_are_written_faster_than_they_were_recorded() {
         "{frames} frames of {lasted:.0} s in {took:.1} s: {:.1} times real time (goal 5)",
         lasted / took
     );
+    assert!(took < lasted, "slower than it was recorded");
 }
