@@ -3,7 +3,7 @@
 //! | topic, service | type | |
 //! | --- | --- | --- |
 //! | `episodes` | `downbeat_interfaces/Episode` | an episode was started, kept or discarded; expose it latched |
-//! | `episodes/start` (service) | `std_srvs/Trigger` | begins an episode; one that is under way is discarded |
+//! | `episodes/start` (service) | `std_srvs/Trigger` | begins an episode, and discards the current one, if there is one |
 //! | `episodes/keep` (service) | `std_srvs/Trigger` | ends it: it is to be learned from |
 //! | `episodes/discard` (service) | `std_srvs/Trigger` | ends it: it is not |
 //!
