@@ -31,8 +31,8 @@ use crate::stamps::header;
 /// A leader that is silent for longer is not followed.
 const SILENCE: Duration = Duration::from_millis(250);
 
-/// How often the torque of the leader is taken off while the follower follows. Once would not be enough: a message
-/// on a network may be lost.
+/// How often the torque of the leader is taken off while the follower follows. Once would not be enough: a
+/// message on a network may be lost.
 const RELEASE: Duration = Duration::from_secs(1);
 
 /// The longest time for which a joint moves at once on its way to the leader.
