@@ -42,6 +42,8 @@ fn of_features(ports: &MemoryPorts) -> Vec<Kind> {
         downbeat_leagues::kinds(),
         #[cfg(feature = "network")]
         downbeat_network::kinds(),
+        #[cfg(feature = "policy")]
+        downbeat_policy::kinds(),
         #[cfg(feature = "sensors")]
         downbeat_sensors::kinds(),
         #[cfg(feature = "state_machine")]

@@ -33,7 +33,7 @@ const SENSORS: &[&str] = &[
     "lidar_emulator",
 ];
 
-const FEATURES: [Feature; 13] = [
+const FEATURES: [Feature; 14] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
@@ -60,6 +60,7 @@ const FEATURES: [Feature; 13] = [
         kinds: &["darwin_op_simulator", "humanoid_simulator"],
         ..NOTHING
     },
+    Feature { name: "policy", is_built_in: cfg!(feature = "policy"), kinds: &["policy"], ..NOTHING },
     Feature { name: "security", is_built_in: cfg!(feature = "security"), ..NOTHING },
     Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: SENSORS, ..NOTHING },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },

@@ -62,7 +62,9 @@ pub(crate) fn aarch64() -> anyhow::Result<()> {
 fn tests(skips: &skips::Run) -> anyhow::Result<()> {
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["test", "--no-fail-fast", "--lib", "--tests", "--target", Target::Aarch64.triple()]);
-    cargo.args(["executor", "msgs", "bags", "rtps"].map(|name| format!("--package=downbeat-{name}")));
+    cargo.args(
+        ["executor", "msgs", "bags", "rtps", "policy"].map(|name| format!("--package=downbeat-{name}")),
+    );
     // Peers are programs of this machine.
     cargo.envs(environment(Target::Aarch64)?).env_remove("DOWNBEAT_STRICT").envs([skips.variable()]);
     cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER", "qemu-aarch64-static -L /");

@@ -157,6 +157,10 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "downbeat-policy",
+        &["downbeat-edge", "downbeat-executor", "downbeat-files", "downbeat-kind", "downbeat-msgs"],
+    ),
+    (
         "downbeat-state-machine",
         &[
             "downbeat-edge",
@@ -207,6 +211,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-physics",
             "downbeat-pictures",
             "downbeat-player",
+            "downbeat-policy",
             "downbeat-robots",
             "downbeat-sensors",
             "downbeat-servos",
