@@ -114,6 +114,46 @@ fn episodes_are_kept_and_discarded_by_button_and_by_key() {
     assert_eq!(said, [(0, started), (0, kept), (1, started), (1, discarded)]);
 }
 
+#[test]
+fn a_motion_of_an_arm_is_made_in_the_page_and_played() {
+    let Some(mut script) = script("arm_motions.mjs") else { return };
+    let domain = free_domain().to_string();
+    let folder = tempfile::tempdir().unwrap();
+    let [file, motions, bag] = ["robot.toml", "motions.toml", "bag"].map(|name| folder.path().join(name));
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+    let robot = std::fs::read_to_string(robots.join("so101.toml")).unwrap();
+    let robot = robot
+        .replace(
+            "{ description = \"servos/so101.toml\" }",
+            "{ description = \"servos/so101.toml\", file = \"motions.toml\" }",
+        )
+        .replace("servos/so101.toml", robots.join("servos/so101.toml").to_str().unwrap());
+    std::fs::write(&file, robot).unwrap();
+    std::fs::write(&motions, "").unwrap();
+    let [line, record] = [&file, &bag].map(|path| path.to_str().unwrap());
+    let mut shown = Running::start(&["run", line, "--domain", &domain, "--view=0", "--record", record]);
+    pass(script.env("DOWNBEAT_PAGE", page_of(&shown)).env("DOWNBEAT_FILE", &motions), &shown);
+    shown.interrupt();
+
+    let angles = recorded_angles(&bag, "elbow_flex");
+    let highest = angles.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let last = *angles.last().unwrap();
+    assert!((37.0..43.0).contains(&highest) && (-23.0..-17.0).contains(&last), "{highest}, then {last}");
+}
+
+/// The angles of a joint on `joint_states`, in degrees.
+fn recorded_angles(bag: &Path, joint: &str) -> Vec<f64> {
+    let reader = Reader::open(bag).unwrap();
+    let selection = Selection::all().topics([reader.topic("/joint_states").unwrap()]);
+    let states = reader.messages(selection).unwrap();
+    let states = states.map(|message| cdr::from_slice::<JointState>(&message.unwrap().data).unwrap());
+    let angle = |state: JointState| {
+        let place = state.name.iter().position(|name| name == joint).unwrap();
+        state.position[place].to_degrees()
+    };
+    states.map(angle).collect()
+}
+
 /// The Darwin OP walks in simulated physics; its motions are in a file.
 #[cfg(feature = "physics")]
 #[test]
@@ -144,11 +184,7 @@ fn a_motion_is_made_in_the_page_and_played_in_physics() {
         let selection = Selection::all().topics([reader.topic(topic).unwrap()]);
         reader.messages(selection).unwrap().map(|message| message.unwrap().data)
     };
-    let arm = of("/joint_states").map(|message| {
-        let state: JointState = cdr::from_slice(&message).unwrap();
-        let joint = state.name.iter().position(|name| name == "r_sho_pitch").unwrap();
-        state.position[joint].to_degrees()
-    });
+    let arm = recorded_angles(&bag, "r_sho_pitch").into_iter();
     // It stands with -48 degrees.
     let [lowest, highest] = arm.fold([0.0_f64; 2], |[low, high], angle| [low.min(angle), high.max(angle)]);
     assert!((52.0..65.0).contains(&highest) && (-65.0..-52.0).contains(&lowest), "{lowest} to {highest}");

@@ -35,6 +35,7 @@ use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Empty, String as Text};
 use glam::DVec3;
 use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Detects falls and gets the robot up; see the [module page](self).
@@ -128,7 +129,7 @@ impl Falls {
         self.pose.take_states(&states);
         if matches!(self.state, State::Falling { .. }) {
             let limp = self.pose.measured_or_stand();
-            let message = command(ctx.now(), self.pose.humanoid(), &limp, |_| true);
+            let message = command(ctx.now(), self.pose.joints(), &limp, |_| true);
             ctx.publish(ctx.ports.commands, message);
         }
     }
@@ -209,7 +210,7 @@ impl Module for Falls {
             get_up: setup.setting("get_up", true, "whether the robot gets up by itself")?,
             attempts: setup.setting_in("attempts", 5, 1.0..=100.0, "how often it tries to get up")?,
         };
-        self.pose = PresentPose::new(Humanoid::declare(setup)?);
+        self.pose = PresentPose::new(Arc::clone(Humanoid::declare(setup)?.joints()));
         setup.subscribe("imu/data", Self::on_imu)?;
         setup.subscribe("joint_states", Self::on_joint_states)?;
         ActionClient::builder(|falls: &mut Self| &mut falls.get_ups)
@@ -313,7 +314,7 @@ mod tests {
                 self.probe
                     .publish(
                         "joint_states",
-                        command(Time::ZERO, &Humanoid::darwin_op(), &[0.25; 20], |_| true),
+                        command(Time::ZERO, Humanoid::darwin_op().joints(), &[0.25; 20], |_| true),
                     )
                     .unwrap();
             }

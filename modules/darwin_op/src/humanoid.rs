@@ -25,8 +25,8 @@
 
 use crate::hardware::tables::joints::{COUNT, JOINTS};
 use crate::hardware::tables::units::radians_from_ticks;
+use crate::joints::{Joint, Joints};
 use downbeat_executor::{Module, Setup, SetupError};
-use downbeat_files::suggestion;
 use downbeat_files::toml::{self, Spanned};
 use downbeat_kinematics::description::{JointKind, LinkId};
 use downbeat_kinematics::leg::{Leg, LegError, Side};
@@ -43,8 +43,7 @@ pub struct Humanoid {
     name: String,
     /// The path of the URDF; `None` for the Darwin OP.
     description: Option<PathBuf>,
-    joints: Vec<Joint>,
-    sides: [String; 2],
+    joints: Arc<Joints>,
     base: String,
     /// Right, left, as all that follows.
     soles: [String; 2],
@@ -52,24 +51,6 @@ pub struct Humanoid {
     /// The joints that swing the arms, right and left, with 1 for one that turns about y as its angle grows,
     /// and -1 for one that turns the other way.
     arms: Option<[(usize, f64); 2]>,
-}
-
-/// A joint of a humanoid robot.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Joint {
-    /// Its name.
-    pub name: String,
-    /// The smallest and the largest angle, in rad.
-    pub limits: [f64; 2],
-    /// In rad/s, without load; infinite if the description says 0.
-    pub max_speed: f64,
-    /// Where it is when the robot stands, in rad.
-    pub stand: f64,
-    /// Whether the gait moves it.
-    pub is_of_gait: bool,
-    /// The position of the joint that is its mirror image (itself, if it is in the middle), and by what its
-    /// angle is multiplied to have that of the other one.
-    pub mirror: (usize, f64),
 }
 
 /// A leg, and the positions of its joints among those of the robot.
@@ -145,9 +126,8 @@ impl Humanoid {
         Self {
             name: "darwin_op".to_owned(),
             description: None,
-            joints: joints.collect(),
+            joints: Arc::new(Joints::new(joints.collect(), names.sides)),
             soles: ["r_sole", "l_sole"].map(str::to_owned),
-            sides: names.sides,
             base: names.base,
             legs: [leg(Side::Right), leg(Side::Left)],
             arms: Some(["r_sho_pitch", "l_sho_pitch"].map(arm)),
@@ -196,15 +176,14 @@ impl Humanoid {
         let mut humanoid = Self {
             name: robot.name().to_owned(),
             description: None,
-            joints,
+            joints: Arc::new(Joints::new(joints, names.sides.clone())),
             soles: names.sides.each_ref().map(|side| format!("{side}{}", names.sole)),
-            sides: names.sides,
             base: names.base,
             legs: [legs[0], legs[1]],
             arms: None,
         };
         if !names.arm.is_empty() {
-            let [right, left] = humanoid.sides.each_ref().map(|side| format!("{side}{}", names.arm));
+            let [right, left] = names.sides.each_ref().map(|side| format!("{side}{}", names.arm));
             let arm = |name: &str| {
                 let axis = axis_in(robot, base, robot.joint(robot.joint_id(name)?).child);
                 Ok::<_, HumanoidError>((place(&humanoid.joints, name)?, axis.y.signum()))
@@ -212,11 +191,12 @@ impl Humanoid {
             humanoid.arms = Some([arm(&right)?, arm(&left)?]);
         }
         for (name, degrees) in &names.stand_degrees {
-            let Some(named) = humanoid.joints_named(name.get_ref()) else {
-                return Err(source.error(name.span().start, humanoid.no_joint(name.get_ref())));
+            let joints = Arc::make_mut(&mut humanoid.joints);
+            let Some(named) = joints.named(name.get_ref()) else {
+                return Err(source.error(name.span().start, joints.none_named(name.get_ref())));
             };
             for (index, sign) in named {
-                let joint = &mut humanoid.joints[index];
+                let joint = &mut joints[index];
                 let angle = degrees.get_ref().to_radians() * sign;
                 // A limit as written in degrees is inside.
                 let slack = 1e-4;
@@ -280,42 +260,8 @@ impl Humanoid {
 
     /// All joints.
     #[must_use]
-    pub fn joints(&self) -> &[Joint] {
+    pub fn joints(&self) -> &Arc<Joints> {
         &self.joints
-    }
-
-    /// The position of a joint among [`Humanoid::joints`].
-    #[must_use]
-    pub fn index_of(&self, name: &str) -> Option<usize> {
-        self.joints.iter().position(|joint| joint.name == name)
-    }
-
-    /// The angles of all joints of a robot that stands, in rad.
-    #[must_use]
-    pub fn stand(&self) -> Vec<f64> {
-        self.joints.iter().map(|joint| joint.stand).collect()
-    }
-
-    /// The speed of the slowest joint, in rad/s.
-    #[must_use]
-    pub fn max_speed(&self) -> f64 {
-        self.joints.iter().map(|joint| joint.max_speed).fold(f64::INFINITY, f64::min)
-    }
-
-    /// The joints that a name stands for, with the sign of their angle: one, or one of each side.
-    pub(crate) fn joints_named(&self, name: &str) -> Option<Vec<(usize, f64)>> {
-        if let Some(index) = self.index_of(name) {
-            return Some(vec![(index, 1.0)]);
-        }
-        let right = self.index_of(&format!("{}{name}", self.sides[0]))?;
-        let (left, sign) = self.joints[right].mirror;
-        (left != right).then(|| vec![(right, 1.0), (left, sign)])
-    }
-
-    /// What is wrong with a name for which [`Humanoid::joints_named`] has no joint.
-    pub(crate) fn no_joint(&self, name: &str) -> String {
-        let hint = suggestion(name, self.joints.iter().map(|joint| &joint.name));
-        format!("there is no joint \"{name}\"{hint}")
     }
 
     pub(crate) fn leg(&self, side: Side) -> &LegOfRobot {
@@ -328,6 +274,13 @@ impl Humanoid {
     /// The joints that swing the arms, right and left, each with the sign of its axis about y.
     pub(crate) fn arms(&self) -> Option<[(usize, f64); 2]> {
         self.arms
+    }
+}
+
+impl Default for Humanoid {
+    /// The Darwin OP.
+    fn default() -> Self {
+        Self::clone(&DARWIN_OP)
     }
 }
 
@@ -445,8 +398,8 @@ mod tests {
     fn the_description_of_the_darwin_op_gives_the_robot_of_its_tables() {
         let (described, known) = (read("").unwrap(), Humanoid::darwin_op());
         assert_eq!(described.joints.len(), COUNT);
-        for joint in &known.joints {
-            let found = &described.joints[described.index_of(&joint.name).unwrap()];
+        for joint in known.joints.iter() {
+            let found = &described.joints[described.joints.index_of(&joint.name).unwrap()];
             let partner = |of: &Humanoid, joint: &Joint| of.joints[joint.mirror.0].name.clone();
             assert_eq!(partner(&described, found), partner(&known, joint));
             assert_eq!(
@@ -470,7 +423,8 @@ mod tests {
     #[test]
     fn a_file_says_how_the_robot_stands_and_which_joints_the_gait_moves() {
         let humanoid = read("[stand_degrees]\nknee = 40\nr_el = 10\n").unwrap();
-        let stand = |name: &str| humanoid.joints[humanoid.index_of(name).unwrap()].stand.to_degrees().round();
+        let stand =
+            |name: &str| humanoid.joints[humanoid.joints.index_of(name).unwrap()].stand.to_degrees().round();
         assert_eq!(
             ["r_knee", "l_knee", "r_el", "l_el", "head_pan"].map(stand),
             [40.0, -40.0, 10.0, 0.0, 0.0]

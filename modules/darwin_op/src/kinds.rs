@@ -37,7 +37,7 @@ pub fn kinds(ports: &MemoryPorts) -> Vec<Kind> {
         Kind::new("gait", "walks with the velocity on cmd_vel, and publishes odometry", Gait::default)
             .with_files(&["humanoid"]),
         Kind::new("motions", "key-frame motions by name: get up, kick, wave", MotionPlayer::default)
-            .with_files(&["file", "humanoid"])
+            .with_files(&["file", "humanoid", "description"])
             .with_panel("Motions", PANEL, &["motions/play", "motions/playing", "joint_states"]),
         Kind::new("falls", "detects falls, goes limp, and gets up", Falls::default).with_files(&["humanoid"]),
         Kind::new("stand_nod_wave", "a small motion: stand up, then nod and wave", StandNodWave::default),

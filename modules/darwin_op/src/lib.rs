@@ -13,6 +13,7 @@ pub mod falls;
 pub mod gait;
 pub mod hardware;
 pub mod humanoid;
+pub mod joints;
 pub mod motions;
 pub mod stand_nod_wave;
 

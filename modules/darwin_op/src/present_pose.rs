@@ -1,6 +1,7 @@
 //! Where the joints of the robot are, and where they were sent: the start of a motion.
 
 use crate::humanoid::Humanoid;
+use crate::joints::Joints;
 use downbeat_executor::Time;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::sensor_msgs::msg::JointState;
@@ -11,7 +12,7 @@ use std::time::Duration;
 /// Tracks measured positions and goals of all joints of a robot.
 #[derive(Clone, Debug)]
 pub(crate) struct PresentPose {
-    humanoid: Arc<Humanoid>,
+    joints: Arc<Joints>,
     measured: Vec<Option<f64>>,
     /// In rad, and when they were sent.
     goals: Vec<Option<(f64, Time)>>,
@@ -25,31 +26,31 @@ const SAG: f64 = 0.35;
 
 impl Default for PresentPose {
     fn default() -> Self {
-        Self::new(Humanoid::darwin_op())
+        Self::new(Arc::clone(Humanoid::darwin_op().joints()))
     }
 }
 
 impl PresentPose {
-    pub(crate) fn new(humanoid: Arc<Humanoid>) -> Self {
-        let count = humanoid.joints().len();
-        Self { humanoid, measured: vec![None; count], goals: vec![None; count] }
+    pub(crate) fn new(joints: Arc<Joints>) -> Self {
+        let count = joints.len();
+        Self { joints, measured: vec![None; count], goals: vec![None; count] }
     }
 
-    /// The robot.
-    pub(crate) fn humanoid(&self) -> &Arc<Humanoid> {
-        &self.humanoid
+    /// The joints of the robot.
+    pub(crate) fn joints(&self) -> &Arc<Joints> {
+        &self.joints
     }
 
     /// Takes measured positions.
     pub(crate) fn take_states(&mut self, states: &JointState) {
-        for (index, position) in positions(&self.humanoid, states) {
+        for (index, position) in positions(&self.joints, states) {
             self.measured[index] = Some(position);
         }
     }
 
     /// Takes goals that were sent to the joints.
     pub(crate) fn take_goals(&mut self, goals: &JointState, now: Time) {
-        for (index, position) in positions(&self.humanoid, goals) {
+        for (index, position) in positions(&self.joints, goals) {
             self.goals[index] = Some((position, now));
         }
     }
@@ -66,7 +67,7 @@ impl PresentPose {
 
     /// The measured positions, with those of the stand for joints that were never measured.
     pub(crate) fn measured_or_stand(&self) -> Vec<f64> {
-        let joints = self.measured.iter().zip(self.humanoid.joints());
+        let joints = self.measured.iter().zip(self.joints.iter());
         joints.map(|(measured, joint)| measured.unwrap_or(joint.stand)).collect()
     }
 
@@ -87,14 +88,14 @@ impl PresentPose {
 /// A command for the joints of which `is_meant` is true.
 pub(crate) fn command(
     now: Time,
-    humanoid: &Humanoid,
+    joints: &Joints,
     pose: &[f64],
     is_meant: impl Fn(usize) -> bool,
 ) -> JointState {
     let stamp = builtin_interfaces::msg::Time::from_nanos(now.as_nanos());
     let mut message =
         JointState { header: Header { stamp, frame_id: String::new() }, ..JointState::default() };
-    let joints = humanoid.joints().iter().zip(pose).enumerate();
+    let joints = joints.iter().zip(pose).enumerate();
     for (_, (joint, position)) in joints.filter(|(index, _)| is_meant(*index)) {
         message.name.push(joint.name.clone());
         message.position.push(*position);
@@ -103,12 +104,12 @@ pub(crate) fn command(
 }
 
 /// The known joints of a message with their positions.
-fn positions(humanoid: &Humanoid, message: &JointState) -> impl Iterator<Item = (usize, f64)> {
+fn positions(joints: &Joints, message: &JointState) -> impl Iterator<Item = (usize, f64)> {
     let named = message.name.iter().zip(&message.position).enumerate();
     named.filter(|(_, (_, position))| position.is_finite()).filter_map(|(place, (name, position))| {
         // Most messages have all joints in the order of the robot.
-        let is_in_order = humanoid.joints().get(place).is_some_and(|joint| joint.name == *name);
-        let index = if is_in_order { place } else { humanoid.index_of(name)? };
+        let is_in_order = joints.get(place).is_some_and(|joint| joint.name == *name);
+        let index = if is_in_order { place } else { joints.index_of(name)? };
         Some((index, *position))
     })
 }
@@ -133,7 +134,7 @@ mod tests {
         pose.take_states(&state(&["r_sho_pitch", "head_pan", "l_el"], &[0.1, 0.2, 0.3]));
         pose.take_states(&state(&["l_el"], &[f64::NAN]));
         pose.take_goals(&state(&["r_sho_pitch", "head_pan"], &[0.15, 1.5]), at(100));
-        let stand = pose.humanoid().joints()[1].stand;
+        let stand = pose.joints()[1].stand;
         let found = |now: Time| {
             let start = pose.start(now);
             [start[0], start[18], start[5], start[1]]

@@ -47,7 +47,7 @@ command_timeout_s = 0.5
 "#;
 
 fn parse(text: &str) -> Result<Motions, MotionFileError> {
-    Motions::parse("x.toml", text, &Humanoid::darwin_op())
+    Motions::parse("x.toml", text, Humanoid::darwin_op().joints())
 }
 
 /// Degrees of a frame.
@@ -117,7 +117,7 @@ fn motions_without_end_are_refused() {
 #[test]
 fn what_is_no_regular_file_is_refused_before_it_is_opened() {
     for path in ["/dev/zero", "/"] {
-        let error = Motions::read(path, &Humanoid::darwin_op()).unwrap_err().to_string();
+        let error = Motions::read(path, Humanoid::darwin_op().joints()).unwrap_err().to_string();
         assert!(error.contains("only regular files are read"), "{error}");
         let error = Description::load(path).unwrap_err().to_string();
         assert!(error.contains("only regular files are read"), "{error}");

@@ -10,7 +10,7 @@ use glam::{DQuat, DVec3};
 /// The angles of all joints; those that the gait does not move are those of the stand. A leg that cannot
 /// reach its foot comes as near as it can.
 pub(super) fn pose(humanoid: &Humanoid, targets: &Targets, settings: &Settings) -> Vec<f64> {
-    let mut pose = humanoid.stand();
+    let mut pose = humanoid.joints().stand();
     let swing = settings.arm_swing * targets.stride;
     if let Some([(right, right_sign), (left, left_sign)]) = humanoid.arms() {
         // The right arm goes forward with the left foot: about y by the negative angle.

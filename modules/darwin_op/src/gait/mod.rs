@@ -60,6 +60,7 @@ pub struct Gait {
     commanded_at: Option<Time>,
     is_down: bool,
     is_motion_playing: bool,
+    humanoid: Arc<Humanoid>,
     pose: PresentPose,
     attitude: Option<Attitude>,
     engine: Engine,
@@ -147,12 +148,12 @@ impl Gait {
         else {
             return;
         };
-        let soles = legs::soles(self.pose.humanoid(), &self.pose.measured_or_stand());
+        let soles = legs::soles(&self.humanoid, &self.pose.measured_or_stand());
         let now = ctx.now();
         let dt = self.odometry_at.replace(now).map_or(0.0, |last| now.saturating_since(last).as_secs_f64());
         self.odometry.update(soles, world_from_trunk, dt);
         let stamp = states.header.stamp;
-        let base = self.pose.humanoid().base();
+        let base = self.humanoid.base();
         publish_odometry(&self.odometry, base, world_from_trunk, attitude, stamp, ctx);
     }
 
@@ -161,7 +162,7 @@ impl Gait {
         let dt = self.last_tick.replace(now).map_or(CYCLE, |last| now.saturating_since(last).min(CYCLE * 4));
         let settings = ctx.ports.settings.values(ctx);
         let may_move = !self.is_down && !self.is_motion_playing;
-        let humanoid = Arc::clone(self.pose.humanoid());
+        let humanoid = Arc::clone(&self.humanoid);
         match &self.stage {
             Stage::Off => {
                 if self.is_started && may_move && self.pose.is_known() {
@@ -208,7 +209,7 @@ impl Gait {
 
     fn get_ready(&mut self, now: Time, settings: &Settings) {
         let start = self.pose.start(now);
-        let humanoid = self.pose.humanoid();
+        let humanoid = &self.humanoid;
         let goal = legs::pose(humanoid, &standing(settings), settings);
         let joints = humanoid.joints().iter().zip(start.iter().zip(&goal));
         let way = joints
@@ -280,7 +281,8 @@ impl Module for Gait {
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         let settings = SettingKeys::declare(setup)?;
-        self.pose = PresentPose::new(Humanoid::declare(setup)?);
+        self.humanoid = Humanoid::declare(setup)?;
+        self.pose = PresentPose::new(Arc::clone(self.humanoid.joints()));
         let starts = setup.value(settings.start).copied().unwrap_or_default();
         (self.is_started, self.follows) = (starts, starts);
         let ports = Ports {
@@ -326,7 +328,7 @@ fn standing(settings: &Settings) -> Targets {
 
 fn publish_command(humanoid: &Humanoid, pose: &[f64], ctx: &mut Context<'_, Ports>) {
     let joints = humanoid.joints();
-    let message = command(ctx.now(), humanoid, pose, |index| joints[index].is_of_gait);
+    let message = command(ctx.now(), joints, pose, |index| joints[index].is_of_gait);
     ctx.publish(ctx.ports.commands, message);
 }
 
@@ -389,8 +391,9 @@ mod tests {
             let (mut core, clock) = core_at_zero();
             core.add("gait", Gait::default()).unwrap();
             let humanoid = Humanoid::darwin_op();
+            let joints = humanoid.joints();
             let states = core.inlet("joint_states").unwrap();
-            states.publish(command(Time::ZERO, &humanoid, &humanoid.stand(), |_| true)).unwrap();
+            states.publish(command(Time::ZERO, joints, &joints.stand(), |_| true)).unwrap();
             let (cmd_vel, robot_state) = (core.inlet("cmd_vel").unwrap(), core.inlet("robot_state").unwrap());
             let commands = Collector::add(&mut core, "gait/joint_commands");
             let walking = Collector::add(&mut core, "walking");

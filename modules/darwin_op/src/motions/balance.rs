@@ -79,7 +79,7 @@ mod tests {
     #[test]
     fn a_robot_that_stands_as_wanted_is_left_alone() {
         let humanoid = Humanoid::darwin_op();
-        let pose = humanoid.stand();
+        let pose = humanoid.joints().stand();
         let mut goals = pose.clone();
         let attitude = Attitude { up: wanted_up(&humanoid, &pose), rate: DVec3::ZERO };
         balance(&humanoid, &mut goals, &pose, attitude, GAINS);
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn soles_press_against_a_tilt_and_against_a_fall() {
         let humanoid = Humanoid::darwin_op();
-        let pose = humanoid.stand();
+        let pose = humanoid.joints().stand();
         let pressed = |tilted: DQuat, rate: DVec3| {
             let mut goals = pose.clone();
             let up = tilted.conjugate() * wanted_up(&humanoid, &pose);
@@ -105,7 +105,7 @@ mod tests {
     #[test]
     fn the_lower_foot_tells_how_the_trunk_should_be() {
         let humanoid = Humanoid::darwin_op();
-        let mut pose = humanoid.stand();
+        let mut pose = humanoid.joints().stand();
         let level = wanted_up(&humanoid, &pose);
         // The right foot is lifted by the hip.
         pose[humanoid.leg(Side::Right).joints[HIP_ROLL]] -= 0.5;

@@ -3,7 +3,7 @@
 use super::Path;
 use super::file::Motions;
 use super::motion::{Balance, Interpolation, Motion};
-use crate::humanoid::{Humanoid, Joint};
+use crate::joints::{Joint, Joints};
 use downbeat_msgs::downbeat_interfaces::msg::{Motion as MotionMessage, MotionFrame};
 use toml_edit::{ArrayOfTables, DocumentMut, InlineTable, Item, Table, value};
 
@@ -42,13 +42,12 @@ pub(super) fn with(
     motions: &Motions,
     file: &str,
     edited: &MotionMessage,
-    humanoid: &Humanoid,
+    joints: &Joints,
 ) -> Result<Motions, String> {
     let name = &edited.name;
     if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c)) {
         return Err(format!("{name:?} is no name of a motion; use letters, digits, _ and -"));
     }
-    let joints = humanoid.joints();
     let is_whole = |frame: &MotionFrame| frame.positions.len() == joints.len();
     if let Some(number) = edited.frames.iter().position(|frame| !is_whole(frame)) {
         return Err(format!(
@@ -62,7 +61,7 @@ pub(super) fn with(
     let table = entry.ok_or_else(|| format!("{file}: \"{name}\" is not written as a table [{name}]"))?;
     write(table, edited, joints);
     let text = document.to_string();
-    Motions::parse(file, &text, humanoid).map_err(|error| error.to_string())
+    Motions::parse(file, &text, joints).map_err(|error| error.to_string())
 }
 
 fn write(table: &mut Table, edited: &MotionMessage, joints: &[Joint]) {
@@ -120,8 +119,8 @@ fn hundredths(position: f64, joint: &Joint) -> f64 {
 }
 
 /// All joints, pose after pose, from the first frame of a motion to its end, and the time between two poses.
-pub(super) fn poses(motion: &Motion, humanoid: &Humanoid) -> (f64, Vec<f64>) {
-    let stand = humanoid.stand();
+pub(super) fn poses(motion: &Motion, joints: &Joints) -> (f64, Vec<f64>) {
+    let stand = joints.stand();
     let start = motion.frames[0].positions.iter().zip(&stand);
     let start: Vec<f64> = start.map(|(position, stand)| position.unwrap_or(*stand)).collect();
     let path = Path::new(motion, &start, 0.0);
@@ -137,6 +136,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+    use crate::humanoid::Humanoid;
     use std::sync::Arc;
 
     const FILE: &str = "\
@@ -161,19 +161,19 @@ degrees = { head_pan = 20 }
 mirror_of = \"shake\"
 ";
 
-    fn humanoid() -> Arc<Humanoid> {
-        Humanoid::darwin_op()
+    fn joints() -> Arc<Joints> {
+        Arc::clone(Humanoid::darwin_op().joints())
     }
 
     fn file() -> Motions {
-        Motions::parse("a.toml", FILE, &humanoid()).unwrap()
+        Motions::parse("a.toml", FILE, &joints()).unwrap()
     }
 
     fn frame(duration: f64, angles: &[(&str, f64)]) -> MotionFrame {
-        let humanoid = humanoid();
-        let mut positions = vec![f64::NAN; humanoid.joints().len()];
+        let joints = joints();
+        let mut positions = vec![f64::NAN; joints.len()];
         for (joint, degrees) in angles {
-            positions[humanoid.index_of(joint).unwrap()] = f64::to_radians(*degrees);
+            positions[joints.index_of(joint).unwrap()] = f64::to_radians(*degrees);
         }
         MotionFrame { duration, pause: 0.0, positions }
     }
@@ -185,7 +185,7 @@ mirror_of = \"shake\"
             if mirror_of.is_some() {
                 sent.frames.clear();
             }
-            let edited = with(&file(), "a.toml", &sent, &humanoid()).unwrap();
+            let edited = with(&file(), "a.toml", &sent, &joints()).unwrap();
             assert!(edited.names().all(|name| edited.get(name) == file().get(name)), "{}", edited.text());
         }
     }
@@ -195,7 +195,7 @@ mirror_of = \"shake\"
         let mut sent = message("nod", file().get("nod").unwrap(), None);
         let up = frame(0.5, &[("head_tilt", 10.0), ("head_pan", 5.0)]);
         sent.frames = vec![up, frame(0.25, &[("head_tilt", 20.004), ("head_pan", 5.0)])];
-        let edited = with(&file(), "a.toml", &sent, &humanoid()).unwrap();
+        let edited = with(&file(), "a.toml", &sent, &joints()).unwrap();
         let expected = FILE.replace(
             "duration_s = 1.0\ndegrees = { head_tilt = 10 }\n",
             "duration_s = 0.5\ndegrees = { head_pan = 5.0, head_tilt = 10.0 }\n\n[[nod.frame]]\nduration_s = 0.25\ndegrees = { head_tilt = 20.0 }\n",
@@ -211,7 +211,7 @@ mirror_of = \"shake\"
             frames: vec![frame(1.0, &[("head_pan", -30.0)])],
             ..MotionMessage::default()
         };
-        let edited = with(&file(), "a.toml", &sent, &humanoid()).unwrap();
+        let edited = with(&file(), "a.toml", &sent, &joints()).unwrap();
         let added = "\n[look]\ninterpolation = \"linear\"\n\n[[look.frame]]\nduration_s = 1.0\ndegrees = { head_pan = -30.0 }\n";
         assert_eq!(edited.text(), format!("{FILE}{added}"));
     }
@@ -220,7 +220,7 @@ mirror_of = \"shake\"
     fn what_cannot_be_played_is_refused() {
         let refused = |name: &str, frames: Vec<MotionFrame>| {
             let sent = MotionMessage { name: name.into(), frames, ..MotionMessage::default() };
-            with(&file(), "a.toml", &sent, &humanoid()).unwrap_err()
+            with(&file(), "a.toml", &sent, &joints()).unwrap_err()
         };
         let nod = || vec![frame(1.0, &[("head_tilt", 10.0)])];
         assert!(refused("", nod()).contains("is no name"));
@@ -238,8 +238,8 @@ mirror_of = \"shake\"
 
     #[test]
     fn a_limit_stays_inside() {
-        let humanoid = humanoid();
-        for joint in humanoid.joints() {
+        let joints = joints();
+        for joint in joints.iter() {
             for limit in joint.limits {
                 let [lower, upper] = joint.limits;
                 let written = hundredths(limit, joint).to_radians();
@@ -254,17 +254,16 @@ mirror_of = \"shake\"
 
     #[test]
     fn the_poses_begin_at_the_first_frame_and_end_at_the_last() {
-        let humanoid = humanoid();
+        let joints = joints();
         let sent = MotionMessage {
             name: "look".into(),
             frames: vec![frame(1.0, &[("head_pan", -30.0)]), frame(1.0, &[("head_pan", 30.0)])],
             ..MotionMessage::default()
         };
-        let motions = with(&file(), "a.toml", &sent, &humanoid).unwrap();
-        let (period, poses) = poses(motions.get("look").unwrap(), &humanoid);
-        let pan = humanoid.index_of("head_pan").unwrap();
-        let pans: Vec<f64> =
-            poses.chunks(humanoid.joints().len()).map(|pose| pose[pan].to_degrees()).collect();
+        let motions = with(&file(), "a.toml", &sent, &joints).unwrap();
+        let (period, poses) = poses(motions.get("look").unwrap(), &joints);
+        let pan = joints.index_of("head_pan").unwrap();
+        let pans: Vec<f64> = poses.chunks(joints.len()).map(|pose| pose[pan].to_degrees()).collect();
         assert_eq!(period, 0.02);
         assert!((50..=52).contains(&pans.len()), "{}", pans.len());
         assert!((pans[0] + 30.0).abs() < 1e-9 && (pans[pans.len() - 1] - 30.0).abs() < 1e-9);

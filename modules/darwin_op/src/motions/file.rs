@@ -29,7 +29,7 @@
 
 use super::motion::{Balance, Frame, Interpolation, Motion};
 use super::path::Path;
-use crate::humanoid::Humanoid;
+use crate::joints::Joints;
 use downbeat_files::toml::{self, Spanned};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -60,22 +60,22 @@ pub struct Motions {
 pub use downbeat_files::toml::Error as MotionFileError;
 
 impl Motions {
-    /// Reads a file of motions of this robot.
+    /// Reads a file of motions of a robot with these joints.
     ///
     /// # Errors
     /// Returns an error with file and line if it cannot be read, or contains something invalid: an unknown
     /// joint, an angle beyond the limits of a joint, a speed beyond that of its servo.
-    pub fn read(file: &str, humanoid: &Humanoid) -> Result<Self, MotionFileError> {
+    pub fn read(file: &str, joints: &Joints) -> Result<Self, MotionFileError> {
         let source = toml::Source::read(file, "motions from", MAX_BYTES)?;
-        Self::checked(&Source { source, humanoid })
+        Self::checked(&Source { source, joints })
     }
 
     /// Parses the text of a file, which is named in errors.
     ///
     /// # Errors
     /// As [`Motions::read`].
-    pub fn parse(file: &str, text: &str, humanoid: &Humanoid) -> Result<Self, MotionFileError> {
-        Self::checked(&Source { source: toml::Source::new(file, text), humanoid })
+    pub fn parse(file: &str, text: &str, joints: &Joints) -> Result<Self, MotionFileError> {
+        Self::checked(&Source { source: toml::Source::new(file, text), joints })
     }
 
     fn checked(source: &Source<'_>) -> Result<Self, MotionFileError> {
@@ -103,7 +103,7 @@ impl Motions {
             }
             let mirrored = Motion {
                 about: entry.about.clone().unwrap_or_else(|| format!("{}, mirrored", motion.about)),
-                ..motion.mirrored(source.humanoid)
+                ..motion.mirrored(source.joints)
             };
             motions.insert(name.get_ref().clone(), Arc::new(mirrored));
             originals.insert(name.get_ref().clone(), original.get_ref().clone());
@@ -125,6 +125,12 @@ impl Motions {
     /// The text of the file.
     pub(super) fn text(&self) -> &str {
         &self.text
+    }
+
+    /// A motion that keeps its balance, if there is one.
+    pub(super) fn balancing(&self) -> Option<&str> {
+        let mut motions = self.motions.iter();
+        motions.find(|(_, motion)| motion.balance.is_some()).map(|(name, _)| name.as_str())
     }
 
     /// The names of all motions, sorted.
@@ -220,7 +226,7 @@ impl MotionEntry {
         let start: Vec<f64> = first.map(|position| position.unwrap_or(0.0)).collect();
         let path = Path::new(motion, &start, 0.0);
         for (number, entry) in self.frame.iter().enumerate().skip(1) {
-            for (index, joint) in source.humanoid.joints().iter().enumerate() {
+            for (index, joint) in source.joints.iter().enumerate() {
                 let (speed, max_speed) = (path.peak_speed(number, index), joint.max_speed);
                 if speed > max_speed {
                     let (name, duration) = (&joint.name, motion.frames[number].duration);
@@ -247,7 +253,7 @@ impl FrameEntry {
             let problem = format!("{name} = {seconds} is out of range, {least} to {LONGEST} is allowed");
             Err(source.error(value.span().start, problem))
         };
-        let joints = source.humanoid.joints();
+        let joints = source.joints;
         let mut positions = vec![None; joints.len()];
         let named = [(&self.degrees, std::f64::consts::PI / 180.0), (&self.radians, 1.0)];
         for (angles, scale) in named {
@@ -289,7 +295,7 @@ impl Frame {
         for (index, position) in self.positions.iter().enumerate() {
             let Some(position) = position else { continue };
             if positions[index].replace(*position).is_none() {
-                let name = &source.humanoid.joints()[index].name;
+                let name = &source.joints[index].name;
                 let problem = format!("the first frame of the motion must name {name}, as this one does");
                 return Err(source.error(at, problem));
             }
@@ -300,15 +306,14 @@ impl Frame {
 
 /// The joints that a name stands for, with the sign of their angle: one, or one of each side.
 fn joints_named(name: &Spanned<String>, source: &Source<'_>) -> Result<Vec<(usize, f64)>, MotionFileError> {
-    let humanoid = source.humanoid;
-    let named = humanoid.joints_named(name.get_ref());
-    named.ok_or_else(|| source.error(name.span().start, humanoid.no_joint(name.get_ref())))
+    let named = source.joints.named(name.get_ref());
+    named.ok_or_else(|| source.error(name.span().start, source.joints.none_named(name.get_ref())))
 }
 
 /// A file, and the robot whose motions it has.
 struct Source<'a> {
     source: toml::Source<'a>,
-    humanoid: &'a Humanoid,
+    joints: &'a Joints,
 }
 
 impl Source<'_> {
@@ -322,6 +327,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+    use crate::humanoid::Humanoid;
 
     const WAVE: &str = "\
 [wave]
@@ -341,12 +347,12 @@ mirror_of = \"wave\"
 ";
 
     fn parse(text: &str) -> Result<Motions, MotionFileError> {
-        Motions::parse("a.toml", text, &Humanoid::darwin_op())
+        Motions::parse("a.toml", text, Humanoid::darwin_op().joints())
     }
 
     fn positions(motion: &Motion, frame: usize) -> Vec<(String, f64)> {
         let humanoid = Humanoid::darwin_op();
-        let positions = motion.frames[frame].positions.iter().zip(humanoid.joints());
+        let positions = motion.frames[frame].positions.iter().zip(humanoid.joints().iter());
         positions.filter_map(|(position, joint)| Some((joint.name.clone(), (*position)?))).collect()
     }
 
@@ -435,7 +441,8 @@ mirror_of = \"wave\"
 
     #[test]
     fn a_missing_file_is_named() {
-        let error = Motions::read("/no/such/file.toml", &Humanoid::darwin_op()).unwrap_err().to_string();
+        let error =
+            Motions::read("/no/such/file.toml", Humanoid::darwin_op().joints()).unwrap_err().to_string();
         assert!(error.starts_with("cannot read motions from /no/such/file.toml: "), "{error}");
     }
 }

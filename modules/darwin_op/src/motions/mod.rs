@@ -17,6 +17,7 @@
 //! | `file` | file of motions, as described in [`mod@file`]; empty for the motions of the Darwin OP that are built in, and for no motions of another robot |
 //! | `speed` | the speed of all motions, as a fraction of what the file says |
 //! | `humanoid` | file of the robot's numbers; empty for the Darwin OP: see [`humanoid`](crate::humanoid) |
+//! | `description`, `bus` | of a robot that is no humanoid, such as an arm: the file of its servos, and the name of their bus if it has several |
 //!
 //! The goals of a motion with a `stiffness` s are beyond its poses, by s - 1 times what the joints lag behind
 //! or give way: they act as with s times the P gain.
@@ -38,6 +39,7 @@ pub use path::Path;
 
 use crate::hardware::CYCLE;
 use crate::humanoid::Humanoid;
+use crate::joints::Joints;
 use crate::present_pose::{PresentPose, command};
 use balance::Attitude;
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
@@ -48,6 +50,7 @@ use downbeat_msgs::downbeat_interfaces::srv::{
 };
 use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Bool, Empty, String as Text};
+use downbeat_servos::servo_bus::Description;
 use downbeat_servos::step::standstill;
 use std::path::Path as FilePath;
 use std::sync::Arc;
@@ -69,6 +72,8 @@ pub struct MotionPlayer {
     file: String,
     server: ActionServer<PlayMotion>,
     pose: PresentPose,
+    /// `None` of a robot that has no legs to balance with.
+    humanoid: Option<Arc<Humanoid>>,
     attitude: Option<Attitude>,
     is_walking: bool,
     playing: Option<Playing>,
@@ -180,7 +185,7 @@ impl MotionPlayer {
             } else if !self.is_walking && self.pose.is_known() {
                 let start = self.pose.start(now);
                 // A start from far away is not urgent.
-                let first_speed = self.pose.humanoid().max_speed() / 2.0;
+                let first_speed = self.pose.joints().max_speed() / 2.0;
                 playing.path = Some(Path::new(&playing.motion, &start, first_speed));
                 playing.last = now;
             }
@@ -195,18 +200,19 @@ impl MotionPlayer {
         let ramp = (playing.time.min(path.duration() - playing.time) / RAMP_S).clamp(0.0, 1.0);
         let excess = (playing.motion.stiffness - 1.0) * ramp;
         let measured = self.pose.measured(&pose);
-        let humanoid = self.pose.humanoid();
-        let joints = humanoid.joints().iter().zip(pose.iter().zip(&measured));
-        let goals = joints.map(|(joint, (position, measured))| {
+        let joints = self.pose.joints();
+        let goals = joints.iter().zip(pose.iter().zip(&measured)).map(|(joint, (position, measured))| {
             let goal = position + (position - measured) * excess;
             let [min, max] = joint.limits;
             if excess > 0.0 { goal.clamp(min, max) } else { goal }
         });
         let mut goals: Vec<f64> = goals.collect();
-        if let (Some(gains), Some(attitude)) = (playing.motion.balance, self.attitude) {
+        if let (Some(gains), Some(attitude), Some(humanoid)) =
+            (playing.motion.balance, self.attitude, &self.humanoid)
+        {
             balance::balance(humanoid, &mut goals, &pose, attitude, gains);
         }
-        ctx.publish(ctx.ports.commands, command(now, humanoid, &goals, |index| path.moves()[index]));
+        ctx.publish(ctx.ports.commands, command(now, joints, &goals, |index| path.moves()[index]));
         let is_over = playing.time >= path.duration();
         if let Some(id) = playing.goal.filter(|_| is_over || playing.time >= playing.feedback_at) {
             playing.feedback_at = playing.time + FEEDBACK_S;
@@ -230,7 +236,7 @@ impl MotionPlayer {
         _: &GetMotionsRequest,
         _: &mut Context<'_, Ports>,
     ) -> Result<GetMotionsResponse, String> {
-        let joints = self.pose.humanoid().joints();
+        let joints = self.pose.joints();
         let motions = self.motions.names().filter_map(|name| {
             let motion = self.motions.get(name)?;
             Some(editing::message(name, motion, self.motions.original_of(name)))
@@ -250,19 +256,45 @@ impl MotionPlayer {
         request: &SetMotionRequest,
         _: &mut Context<'_, Ports>,
     ) -> Result<SetMotionResponse, String> {
-        let humanoid = self.pose.humanoid();
+        let joints = self.pose.joints();
         let file = if self.file.is_empty() { BUILT_IN } else { &self.file };
-        Ok(match editing::with(&self.motions, file, &request.motion, humanoid) {
+        Ok(match editing::with(&self.motions, file, &request.motion, joints) {
             Ok(motions) => {
                 let motion = motions.get(&request.motion.name);
-                let (period, poses) =
-                    motion.map(|motion| editing::poses(motion, humanoid)).unwrap_or_default();
+                let (period, poses) = motion.map(|motion| editing::poses(motion, joints)).unwrap_or_default();
                 let text = motions.text().to_owned();
                 self.motions = motions;
                 SetMotionResponse { success: true, text, period, poses, ..SetMotionResponse::default() }
             }
             Err(message) => SetMotionResponse { message, ..SetMotionResponse::default() },
         })
+    }
+
+    /// Declares which robot it is, and returns its joints.
+    fn declare_robot(&mut self, setup: &mut Setup<'_, Self>) -> Result<Arc<Joints>, SetupError> {
+        let description = setup.read_only_setting(
+            "description",
+            String::new(),
+            "file of the servos of a robot that is no humanoid, relative to the robot file",
+        )?;
+        let bus = setup.read_only_setting(
+            "bus",
+            String::new(),
+            "which bus of the description, if it has several",
+        )?;
+        let humanoid = Humanoid::declare(setup)?;
+        let [path, bus] = [description, bus].map(|key| setup.value(key).cloned().unwrap_or_default());
+        if path.is_empty() {
+            let joints = Arc::clone(humanoid.joints());
+            self.humanoid = Some(humanoid);
+            return Ok(joints);
+        }
+        if !Arc::ptr_eq(&humanoid, &Humanoid::darwin_op()) {
+            let problem = "`humanoid` names another robot: give one of them".to_owned();
+            return Err(setup.refuse_value(description, problem));
+        }
+        let joints = Description::load(&path).and_then(|servos| servos.bus(&bus).map(Joints::of_servos));
+        joints.map(Arc::new).map_err(|error| setup.refuse_value(description, error.to_string()))
     }
 
     fn report(&mut self, ctx: &mut Context<'_, Ports>) {
@@ -276,24 +308,30 @@ impl Module for MotionPlayer {
     type Ports = Ports;
 
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
-        let humanoid = Humanoid::declare(setup)?;
+        let joints = self.declare_robot(setup)?;
         let file = setup.read_only_setting(
             "file",
             String::new(),
             "file of motions, relative to the robot file; empty: those of the Darwin OP, none of another robot",
         )?;
         let motions = match setup.value(file).map(String::as_str).unwrap_or_default() {
-            "" if Arc::ptr_eq(&humanoid, &Humanoid::darwin_op()) => {
-                Motions::parse(BUILT_IN, DARWIN_OP, &humanoid)
+            "" if Arc::ptr_eq(&joints, Humanoid::darwin_op().joints()) => {
+                Motions::parse(BUILT_IN, DARWIN_OP, &joints)
             }
             "" => Ok(Motions::default()),
-            path => Motions::read(path, &humanoid),
+            path => Motions::read(path, &joints),
         };
         // Without its folder, which a replay may name in another way.
         let name = setup.value(file).and_then(|path| FilePath::new(path).file_name());
         self.file = name.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        self.pose = PresentPose::new(humanoid);
+        self.pose = PresentPose::new(joints);
         self.motions = motions.map_err(|error| setup.refuse_value(file, error.to_string()))?;
+        if self.humanoid.is_none()
+            && let Some(name) = self.motions.balancing()
+        {
+            let problem = format!("motion \"{name}\" keeps its balance, which only a humanoid can");
+            return Err(setup.refuse_value(file, problem));
+        }
         let ports = Ports {
             commands: setup.publish("motions/joint_commands")?,
             playing: setup.publish("motions/playing")?,
@@ -366,8 +404,9 @@ mod tests {
             let options = ModuleOptions { settings, ..ModuleOptions::default() };
             core.add_with("motions", MotionPlayer::default(), options).unwrap();
             let humanoid = Humanoid::darwin_op();
+            let joints = humanoid.joints();
             let states = core.inlet("joint_states").unwrap();
-            states.publish(command(Time::ZERO, &humanoid, &humanoid.stand(), |_| true)).unwrap();
+            states.publish(command(Time::ZERO, joints, &joints.stand(), |_| true)).unwrap();
             let (play, walking) = (core.inlet("motions/play").unwrap(), core.inlet("walking").unwrap());
             let commands = Collector::add(&mut core, "motions/joint_commands");
             let playing = Collector::add(&mut core, "motions/playing");
@@ -397,7 +436,8 @@ mod tests {
 
     #[test]
     fn the_built_in_motions_are_valid() {
-        let motions = Motions::parse("darwin_op_motions.toml", DARWIN_OP, &Humanoid::darwin_op()).unwrap();
+        let motions =
+            Motions::parse("darwin_op_motions.toml", DARWIN_OP, Humanoid::darwin_op().joints()).unwrap();
         for name in
             ["stand", "sit", "wave", "get_up_front", "get_up_back", "get_up_left", "kick_left", "kick_right"]
         {
@@ -470,6 +510,51 @@ mod tests {
         robot.run(2.0);
         let goal = robot.commands.take().last().unwrap().position[0];
         assert!((goal - 0.2).abs() < 0.02, "at the end it is the pose: {goal}");
+    }
+
+    const SO101: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/servos/so101.toml");
+
+    #[test]
+    fn an_arm_has_motions_of_its_own_joints_within_their_limits_and_no_balance() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("motions.toml");
+        let add = |motions: &str, further: &[(&str, &str)]| {
+            std::fs::write(&path, motions).unwrap();
+            let (mut core, clock) = core_at_zero();
+            let given = [("description", SO101), ("file", path.to_str().unwrap())];
+            let settings = given.iter().chain(further);
+            let settings = settings.map(|(name, value)| ((*name).to_owned(), (*value).to_owned().into()));
+            let options = ModuleOptions { settings: settings.collect(), ..ModuleOptions::default() };
+            let added = core.add_with("motions", MotionPlayer::default(), options);
+            added.map(|_| (core, clock)).map_err(|error| error.to_string())
+        };
+        let fold = "[[fold.frame]]\nduration_s = 1.0\ndegrees = { elbow_flex = 90, gripper = -10 }\n";
+        let (mut core, clock) = add(fold, &[]).unwrap();
+        let commands = Collector::<JointState>::add(&mut core, "motions/joint_commands");
+        let name = ["gripper", "elbow_flex"].map(str::to_owned).to_vec();
+        let states = JointState { name, position: vec![0.5, 0.0], ..JointState::default() };
+        core.inlet("joint_states").unwrap().publish(states).unwrap();
+        core.inlet("motions/play").unwrap().publish(Text { data: "fold".to_owned() }).unwrap();
+        for _ in 0..500 {
+            clock.advance(CYCLE);
+            (0..3).for_each(|_| core.cycle().unwrap());
+        }
+        let commands = commands.take();
+        assert_eq!(commands[0].name, ["elbow_flex", "gripper"]);
+        assert!((commands[0].position[1] - 0.5).abs() < 0.01, "it starts where the arm is");
+        let end = [90.0, -10.0].map(f64::to_radians);
+        assert_eq!(commands.last().unwrap().position, end);
+
+        let refused = |motions: &str, further: &[(&str, &str)]| add(motions, further).err().unwrap();
+        let beyond = refused(&fold.replace("-10", "-20"), &[]);
+        assert!(beyond.contains("gripper = -20 is beyond the limits of the joint"), "{beyond}");
+        let balancing = refused(&format!("[fold]\nbalance = {{ tilt = 0.5, rate = 0.1 }}\n{fold}"), &[]);
+        assert!(balancing.contains("which only a humanoid can"), "{balancing}");
+        assert!(refused(fold, &[("bus", "legs")]).contains("legs"));
+        assert!(
+            refused("[[sit.frame]]\nduration_s = 1.0\ndegrees = { knee = 90 }\n", &[])
+                .contains("no joint \"knee\"")
+        );
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Motions: key frames, and how joints move from one to the next.
 
-use crate::humanoid::Humanoid;
+use crate::joints::Joints;
 use serde::Deserialize;
 
 /// A motion: frames to go through.
@@ -61,10 +61,9 @@ impl Motion {
     }
 
     /// The motion with left and right exchanged.
-    pub(super) fn mirrored(&self, humanoid: &Humanoid) -> Self {
+    pub(super) fn mirrored(&self, joints: &Joints) -> Self {
         let frames = self.frames.iter().map(|frame| {
-            let joints = humanoid.joints().iter();
-            let positions = joints.map(|joint| {
+            let positions = joints.iter().map(|joint| {
                 let (other, sign) = joint.mirror;
                 frame.positions[other].map(|position| position * sign)
             });

@@ -146,7 +146,7 @@ mod tests {
              [[m.frame]]\nduration_s = 0.5\nradians = {{ head_pan = 0.6, r_el = -0.5 }}\n\
              [[m.frame]]\nduration_s = 1\npause_s = 0.5\nradians = {{ head_pan = 1.0, r_el = 0.5 }}\n"
         );
-        Motions::parse("m.toml", &text, &Humanoid::darwin_op()).unwrap().get("m").unwrap().clone()
+        Motions::parse("m.toml", &text, Humanoid::darwin_op().joints()).unwrap().get("m").unwrap().clone()
     }
 
     const PAN: usize = 18;
