@@ -542,8 +542,8 @@ mod tests {
         let commands = commands.take();
         assert_eq!(commands[0].name, ["elbow_flex", "gripper"]);
         assert!((commands[0].position[1] - 0.5).abs() < 0.01, "it starts where the arm is");
-        let end = [90.0, -10.0].map(f64::to_radians);
-        assert_eq!(commands.last().unwrap().position, end);
+        let end = commands.last().unwrap().position.iter().map(|angle| angle.to_degrees().round());
+        assert_eq!(end.collect::<Vec<_>>(), [90.0, -10.0]);
 
         let refused = |motions: &str, further: &[(&str, &str)]| add(motions, further).err().unwrap();
         let beyond = refused(&fold.replace("-10", "-20"), &[]);
