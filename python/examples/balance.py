@@ -71,7 +71,7 @@ class World:
         self.robot = db.test.Robot()
         self.robot.add(
             "simulator", "darwin_op_simulator", link="memory:darwin_op", seed=seed,
-            mass=factor(0.05), friction=factor(0.25), strength=factor(0.1), latency_ms=float(numbers.uniform(0, 4)),
+            mass=factor(0.05), friction=factor(0.25), strength=factor(0.1), latency_ms=int(numbers.integers(0, 5)),
         )  # fmt: skip
         self.robot.add("hardware", "darwin_op", port="memory:darwin_op", remap={"joint_commands": "joint_goals"})
         self.robot.add("imu_filter", "imu_filter")

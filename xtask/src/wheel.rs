@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::Context;
+use tempfile::TempDir;
 
 use crate::install::{Arrival, Home};
 use crate::steps::{run, run_in, workspace};
@@ -29,6 +30,8 @@ pub(crate) struct Build<'a> {
     pub(crate) target: &'a str,
     /// Further options of maturin.
     pub(crate) options: &'a [&'a str],
+    /// The folder of `pyproject.toml` and the sources in Python, into which stubs and licences are written.
+    pub(crate) project: PathBuf,
     /// A wheel of the same sources for this machine, if this one is for another: what writes the stubs of
     /// messages is compiled.
     pub(crate) stubs: Option<PathBuf>,
@@ -43,8 +46,25 @@ pub(crate) struct Build<'a> {
 pub(crate) fn build(features: &[String]) -> anyhow::Result<PathBuf> {
     downbeat_start::lock(&workspace().join("start")).map_err(anyhow::Error::msg)?;
     let features = features.join(",");
-    let manifest = ["--manifest-path", "../start/program/wheel/Cargo.toml"];
-    pack(&Build { features: &features, options: &manifest, ..Build::of_checkout("release") })
+    let project = sharing_project()?;
+    let of_checkout = Build::of_checkout("release");
+    pack(&Build { features: &features, project: project.path().to_owned(), ..of_checkout })
+}
+
+/// A copy of the project whose manifest is the one that shares what the program has compiled: a
+/// `pyproject.toml` has to be above the manifest that an option of maturin names, or names it itself. It is not
+/// below `target`, whose files maturin leaves out as git does.
+fn sharing_project() -> anyhow::Result<TempDir> {
+    let (sources, folder) = (workspace().join("python"), tempfile::tempdir()?);
+    let parts = ["LICENSE", "NOTICE", "README.md", "pyproject.toml", "python"].map(|part| sources.join(part));
+    run(Command::new("cp").arg("--recursive").args(parts).arg(folder.path()))?;
+    let project = folder.path().join("pyproject.toml");
+    let text = std::fs::read_to_string(&project).with_context(|| project.display().to_string())?;
+    let own = workspace().join("start/program/wheel/Cargo.toml");
+    let shared = text.replacen("manifest-path = \"Cargo.toml\"", &format!("manifest-path = {own:?}"), 1);
+    anyhow::ensure!(shared != text, "python/pyproject.toml has no manifest-path");
+    std::fs::write(&project, shared).with_context(|| project.display().to_string())?;
+    Ok(folder)
 }
 
 impl Build<'_> {
@@ -55,8 +75,8 @@ impl Build<'_> {
             }
             Ok(())
         };
-        let out = workspace().join("target/wheels").join(profile);
-        Build { profile, features: "", target: HERE, options: &[], stubs: None, out, environment }
+        let (out, project) = (workspace().join("target/wheels").join(profile), workspace().join("python"));
+        Build { profile, features: "", target: HERE, options: &[], project, stubs: None, out, environment }
     }
 
     fn maturin(&self, python: &Path, further: &[&str]) -> anyhow::Result<PathBuf> {
@@ -65,9 +85,13 @@ impl Build<'_> {
         command.args(["-m", "maturin", "build", "--profile", self.profile, "--features", self.features]);
         command.args(self.options).args(further).arg("--out").arg(&self.out);
         (self.environment)(&mut command)?;
-        run_in(&workspace().join("python"), &mut command)?;
+        run_in(&self.project, &mut command)?;
         let mut built = std::fs::read_dir(&self.out).with_context(|| self.out.display().to_string())?;
-        Ok(built.next().context("maturin built no wheel")??.path())
+        let wheel = built.next().context("maturin built no wheel")??.path();
+        // Of a manifest without its `pyproject.toml`, maturin makes a wheel with the extension module alone.
+        let name = wheel.file_name().unwrap_or_default().to_string_lossy();
+        anyhow::ensure!(name.starts_with("downbeat_robotics-"), "maturin built {name}, not downbeat_robotics");
+        Ok(wheel)
     }
 }
 
@@ -76,13 +100,13 @@ pub(crate) fn pack(build: &Build) -> anyhow::Result<PathBuf> {
     let python = tools()?;
     write_notices(build)?;
     if let Some(wheel) = &build.stubs {
-        write_stubs(&python, wheel)?;
+        write_stubs(&python, wheel, &build.project)?;
         return build.maturin(&python, &[]);
     }
     let first = build.maturin(&python, &[])?;
     // The stubs are written by what was just built, and are part of the wheel: it is packed again, not
     // compiled again.
-    write_stubs(&python, &first)?;
+    write_stubs(&python, &first, &build.project)?;
     build.maturin(&python, &["--quiet"])
 }
 
@@ -92,11 +116,11 @@ pub(crate) fn tools() -> anyhow::Result<PathBuf> {
 }
 
 /// Writes the stubs of the messages that a wheel for this machine contains into the sources of the package.
-fn write_stubs(python: &Path, wheel: &Path) -> anyhow::Result<()> {
+fn write_stubs(python: &Path, wheel: &Path, project: &Path) -> anyhow::Result<()> {
     let unpacked = workspace().join("target/wheels/unpacked");
     remove(&unpacked)?;
     run(Command::new(python).args(["-m", "zipfile", "--extract"]).args([wheel, &unpacked]))?;
-    let sources = workspace().join("python/python/downbeat/msgs");
+    let sources = project.join("python/downbeat/msgs");
     let arguments = ["-m", "downbeat.stubs", "--into"];
     run(Command::new(python).args(arguments).arg(&sources).env("PYTHONPATH", &unpacked))
 }
@@ -104,7 +128,7 @@ fn write_stubs(python: &Path, wheel: &Path) -> anyhow::Result<()> {
 /// Writes the licences of the crates that a wheel contains into the sources of the package.
 fn write_notices(build: &Build) -> anyhow::Result<()> {
     let crates = crates::of("downbeat-python", build.features, build.target)?;
-    let file = workspace().join("python/THIRD-PARTY.txt");
+    let file = build.project.join("THIRD-PARTY.txt");
     std::fs::write(&file, notices::of(&crates)?).with_context(|| file.display().to_string())
 }
 

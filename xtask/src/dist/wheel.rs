@@ -40,6 +40,7 @@ pub(super) fn build(release: &Release) -> anyhow::Result<PathBuf> {
         features: FEATURES,
         target: triple,
         options: &["--locked", "--target", triple, "--compatibility", "manylinux_2_28"],
+        project: workspace().join("python"),
         stubs,
         out: release.scratch.join("wheel"),
         environment: &environment,
