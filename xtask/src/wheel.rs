@@ -90,7 +90,10 @@ impl Build<'_> {
         let wheel = built.next().context("maturin built no wheel")??.path();
         // Of a manifest without its `pyproject.toml`, maturin makes a wheel with the extension module alone.
         let name = wheel.file_name().unwrap_or_default().to_string_lossy();
-        anyhow::ensure!(name.starts_with("downbeat_robotics-"), "maturin built {name}, not downbeat_robotics");
+        anyhow::ensure!(
+            name.starts_with("downbeat_robotics-"),
+            "maturin built {name}, not downbeat_robotics"
+        );
         Ok(wheel)
     }
 }
