@@ -74,11 +74,10 @@ struct Aside(JoinHandle<Vec<(&'static str, anyhow::Result<()>)>>);
 
 impl Aside {
     /// Begins once the tests are compiled: macros and build scripts are the same, and are not compiled twice.
-    fn start() -> anyhow::Result<Self> {
+    fn start(own: PathBuf) -> anyhow::Result<Self> {
         if let Err(error) = lend_to_lints() {
             eprintln!("xtask: lints compile macros and build scripts again: {error:#}");
         }
-        let own = std::env::current_exe().context("the path of xtask is not known")?;
         let commands = move || {
             let others = ["--features", "benches/zenoh,benches-ros2/security,benches-ros2/zenoh"];
             let mut clippy = Self::lint(&["clippy", "--workspace", "--all-targets"]);
@@ -160,6 +159,8 @@ pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.
     python::find()?;
     let skips = skips::Run::new()?;
+    // Before cargo compiles and replaces this program: of one that is replaced, the system names no path.
+    let own = std::env::current_exe().context("the path of xtask is not known")?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
         command.args(arguments);
@@ -182,7 +183,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     });
     let Peers { python, kilted, node_modules } =
         installed.map_err(|_| anyhow::anyhow!("what installs Python packages has panicked"))??;
-    let aside = Aside::start()?;
+    let aside = Aside::start(own)?;
     let notes = Notes::new()?;
     let first_hour = FirstHour::new()?;
     let tests: &[&str] = if has_nextest {
