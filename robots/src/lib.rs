@@ -15,15 +15,7 @@ pub struct File {
     /// The path within the folder, such as `servos/op3.toml`.
     pub path: &'static str,
     /// The content.
-    pub content: &'static [u8],
-}
-
-impl File {
-    /// The content as text; none of a network.
-    #[must_use]
-    pub fn text(&self) -> &'static str {
-        std::str::from_utf8(self.content).unwrap_or_default()
-    }
+    pub text: &'static str,
 }
 
 /// A robot file, or the file of a match.
@@ -39,16 +31,16 @@ pub struct Robot {
 
 macro_rules! files {
     ($($path:literal)*) => {
-        &[$(File { path: $path, content: include_bytes!(concat!("../", $path)) }),*]
+        &[$(File { path: $path, text: include_str!(concat!("../", $path)) }),*]
     };
 }
 
 /// Everything that is carried.
 pub const FILES: &[File] = files! {
-    "ball_chaser.scxml" "ball_chaser.toml" "darwin_op.toml" "darwin_op.urdf" "darwin_op.xml" "darwin_op_balances.toml" "darwin_op_physics.toml"
+    "ball_chaser.scxml" "ball_chaser.toml" "darwin_op.toml" "darwin_op.urdf" "darwin_op.xml" "darwin_op_physics.toml"
     "darwin_op_serial.toml" "darwin_op_walks.toml" "empty_goal.toml" "football/player.scxml" "football/player.toml"
     "football/seeing_player.toml" "football/shooter.scxml" "football/shooter.toml" "match.toml" "op3.toml" "op3.urdf"
-    "op3_humanoid.toml" "op3_motions.toml" "op3_walks.toml" "policies/balance.onnx" "policies/balance.toml" "seeing_match.toml" "seeing_teams.toml" "sensors.toml"
+    "op3_humanoid.toml" "op3_motions.toml" "op3_walks.toml" "seeing_match.toml" "seeing_teams.toml" "sensors.toml"
     "servos/op3.toml" "servos/so101.toml" "so101.toml" "so101_teleop.toml" "worlds/field.toml"
 };
 
@@ -78,9 +70,9 @@ pub enum Error {
 pub fn robots() -> impl Iterator<Item = Robot> {
     FILES.iter().filter_map(|file| {
         let name = file.path.strip_suffix(".toml")?;
-        let has = |line: &str| file.text().lines().any(|other| other.trim_end() == line);
+        let has = |line: &str| file.text.lines().any(|other| other.trim_end() == line);
         let command = if has("kind = \"football_match\"") { "match" } else { "run" };
-        has("[robot]").then(|| Robot { name, about: about(file.text()), command })
+        has("[robot]").then(|| Robot { name, about: about(file.text), command })
     })
 }
 
@@ -121,7 +113,7 @@ pub fn kinds_of(name: &str) -> Result<BTreeSet<&'static str>, Error> {
     let robots = files.iter().filter(|file| file.path.ends_with(".toml"));
     // Other tables, such as that of the launcher, have kinds too.
     let modules =
-        robots.flat_map(|file| file.text().split("\n[").filter(|table| table.starts_with("[module]]")));
+        robots.flat_map(|file| file.text.split("\n[").filter(|table| table.starts_with("[module]]")));
     let quoted = |line: &'static str| line.strip_prefix("kind = \"")?.split('"').next();
     Ok(modules.flat_map(|table| table.lines().filter_map(quoted)).collect())
 }
@@ -137,7 +129,7 @@ fn names(file: &File, other: &File) -> bool {
         Some(beside) if !folder.is_empty() => beside.to_owned(),
         _ => format!("{}{}", "../".repeat(up), other.path),
     };
-    let without_comments = file.text().lines().filter(|line| !line.trim_start().starts_with('#'));
+    let without_comments = file.text.lines().filter(|line| !line.trim_start().starts_with('#'));
     let quoted = format!("\"{relative}\"");
     without_comments.into_iter().any(|line| line.contains(&quoted))
 }
@@ -171,7 +163,7 @@ pub fn unpack(name: &str) -> Result<PathBuf, Error> {
 fn unpack_into(folder: &Path) -> Result<(), Error> {
     for file in FILES {
         // Compared: an edited file in the cache is not the robot of that name.
-        if fs::read(folder.join(file.path)).is_ok_and(|content| content == file.content) {
+        if fs::read(folder.join(file.path)).is_ok_and(|content| content == file.text.as_bytes()) {
             continue;
         }
         write(folder, file)?;
@@ -206,7 +198,7 @@ fn write(folder: &Path, file: &File) -> Result<PathBuf, Error> {
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let mut new = builder.tempfile_in(parent)?;
-        new.write_all(file.content)?;
+        new.write_all(file.text.as_bytes())?;
         new.persist(&path).map_err(|error| error.error)?;
         Ok(())
     });
@@ -295,7 +287,7 @@ mod tests {
         assert!(error.to_string().ends_with("servos/so101.toml exists already"), "{error}");
         assert_eq!(fs::read_to_string(&file).unwrap(), "mine");
         copy("so101", folder.path(), true).unwrap();
-        assert_eq!(fs::read_to_string(&file).unwrap(), find("so101").unwrap().text());
+        assert_eq!(fs::read_to_string(&file).unwrap(), find("so101").unwrap().text);
     }
 
     #[test]
@@ -305,7 +297,7 @@ mod tests {
         let file = folder.path().join("darwin_op.toml");
         fs::write(&file, "[robot]\nname = \"other\"\n").unwrap();
         unpack_into(folder.path()).unwrap();
-        assert_eq!(fs::read_to_string(&file).unwrap(), find("darwin_op").unwrap().text());
+        assert_eq!(fs::read_to_string(&file).unwrap(), find("darwin_op").unwrap().text);
     }
 
     #[test]
