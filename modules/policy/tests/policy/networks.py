@@ -169,6 +169,24 @@ def single():
     ]
     zero = numpy_helper.from_array(np.float32(0), "zero")
     case("Where", choice, [zero, weights("other", 4)], {"x": [3, 4]}, ["y"])
+    for operation in ("Sqrt", "Log"):
+        nodes = [helper.make_node("Abs", ["x"], ["a"]), helper.make_node(operation, ["a"], ["y"])]
+        case(operation, nodes, [], {"x": [3, 4]}, ["y"])
+    for operation in ("Less", "LessOrEqual", "Greater", "GreaterOrEqual", "Equal"):
+        nodes = [
+            helper.make_node("Round", ["x"], ["rounded"]),
+            helper.make_node(operation, ["rounded", "zero"], ["truth"]),
+            helper.make_node("Not", ["truth"], ["opposite"]),
+            helper.make_node("Cast", ["opposite"], ["y"], to=TensorProto.FLOAT),
+        ]
+        case(operation, nodes, [zero], {"x": [30]}, ["y"])
+    nodes = [
+        helper.make_node("Shape", ["x"], ["shape"]),
+        helper.make_node("ConstantOfShape", ["shape"], ["ones"], value=numpy_helper.from_array(np.ones(1, np.float32))),
+        helper.make_node("Dropout", ["x"], ["kept"]),
+        helper.make_node("Sub", ["kept", "ones"], ["y"]),
+    ]
+    case("ConstantOfShape and Dropout", nodes, [], {"x": [3, 4]}, ["y"])
     half = [helper.make_node("Constant", [], ["c"], value_float=0.5), helper.make_node("Mul", ["x", "c"], ["y"])]
     case("Constant", half, [], {"x": [3]}, ["y"])
 

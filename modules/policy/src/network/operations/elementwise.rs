@@ -47,10 +47,6 @@ pub(super) fn operation(of: &Described<'_>) -> Result<Option<Operation>, String>
         }
         "HardSwish" => unary(|x| x * (x / 6.0 + 0.5).clamp(0.0, 1.0)),
         "Mish" => unary(|x| x * libm::tanhf(softplus(x))),
-        "Swish" => {
-            let alpha = alpha(1.0);
-            unary(move |x| x * sigmoid(alpha * x))
-        }
         "Gelu" if of.text("approximate") == "tanh" => {
             unary(|x| 0.5 * x * (1.0 + libm::tanhf(0.797_884_6 * (x + 0.044_715 * x * x * x))))
         }
