@@ -89,7 +89,7 @@ fn a_robot_that_a_network_moves_replays_bit_for_bit_under_each_launcher() {
             .collect::<Vec<_>>()
     };
     let commands = of("/joint_commands");
-    assert!((100..=130).contains(&commands.len()), "{} commands in two seconds", commands.len());
+    assert!((80..=130).contains(&commands.len()), "{} commands in two seconds", commands.len());
     let last = commands.last().unwrap();
     assert_eq!(last.name, ["head_pan", "head_tilt"]);
     assert!(last.position.iter().any(|angle| angle.abs() > 0.02), "{:?}", last.position);
