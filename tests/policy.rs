@@ -12,7 +12,7 @@ use downbeat::App;
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::sensor_msgs::msg::JointState;
-use downbeat::replay::{ReplayOptions, replay};
+use downbeat::replay::{ReplayOptions, Simulators, replay};
 use downbeat::running::{PreparedRobot, RecordPlan};
 
 const ROBOT: &str = r#"
@@ -97,16 +97,17 @@ fn a_robot_that_a_network_moves_replays_bit_for_bit_under_each_launcher() {
     let pan = head.name.iter().position(|name| name == "head_pan").unwrap();
     assert!((head.position[pan] - last.position[0]).abs() < 0.1, "the head follows");
 
+    let options = ReplayOptions { simulators: Simulators::RunAgain, ..ReplayOptions::default() };
     for launcher in ["linear", "pool"] {
         let mut file = App::with_built_in_kinds().robot_file(&robot).unwrap();
         file.launcher.choice = launcher.parse().unwrap();
-        let report = replay(file, &Reader::open(&bag).unwrap(), &ReplayOptions::default()).unwrap();
+        let report = replay(file, &Reader::open(&bag).unwrap(), &options).unwrap();
         assert!(report.modules.iter().any(|module| module == "look"), "{:?}", report.modules);
         report.assert_same().unwrap();
     }
     // With another network it is another run.
     std::fs::write(&network, onnx::perceptron(&[9, 16, 2], "Tanh", || 0.1)).unwrap();
     let file = App::with_built_in_kinds().robot_file(&robot).unwrap();
-    let report = replay(file, &Reader::open(&bag).unwrap(), &ReplayOptions::default()).unwrap();
+    let report = replay(file, &Reader::open(&bag).unwrap(), &options).unwrap();
     assert!(report.assert_same().is_err());
 }
