@@ -52,8 +52,8 @@ pub(crate) fn build(features: &[String]) -> anyhow::Result<PathBuf> {
 }
 
 /// A copy of the project whose manifest is the one that shares what the program has compiled: a
-/// `pyproject.toml` has to be above the manifest that an option of maturin names, or names it itself. It is not
-/// below `target`, whose files maturin leaves out as git does.
+/// `pyproject.toml` has to be above the manifest that an option of maturin names, or names it itself. It is
+/// not below `target`, whose files maturin leaves out as git does.
 fn sharing_project() -> anyhow::Result<TempDir> {
     let (sources, folder) = (workspace().join("python"), tempfile::tempdir()?);
     let parts = ["LICENSE", "NOTICE", "README.md", "pyproject.toml", "python"].map(|part| sources.join(part));
