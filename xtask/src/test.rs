@@ -159,7 +159,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     // First, so that a missing Python is reported before minutes of building.
     python::find()?;
     let skips = skips::Run::new()?;
-    // Before cargo compiles and replaces this program: of one that is replaced, the system names no path.
+    // Now, because cargo will replace this program, and the system then adds "(deleted)" to its path.
     let own = std::env::current_exe().context("the path of xtask is not known")?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
