@@ -23,6 +23,9 @@ pub(super) struct Package {
     uses: Vec<String>,
     /// Features that its settings for docs.rs name, and that it does not have.
     undocumented: Vec<String>,
+    /// What a registry is to show of it and its manifest does not say; nothing of one that is not published.
+    unsaid: Vec<&'static str>,
+    is_published: bool,
 }
 
 #[derive(Deserialize)]
@@ -38,6 +41,13 @@ struct Described {
     dependencies: Vec<Dependency>,
     features: BTreeMap<String, Vec<String>>,
     metadata: serde_json::Value,
+    /// The registries it may go to: none of them, or any if this is not given.
+    publish: Option<Vec<String>>,
+    description: Option<String>,
+    repository: Option<String>,
+    readme: Option<PathBuf>,
+    keywords: Vec<String>,
+    categories: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -82,6 +92,22 @@ impl Workspace {
         self.packages.iter().flat_map(unknown).collect()
     }
 
+    /// What a package lacks that is to be published.
+    pub(super) fn unpublishable(&self) -> Problems {
+        let mut problems = Problems::new();
+        for Package { name, folder, unsaid, is_published, .. } in &self.packages {
+            problems.extend(unsaid.iter().map(|field| format!("{name}: its manifest has no {field}")));
+            let licence = folder.join("LICENSE");
+            if *is_published && !licence.is_file() {
+                problems.push(format!(
+                    "{name}: {} is missing: link it to that of the workspace",
+                    licence.display()
+                ));
+            }
+        }
+        problems
+    }
+
     /// Dependencies that `allowed` does not list: for each package those that it may use.
     pub(super) fn arrows_between_packages(&self, allowed: &[(&str, &[&str])]) -> Problems {
         let mut problems = Problems::new();
@@ -106,7 +132,9 @@ impl Workspace {
 
 impl From<Described> for Package {
     fn from(described: Described) -> Self {
-        let Described { name, manifest_path, targets, dependencies, features, metadata } = described;
+        let unsaid = described.unsaid();
+        let is_published = described.is_published();
+        let Described { name, manifest_path, targets, dependencies, features, metadata, .. } = described;
         let for_docs = metadata["docs"]["rs"]["features"].as_array().into_iter().flatten();
         let for_docs = for_docs.filter_map(|feature| feature.as_str());
         let is_product = |target: &Target| {
@@ -123,25 +151,51 @@ impl From<Described> for Package {
                 .map(str::to_owned)
                 .collect(),
             uses: dependencies.into_iter().filter(used).map(|dependency| dependency.name).collect(),
+            unsaid,
+            is_published,
         }
+    }
+}
+
+impl Described {
+    fn is_published(&self) -> bool {
+        self.publish.as_ref().is_none_or(|registries| !registries.is_empty())
+    }
+
+    fn unsaid(&self) -> Vec<&'static str> {
+        let said = [
+            ("description", self.description.is_some()),
+            ("repository", self.repository.is_some()),
+            ("readme", self.readme.is_some()),
+            ("keywords", !self.keywords.is_empty()),
+            ("categories", !self.categories.is_empty()),
+        ];
+        let unsaid = said.into_iter().filter(|(_, is_said)| self.is_published() && !is_said);
+        unsaid.map(|(field, _)| field).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use serde_json::json;
+
     use super::*;
 
     #[test]
-    fn dependencies_that_are_not_listed_and_features_that_are_missing_are_problems() {
-        let dependency = |name: &str, kind: Option<&str>| serde_json::json!({"name": name, "kind": kind, "path": format!("/{name}")});
+    fn what_a_package_may_not_use_and_what_it_lacks_are_problems() {
+        let dependency =
+            |name: &str, kind: Option<&str>| json!({"name": name, "kind": kind, "path": format!("/{name}")});
         let package = |name: &str, dependencies: Vec<serde_json::Value>| {
-            serde_json::json!({
+            json!({
                 "name": name, "manifest_path": format!("/{name}/Cargo.toml"), "targets": [], "dependencies": dependencies,
                 "features": {"can": []}, "metadata": {"docs": {"rs": {"features": ["can", name]}}},
+                "description": "", "repository": "", "readme": "README.md", "keywords": ["robot"],
+                "categories": if name == "wire" { json!([]) } else { json!(["robotics"]) },
+                "publish": if name == "robot" { json!([]) } else { json!(null) },
             })
         };
-        let metadata = serde_json::json!({"packages": [
+        let metadata = json!({"packages": [
             package("engine", vec![dependency("wire", None), dependency("robot", None)]),
             package("wire", vec![dependency("robot", Some("dev"))]),
             package("robot", vec![]),
@@ -156,5 +210,9 @@ mod tests {
         let features = workspace.unknown_features();
         assert_eq!(features.len(), 3, "{features:?}");
         assert!(features[1].contains("its feature wire,"), "{features:?}");
+        let unpublishable = workspace.unpublishable();
+        assert_eq!(unpublishable.len(), 3, "{unpublishable:?}");
+        assert!(unpublishable[0].contains("/engine/LICENSE is missing"), "{unpublishable:?}");
+        assert_eq!(unpublishable[1], "wire: its manifest has no categories");
     }
 }
