@@ -38,6 +38,12 @@ fn info_prints_what_ros2_bag_info_prints_and_more() {
     assert_eq!(text_of(&["bag", "info", text(&bag)]).trim_end(), expected.trim_end());
     let names = text_of(&["bag", "info", text(&bag), "--topic-name"]);
     assert!(names.lines().any(|name| name == "/tf") && !names.contains("_service_event"), "{names}");
+    let counts = |order: &str| -> Vec<u64> {
+        let info = text_of(&["bag", "info", "--sort", order, text(&bag)]);
+        let counts = info.split("| Count: ").skip(1).map(|rest| rest.split(' ').next().unwrap().parse());
+        counts.collect::<Result<_, _>>().unwrap()
+    };
+    assert!(counts("count").is_sorted() && !counts("type").is_sorted(), "{:?}", counts("count"));
     let verbose = text_of(&["bag", "info", "-v", text(&bag)]);
     assert!(verbose.contains("Request Count: 17 | Response Count: 18 | Size Contribution: "), "{verbose}");
     let file = bag.join("jazzy_mcap_0.mcap");

@@ -21,6 +21,7 @@ mod paths;
 mod physics;
 mod portability;
 mod python;
+mod readers;
 mod recorder;
 mod security;
 mod skips;
@@ -95,6 +96,9 @@ enum Command {
         #[arg(long, default_value_t = 2.0, value_name = "N")]
         minutes: f64,
     },
+    /// All tests, of which every bag is kept and opened with the readers of others, about an hour. Prints
+    /// which they refuse and why, and fails if one has no reason that is known.
+    Readers,
     /// The crates as they would be published: packaged, installed with `cargo install` from a registry in a
     /// folder, and a project of `downbeat new` built with them. Part of the test run.
     Crates {
@@ -166,6 +170,7 @@ fn main() -> ExitCode {
         Command::Aarch64 => aarch64::aarch64(),
         Command::Bags => bags::bags(),
         Command::Recorder { minutes } => recorder::recorder(minutes),
+        Command::Readers => readers::readers(),
         Command::Crates { compile: true } => install::compile_packages(),
         Command::Crates { compile: false } => install::cargo_install().map(drop),
         Command::Deb { program } => program

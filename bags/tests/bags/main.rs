@@ -10,6 +10,7 @@ mod dynamic;
 mod edit;
 mod fixtures;
 mod interrupted;
+mod kept;
 mod killed;
 mod layout;
 #[allow(dead_code)] // Tests of nodes use the rest.

@@ -1,9 +1,9 @@
 // Reads the files of bags with @mcap/core, checksums included, and decodes messages with @foxglove/rosmsg2-serialization where
 // the schema is `ros2msg`. Prints for each bag the number of messages of each topic, or why it cannot be read.
 //
-// Usage: DOWNBEAT_NODE_MODULES=FOLDER node count_messages.mjs FOLDER, whose folders are the bags.
+// Usage: DOWNBEAT_NODE_MODULES=FOLDER node count_messages.mjs FOLDER, whose folders and files are the bags.
 
-import { open, readdir } from "node:fs/promises";
+import { open, readdir, stat } from "node:fs/promises";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 
@@ -38,10 +38,10 @@ const found = {};
 for (const bag of await readdir(folder)) {
   found[bag] = {};
   try {
-    for (const name of await readdir(join(folder, bag))) {
-      if (name.endsWith(".mcap")) {
-        await count(join(folder, bag, name), found[bag]);
-      }
+    const path = join(folder, bag);
+    const names = (await stat(path)).isFile() ? [""] : await readdir(path);
+    for (const file of names.map((name) => join(path, name)).filter((file) => file.endsWith(".mcap"))) {
+      await count(file, found[bag]);
     }
   } catch (error) {
     found[bag] = String(error);

@@ -1,7 +1,7 @@
 """Opens bags with `rosbags`, which compares the type hashes, and with `mcap-ros2-support`; decodes every message with both.
 Prints for each reader, by bag, the number of decoded messages of each topic, or why the bag cannot be opened.
 
-Usage: open_bags.py FOLDER, whose folders are the bags. `mcap-ros2-support` reads no names of parts of services and actions: their topics
+Usage: open_bags.py FOLDER, whose folders and files are the bags. `mcap-ros2-support` reads no names of parts of services and actions: their topics
 are left out there.
 """
 
@@ -26,7 +26,7 @@ def with_rosbags(bag: Path) -> dict:
 
 def with_mcap_ros2(bag: Path) -> dict:
     counts = Counter()
-    for path in sorted(bag.glob("*.mcap")):
+    for path in [bag] if bag.is_file() else sorted(bag.glob("*.mcap")):
         with path.open("rb") as stream:
             decoders = DecoderFactory()
             for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
 use super::output::Progress;
@@ -19,9 +19,40 @@ pub(crate) struct InfoArguments {
     /// whole bag.
     #[arg(long, short)]
     pub(crate) verbose: bool,
+    /// The order of topics and services, if not that of the bag.
+    #[arg(long, value_enum)]
+    pub(crate) sort: Option<Order>,
     /// Print JSON.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// What topics and services are sorted by; those that are equal keep the order of the bag.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Order {
+    Name,
+    Type,
+    /// The fewest messages first.
+    Count,
+}
+
+impl Order {
+    fn sort(self, BagInfo { topics, services, .. }: &mut BagInfo) {
+        match self {
+            Self::Name => {
+                topics.sort_by(|a, b| a.info.name.cmp(&b.info.name));
+                services.sort_by(|a, b| a.name.cmp(&b.name));
+            }
+            Self::Type => {
+                topics.sort_by(|a, b| a.info.type_name.cmp(&b.info.type_name));
+                services.sort_by(|a, b| a.type_name.cmp(&b.type_name));
+            }
+            Self::Count => {
+                topics.sort_by_key(|topic| topic.message_count);
+                services.sort_by_key(|service| service.event_count);
+            }
+        }
+    }
 }
 
 /// Prints the contents of a bag, and losses on standard error.
@@ -29,6 +60,9 @@ pub(crate) fn info(arguments: &InfoArguments) -> anyhow::Result<()> {
     let reader = Reader::open(&arguments.bag)?;
     super::warn_of_oddities(&reader);
     let mut info = BagInfo::of(&reader)?;
+    if let Some(order) = arguments.sort {
+        order.sort(&mut info);
+    }
     if arguments.verbose {
         let mut progress = Progress::new("reading", reader.message_count());
         info.sizes = Some(TopicSizes::read(&reader, |read| progress.at(read))?);

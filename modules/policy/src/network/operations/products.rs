@@ -1,6 +1,6 @@
 //! Products of matrices, and convolutions.
 
-use super::super::tensor::{Tensor, count, text};
+use super::super::tensor::{Tensor, broadcast, count, places, text};
 use super::layout::transposed;
 use super::{Described, Inputs, Operation};
 
@@ -94,8 +94,8 @@ fn gemm(of: &Described<'_>) -> Result<Operation, String> {
             floats.iter_mut().for_each(|x| *x *= alpha);
         }
         if let Some(added) = inputs.optional(2) {
-            let places = super::super::tensor::places(&added.shape, &shape);
-            if super::super::tensor::broadcast(&added.shape, &shape)? != shape {
+            let places = places(&added.shape, &shape);
+            if broadcast(&added.shape, &shape)? != shape {
                 return Err(format!("cannot add {} to {}", text(&added.shape), text(&shape)));
             }
             let added = added.floats()?;
