@@ -1,5 +1,5 @@
 //! `cargo xtask dist --test`: each way of installing, in a clean environment, up to the joint states of the
-//! demo robot at a subscriber of ROS 2, and back.
+//! demo robot at a subscriber of ROS 2, and back; after `pip install` also up to the robot in a browser.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,9 @@ use anyhow::{Context, ensure};
 use super::cross::Target;
 use super::release::Release;
 use crate::files;
-use crate::install::{Arrival, Figures, Home, cargo_install_for_release, deb, ros_workspace_for_release};
+use crate::install::{
+    Arrival, Figures, Home, cargo_install_for_release, deb, first_look, ros_workspace_for_release,
+};
 use crate::wheel;
 
 /// How the program comes onto a machine.
@@ -56,7 +58,12 @@ impl Way {
         self.install(release, &home)?;
         let install = started.elapsed();
         let size = self.size(&home)? - files::size(&before);
-        let arrival = Arrival::of(&self.program(release, &home), &home)?;
+        let program = self.program(release, &home);
+        let arrival = Arrival::of(&program, &home)?;
+        if let Self::Pip = self {
+            let seen = install + first_look(&program, &home)?;
+            println!("from `pip install` to a robot that moves in a browser: {:.1} s", seen.as_secs_f64());
+        }
         self.remove(release, &home)?;
         let before: BTreeSet<_> = before.into_iter().map(|file| file.path).collect();
         let left = files::below(home.path())?.into_iter().map(|file| file.path);

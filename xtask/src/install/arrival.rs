@@ -9,7 +9,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
 
-use crate::python;
+use crate::steps::{run, workspace};
+use crate::{node, python};
 
 /// An empty home outside of the checkout, which is removed when this is dropped.
 pub(crate) struct Home(tempfile::TempDir);
@@ -80,6 +81,34 @@ impl Arrival {
         running.interrupt().with_context(|| format!("{robot:?}, interrupted"))?;
         Ok(Self { first_joint_state, memory })
     }
+}
+
+/// Runs the robot with an installed program and looks at it in a browser: from the start of the program until
+/// the robot moves there.
+pub(crate) fn first_look(program: &Path, home: &Home) -> anyhow::Result<Duration> {
+    let modules = node::modules()?.context("Node.js is missing")?;
+    let script = workspace().join("bridge/view/tests/page/first_look.mjs");
+    let domain = test_machine::free_domain().to_string();
+    let mut robot = home.command(program);
+    robot.args(["run", "darwin_op", "--view=0"]).env("ROS_DOMAIN_ID", domain);
+    robot.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").stdout(Stdio::piped()).process_group(0);
+    let start = Instant::now();
+    let mut running = Ended(robot.spawn().with_context(|| format!("cannot run {robot:?}"))?);
+    let output = running.0.stdout.take().context("the robot has no output")?;
+    let mut lines = BufReader::new(output).lines();
+    let page = lines.find_map(|line| Some(line.ok()?.strip_prefix("open in a browser: ")?.to_owned()));
+    let page = page.context("it prints no address")?;
+    // Nobody else reads what it prints.
+    let rest = std::thread::spawn(move || lines.for_each(drop));
+    let mut browser = Command::new("node");
+    browser.arg(script).env("DOWNBEAT_PAGE", page).env("DOWNBEAT_NODE_MODULES", modules);
+    let chromium =
+        std::env::var_os("DOWNBEAT_CHROMIUM").unwrap_or_else(|| OsStr::new("/usr/bin/chromium").to_owned());
+    run(browser.env("DOWNBEAT_CHROMIUM", chromium))?;
+    let seen = start.elapsed();
+    running.interrupt()?;
+    rest.join().map_err(|_| anyhow::anyhow!("what reads the robot's output has panicked"))?;
+    Ok(seen)
 }
 
 /// What a way of installing costs.
