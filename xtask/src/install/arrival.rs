@@ -91,11 +91,15 @@ pub(crate) fn first_look(program: &Path, home: &Home) -> anyhow::Result<Duration
     let domain = test_machine::free_domain().to_string();
     let mut robot = home.command(program);
     robot.args(["run", "darwin_op", "--view=0"]).env("ROS_DOMAIN_ID", domain);
-    robot.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").stdout(Stdio::piped()).process_group(0);
+    robot
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .process_group(0);
     let start = Instant::now();
     let mut running = Ended(robot.spawn().with_context(|| format!("cannot run {robot:?}"))?);
-    let output = running.0.stdout.take().context("the robot has no output")?;
-    let mut lines = BufReader::new(output).lines();
+    let printed = running.0.stderr.take().context("the robot has no standard error")?;
+    let mut lines = BufReader::new(printed).lines();
     let page = lines.find_map(|line| Some(line.ok()?.strip_prefix("open in a browser: ")?.to_owned()));
     let page = page.context("it prints no address")?;
     // Nobody else reads what it prints.
