@@ -87,7 +87,7 @@ impl App {
     /// Creates an app with the built-in kinds of modules, like the program `downbeat`.
     #[must_use]
     pub fn with_built_in_kinds() -> Self {
-        Self { catalog: Catalog::built_in(), problem: None }
+        Self { catalog: Catalog::built_in(), problem: Catalog::environment_problem() }
     }
 
     /// Registers messages, services and actions: the set `INTERFACES` of a crate, or that of one type. They

@@ -20,6 +20,7 @@
 //! - [`robot_state_publisher`]: transforms of all links;
 //! - [`humanoid`]: what gait, motions and falls have to know of a robot;
 //! - [`stand_nod_wave`]: a small motion;
+//! - `px4` (feature `px4`): PX4 autopilots: their messages, frames and time;
 //! - [`actions`] and [`transforms`]: actions that modules serve and use; where frames are over time;
 //! - [`transform_server`]: an action that answers transform lookups.
 //!
@@ -34,5 +35,7 @@ pub use downbeat_darwin_op::{
 pub use downbeat_device::{self as device, counted, serial_port};
 pub use downbeat_imu_filter as imu_filter;
 pub use downbeat_kinematics::{self as kinematics, joint_state_merger, robot_state_publisher};
+#[cfg(feature = "px4")]
+pub use downbeat_px4 as px4;
 pub use downbeat_servos::{controllers, joint_command_mux, servo_bus, servo_emulator, stamps};
 pub use downbeat_transforms::{self as transforms, transform_server};

@@ -44,6 +44,8 @@ fn of_features(ports: &MemoryPorts) -> Vec<Kind> {
         downbeat_network::kinds(),
         #[cfg(feature = "policy")]
         downbeat_policy::kinds(),
+        #[cfg(feature = "px4")]
+        downbeat_px4::kinds(),
         #[cfg(feature = "sensors")]
         downbeat_sensors::kinds(),
         #[cfg(feature = "state_machine")]

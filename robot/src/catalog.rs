@@ -33,6 +33,14 @@ pub enum CatalogError {
     /// Two launchers with the same name.
     #[error("there already is a launcher named \"{0}\"; choose another name")]
     TwoLaunchers(String),
+    /// A variable of the environment has a wrong value.
+    #[error("the environment variable {variable}: {problem}")]
+    Environment {
+        /// The variable.
+        variable: &'static str,
+        /// What is wrong.
+        problem: String,
+    },
     /// Two definitions of one interface.
     #[error(transparent)]
     Interfaces(#[from] InterfaceConflict),
@@ -59,11 +67,28 @@ impl Catalog {
         let interfaces = interfaces.with(downbeat_football::INTERFACES).unwrap_or_default();
         #[cfg(feature = "physics")]
         let interfaces = interfaces.with_other_version(downbeat_physics::version_2::INTERFACES);
+        // A wrong name is reported by `environment_problem`.
+        #[cfg(feature = "px4")]
+        let interfaces = {
+            let newest = downbeat_px4::AllReleases { first: downbeat_px4::Release::default() };
+            interfaces.with_other_version(downbeat_px4::AllReleases::from_environment().unwrap_or(newest))
+        };
         #[cfg(feature = "sensors")]
         let interfaces = interfaces.with(downbeat_sensors::INTERFACES).unwrap_or_default();
         #[cfg(feature = "state_machine")]
         let interfaces = interfaces.with(downbeat_state_machine::INTERFACES).unwrap_or_default();
         Self { kinds: kinds.collect(), interfaces, ..Self::default() }
+    }
+
+    /// What is wrong with the variables of the environment on which [`built_in`](Self::built_in) depends.
+    #[must_use]
+    pub fn environment_problem() -> Option<CatalogError> {
+        #[cfg(feature = "px4")]
+        if let Err(error) = downbeat_px4::AllReleases::from_environment() {
+            let variable = downbeat_px4::RELEASE_VARIABLE;
+            return Some(CatalogError::Environment { variable, problem: error.to_string() });
+        }
+        None
     }
 
     /// Adds a kind of module.

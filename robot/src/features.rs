@@ -33,7 +33,7 @@ const SENSORS: &[&str] = &[
     "lidar_emulator",
 ];
 
-const FEATURES: [Feature; 14] = [
+const FEATURES: [Feature; 15] = [
     Feature {
         name: "football",
         is_built_in: cfg!(feature = "football"),
@@ -61,6 +61,7 @@ const FEATURES: [Feature; 14] = [
         ..NOTHING
     },
     Feature { name: "policy", is_built_in: cfg!(feature = "policy"), kinds: &["policy"], ..NOTHING },
+    Feature { name: "px4", is_built_in: cfg!(feature = "px4"), kinds: &["px4", "px4_emulator"], ..NOTHING },
     Feature { name: "security", is_built_in: cfg!(feature = "security"), ..NOTHING },
     Feature { name: "sensors", is_built_in: cfg!(feature = "sensors"), kinds: SENSORS, ..NOTHING },
     Feature { name: "sqlite", is_built_in: cfg!(feature = "sqlite"), is_in_wheel: false, ..NOTHING },

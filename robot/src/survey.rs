@@ -25,6 +25,8 @@ pub(crate) struct Survey {
     pub(super) settings: Vec<String>,
     /// The modules that publish, each with a topic.
     publishers: Vec<(String, String)>,
+    /// The topics that modules receive.
+    received: Vec<String>,
     /// Why names of the file mean nothing here; `None` where that is an error.
     problems: Option<RefCell<Vec<String>>>,
 }
@@ -67,11 +69,16 @@ impl Survey {
             }
             _ => None,
         });
+        let received = graph.edges.iter().filter_map(|edge| match *edge {
+            GraphEdge::Subscribes { topic, .. } => Some(graph.topics.get(topic)?.name.clone()),
+            _ => None,
+        });
         let stopped = modules.iter().filter(|module| module.panic.is_some());
         Self {
             modules: graph.modules.iter().map(|module| module.name.clone()).collect(),
             stopped: stopped.map(|module| module.name.to_string()).collect(),
             publishers: published.collect(),
+            received: received.collect(),
             ..Self::default()
         }
     }
@@ -123,6 +130,13 @@ impl Survey {
     pub(super) fn topics_published_by(&self, module: &str) -> impl Iterator<Item = String> {
         let of_module = self.publishers.iter().filter(move |(publisher, _)| publisher == module);
         of_module.map(|(_, topic)| topic.clone())
+    }
+
+    /// Whether modules receive the topic and none publishes it, but something outside of the core does: the
+    /// bridge, once the topic is exposed.
+    pub(super) fn comes_from_outside(&self, topic: &TopicInfo) -> bool {
+        let is_published = self.publishers.iter().any(|(_, published)| *published == *topic.name);
+        topic.is_published && !is_published && self.received.iter().any(|received| *received == *topic.name)
     }
 
     /// Notes an error where that is none here.

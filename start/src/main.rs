@@ -11,7 +11,7 @@ fn features() -> Vec<&'static str> {
             [$((cfg!(feature = $feature), $feature)),*]
         };
     }
-    let all = enabled!("default" "cli" "plots" "top" "view" "tables" "physics" "policy" "network" "leagues" "mqtt" "security" "sensors" "state_machine" "football" "mujoco" "rustdds" "sqlite" "zenoh");
+    let all = enabled!("default" "cli" "plots" "top" "view" "tables" "physics" "policy" "px4" "network" "leagues" "mqtt" "security" "sensors" "state_machine" "football" "mujoco" "rustdds" "sqlite" "zenoh");
     all.into_iter().filter_map(|(is_enabled, feature)| is_enabled.then_some(feature)).collect()
 }
 

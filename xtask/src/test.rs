@@ -152,7 +152,7 @@ fn lend_to_lints() -> anyhow::Result<()> {
 /// The features that are not enabled by default. The library of MuJoCo is in the Python environment.
 pub(crate) const ALL: &[&str] = &[
     "--features",
-    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/policy,downbeat/security,downbeat/sensors,downbeat/sqlite,downbeat/tables,downbeat/zenoh",
+    "downbeat/football,downbeat/mqtt,downbeat/mujoco,downbeat/physics,downbeat/policy,downbeat/px4,downbeat/security,downbeat/sensors,downbeat/sqlite,downbeat/tables,downbeat/zenoh",
 ];
 
 pub(crate) fn test() -> anyhow::Result<()> {

@@ -125,7 +125,10 @@ impl Autopilot {
             );
         }
         let accelerometer_m_s2 = [0.0, 0.0, -9.806_65];
-        ctx.publish(ports.sensors, SensorCombined { timestamp, accelerometer_m_s2, ..SensorCombined::default() });
+        ctx.publish(
+            ports.sensors,
+            SensorCombined { timestamp, accelerometer_m_s2, ..SensorCombined::default() },
+        );
         if self.ticks.is_multiple_of(50) {
             self.publish_status(ctx);
         }
@@ -134,7 +137,13 @@ impl Autopilot {
             let offset = timestamp as i64 - stamp_us(now) as i64;
             let source_protocol = TimesyncStatus::SOURCE_PROTOCOL_DDS;
             let (observed_offset, estimated_offset) = (offset, offset);
-            let status = TimesyncStatus { timestamp, source_protocol, observed_offset, estimated_offset, ..Default::default() };
+            let status = TimesyncStatus {
+                timestamp,
+                source_protocol,
+                observed_offset,
+                estimated_offset,
+                ..Default::default()
+            };
             ctx.publish(ports.timesync, status);
         }
         self.ticks += 1;

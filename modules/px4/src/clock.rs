@@ -139,7 +139,9 @@ impl PilotClock {
         let by = difference.saturating_sub(known);
         let difference = if by.saturating_abs() > Self::JITTER_NS {
             let (least, count) = match self.other {
-                Some((other, count)) if difference.saturating_sub(other).saturating_abs() <= Self::JITTER_NS => {
+                Some((other, count))
+                    if difference.saturating_sub(other).saturating_abs() <= Self::JITTER_NS =>
+                {
                     (other.min(difference), count + 1)
                 }
                 _ => (difference, 1),

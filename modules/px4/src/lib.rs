@@ -25,7 +25,7 @@ mod releases {
 
 pub use autopilot::Autopilot;
 pub use module::Px4;
-pub use release::{Release, UnknownRelease};
+pub use release::{AllReleases, RELEASE_VARIABLE, Release, UnknownRelease};
 pub use releases::{v1_14, v1_15, v1_16, v1_17};
 
 use downbeat_executor::Synchrony;

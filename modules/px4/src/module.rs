@@ -395,7 +395,8 @@ impl Px4 {
         ctx: &mut Context<'_, Ports>,
     ) {
         if self.requests.is_waiting(command) {
-            let reason = format!("another request waits for PX4's answer to command {command}; ask again after it");
+            let reason =
+                format!("another request waits for PX4's answer to command {command}; ask again after it");
             return caller.answer(Err(reason), ctx);
         }
         let request = Request { caller, what, command, params, stage: Stage::WaitsForStream };
@@ -416,11 +417,14 @@ impl Px4 {
     /// Sends the request for offboard mode when it is time, or refuses it if set-points have stopped.
     fn enter_offboard(&mut self, ctx: &mut Context<'_, Ports>) {
         let is_time = self.streamed_since.is_none_or(|since| ctx.now() >= since + LEAD);
-        let Some(request) = is_time.then(|| self.requests.take_waiting_for_stream()).flatten() else { return };
+        let Some(request) = is_time.then(|| self.requests.take_waiting_for_stream()).flatten() else {
+            return;
+        };
         if self.streamed_since.is_some() {
             self.send_request(request, ctx);
         } else {
-            let reason = "set-points have stopped before PX4 could enter offboard mode: commands have become too old";
+            let reason =
+                "set-points have stopped before PX4 could enter offboard mode: commands have become too old";
             request.caller.answer(Err(reason.to_owned()), ctx);
         }
     }
@@ -652,7 +656,8 @@ impl Module for Px4 {
             )?;
         });
         if setup.value(stamped) == Some(&true) {
-            setup.subscribe::<TwistStamped, _>("cmd_vel", |px4, command, ctx| px4.on_stamped(&command, ctx))?;
+            setup
+                .subscribe::<TwistStamped, _>("cmd_vel", |px4, command, ctx| px4.on_stamped(&command, ctx))?;
         } else {
             setup.subscribe::<Twist, _>("cmd_vel", |px4, twist, ctx| px4.on_twist(&twist, ctx.now(), ctx))?;
         }
@@ -661,9 +666,12 @@ impl Module for Px4 {
             px4.on_arm(request.data, caller, ctx);
         })?;
         for (service, mode) in [("offboard", Mode::Offboard), ("hold", Mode::Hold), ("land", Mode::Land)] {
-            setup.serve_later::<TriggerRequest, TriggerResponse, _>(service, move |px4, _, caller, ctx| {
-                px4.on_trigger(mode, caller, ctx);
-            })?;
+            setup.serve_later::<TriggerRequest, TriggerResponse, _>(
+                service,
+                move |px4, _, caller, ctx| {
+                    px4.on_trigger(mode, caller, ctx);
+                },
+            )?;
         }
         setup.every(Duration::from_secs_f64(1.0 / rate), Self::stream)?;
         Ok(Ports {

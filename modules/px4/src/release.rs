@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use downbeat_msgs::{InterfaceSet, InterfaceVisitor};
+
 use crate::{v1_14, v1_15, v1_16, v1_17};
 
 /// A release of PX4 whose messages are carried.
@@ -70,6 +72,45 @@ impl Release {
         match self.message_version(message) {
             0 => topic.to_owned(),
             version => format!("{topic}_v{version}"),
+        }
+    }
+}
+
+/// The environment variable that names the release whose definitions the names of px4_msgs stand for.
+pub const RELEASE_VARIABLE: &str = "DOWNBEAT_PX4_RELEASE";
+
+/// The messages of all releases, to register them as other versions of each other. A name such as
+/// `px4_msgs/msg/VehicleStatus` stands for the definition of the first release; modules use the others by their
+/// Rust types.
+#[derive(Clone, Copy, Debug)]
+pub struct AllReleases {
+    /// The first release.
+    pub first: Release,
+}
+
+impl AllReleases {
+    /// Begins with the release that [`RELEASE_VARIABLE`] names, or with the newest one.
+    ///
+    /// # Errors
+    /// Returns an error if the variable names no release.
+    pub fn from_environment() -> Result<Self, UnknownRelease> {
+        match std::env::var_os(RELEASE_VARIABLE).filter(|name| !name.is_empty()) {
+            Some(name) => Ok(Self { first: name.to_string_lossy().parse()? }),
+            None => Ok(Self { first: Release::default() }),
+        }
+    }
+}
+
+impl InterfaceSet for AllReleases {
+    fn visit(&self, visitor: &mut impl InterfaceVisitor) {
+        let rest = Release::ALL.into_iter().rev().filter(|release| *release != self.first);
+        for release in std::iter::once(self.first).chain(rest) {
+            match release {
+                Release::V1_14 => v1_14::INTERFACES.visit(visitor),
+                Release::V1_15 => v1_15::INTERFACES.visit(visitor),
+                Release::V1_16 => v1_16::INTERFACES.visit(visitor),
+                Release::V1_17 => v1_17::INTERFACES.visit(visitor),
+            }
         }
     }
 }

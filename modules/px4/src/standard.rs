@@ -78,10 +78,11 @@ pub(crate) fn odometry(
         return Err(OdometryRefused::NoPosition);
     }
     // FRD worlds are to FLU worlds what bodies are to bodies.
-    let (to_world, turned, spread): (fn(DVec3) -> DVec3, fn(DQuat) -> DQuat, fn(DMat3) -> DMat3) = match is_ned {
-        true => (frames::ned_enu, frames::rotation_ned_enu, frames::covariance_ned_enu),
-        false => (frames::frd_flu, frames::rotation_frd_flu, frames::covariance_frd_flu),
-    };
+    let (to_world, turned, spread): (fn(DVec3) -> DVec3, fn(DQuat) -> DQuat, fn(DMat3) -> DMat3) =
+        match is_ned {
+            true => (frames::ned_enu, frames::rotation_ned_enu, frames::covariance_ned_enu),
+            false => (frames::frd_flu, frames::rotation_frd_flu, frames::covariance_frd_flu),
+        };
     let position = to_world(position);
     let world_from_body = turned(rotation.normalize());
     let body_from_world = world_from_body.conjugate();
@@ -263,7 +264,10 @@ mod tests {
         for (found, expected) in twist_variance.iter().zip([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]) {
             assert!(near(*found, expected), "{twist_variance:?}");
         }
-        assert_eq!((odometry.header.frame_id.as_str(), odometry.child_frame_id.as_str()), ("odom", "base_link"));
+        assert_eq!(
+            (odometry.header.frame_id.as_str(), odometry.child_frame_id.as_str()),
+            ("odom", "base_link")
+        );
         assert_eq!(odometry.header.stamp.as_nanos(), 5);
         assert!(state.is_ned);
     }
@@ -314,7 +318,8 @@ mod tests {
 
     #[test]
     fn an_imu_at_rest_measures_gravity_upwards() {
-        let mut message = SensorCombined { accelerometer_m_s2: [0.1, 0.2, -9.8], ..SensorCombined::default() };
+        let mut message =
+            SensorCombined { accelerometer_m_s2: [0.1, 0.2, -9.8], ..SensorCombined::default() };
         message.gyro_rad = [0.1, 0.2, 0.3];
         let measured = imu(&message, Time::ZERO, "base_link").unwrap();
         assert!(near(measured.linear_acceleration.z, 9.8) && near(measured.linear_acceleration.y, -0.2));

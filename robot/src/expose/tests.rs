@@ -121,6 +121,20 @@ fn a_pattern_renames_and_excepts() {
     assert_eq!(exposed("out = [\"/joint_s*\"]"), [pair("joint_states", "/joint_states")]);
 }
 
+/// Recorder and viewers read the file again when the bridge has opened its inlets.
+#[test]
+fn a_pattern_under_in_still_means_its_topics_once_the_bridge_publishes_them() {
+    let mut robot = build(&format!("{ROBOT}[expose]\nin = [\"joint_torqu*\"]"), "").unwrap();
+    let before = robot.exposures().unwrap();
+    let inlet = robot.core.inlet::<downbeat_msgs::sensor_msgs::msg::JointState>("joint_torque").unwrap();
+    // An inlet of the program: no module receives its messages.
+    let other = robot.core.inlet::<downbeat_msgs::sensor_msgs::msg::JointState>("joint_torques").unwrap();
+    let after = robot.exposures().unwrap();
+    assert_eq!((before.len(), after.len()), (1, 1));
+    assert_eq!(before[0].topic, after[0].topic);
+    drop((inlet, other));
+}
+
 #[test]
 fn mistakes_are_told_with_line_and_nearest_name() {
     for (expose, expected) in [

@@ -161,6 +161,18 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
         &["downbeat-edge", "downbeat-executor", "downbeat-files", "downbeat-kind", "downbeat-msgs"],
     ),
     (
+        "downbeat-px4",
+        &[
+            "downbeat-executor",
+            "downbeat-kind",
+            "downbeat-msgs",
+            "downbeat-msgs-definitions",
+            "downbeat-msgs-generator",
+            "downbeat-servos",
+            "downbeat-transforms",
+        ],
+    ),
+    (
         "downbeat-state-machine",
         &[
             "downbeat-edge",
@@ -212,6 +224,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-pictures",
             "downbeat-player",
             "downbeat-policy",
+            "downbeat-px4",
             "downbeat-robots",
             "downbeat-sensors",
             "downbeat-servos",
@@ -263,6 +276,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
             "downbeat-msgs",
             "downbeat-physics",
             "downbeat-program",
+            "downbeat-px4",
             "downbeat-robot",
             "downbeat-servos",
             "downbeat-transforms",

@@ -130,7 +130,10 @@ fn a_twist_is_in_the_body_and_px4_leaves_offboard_mode_when_it_ends() {
         flight.pass(100 * MS);
     }
     let [east, north, up] = flight.position();
-    assert!(east.abs() < 1e-3 && (1.5..3.0).contains(&north) && (up - north / 2.0).abs() < 1e-3, "{north} {up}");
+    assert!(
+        east.abs() < 1e-3 && (1.5..3.0).contains(&north) && (up - north / 2.0).abs() < 1e-3,
+        "{north} {up}"
+    );
     assert!((flight.last.twist.twist.linear.x - 1.0).abs() < 1e-3, "{:?}", flight.last.twist.twist);
     // Silence: valid for another 0.5 s, and after another 0.5 s of silence PX4 holds.
     flight.pass(2_000 * MS);
@@ -147,7 +150,8 @@ fn a_twist_is_in_the_body_and_px4_leaves_offboard_mode_when_it_ends() {
 #[test]
 fn without_current_commands_offboard_mode_is_refused_and_nothing_is_streamed() {
     let mut flight = Flight::of(Release::V1_17, "agent");
-    let modes = flight.probe.listen::<v1_17::msg::OffboardControlMode>("fmu/in/offboard_control_mode").unwrap();
+    let modes =
+        flight.probe.listen::<v1_17::msg::OffboardControlMode>("fmu/in/offboard_control_mode").unwrap();
     let commands = flight.probe.listen::<v1_17::msg::VehicleCommand>("fmu/in/vehicle_command").unwrap();
     flight.pass(3_000 * MS);
     let refused = flight.trigger("offboard").unwrap_err();
@@ -191,7 +195,10 @@ fn what_the_autopilot_measures_is_in_the_frames_of_ros() {
         let battery = battery.take_last().unwrap();
         assert_eq!((battery.voltage, battery.current), (15.2, -4.0));
         let transform = tf.take_last().unwrap().transforms.remove(0);
-        assert_eq!((transform.header.frame_id.as_str(), transform.child_frame_id.as_str()), ("odom", "base_link"));
+        assert_eq!(
+            (transform.header.frame_id.as_str(), transform.child_frame_id.as_str()),
+            ("odom", "base_link")
+        );
         assert_eq!(transform.transform.rotation, flight.last.pose.pose.orientation);
         let status = flight.diagnostics.take_last().unwrap().status.remove(0);
         let value = |key: &str| status.values.iter().find(|value| value.key == key).unwrap().value.clone();

@@ -9,7 +9,8 @@ use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::std_srvs::srv::{SetBoolRequest, SetBoolResponse};
 use downbeat_px4::Px4;
 use downbeat_px4::v1_17::msg::{
-    OffboardControlMode, TrajectorySetpoint, VehicleCommand, VehicleCommandAck, VehicleOdometry, VehicleStatus,
+    OffboardControlMode, TrajectorySetpoint, VehicleCommand, VehicleCommandAck, VehicleOdometry,
+    VehicleStatus,
 };
 
 const MS: Duration = Duration::from_millis(1);
@@ -47,9 +48,18 @@ fn odometry_that_says_nothing_is_dropped_and_counted() {
     let mut probe = robot(&[]);
     let odom = probe.listen::<Odometry>("odom").unwrap();
     let diagnostics = probe.listen::<DiagnosticArray>("diagnostics").unwrap();
-    probe.publish("fmu/out/vehicle_status_v1", VehicleStatus { pre_flight_checks_pass: true, ..Default::default() }).unwrap();
-    let changes: [fn(&mut VehicleOdometry); 4] =
-        [|m| m.q = [f32::NAN; 4], |m| m.pose_frame = 9, |m| m.velocity_frame = 0, |m| m.position[0] = f32::NAN];
+    probe
+        .publish(
+            "fmu/out/vehicle_status_v1",
+            VehicleStatus { pre_flight_checks_pass: true, ..Default::default() },
+        )
+        .unwrap();
+    let changes: [fn(&mut VehicleOdometry); 4] = [
+        |m| m.q = [f32::NAN; 4],
+        |m| m.pose_frame = 9,
+        |m| m.velocity_frame = 0,
+        |m| m.position[0] = f32::NAN,
+    ];
     for change in changes {
         let mut message = odometry(&probe);
         change(&mut message);
@@ -88,7 +98,10 @@ fn a_stamp_that_jumps_is_dropped_and_a_restart_is_followed() {
     assert_eq!(after, [0, 0, 1, 1]);
     probe.advance(1_000 * MS).unwrap();
     let reported = status(&diagnostics);
-    assert_eq!((value(&reported, "dropped for their stamps"), value(&reported, "steps of time")), ("5".to_owned(), "1".to_owned()));
+    assert_eq!(
+        (value(&reported, "dropped for their stamps"), value(&reported, "steps of time")),
+        ("5".to_owned(), "1".to_owned())
+    );
 }
 
 #[test]
@@ -142,7 +155,8 @@ fn commands_that_are_old_wrong_or_in_another_frame_are_dropped() {
     let now = probe.now().as_nanos();
     let stamped = |age_ms: i64, x: f64| {
         let mut command = TwistStamped::default();
-        command.header.stamp = downbeat_msgs::builtin_interfaces::msg::Time::from_nanos(now - age_ms * 1_000_000);
+        command.header.stamp =
+            downbeat_msgs::builtin_interfaces::msg::Time::from_nanos(now - age_ms * 1_000_000);
         command.twist.linear.x = x;
         command
     };
@@ -168,9 +182,13 @@ fn commands_that_are_old_wrong_or_in_another_frame_are_dropped() {
 fn an_autopilot_that_does_not_answer_is_an_answer() {
     let mut probe = robot(&[]);
     let commands = probe.listen::<VehicleCommand>("fmu/in/vehicle_command").unwrap();
-    let error = probe.call::<SetBoolRequest, SetBoolResponse>("arm", SetBoolRequest { data: true }).unwrap_err();
+    let error =
+        probe.call::<SetBoolRequest, SetBoolResponse>("arm", SetBoolRequest { data: true }).unwrap_err();
     let text = error.to_string();
-    assert!(text.contains("no answer on fmu/out/vehicle_command_ack within 2 s to the command to arm"), "{text}");
+    assert!(
+        text.contains("no answer on fmu/out/vehicle_command_ack within 2 s to the command to arm"),
+        "{text}"
+    );
     let sent = commands.take();
     assert_eq!(sent.len(), 1, "it is not sent again");
     assert_eq!((sent[0].command, sent[0].param1, sent[0].target_system), (400, 1.0, 1));
@@ -194,7 +212,8 @@ fn answers_to_others_are_not_ours_and_progress_is_waited_for() {
     };
     const TOPIC: &str = "fmu/out/vehicle_command_ack";
     // An answer names the command alone, so there is one request for each.
-    let error = probe.call::<SetBoolRequest, SetBoolResponse>("arm", SetBoolRequest { data: false }).unwrap_err();
+    let error =
+        probe.call::<SetBoolRequest, SetBoolResponse>("arm", SetBoolRequest { data: false }).unwrap_err();
     assert!(error.to_string().contains("another request waits for PX4's answer to command 400"), "{error}");
     probe.publish(TOPIC, ack(0, 255, 190)).unwrap(); // to a ground station
     probe.publish(TOPIC, VehicleCommandAck { command: 176, ..ack(0, 1, 1) }).unwrap();
@@ -213,11 +232,19 @@ fn a_silent_autopilot_is_stale() {
     let diagnostics = probe.listen::<DiagnosticArray>("diagnostics").unwrap();
     probe.advance(100 * MS).unwrap();
     assert_eq!(status(&diagnostics).message, "PX4 was not heard yet");
-    probe.publish("fmu/out/vehicle_status_v1", VehicleStatus { pre_flight_checks_pass: true, ..Default::default() }).unwrap();
+    probe
+        .publish(
+            "fmu/out/vehicle_status_v1",
+            VehicleStatus { pre_flight_checks_pass: true, ..Default::default() },
+        )
+        .unwrap();
     assert_eq!(status(&diagnostics).message, "connected");
     probe.advance(3_100 * MS).unwrap();
     let reported = status(&diagnostics);
-    assert_eq!((reported.level, reported.message.as_str()), (DiagnosticStatus::STALE, "PX4 is not heard any more"));
+    assert_eq!(
+        (reported.level, reported.message.as_str()),
+        (DiagnosticStatus::STALE, "PX4 is not heard any more")
+    );
 }
 
 #[test]
