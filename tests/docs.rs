@@ -19,7 +19,7 @@ use downbeat::modules::humanoid::Humanoid;
 use downbeat::modules::servo_bus::Description;
 use downbeat::robot::RobotFile;
 
-const PAGES: [&str; 24] = [
+const PAGES: [&str; 25] = [
     "README.md",
     "docs/bags.md",
     "docs/compose.md",
@@ -34,6 +34,7 @@ const PAGES: [&str; 24] = [
     "docs/messages.md",
     "docs/network.md",
     "docs/physics.md",
+    "docs/px4.md",
     "docs/robot_files.md",
     "docs/ros2_users.md",
     "docs/sensors.md",
@@ -47,16 +48,22 @@ const PAGES: [&str; 24] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 42] = [
+const ELSEWHERE: [&str; 48] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
     "cargo run --release --features physics,mujoco", // needs MuJoCo: the tests of downbeat-physics
     "cargo run --release --features football -- match robots/seeing_", // tests/football.rs
     "cargo run --release --features sensors",        // tests/sensors.rs
-    "downbeat vision calibrate",                     // tests/football.rs
-    "downbeat bag replay robots/seeing_match.toml",  // tests/football.rs
-    "downbeat bag debug",                            // tests/bag_debug.rs, as the next two
+    "cargo run --release --features px4",            // tests/px4.rs, as the next five
+    "ros2 topic pub -r 10 /setpoint_pose",
+    "ros2 service call /arm ",
+    "ros2 service call /offboard",
+    "ros2 service call /land",
+    "DOWNBEAT_PX4_RELEASE=1.15 downbeat topic echo",
+    "downbeat vision calibrate",                    // tests/football.rs
+    "downbeat bag replay robots/seeing_match.toml", // tests/football.rs
+    "downbeat bag debug",                           // tests/bag_debug.rs, as the next two
     "downbeat bag replay bags/recordings/darwin_op_walk_simulated.toml bags/recordings/darwin_op_walk_simulated --with",
     "downbeat bag bisect",
     "downbeat top --plot", // tests/top.rs
@@ -218,6 +225,7 @@ fn every_robot_file_on_a_page_is_read() {
         }
         let is_left_out = match page {
             "docs/network.md" => !cfg!(all(feature = "leagues", feature = "mqtt")),
+            "docs/px4.md" => !cfg!(feature = "px4"),
             "docs/sensors.md" => !cfg!(feature = "sensors"),
             "docs/state_machine.md" => !cfg!(feature = "state_machine"),
             "docs/vision.md" => !cfg!(feature = "football"),

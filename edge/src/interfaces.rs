@@ -409,11 +409,14 @@ impl Interfaces {
     }
 
     /// The messages, services and actions that the program registered, by name: descriptions with the
-    /// definition texts.
+    /// definition texts. Of a name with several versions, the one that it stands for.
     pub fn registered(&self) -> impl Iterator<Item = &'static Description> {
         let carried = Self::carried();
         let descriptions = self.tables.descriptions.iter();
-        let registered = descriptions.filter(|(hash, _)| !carried.tables.descriptions.contains_key(*hash));
+        let registered = descriptions.filter(|(hash, description)| {
+            !carried.tables.descriptions.contains_key(*hash)
+                && self.tables.hash_of(description.type_name) == Some(**hash)
+        });
         let mut registered: Vec<_> = registered.map(|(_, description)| *description).collect();
         registered.sort_unstable_by_key(|description| description.type_name);
         registered.into_iter()
@@ -487,6 +490,13 @@ static CARRIED: LazyLock<Arc<Tables>> = LazyLock::new(|| {
 });
 
 impl Tables {
+    /// The hash of what a name stands for.
+    fn hash_of(&self, name: &str) -> Option<&'static str> {
+        let message = self.messages.get(name).map(|known| known.hash());
+        let service = || self.services.get(name).map(|known| known.hash());
+        message.or_else(service).or_else(|| self.actions.get(name).map(|known| known.hash()))
+    }
+
     fn with(self, set: impl InterfaceSet, other_versions: OtherVersions) -> Result<Self, InterfaceConflict> {
         let mut registration = Registration { tables: self, other_versions, conflict: None };
         set.visit(&mut registration);
@@ -590,6 +600,12 @@ mod tests {
         angle: f64,
     }
 
+    #[derive(Clone, Debug, Default, PartialEq, Message)]
+    #[message(name = "my_msgs/msg/Tilt")]
+    struct WideTilt {
+        angle: [f64; 2],
+    }
+
     #[test]
     fn a_type_is_found_by_its_ros_name_and_by_its_rust_type() {
         let interfaces = Interfaces::carried();
@@ -653,6 +669,11 @@ mod tests {
         let other = interfaces.message_of(TypeId::of::<WideInt8>()).unwrap();
         assert_eq!(other.hash(), WideInt8::TYPE_HASH);
         assert_eq!(interfaces.described(WideInt8::TYPE_HASH).unwrap().type_name, "std_msgs/msg/Int8");
+        assert_eq!(interfaces.registered().count(), 0, "the name stands for the carried one");
+        let mine =
+            Interfaces::carried().with(Tilt::INTERFACES).unwrap().with_other_version(WideTilt::INTERFACES);
+        let registered: Vec<_> = mine.registered().map(|description| description.definition).collect();
+        assert_eq!(registered, [Tilt::DEFINITION]);
         assert_eq!(interfaces.messages().count(), Interfaces::carried().messages().count());
     }
 

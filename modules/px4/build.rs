@@ -84,7 +84,8 @@ fn means_the_same(one: &MessageDefinition, two: &MessageDefinition) -> bool {
     without_version_0(one).means_the_same_as(&without_version_0(two))
 }
 
-/// The module of a release: the types that differ from the next one, all under their names, and the set of all.
+/// The module of a release: the types that differ from the next one, all types under their names, and the set
+/// of them.
 fn module(
     release: &str,
     catalog: &Catalog,

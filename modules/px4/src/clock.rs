@@ -83,8 +83,8 @@ impl PilotClock {
     /// By how much the delays of messages differ, at most.
     const JITTER_NS: i64 = 1_000_000_000;
 
-    /// By how much the clocks may drift apart, in parts of the time that passes: 50 ppm, twice that of a usual
-    /// quartz. The smallest difference grows at this pace, so that it follows a slower clock of PX4.
+    /// By how much the clocks may drift apart, in parts of the time that passes: 50 ppm, twice that of a
+    /// usual quartz. The smallest difference grows at this pace, so that it follows a slower clock of PX4.
     const DRIFT: f64 = 50e-6;
 
     /// Takes the offset of a `TimesyncStatus`, in µs: PX4's clock minus that of the companion. 0 means that
@@ -131,13 +131,15 @@ impl PilotClock {
 
     fn by_arrival(&mut self, stamp_us: u64, stamp: i64, received: Time) -> Result<Time, StampRefused> {
         let difference = received.as_nanos().saturating_sub(stamp);
-        let Some((known, since)) = self.difference else {
+        if self.source.is_none() {
             self.difference = Some((difference, received));
             self.now_by(TimeSource::Arrival);
             return Ok(received);
-        };
+        }
+        // Without a difference, stamps were converted so far, and one that leads nowhere may be damaged.
+        let (known, since) = self.difference.unwrap_or((0, received));
         let by = difference.saturating_sub(known);
-        let difference = if by.saturating_abs() > Self::JITTER_NS {
+        let difference = if self.difference.is_none() || by.saturating_abs() > Self::JITTER_NS {
             let (least, count) = match self.other {
                 Some((other, count))
                     if difference.saturating_sub(other).saturating_abs() <= Self::JITTER_NS =>
@@ -150,7 +152,10 @@ impl PilotClock {
                 self.other = Some((least, count));
                 return Err(StampRefused::Step { stamp_us, by_s: by as f64 * 1e-9 });
             }
-            self.steps += 1;
+            // A change of the source is counted as a step, too, but once.
+            if self.source == Some(TimeSource::Arrival) {
+                self.steps += 1;
+            }
             least
         } else {
             // Delays are never negative, so the smallest difference is the best.
@@ -158,12 +163,13 @@ impl PilotClock {
             difference.min(known.saturating_add(drifted as i64))
         };
         self.difference = Some((difference, received));
-        self.other = None;
         self.now_by(TimeSource::Arrival);
         Ok(Time::from_nanos(stamp.saturating_add(difference)))
     }
 
+    /// Notes how a stamp was converted that is accepted.
     fn now_by(&mut self, source: TimeSource) {
+        self.other = None;
         if self.source.is_some_and(|before| before != source) {
             self.steps += 1;
         }
@@ -219,8 +225,21 @@ mod tests {
         assert_eq!(clock.source(), Some(TimeSource::TimesyncStatus));
         // An offset from before a restart leads nowhere, and is not used.
         clock.on_estimated_offset(offset + 3_600_000_000);
-        assert_eq!(clock.time_of(since_boot(10), at(14)), Ok(at(14)));
-        assert_eq!(clock.source(), Some(TimeSource::Arrival));
+        let times: Vec<_> = (1..4).map(|n| clock.time_of(since_boot(10 * n), at(10 * n + 4))).collect();
+        assert!(times[0].is_err() && times[1].is_err() && times[2] == Ok(at(34)), "{times:?}");
+        assert_eq!((clock.source(), clock.steps()), (Some(TimeSource::Arrival), 1));
+    }
+
+    #[test]
+    fn a_damaged_stamp_among_converted_ones_is_refused() {
+        let mut clock = PilotClock::default();
+        clock.time_of(stamp_us(at(0)), at(1)).unwrap();
+        for number in 1..10 {
+            assert!(clock.time_of(stamp_us(at(3_600_000)), at(number * 10)).is_err());
+            let stamp = at(number * 10 + 1);
+            assert_eq!(clock.time_of(stamp_us(stamp), at(number * 10 + 2)), Ok(stamp));
+        }
+        assert_eq!((clock.source(), clock.steps()), (Some(TimeSource::Agent), 0));
     }
 
     #[test]

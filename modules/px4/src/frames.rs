@@ -44,8 +44,8 @@ pub fn frd_flu(vector: DVec3) -> DVec3 {
     DVec3::new(vector.x, -vector.y, -vector.z)
 }
 
-/// The orientation of the FRD body in the NED world, given that of the FLU body in the ENU world, or the other
-/// way round.
+/// The orientation of the FRD body in the NED world, given that of the FLU body in the ENU world, or the
+/// other way round.
 ///
 /// With the half turns e about the axis (1, 1, 0) of the worlds and f about the axis (1, 0, 0) of the bodies:
 ///

@@ -1,7 +1,7 @@
 //! PX4 autopilots as modules of a robot, and what such modules are made of.
 //!
-//! - [`v1_14`], [`v1_15`], [`v1_16`], [`v1_17`]: px4_msgs of four releases of PX4; [`Release`] names them, and
-//!   their topics;
+//! - [`v1_14`], [`v1_15`], [`v1_16`], [`v1_17`]: px4_msgs of four releases of PX4; [`Release`] names them,
+//!   and their topics;
 //! - [`frames`]: NED and FRD to ENU and FLU, and back;
 //! - [`clock`]: stamps of PX4 as times of the robot;
 //! - [`Px4`], the kind `px4`: standard messages of ROS from those of PX4, and set-points and commands to it;

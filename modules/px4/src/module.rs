@@ -44,8 +44,8 @@ use crate::wire::{self, COMPONENT, Command, release_setting, with_messages_of};
 /// | `land` | std_srvs/Trigger | land here |
 ///
 /// Each is answered when PX4 has answered. Nothing is armed, and no mode is changed, without a request.
-/// Set-points are streamed only while a command is not older than `command_timeout`; when they stop, PX4 leaves offboard
-/// mode as its parameters COM_OF_LOSS_T and COM_OBL_RC_ACT say.
+/// Set-points are streamed only while a command is not older than `command_timeout`; when they stop, PX4
+/// leaves offboard mode as its parameters COM_OF_LOSS_T and COM_OBL_RC_ACT say.
 #[derive(Debug, Default)]
 pub struct Px4 {
     release: Release,
@@ -134,7 +134,7 @@ pub struct Ports {
     answers_topic: String,
 }
 
-/// How long set-points have to be streamed before PX4 enters offboard mode: it asks for 1 s at more than 2 Hz.
+/// How long set-points are streamed before the module asks for offboard mode: PX4 wants more than 1 s.
 const LEAD: Duration = Duration::from_millis(1_200);
 /// How old the odometry may be whose heading turns a velocity into the world.
 const LATEST_STATE: Duration = Duration::from_millis(500);

@@ -80,8 +80,8 @@ impl Release {
 pub const RELEASE_VARIABLE: &str = "DOWNBEAT_PX4_RELEASE";
 
 /// The messages of all releases, to register them as other versions of each other. A name such as
-/// `px4_msgs/msg/VehicleStatus` stands for the definition of the first release; modules use the others by their
-/// Rust types.
+/// `px4_msgs/msg/VehicleStatus` stands for the definition of the first release; modules use the others by
+/// their Rust types.
 #[derive(Clone, Copy, Debug)]
 pub struct AllReleases {
     /// The first release.

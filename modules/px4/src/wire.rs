@@ -38,8 +38,8 @@ pub(crate) struct Command {
     pub(crate) target_system: u8,
 }
 
-/// The component that [`Px4`](crate::Px4) sends commands as, and to: the autopilot, as in PX4's own examples of offboard
-/// control.
+/// The component that [`Px4`](crate::Px4) sends commands as, and to: the autopilot, as in PX4's own examples
+/// of offboard control.
 pub(crate) const COMPONENT: u8 = 1;
 
 /// Numbers of commands, states and results that are the same in all releases; a test compares them.

@@ -237,7 +237,7 @@ impl<'a> Selection<'a> {
     fn candidate(&self, entry: &ExposeEntry, topic: &'a TopicInfo) -> Option<(&'a TopicInfo, KnownType)> {
         let message_type = self.interfaces().message_in(topic)?;
         let has_type = entry.type_name.as_deref().is_none_or(|name| name == message_type.name());
-        // Also what this pattern has exposed already, when the file is read again for a recording or a viewer.
+        // Also what this pattern has exposed already: the file is read again for recordings and viewers.
         let is_exposed = entry.direction == Direction::In && self.survey.comes_from_outside(topic);
         (has_type && (can_be_meant(entry, topic) || is_exposed)).then_some((topic, message_type))
     }

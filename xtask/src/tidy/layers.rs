@@ -307,6 +307,7 @@ pub(super) const PACKAGES: &[(&str, &[&str])] = &[
     ("fuzzing", &[]),
     ("own_device", &["downbeat", "downbeat-msgs"]),
     ("own_message", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
+    ("px4_offboard", &["downbeat"]),
     ("python-peer", &["test-machine"]),
     ("readme-runner", &["test-machine"]),
     ("service_and_action", &["downbeat", "downbeat-msgs", "downbeat-msgs-generator"]),
