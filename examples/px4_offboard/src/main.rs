@@ -75,7 +75,7 @@ impl Module for Square {
 
 impl Square {
     fn on_odometry(&mut self, odometry: Received<'_, Odometry>, _: &mut Context<'_, Ports>) {
-        self.position = Some(odometry.pose.pose.position.clone());
+        self.position = Some(odometry.pose.pose.position);
     }
 
     /// Notes the answer to a request.
@@ -93,7 +93,7 @@ impl Square {
     }
 
     fn command(&mut self, ctx: &mut Context<'_, Ports>) {
-        let Some(position) = self.position.clone() else { return };
+        let Some(position) = self.position else { return };
         let corner = match self.stage {
             Stage::Done => return,
             Stage::Fly(corner) => corner,

@@ -258,6 +258,7 @@ impl Module for Autopilot {
     }
 }
 
+#[allow(clippy::useless_conversion, reason = "in some releases components have fewer bits")]
 fn ports(setup: &mut Setup<'_, Autopilot>, release: Release) -> Result<Ports, SetupError> {
     let topic = |direction: &str, name: &str, message: &str| {
         release.topic(&format!("fmu/{direction}/{name}"), message)

@@ -192,7 +192,7 @@ impl Px4 {
                 ..TransformStamped::default()
             };
             transform.transform.translation = standard::vector3(state.position);
-            transform.transform.rotation = odometry.pose.pose.orientation.clone();
+            transform.transform.rotation = odometry.pose.pose.orientation;
             ctx.publish(ports.tf, TFMessage { transforms: vec![transform] });
         }
         ctx.publish(ports.odom, odometry);
@@ -320,7 +320,6 @@ impl Px4 {
             jerk: nothing,
             yaw: f32::NAN,
             yawspeed: f32::NAN,
-            ..Default::default()
         };
         let current = self.state.filter(|(at, _)| ctx.now().saturating_since(*at) <= LATEST_STATE);
         let Some((_, state)) = current.filter(|(_, state)| state.is_ned) else {
@@ -540,6 +539,7 @@ fn mode_name(nav_state: u8) -> String {
 impl Module for Px4 {
     type Ports = Ports;
 
+    #[allow(clippy::useless_conversion, reason = "in some releases components have fewer bits")]
     fn setup(&mut self, setup: &mut Setup<'_, Self>) -> Result<Ports, SetupError> {
         let (_, release) = release_setting(setup)?;
         self.release = release;

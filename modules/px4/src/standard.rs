@@ -33,6 +33,9 @@ pub(crate) struct State {
     pub(crate) is_ned: bool,
 }
 
+/// From the world of PX4 to that of ROS.
+type Turn<T> = fn(T) -> T;
+
 /// The variance of what is not measured, as other modules and robot_localization have it.
 const UNKNOWN: f64 = 1e6;
 /// How far the length of a quaternion in f32 may be from 1.
@@ -78,11 +81,10 @@ pub(crate) fn odometry(
         return Err(OdometryRefused::NoPosition);
     }
     // FRD worlds are to FLU worlds what bodies are to bodies.
-    let (to_world, turned, spread): (fn(DVec3) -> DVec3, fn(DQuat) -> DQuat, fn(DMat3) -> DMat3) =
-        match is_ned {
-            true => (frames::ned_enu, frames::rotation_ned_enu, frames::covariance_ned_enu),
-            false => (frames::frd_flu, frames::rotation_frd_flu, frames::covariance_frd_flu),
-        };
+    let (to_world, turned, spread): (Turn<DVec3>, Turn<DQuat>, Turn<DMat3>) = match is_ned {
+        true => (frames::ned_enu, frames::rotation_ned_enu, frames::covariance_ned_enu),
+        false => (frames::frd_flu, frames::rotation_frd_flu, frames::covariance_frd_flu),
+    };
     let position = to_world(position);
     let world_from_body = turned(rotation.normalize());
     let body_from_world = world_from_body.conjugate();

@@ -126,7 +126,7 @@ fn a_twist_is_in_the_body_and_px4_leaves_offboard_mode_when_it_ends() {
         if step == 15 {
             flight.trigger("offboard").unwrap();
         }
-        flight.probe.publish("cmd_vel", twist.clone()).unwrap();
+        flight.probe.publish("cmd_vel", twist).unwrap();
         flight.pass(100 * MS);
     }
     let [east, north, up] = flight.position();

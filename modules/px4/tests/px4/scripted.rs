@@ -111,12 +111,12 @@ fn a_set_point_needs_a_heading_and_its_numbers_are_in_ned() {
     let modes = probe.listen::<OffboardControlMode>("fmu/in/offboard_control_mode").unwrap();
     let mut twist = Twist::default();
     [twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z] = [1.0, 2.0, 3.0, 0.5];
-    probe.publish("cmd_vel", twist.clone()).unwrap();
+    probe.publish("cmd_vel", twist).unwrap();
     probe.advance(200 * MS).unwrap();
     assert!(set_points.take().is_empty(), "no odometry: no heading");
     // Facing east, with the nose up by 0.3 rad: the velocity is level all the same.
-    let (sin, cos) = (std::f32::consts::FRAC_PI_4.sin(), std::f32::consts::FRAC_PI_4.cos());
-    let (up_sin, up_cos) = (0.15_f32.sin(), 0.15_f32.cos());
+    let (sin, cos) = libm::sincosf(std::f32::consts::FRAC_PI_4);
+    let (up_sin, up_cos) = libm::sincosf(0.15);
     let q = [cos * up_cos, -sin * up_sin, cos * up_sin, sin * up_cos];
     probe.publish(ODOMETRY, VehicleOdometry { q, ..odometry(&probe) }).unwrap();
     probe.publish("cmd_vel", twist).unwrap();
