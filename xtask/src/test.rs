@@ -46,14 +46,14 @@ impl FirstHour {
 }
 
 /// What the tests need of others.
-struct Peers {
+pub(crate) struct Peers {
     python: PathBuf,
     kilted: Option<PathBuf>,
     node_modules: Option<PathBuf>,
 }
 
 impl Peers {
-    fn install() -> anyhow::Result<Self> {
+    pub(crate) fn install() -> anyhow::Result<Self> {
         let python = python::interpreter()?;
         let kilted = match python::kilted_interpreter() {
             Err(error) if !test_machine::is_strict() => {
@@ -63,6 +63,13 @@ impl Peers {
             interpreter => Some(interpreter?),
         };
         Ok(Self { python, kilted, node_modules: node::modules()? })
+    }
+
+    /// Tells tests where the peers are, and keeps both on this machine.
+    pub(crate) fn tell<'a>(&self, tests: &'a mut Command) -> &'a mut Command {
+        tests.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("DOWNBEAT_PYTHON", &self.python);
+        tests.envs(self.kilted.iter().map(|python| ("DOWNBEAT_KILTED_PYTHON", python)));
+        tests.envs(self.node_modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)))
     }
 }
 
@@ -181,8 +188,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
         }
         installing.join()
     });
-    let Peers { python, kilted, node_modules } =
-        installed.map_err(|_| anyhow::anyhow!("what installs Python packages has panicked"))??;
+    let peers = installed.map_err(|_| anyhow::anyhow!("what installs Python packages has panicked"))??;
     let aside = Aside::start(own)?;
     let notes = Notes::new()?;
     let first_hour = FirstHour::new()?;
@@ -205,10 +211,7 @@ pub(crate) fn test() -> anyhow::Result<()> {
     steps.step("tests, with real ROS 2 and others' bag readers", || {
         let mut command = cargo(tests);
         command.args(if has_nextest { ALL } else { &[] });
-        command.env("DOWNBEAT_PYTHON", &python);
-        command.envs(kilted.map(|python| ("DOWNBEAT_KILTED_PYTHON", python)));
-        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-        command.envs(node_modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
+        peers.tell(&mut command);
         // nextest says at its end how each failed test failed.
         run_and_repeat("Summary [", command.env("DOWNBEAT_MATRIX", notes.folder()).envs([skips.variable()]))
     });

@@ -5,7 +5,7 @@ use std::process::Command;
 use anyhow::Context;
 
 use crate::steps::{Steps, run, workspace};
-use crate::{node, python, test};
+use crate::test::{self, Peers};
 
 /// Runs all tests, keeps every bag that they remove, and opens each with the readers of others.
 pub(crate) fn readers() -> anyhow::Result<()> {
@@ -20,12 +20,10 @@ pub(crate) fn readers() -> anyhow::Result<()> {
     let library = folder.join("keep_bags.so");
     let source = workspace().join("xtask/src/readers/keep_bags.c");
     run(Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).arg(&library).arg(source))?;
-    let (python, modules) = (python::interpreter()?, node::modules()?);
+    let peers = Peers::install()?;
     let cargo = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO"));
-        command.args(arguments).args(test::ALL).env("DOWNBEAT_PYTHON", &python);
-        command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("KEPT_BAGS", &bags);
-        command.envs(modules.iter().map(|folder| ("DOWNBEAT_NODE_MODULES", folder)));
+        peers.tell(command.args(arguments).args(test::ALL).env("KEPT_BAGS", &bags));
         command
     };
     let mut steps = Steps::default();
