@@ -41,6 +41,11 @@ class Actions:
         self.results = {}
         self.working = {}
 
+    def ask(self, request, *arguments, **options):
+        """The future of a request. It is made in the thread of the executor: from another one, the answer can come before the client
+        of rclpy notes that it waits for it, and is then ignored."""
+        return wait(self.executor.create_task(lambda: request(*arguments, **options)))
+
     # As `ros2 action list -t` and `ros2 action info`.
 
     def actions(self):
@@ -71,13 +76,13 @@ class Actions:
         def on_feedback(message):
             feedback.append(list(message.feedback.sequence))
 
-        handle = wait(client.send_goal_async(message, feedback_callback=on_feedback, goal_uuid=uuid))
+        handle = wait(self.ask(client.send_goal_async, message, feedback_callback=on_feedback, goal_uuid=uuid))
         if handle is None or not handle.accepted:
             return None
         goal_id = hexadecimal(handle.goal_id)
         self.sent[goal_id] = handle
         self.feedback[goal_id] = feedback
-        self.results[goal_id] = handle.get_result_async()
+        self.results[goal_id] = self.ask(handle.get_result_async)
         return goal_id
 
     def feedback_to(self, goal):
@@ -85,7 +90,7 @@ class Actions:
 
     def result_of(self, goal, anew=False):
         """What came of it; `anew` asks the server once more."""
-        response = wait(self.sent[goal].get_result_async() if anew else self.results[goal])
+        response = wait(self.ask(self.sent[goal].get_result_async) if anew else self.results[goal])
         return None if response is None else [response.status, list(response.result.sequence)]
 
     def status_of(self, goal):
@@ -93,7 +98,7 @@ class Actions:
         return self.sent[goal].status
 
     def cancel_goal(self, goal):
-        response = wait(self.sent[goal].cancel_goal_async())
+        response = wait(self.ask(self.sent[goal].cancel_goal_async))
         return None if response is None else [response.return_code, [hexadecimal(info.goal_id) for info in response.goals_canceling]]
 
     # A server of Fibonacci.
