@@ -6,8 +6,8 @@ use std::time::Duration;
 use crate::exchange::{Messages, add_built_in};
 use crate::module::{MESSAGES, ModuleCell, Place};
 use crate::{
-    Clock, Core, CoreHandle, Graph, Idle, Launcher, Linear, Mechanism, Overrun, RunError, SystemClock,
-    ThreadError, Version,
+    Clock, Core, CoreHandle, Graph, Idle, Launcher, Linear, Mechanism, Overrun, RunError, Snapshot,
+    SystemClock, ThreadError, Version,
 };
 
 impl Default for Core {
@@ -120,6 +120,12 @@ impl Core {
     #[must_use]
     pub fn graph(&self) -> Graph {
         Graph::of(&self.stage, &self.state, &self.mechanisms)
+    }
+
+    /// The counters of modules and topics after the last cycle. From another thread:
+    /// [`CoreHandle::snapshot`].
+    pub fn snapshot(&mut self) -> Snapshot {
+        Snapshot::of(&mut self.between_cycles())
     }
 
     /// What a module that runs inside the cycle shows of itself ([`Module::debug`](crate::Module::debug)), at

@@ -7,7 +7,10 @@ use std::sync::Arc;
 use bytes::Bytes;
 use downbeat_bags::Reader;
 use downbeat_edge::KnownType;
-use downbeat_executor::{Clock, Core, Graph, GraphEdge, ManualClock, RunCause, RunCauses, SettingInfo, Time};
+use downbeat_executor::{
+    Clock, Core, Graph, GraphEdge, GraphModule, ManualClock, ModuleStatistics, RunCause, RunCauses,
+    SettingInfo, Snapshot, Time,
+};
 use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
 
 use super::comparison::{Comparisons, Replayed};
@@ -288,6 +291,23 @@ impl ReplaySession {
         self.core_of(module).settings(module)
     }
 
+    /// The graph of the modules that run, and their counters so far: for each detached module those of its own
+    /// core. What the replay itself takes out of the cores is left out.
+    pub fn graph(&mut self) -> (Graph, Snapshot) {
+        let (mut graph, mut snapshot) = (self.core.graph(), self.core.snapshot());
+        graph.outlets.clear();
+        snapshot.outlets.clear();
+        graph.edges.retain(|edge| !matches!(edge, GraphEdge::Leaves { .. }));
+        for Detached { name, core, .. } in &mut self.detached {
+            add_module(&mut graph, &core.graph(), name);
+            let statistics = core.snapshot().modules.into_iter().find(|module| module.name == *name);
+            snapshot
+                .modules
+                .extend(statistics.map(|module| ModuleStatistics { is_detached: true, ..module }));
+        }
+        (graph, snapshot)
+    }
+
     /// The topics that each module receives, without the leading slash.
     #[must_use]
     pub fn subscriptions(&self) -> BTreeMap<String, Vec<String>> {
@@ -484,4 +504,47 @@ impl MessageRange {
         let count = range.end.checked_sub(range.start).filter(|count| *count > 0)?;
         Some(Self { topic: Arc::clone(topic), first: range.start, count })
     }
+}
+
+/// Adds a module of another core, with what it publishes, subscribes, serves and calls.
+fn add_module(graph: &mut Graph, other: &Graph, name: &str) {
+    let Some(of_other) = other.modules.iter().position(|module| module.name == name) else { return };
+    let module = graph.modules.len();
+    graph.modules.push(GraphModule { name: name.to_owned(), is_detached: true });
+    let Graph { topics, services, edges, .. } = graph;
+    for edge in &other.edges {
+        edges.extend(match *edge {
+            GraphEdge::Publishes { module: of, topic } if of == of_other => {
+                let topic = place(topics, &other.topics, topic, |a, b| a.name == b.name);
+                topic.map(|topic| GraphEdge::Publishes { module, topic })
+            }
+            GraphEdge::Subscribes { module: of, topic } if of == of_other => {
+                let topic = place(topics, &other.topics, topic, |a, b| a.name == b.name);
+                topic.map(|topic| GraphEdge::Subscribes { module, topic })
+            }
+            GraphEdge::Serves { module: of, service } if of == of_other => {
+                let service = place(services, &other.services, service, |a, b| a.name == b.name);
+                service.map(|service| GraphEdge::Serves { module, service })
+            }
+            GraphEdge::Calls { module: of, service } if of == of_other => {
+                let service = place(services, &other.services, service, |a, b| a.name == b.name);
+                service.map(|service| GraphEdge::Calls { module, service })
+            }
+            _ => None,
+        });
+    }
+}
+
+/// Where one of other nodes is among these, to which it is added if it is new.
+fn place<N: Clone>(
+    nodes: &mut Vec<N>,
+    others: &[N],
+    other: usize,
+    is_same: fn(&N, &N) -> bool,
+) -> Option<usize> {
+    let other = others.get(other)?;
+    Some(nodes.iter().position(|node| is_same(node, other)).unwrap_or_else(|| {
+        nodes.push(other.clone());
+        nodes.len() - 1
+    }))
 }

@@ -10,7 +10,7 @@
  * @typedef {{ name: string, message_type: string, subscribers: number, messages: number, dropped: number, largest_batch: number }} TopicStatistics
  * @typedef {{ name: string, received: number, inbox: number, dropped: number, failed: number }} OutletStatistics
  * @typedef {{ uptime_ns: number, cycle: number, is_paused: boolean, modules: ModuleStatistics[], topics: TopicStatistics[],
- *   outlets: OutletStatistics[] }} Snapshot
+ *   outlets: OutletStatistics[], before?: Snapshot }} Snapshot  a run that stands still brings what it had some time before
  * @typedef {{ publishes?: { module: number, topic: number }, subscribes?: { module: number, topic: number },
  *   calls?: { module: number, service: number }, serves?: { module: number, service: number },
  *   leaves?: { topic: number, outlet: number } }} GraphEdge
@@ -56,8 +56,9 @@ export class History {
   /** @param {Snapshot} snapshot */
   add(snapshot) {
     const last = this.looks[this.looks.length - 1];
-    // The robot was started again.
-    if (last && snapshot.uptime_ns < last.at) this.looks = [];
+    // The robot was started again, or the run stands elsewhere.
+    if (snapshot.before || (last && snapshot.uptime_ns < last.at)) this.looks = [];
+    if (snapshot.before) this.add(snapshot.before);
     const named = (/** @type {any[]} */ list) => new Map(list.map((each) => [each.name, each]));
     this.looks.push({ at: snapshot.uptime_ns, modules: named(snapshot.modules), topics: named(snapshot.topics), outlets: named(snapshot.outlets ?? []) });
     while (this.looks.length > 2 && snapshot.uptime_ns - this.looks[1].at > MEMORY_NS) this.looks.shift();

@@ -42,6 +42,15 @@ test('a robot that was started again begins from nothing', () => {
   assert.equal(history.module('walk').hz, 10);
 });
 
+test('a run that stands still has the rates of the time before', () => {
+  const history = new History();
+  for (const runs of [1000, 400, 400]) {
+    history.add({ ...snapshot(runs / 100, { modules: [moduleOf({ runs })] }), before: snapshot(runs / 100 - 2, { modules: [moduleOf({ runs: runs - 50 })] }) });
+    assert.equal(history.module('walk').hz, 25);
+    assert.equal(history.module('walk').runs, runs);
+  }
+});
+
 test('the history does not grow', () => {
   const history = new History();
   for (let look = 0; look < 5000; look += 1) history.add(snapshot(look / 2, { modules: [moduleOf({ runs: look })] }));

@@ -53,9 +53,42 @@ test('why the robot fell is found in five clicks', async () => {
   assert(Math.abs(shown - fall) < 0.05, `${shown} s, and the fall is at ${fall} s`);
 });
 
-test('it goes on and back, to conditions, and says what is wrong', async () => {
+const command = async (text) => {
   const line = page.getByLabel('Command of the debugger');
-  const command = async (text) => { await isIdle(); await line.fill(text); await line.press('Enter'); await isIdle(); };
+  await isIdle();
+  await line.fill(text);
+  await line.press('Enter');
+  await isIdle();
+};
+
+test('the graph, the robot and its values are those of where it stands', async () => {
+  const rate = async () => {
+    const node = page.locator('[data-node="t:joint_states"].graph-body');
+    await node.waitFor();
+    return Number(/([\d.]+) Hz/.exec(await node.textContent())?.[1]);
+  };
+  const seen = [];
+  for (const cycle of [1000, 2000]) {
+    await look(page, 'debug');
+    await command(`go #${cycle}`);
+    await look(page, 'graph');
+    await until(`joint states come at 125 Hz, and not ${await rate()}`, async () => Math.abs((await rate()) - 125) < 5);
+    const nodes = await page.locator('.graph-body').evaluateAll((bodies) => bodies.map((body) => body.dataset.node));
+    for (const module of ['hardware', 'imu_filter', 'gait', 'falls', 'mux']) assert(nodes.includes(`m:${module}`), `${nodes}`);
+    await look(page, 'scene');
+    const canvas = page.getByTestId('panel-scene').first().locator('canvas').first();
+    const picture = await until('the robot stands otherwise', async () => {
+      const shown = await canvas.screenshot();
+      return !seen.some((before) => before.equals(shown)) && shown;
+    });
+    seen.push(picture);
+    await look(page, 'servos');
+    await page.getByTestId('panel-servos').first().getByText('r_knee').first().waitFor();
+  }
+  await look(page, 'debug');
+});
+
+test('it goes on and back, to conditions, and says what is wrong', async () => {
   await command('go #1000');
   assert.match(await where(), /^Cycle #1000,/);
   await page.getByRole('button', { name: 'Step', exact: true }).click();

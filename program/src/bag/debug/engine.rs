@@ -105,6 +105,7 @@ impl Engine {
                 state: self.session.debug(&name),
                 name,
             }),
+            Order::Graph => Report::Graph(Box::new(self.session.graph())),
         }))
     }
 

@@ -24,6 +24,9 @@ use crate::stop::Stop;
 const MOST_LISTED: usize = 500;
 const LONGEST: usize = 100;
 
+/// The time before a cycle whose rates its graph shows.
+const RATES_OVER: Duration = Duration::from_secs(2);
+
 /// Shows the replay until the program is stopped.
 pub(super) fn show(travel: Travel, bag: Reader, port: Option<u16>, catalog: &Catalog) -> anyhow::Result<()> {
     let name = bag.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -77,6 +80,8 @@ impl Host for Debugger {
     fn answer(&self, ask: Ask<'_>) -> Option<Result<Value, String>> {
         let answer = match ask.name {
             "debug" => self.about(),
+            "graph" => self.graph(),
+            "snapshot" => self.snapshot(),
             "debug_command" => {
                 ask.require_text("line").map_err(anyhow::Error::msg).and_then(|line| self.obey(line))
             }
@@ -103,6 +108,19 @@ impl Debugger {
             "help": HELP,
             "cycle": cycle,
         }))
+    }
+
+    fn graph(&self) -> anyhow::Result<Value> {
+        let (graph, _) = self.travel.lock().graph(RATES_OVER)?;
+        Ok(serde_json::to_value(graph)?)
+    }
+
+    /// What was counted up to here, and some time before, of which the page computes rates.
+    fn snapshot(&self) -> anyhow::Result<Value> {
+        let (_, [before, now]) = self.travel.lock().graph(RATES_OVER)?;
+        let mut snapshot = serde_json::to_value(now)?;
+        snapshot["before"] = serde_json::to_value(before)?;
+        Ok(snapshot)
     }
 
     /// Carries out a line as on a terminal, and answers with what it shows.

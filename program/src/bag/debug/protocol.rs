@@ -6,6 +6,7 @@ use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
 
 use anyhow::Context;
+use downbeat_executor::{Graph, Snapshot};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +27,8 @@ pub(super) enum Order {
     Print { topic: String },
     /// Tell of a module.
     Module { name: String },
+    /// Tell of all modules and topics, and how they are connected.
+    Graph,
 }
 
 /// What an engine tells the debugger.
@@ -53,6 +56,7 @@ pub(super) enum Report {
     Cycle(Box<Cycle>),
     Message(Option<Message>),
     Module(Module),
+    Graph(Box<(Graph, Snapshot)>),
     Failed {
         problem: String,
     },

@@ -9,6 +9,7 @@ use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use downbeat_executor::{Graph, Snapshot};
 use downbeat_files::suggestion;
 use tempfile::TempDir;
 
@@ -336,6 +337,37 @@ impl Travel {
             Report::Module(module) => Ok(module),
             other => bail!("an engine said {other:?}"),
         }
+    }
+
+    /// The graph, what it has counted, and what it had counted some time before.
+    #[cfg_attr(not(feature = "view"), expect(dead_code))]
+    pub(super) fn graph(&mut self, window: Duration) -> anyhow::Result<(Graph, [Snapshot; 2])> {
+        let (graph, mut now) = match self.current.ask(&Order::Graph)? {
+            Report::Graph(graph) => *graph,
+            other => bail!("an engine said {other:?}"),
+        };
+        let (index, position) = (&self.index, self.current.position);
+        let time = index.time(position).unwrap_or(self.about.start_ns);
+        let since_start = |time: i64| u64::try_from(time.saturating_sub(self.about.start_ns)).unwrap_or(0);
+        now.uptime_ns = since_start(time);
+        let window = i64::try_from(window.as_nanos()).unwrap_or(i64::MAX);
+        let earlier = index.at(time.saturating_sub(window)).min(position);
+        let mut before = now.clone();
+        before.uptime_ns = since_start(index.time(earlier).unwrap_or(time));
+        for module in &mut before.modules {
+            let runs = index.modules.get(&module.name).map(|runs| {
+                let until = |position| runs.partition_point(|run| u64::from(*run) <= position);
+                until(position).saturating_sub(until(earlier))
+            });
+            module.runs = module.runs.saturating_sub(runs.unwrap_or(0) as u64);
+        }
+        for topic in &mut before.topics {
+            let cycles = index.topics.get(&topic.name).into_iter().flatten();
+            let since = cycles.filter(|(at, _)| (earlier + 1..=position).contains(&u64::from(*at)));
+            let messages: u64 = since.map(|(_, count)| u64::from(*count)).sum();
+            topic.messages = topic.messages.saturating_sub(messages);
+        }
+        Ok((graph, [before, now]))
     }
 
     /// Takes in the copies that have connected, and lets those go that are too many.
