@@ -121,7 +121,9 @@ fn a_cycle_of_a_match_is_the_same_from_before_and_from_behind() {
     let printed = debugged(robot, bag.to_str().unwrap(), &lines);
     let looks: Vec<_> = looks_of(&printed, cycles);
     assert!(
-        looks.iter().any(|look| look.contains("sensor_msgs/msg/Image") && look.contains("\"play")),
+        // The checksum is that of the whole picture.
+        looks.iter().any(|look| look.contains("sensor_msgs/msg/Image") && look.contains("CRC-32 "))
+            && looks.iter().any(|look| look.contains("\"play")),
         "{printed}"
     );
 }
@@ -196,7 +198,8 @@ fn what_differs_from_the_recorded_robot_is_noted_and_the_rest_is_shown() {
         assert!(printed.contains(sentence), "{sentence}\n{printed}");
     }
     let more = text.replace("[record]", "[[module]]\nname = \"gait\"\nkind = \"gait\"\n[record]");
-    let printed = debugged(&changed("more.toml", more), bag, "notes\ngo 1s\nmodule mouth\n");
+    let more_settings = changed("more.toml", more);
+    let printed = debugged(&more_settings, bag, "notes\ngo 1s\nmodule mouth\n");
     assert!(
         printed.contains("the recorded robot had no module \"gait\"") && printed.contains("\"talks\""),
         "{printed}"
@@ -208,6 +211,19 @@ fn what_differs_from_the_recorded_robot_is_noted_and_the_rest_is_shown() {
     text_of(&["bag", "cut", bag, "-o", parts, "--topics", "/said"]);
     let printed = debugged(robot.to_str().unwrap(), parts, "notes\nlist\ngo end\nprint said\nback\n");
     assert!(printed.contains("the bag lacks") && printed.contains("data: tick "), "{printed}");
+
+    // A bag that says nothing of its robot.
+    let plain = folder.path().join("plain");
+    std::fs::create_dir(&plain).unwrap();
+    for entry in fs::read_dir(bag).unwrap().map(Result::unwrap) {
+        if entry.file_name() != "metadata.yaml" {
+            fs::copy(entry.path(), plain.join(entry.file_name())).unwrap();
+        }
+    }
+    let printed = debugged(&more_settings, plain.to_str().unwrap(), "notes\ngo 1s\nprint said\n");
+    for sentence in ["does not say with which settings its robot ran", "data: tick "] {
+        assert!(printed.contains(sentence), "{sentence}\n{printed}");
+    }
 
     // An expression that cannot be evaluated at some message says so and stays there.
     let lines = "until said.data.x == 1\nstep\nuntil said.data > 3\nuntil 1/0 > 2\n";

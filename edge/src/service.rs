@@ -189,6 +189,13 @@ impl KnownService {
         [*request, *response, *event].map(KnownType::hash)
     }
 
+    /// The type of its requests, for reading and writing them field by field; `None` while its definition is
+    /// unknown.
+    #[must_use]
+    pub fn request_type(self) -> Option<DynamicType> {
+        self.entry.request.dynamic()
+    }
+
     /// The type of its responses, for reading and writing them field by field; `None` while its definition is
     /// unknown.
     #[must_use]

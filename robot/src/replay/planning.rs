@@ -177,7 +177,11 @@ impl Plan {
 
 /// Compares the modules of the robot file with those of the recorded robot.
 fn other_modules(graph: &Wiring, reader: &Reader) -> Vec<String> {
-    let Some(recorded) = reader.metadata().and_then(recorded_modules) else { return Vec::new() };
+    let Some(recorded) = reader.metadata().and_then(recorded_modules) else {
+        let unknown =
+            "the bag does not say with which settings its robot ran: those of the robot file are used";
+        return if graph.with_settings.is_empty() { Vec::new() } else { vec![unknown.to_owned()] };
+    };
     let gone = recorded.difference(&graph.modules).map(|module| {
         format!("the recorded robot had a module \"{module}\", which the robot file lacks; its messages come from the bag")
     });

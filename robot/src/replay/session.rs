@@ -6,12 +6,13 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use downbeat_bags::Reader;
-use downbeat_edge::KnownType;
+use downbeat_edge::{KnownService, KnownType};
 use downbeat_executor::{
     Clock, Core, Graph, GraphEdge, GraphModule, ManualClock, ModuleStatistics, RunCause, RunCauses,
     SettingInfo, Snapshot, Time,
 };
-use downbeat_msgs::downbeat_interfaces::msg::ModuleStep;
+use downbeat_msgs::downbeat_interfaces::msg::{ModuleEvent, ModuleStep};
+use downbeat_msgs::dynamic::{DynamicMessage, DynamicType, YamlStyle};
 
 use super::comparison::{Comparisons, Replayed};
 use super::report::{Difference, LeftOut};
@@ -37,6 +38,9 @@ pub struct ReplaySession {
     cycles: Cycles,
     /// The topics of messages that can be read.
     types: BTreeMap<Arc<str>, KnownType>,
+    /// The types of the services, and the modules that serve them.
+    services: BTreeMap<String, KnownService>,
+    servers: BTreeMap<String, String>,
     /// How many cycles have run.
     position: u64,
     /// How many messages there were on each topic.
@@ -98,6 +102,9 @@ pub struct Standing {
     pub given: Vec<MessageRange>,
     /// All messages that were published in it, those of a topic in order.
     pub messages: Vec<ShownMessage>,
+    /// What else took effect in it: requests, answers, commands and results of jobs, in their order.
+    /// [`ReplaySession::sentence`] says it in words.
+    pub events: Vec<ModuleEvent>,
 }
 
 /// A run of a module.
@@ -228,6 +235,8 @@ impl ReplaySession {
             comparisons,
             cycles: plan.cycles,
             types,
+            services: plan.service_types,
+            servers: plan.servers,
             position: 0,
             counts: BTreeMap::new(),
             latest: BTreeMap::new(),
@@ -283,6 +292,56 @@ impl ReplaySession {
     #[must_use]
     pub fn debug(&self, module: &str) -> Option<String> {
         self.core_of(module).debug(module)
+    }
+
+    /// The module from which an event comes, and the one that gets it; empty for somebody outside.
+    #[must_use]
+    pub fn parties<'a>(&'a self, event: &'a ModuleEvent) -> [&'a str; 2] {
+        let server = self.servers.get(&event.service).map_or("", String::as_str);
+        match event.kind {
+            ModuleEvent::REQUEST => [&event.module, server],
+            ModuleEvent::ANSWER => [server, &event.module],
+            ModuleEvent::COMMAND => [&event.by, &event.module],
+            _ => [&event.module, &event.module],
+        }
+    }
+
+    /// An event in words: who asked whom for what. Of what a request or an answer holds, the beginning.
+    #[must_use]
+    pub fn sentence(&self, event: &ModuleEvent) -> String {
+        let ModuleEvent { kind, module, by, service, number, command, outcome, reason, .. } = event;
+        let or_outside =
+            |name: &str| if name.is_empty() { "a client outside".to_owned() } else { name.to_owned() };
+        let server = || self.servers.get(service).map_or("its server", String::as_str);
+        let of = self.services.get(service);
+        match (*kind, *outcome) {
+            (ModuleEvent::REQUEST, _) => {
+                let holds = beginning(of.and_then(|of| of.request_type()), &event.data);
+                format!("{} asks {} for {service}: {holds}", or_outside(module), server())
+            }
+            (ModuleEvent::ANSWER, ModuleEvent::ANSWERED) => {
+                let holds = beginning(of.and_then(|of| of.response_type()), &event.data);
+                format!("{} answers {} about {service}: {holds}", server(), or_outside(module))
+            }
+            (ModuleEvent::ANSWER, ModuleEvent::REFUSED) => {
+                format!("{} refuses {} the call of {service}: {reason}", server(), or_outside(module))
+            }
+            (ModuleEvent::ANSWER, ModuleEvent::NO_SERVER) => {
+                format!("nobody serves {service}, which {} called", or_outside(module))
+            }
+            (ModuleEvent::ANSWER, ModuleEvent::SERVER_GONE) => {
+                format!("{reason}, which {} called for {service}, is gone", or_outside(module))
+            }
+            (ModuleEvent::ANSWER, _) => {
+                format!("{by} failed while it served {service} to {}: {reason}", or_outside(module))
+            }
+            (ModuleEvent::COMMAND, _) => {
+                let by = if by.is_empty() { "somebody outside" } else { by };
+                format!("{by} asks for {command} of {module}")
+            }
+            (ModuleEvent::RESULT, _) => format!("{module} gets result {number} of a job"),
+            (kind, _) => format!("an event of kind {kind} of {module}"),
+        }
     }
 
     /// The settings of a module; `None` if it does not run.
@@ -351,10 +410,12 @@ impl ReplaySession {
                 self.comparisons.replayed(replayed);
             }
         }
-        drop(self.captured.take_events());
+        let mut events = self.captured.take_events();
         let mut published = Published::of(&messages);
         let time = self.follower.clock.now();
-        let mut runs = self.run_detached(cycle, time, &mut published)?;
+        let mut runs = self.run_detached(cycle, time, &mut published, &mut events)?;
+        // That a detached module took something over says nothing new.
+        events.retain(|event| ![ModuleEvent::TAKEN, ModuleEvent::MADE].contains(&event.kind));
         if let Some(account) = self.captured.take_runs() {
             // Those inside the cycle published last.
             let inside = account.runs.iter().rev().map(|run| {
@@ -381,7 +442,7 @@ impl ReplaySession {
             runs.append(&mut inside);
         }
         let given = published.rest();
-        let standing = Standing { cycle, time, runs, given, messages };
+        let standing = Standing { cycle, time, runs, given, messages, events };
         self.before = std::mem::replace(&mut self.last, standing);
         Ok(true)
     }
@@ -393,6 +454,7 @@ impl ReplaySession {
         cycle: u64,
         time: Time,
         published: &mut Published,
+        events: &mut Vec<ModuleEvent>,
     ) -> Result<Vec<SessionRun>, ReplayError> {
         let has_cycles = self.cycles.is_recorded();
         let has_joined = |step: &&ModuleStep| match has_cycles {
@@ -416,7 +478,7 @@ impl ReplaySession {
                 follower.step(core).map_err(source)?;
                 core.run_sinks();
                 captured.take().into_iter().for_each(|replayed| self.comparisons.replayed(replayed));
-                drop(captured.take_events());
+                events.extend(captured.take_events());
                 let Some(account) = captured.take_runs() else { continue };
                 let own = account.runs.iter().find(|run| {
                     account
@@ -503,6 +565,19 @@ impl MessageRange {
     fn of(topic: &Arc<str>, range: Range<u64>) -> Option<Self> {
         let count = range.end.checked_sub(range.start).filter(|count| *count > 0)?;
         Some(Self { topic: Arc::clone(topic), first: range.start, count })
+    }
+}
+
+/// The beginning of a message as YAML in one line.
+fn beginning(of: Option<DynamicType>, cdr: &[u8]) -> String {
+    let style = YamlStyle { flow_style: true, truncate_length: Some(16), ..YamlStyle::default() };
+    let message = of.and_then(|of| DynamicMessage::from_cdr(&of, cdr).ok());
+    match message {
+        Some(message) => {
+            let yaml = message.as_message().to_yaml(&style);
+            yaml.lines().map(str::trim).collect::<Vec<_>>().join(" ")
+        }
+        None => format!("{} bytes", cdr.len()),
     }
 }
 

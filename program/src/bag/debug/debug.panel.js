@@ -6,9 +6,10 @@ import { words } from '/connection.js';
 
 /**
  * @typedef {{ topic: string, first: number, count: number }} Messages
- * @typedef {{ module: string, causes: string[], step: number | null, received: Messages[], published: Messages[] }} Run
- * @typedef {{ position: number, cycle: number, time_ns: number, runs: Run[], given: Messages[], difference: string | null }} Cycle
- * @typedef {{ messages: Messages, time_ns: number, cycle: number, run: { module: string, causes: string[] } | null, because: Why[], known: [Messages, number][], is_cut: boolean }} Why
+ * @typedef {{ module: string, causes: string[], step: number | null, received: Messages[], published: Messages[], got: string[], gave: string[] }} Run
+ * @typedef {{ position: number, cycle: number, time_ns: number, runs: Run[], given: Messages[], events: string[], difference: string | null }} Cycle
+ * @typedef {{ messages: Messages, time_ns: number, cycle: number, run: { module: string, causes: string[], got: string[] } | null, because: Why[],
+ *   known: [Messages, number][], rest: string | null }} Why
  */
 
 /** @param {Messages} messages */
@@ -78,13 +79,15 @@ export default {
     /** @param {Cycle} cycle */
     function show(cycle) {
       setText(where, `Cycle #${cycle.cycle}, ${seconds(cycle.time_ns)} into the bag`);
+      const event = (/** @type {string} */ text) => h('div', { class: 'mono', 'data-testid': 'debug-event' }, text);
       const row = (/** @type {Run} */ run) => h('tr', { 'data-module': run.module },
         h('td', null, h('button', { type: 'button', class: 'chip', title: 'Settings and state', onclick: () => obey(`module ${run.module}`) }, run.module)),
         h('td', null, [...run.causes, ...(run.received.length ? ['messages'] : [])].join(', ') + (run.step === null ? '' : ` (run ${run.step})`)),
-        h('td', null, run.received.map(chip)), h('td', null, run.published.map(chip)));
+        h('td', null, run.received.map(chip), run.got.map(event)), h('td', null, run.published.map(chip), run.gave.map(event)));
       const rows = cycle.runs.map(row);
       if (cycle.given.length) rows.unshift(h('tr', null, h('td', { class: 'muted' }, 'from the bag'), h('td', null), h('td', null), h('td', null, cycle.given.map(chip))));
-      replace(runs, [rows.length ? h('table', null, h('thead', null, h('tr', null, ['module', 'ran for', 'received', 'published'].map((title) => h('th', null, title)))), h('tbody', null, rows)) : empty('No module ran in this cycle.')]);
+      replace(runs, [rows.length ? h('table', null, h('thead', null, h('tr', null, ['module', 'ran for', 'received', 'published'].map((title) => h('th', null, title)))), h('tbody', null, rows)) : empty('No module ran in this cycle.'),
+        cycle.events.length ? h('ul', { class: 'mono', 'data-testid': 'debug-events' }, cycle.events.map((event) => h('li', null, event))) : null].filter((each) => each !== null));
       if (robot.playback) robot.control({ play: false, seekNs: BigInt(Math.round(cycle.time_ns)) });
     }
 
@@ -106,7 +109,8 @@ export default {
       const delay = effectNs === null ? '' : `, ${milliseconds(effectNs - why.time_ns)} earlier`;
       const { topic, first, count } = why.messages;
       return h('li', null, h('button', { type: 'button', class: 'chip mono', title: 'Go there', 'data-cause': topic, onclick: () => see(topic, first + count - 1) }, name(why.messages)),
-        ` in cycle #${why.cycle}${delay}: ${by}${why.is_cut ? '; the rest is above' : ''}`,
+        ` in cycle #${why.cycle}${delay}: ${by}${why.rest ? `; ${why.rest}` : ''}`,
+        why.run?.got.length ? h('ul', null, why.run.got.map((event) => h('li', null, `it got: ${event}`))) : null,
         why.known.length ? h('ul', null, why.known.map(([messages, timeNs]) => h('li', { class: 'muted' }, `it knew ${name(messages)}, ${milliseconds(why.time_ns - timeNs)} old`))) : null,
         why.because.length ? h('ul', null, why.because.map((cause) => chain(cause, why.time_ns))) : null);
     }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use downbeat_executor::RunCause;
+use downbeat_msgs::downbeat_interfaces::msg::ModuleEvent;
 use downbeat_msgs::dynamic::{DynamicMessage, YamlStyle};
 use downbeat_robot::replay::{MessageRange, ReplaySession, SessionRun};
 #[cfg(feature = "state_machine")]
@@ -23,6 +24,9 @@ const TOLD_TOGETHER: usize = 1000;
 /// doubles.
 const FIRST_INTERVAL: Duration = Duration::from_millis(50);
 const DOUBLED_AFTER: u32 = 64;
+
+/// A message of more bytes is not shown whole, and has its checksum.
+const LONG: usize = 4096;
 
 /// Carries out orders until the debugger ends.
 pub(super) fn serve(
@@ -237,9 +241,33 @@ impl Engine {
             position: self.session.position(),
             cycle: standing.cycle,
             time_ns: standing.time.as_nanos(),
-            runs: standing.runs.iter().map(run).collect(),
+            runs: standing.runs.iter().map(|run| self.run(run)).collect(),
             given: standing.given.iter().map(messages).collect(),
+            events: self.events(&standing.events, |[from, _]| from.is_empty()),
             difference: self.session.first_difference().map(ToString::to_string),
+        }
+    }
+
+    /// The sentences of events between certain modules.
+    fn events(&self, events: &[ModuleEvent], is_meant: impl Fn([&str; 2]) -> bool) -> Vec<String> {
+        let meant = events.iter().filter(|event| is_meant(self.session.parties(event)));
+        meant.map(|event| self.session.sentence(event)).collect()
+    }
+
+    fn run(&self, run: &SessionRun) -> Run {
+        let SessionRun { module, causes, step, received, published } = run;
+        // Messages are listed.
+        let causes = causes.iter().filter(|cause| *cause != RunCause::Messages);
+        // What took effect at the end of a cycle is there for the runs of the next one.
+        let (before, now) = (&self.session.before().events, &self.session.standing().events);
+        Run {
+            module: module.to_string(),
+            causes: causes.map(|cause| cause.to_string()).collect(),
+            step: *step,
+            received: received.iter().map(messages).collect(),
+            published: published.iter().map(messages).collect(),
+            got: self.events(before, |[_, to]| *to == **module),
+            gave: self.events(now, |[from, _]| *from == **module),
         }
     }
 
@@ -252,7 +280,11 @@ impl Engine {
         let of = of.with_context(|| format!("the definition of {} is not known", message.type_name()))?;
         // As much of a picture as `ros2 topic echo` prints.
         let style = YamlStyle { truncate_length: Some(128), ..YamlStyle::default() };
-        let yaml = DynamicMessage::from_cdr(&of, message.cdr())?.as_message().to_yaml(&style);
+        let mut yaml = DynamicMessage::from_cdr(&of, message.cdr())?.as_message().to_yaml(&style);
+        if message.cdr().len() > LONG {
+            yaml +=
+                &format!("# {} bytes, CRC-32 {:08x}\n", message.cdr().len(), crc32fast::hash(message.cdr()));
+        }
         Ok(Some(Message {
             topic: topic.to_owned(),
             type_name: message.type_name().to_owned(),
@@ -260,19 +292,6 @@ impl Engine {
             time_ns: message.time.as_nanos(),
             yaml,
         }))
-    }
-}
-
-fn run(run: &SessionRun) -> Run {
-    let SessionRun { module, causes, step, received, published } = run;
-    // Messages are listed.
-    let causes = causes.iter().filter(|cause| *cause != RunCause::Messages);
-    Run {
-        module: module.to_string(),
-        causes: causes.map(|cause| cause.to_string()).collect(),
-        step: *step,
-        received: received.iter().map(messages).collect(),
-        published: published.iter().map(messages).collect(),
     }
 }
 

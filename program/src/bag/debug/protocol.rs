@@ -117,6 +117,8 @@ pub(super) struct Cycle {
     pub(super) runs: Vec<Run>,
     /// The messages that came from the bag.
     pub(super) given: Vec<Messages>,
+    /// Requests, answers and commands that come from no module, in sentences.
+    pub(super) events: Vec<String>,
     /// The first difference from the bag so far.
     pub(super) difference: Option<String>,
 }
@@ -130,6 +132,9 @@ pub(super) struct Run {
     pub(super) step: Option<u64>,
     pub(super) received: Vec<Messages>,
     pub(super) published: Vec<Messages>,
+    /// Requests, answers, commands and results of jobs that it was given and that it gave, in sentences.
+    pub(super) got: Vec<String>,
+    pub(super) gave: Vec<String>,
 }
 
 /// Messages of a topic.

@@ -149,7 +149,7 @@ fn text_of(cycle: &Cycle, start_ns: i64) -> String {
         text += &format!("  from the bag: {}\n", messages.name());
     }
     let width = cycle.runs.iter().map(|run| run.module.len()).max().unwrap_or(0);
-    for Run { module, causes, step, received, published } in &cycle.runs {
+    for Run { module, causes, step, received, published, got, gave } in &cycle.runs {
         let causes = match causes.as_slice() {
             [] => "messages".to_owned(),
             causes => causes.join(", "),
@@ -163,6 +163,12 @@ fn text_of(cycle: &Cycle, start_ns: i64) -> String {
         };
         let (received, published) = (list("received", received), list("published", published));
         text += &format!("  {module:width$}  {causes}{step}{received}{published}\n");
+        for event in got.iter().chain(gave) {
+            text += &format!("  {:width$}    {event}\n", "");
+        }
+    }
+    for event in &cycle.events {
+        text += &format!("  {event}\n");
     }
     if let Some(difference) = &cycle.difference {
         let lines = difference.trim().lines().map(str::trim).collect::<Vec<_>>().join(" ");

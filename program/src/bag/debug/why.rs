@@ -27,7 +27,8 @@ pub(super) struct Why {
     /// reason than messages.
     pub(super) known: Vec<(Messages, i64)>,
     /// It is explained elsewhere in the chain, or the chain is too long.
-    pub(super) is_cut: bool,
+    /// Where the rest is, if it is not here.
+    pub(super) rest: Option<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -35,6 +36,8 @@ pub(super) struct WhyRun {
     pub(super) module: String,
     pub(super) causes: Vec<String>,
     pub(super) step: Option<u64>,
+    /// Requests, answers, commands and results of jobs that it was given, in sentences.
+    pub(super) got: Vec<String>,
 }
 
 /// Explains a message of a topic, by its number. The replay stands where it stood.
@@ -56,13 +59,20 @@ fn explain(
     let position = travel.index.message(topic, last).with_context(|| travel.no_message(topic))?;
     travel.go(position)?;
     let cycle = travel.cycle()?;
-    let is_cut = seen.len() >= MOST_MESSAGES || !seen.insert((topic.clone(), last));
+    let rest = if seen.contains(&(topic.clone(), last)) {
+        Some("the rest is above".to_owned())
+    } else if seen.len() >= MOST_MESSAGES {
+        Some(format!("the chain goes on, `why {topic}#{last}` shows it"))
+    } else {
+        seen.insert((topic.clone(), last));
+        None
+    };
     let has_it = |published: &Messages| {
         published.topic == *topic && (published.first..published.first + published.count).contains(&last)
     };
     let run = cycle.runs.iter().find(|run| run.published.iter().any(has_it));
     let (mut because, mut known) = (Vec::new(), Vec::new());
-    if let Some(run) = run.filter(|_| !is_cut) {
+    if let Some(run) = run.filter(|_| rest.is_none()) {
         for received in &run.received {
             because.push(explain(travel, received.clone(), seen)?);
         }
@@ -70,9 +80,13 @@ fn explain(
             known = travel.known_to(&run.module, position);
         }
     }
-    let run =
-        run.map(|run| WhyRun { module: run.module.clone(), causes: run.causes.clone(), step: run.step });
-    Ok(Why { messages, time_ns: cycle.time_ns, cycle: cycle.cycle, run, because, known, is_cut })
+    let run = run.map(|run| WhyRun {
+        module: run.module.clone(),
+        causes: run.causes.clone(),
+        step: run.step,
+        got: run.got.clone(),
+    });
+    Ok(Why { messages, time_ns: cycle.time_ns, cycle: cycle.cycle, run, because, known, rest })
 }
 
 impl Why {
@@ -88,7 +102,7 @@ impl Why {
         let delay = effect_ns.map(|effect| format!(", {} earlier", milliseconds(effect - self.time_ns)));
         let by = match &self.run {
             None => "from the bag: it came from outside these modules".to_owned(),
-            Some(WhyRun { module, causes, step }) => {
+            Some(WhyRun { module, causes, step, .. }) => {
                 let step = step.map(|step| format!(" in its run {step}")).unwrap_or_default();
                 let causes =
                     if causes.is_empty() { String::new() } else { format!(" ({})", causes.join(", ")) };
@@ -96,8 +110,11 @@ impl Why {
             }
         };
         let (messages, delay) = (&self.messages, delay.unwrap_or_default());
-        let cut = if self.is_cut { "; the rest is above" } else { "" };
+        let cut = self.rest.as_ref().map(|rest| format!("; {rest}")).unwrap_or_default();
         *text += &format!("{indent}{} in cycle #{}{delay}: {by}{cut}\n", messages.name(), self.cycle);
+        for event in self.run.iter().flat_map(|run| &run.got) {
+            *text += &format!("{indent}  it got: {event}\n");
+        }
         for (messages, time_ns) in &self.known {
             let age = milliseconds(self.time_ns - time_ns);
             *text += &format!("{indent}  it knew {}, {age} old\n", messages.name());
