@@ -152,6 +152,21 @@ fn it_goes_to_times_messages_runs_and_conditions_and_says_why() {
 }
 
 #[test]
+fn it_prints_what_the_page_shows() {
+    let page = fs::read_to_string("docs/time_travel.md").unwrap();
+    let session = page.split_once(&format!("$ downbeat bag debug {WALKER} {WALK}\n")).unwrap().1;
+    let session = session.split_once("```").unwrap().0;
+    let (typed, shown): (Vec<_>, Vec<_>) = session.lines().partition(|line| line.starts_with("> "));
+    let lines: Vec<_> = typed.iter().map(|line| line.trim_start_matches("> ")).collect();
+    let printed = debugged(WALKER, WALK, &(lines.join("\n") + "\n"));
+    let mut rest = &printed[..];
+    for line in shown.into_iter().filter(|line| line.trim() != "…") {
+        let after = rest.split_once(line).map(|(_, after)| after);
+        rest = after.unwrap_or_else(|| panic!("{line:?} is not printed there:\n{printed}"));
+    }
+}
+
+#[test]
 fn what_is_wrong_is_said_and_the_debugger_goes_on() {
     let lines = "fly\ngo joint_goals#100000\nprint joint_goal\nmodule simulator\nnext gai\nuntil walking < 1\n\
                  until robot_state.date == 'x'\nuntil robot_state.data == 'asleep'\nback\ngo #99999\ngo difference\nstep\n";
