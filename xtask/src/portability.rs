@@ -9,7 +9,7 @@ use crate::steps::{Steps, run, workspace};
 const TARGETS: [(&str, &str); 2] = [("Windows", "x86_64-pc-windows-gnu"), ("macOS", "aarch64-apple-darwin")];
 
 /// Beside the default ones. What is left out compiles C (`zenoh`, `sqlite`), or loads a C library (`mujoco`).
-const FEATURES: &str = "football,mqtt,physics,policy,security,sensors,tables";
+const FEATURES: &str = "football,mqtt,physics,policy,px4,security,sensors,tables";
 
 /// Debian's compiler, whose package with sources of the standard library serves every system.
 const COMPILER: &str = "/usr/bin/rustc";
