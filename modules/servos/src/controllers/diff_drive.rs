@@ -32,6 +32,8 @@
 //!
 //! (2)  x' = x + d s cos(h + a/2),  y' = y + d s sin(h + a/2),  h' = h + a,  s = sin(a/2) / (a/2)
 //!
+//! While a wheel does not answer there is no odometry. When it answers again, it has turned the shorter way.
+//!
 //! The twist is the mean since the last message. Deactivation stops the base; what it moves until it is
 //! activated again is not counted.
 //!
@@ -46,7 +48,7 @@
 use std::time::Duration;
 
 use super::claims::OwnClaims;
-use super::joint_names;
+use super::{is_fresh, joint_names};
 use crate::stamps::{Stale, given_at, header};
 use downbeat_executor::{
     Context, Module, Publication, Received, Setting, Setup, SetupError, Time, TransitionError,
@@ -174,9 +176,10 @@ impl DiffDriveController {
     }
 
     fn on_joint_states(&mut self, state: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
-        for (name, position) in state.name.iter().zip(&state.position) {
+        for (index, (name, position)) in state.name.iter().zip(&state.position).enumerate() {
             let wheel = self.sides.iter_mut().flatten().find(|wheel| wheel.name == *name);
-            if let Some(wheel) = wheel.filter(|_| position.is_finite()) {
+            // One that does not answer may turn: without its position there is no odometry.
+            if let Some(wheel) = wheel.filter(|_| is_fresh(&state, index)) {
                 // A servo may count within one turn: what it has turned is the shorter way round.
                 let turned = wheel.position.map_or(0.0, |before| wrapped(position - before));
                 wheel.turned += turned;
@@ -462,6 +465,27 @@ mod tests {
             (0..3).for_each(|_| self.core.cycle().unwrap());
             self.odom.take().pop().unwrap()
         }
+    }
+
+    #[test]
+    fn a_wheel_that_does_not_answer_is_not_taken_as_standing() {
+        let mut base = Base::new();
+        base.drive(Some((0.1, 0.0)), 20);
+        let states = base.core.inlet("joint_states").unwrap();
+        for period in 0..10 {
+            base.clock.advance(Duration::from_millis(20));
+            let (name, header) = (vec!["left".into(), "right".into()], header(base.clock.now(), ""));
+            // As `servo_bus` shows it: the last position, and NaN beside it.
+            let position = vec![base.wheels[0] + 0.05 * f64::from(period), base.wheels[1]];
+            let velocity = vec![2.5, f64::NAN];
+            let state = JointState { header, name, position, effort: velocity.clone(), velocity };
+            states.publish(state).unwrap();
+            (0..2).for_each(|_| base.core.cycle().unwrap());
+        }
+        assert_eq!(base.odom.take().len(), 0);
+        base.wheels = base.wheels.map(|wheel| wheel + 0.5);
+        let end = base.drive(None, 1).pose.pose;
+        assert!(end.orientation.z.abs() < 1e-9 && end.position.x > 0.01, "{end:?}");
     }
 
     #[test]

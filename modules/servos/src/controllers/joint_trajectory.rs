@@ -18,6 +18,7 @@
 //! | `allow_partial_joints_goal` | false | trajectories may name some of the joints |
 //! | `allow_nonzero_velocity_at_trajectory_end` | false | |
 //! | `stamp_timeout` | 0.5 | s by which the stamp of a trajectory may lie in the past; 0 any |
+//! | `state_timeout` | 0.5 | s without a fresh measured position of a joint after which a trajectory is given up, by the stamps of `joint_states`; 0 any |
 //! | `constraints.goal_time` | 0 | s that the joints have to reach the goal after the end of the trajectory; 0 waits |
 //! | `constraints.stopped_velocity_tolerance` | 0.01 | rad/s or m/s at the goal; 0 is not checked |
 //! | `constraints.JOINT.trajectory`, `constraints.JOINT.goal` | 0 | tolerance of the position on the way and at the goal, rad or m; 0 is not checked |
@@ -28,6 +29,12 @@
 //! after an activation, from the measured position. A goal that is cancelled or aborted holds the position in
 //! which it ends. Deactivating the controller aborts its goal. Tolerances in a goal replace those of the
 //! settings: 0 leaves them, -1 removes them.
+//!
+//! A position is fresh for `state_timeout`. Without a fresh position of each joint no trajectory begins, and
+//! one under way is given up: whether its joints follow is not known then. The command stays where it was.
+//! A joint whose position is fresh again afterwards is commanded to stay where it is, since a servo without
+//! power may have been turned. A position is not fresh if `joint_states` has neither velocity nor effort
+//! beside it but has one of them for other joints, as `servo_bus` shows servos that do not answer.
 //!
 //! Differences from ros2_control: only positions are commanded, with the velocity beside them; trajectories
 //! of velocities alone are refused; `open_loop_control`, speed scaling, and joints of several degrees of
@@ -41,7 +48,7 @@ use std::time::Duration;
 
 use super::claims::OwnClaims;
 use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
-use super::{joint_names, own};
+use super::{is_fresh, joint_names, own};
 use crate::stamps::{Stale, header};
 use crate::step::standstill;
 use downbeat_actions::{ActionServer, CancelResponse, GoalId, GoalResponse};
@@ -62,8 +69,8 @@ use downbeat_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint}
 pub struct JointTrajectoryController {
     server: ActionServer<FollowJointTrajectory>,
     joints: Vec<String>,
-    /// What each joint does; `None` until it is known.
-    measured: Vec<Option<JointSample>>,
+    /// The last fresh measurement of each joint; `None` before the first one.
+    measured: Vec<Option<Measured>>,
     /// What is commanded; empty before the first trajectory.
     commanded: Vec<JointSample>,
     following: Option<Following>,
@@ -74,6 +81,14 @@ pub struct JointTrajectoryController {
 
 /// How far ahead a trajectory may begin.
 const LONGEST_WAIT: Duration = Duration::from_secs(60);
+
+/// A measurement of a joint.
+#[derive(Clone, Copy, Debug)]
+struct Measured {
+    state: JointSample,
+    /// By the stamp, and never later than the message came.
+    at: Time,
+}
 
 /// A trajectory on its way.
 #[derive(Debug)]
@@ -110,6 +125,7 @@ pub struct Ports {
     allow_partial: Setting<bool>,
     allow_moving_end: Setting<bool>,
     stamp_timeout: Setting<f64>,
+    state_timeout: Setting<f64>,
     goal_time: Setting<f64>,
     stopped_velocity: Setting<f64>,
     /// Of the position on the way and at the goal, by joint.
@@ -117,17 +133,44 @@ pub struct Ports {
 }
 
 impl JointTrajectoryController {
-    fn on_joint_states(&mut self, state: Received<'_, JointState>, _: &mut Context<'_, Ports>) {
-        for (index, name) in state.name.iter().enumerate() {
-            let position = state.position.get(index).copied().filter(|position| position.is_finite());
-            if let (Some(joint), Some(position)) =
-                (self.joints.iter().position(|joint| joint == name), position)
-            {
-                let velocity = state.velocity.get(index).copied().filter(|velocity| velocity.is_finite());
-                let velocity = velocity.unwrap_or(0.0);
-                self.measured[joint] = Some(JointSample { position, velocity, acceleration: 0.0 });
+    fn on_joint_states(&mut self, state: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
+        let (now, stamp) = (ctx.now(), Time::from_nanos(state.header.stamp.as_nanos()));
+        let at = if stamp == Time::ZERO { now } else { stamp.min(now) };
+        for (index, name) in state.name.iter().enumerate().filter(|(index, _)| is_fresh(&state, *index)) {
+            let Some(joint) = self.joints.iter().position(|joint| joint == name) else { continue };
+            let Some(position) = state.position.get(index).copied() else { continue };
+            let velocity = state.velocity.get(index).copied().filter(|velocity| velocity.is_finite());
+            let measured = JointSample { position, velocity: velocity.unwrap_or(0.0), acceleration: 0.0 };
+            let before = self.measured[joint].replace(Measured { state: measured, at });
+            let was_stale = before.is_some_and(|before| self.is_too_old(before.at, now, ctx));
+            if was_stale && self.following.is_none() && !self.is_too_old(at, now, ctx) {
+                // Its servo may have had no power and been turned meanwhile: it stays where it is now.
+                if let Some(command) = self.commanded.get_mut(joint) {
+                    *command = JointSample { position, ..JointSample::default() };
+                }
             }
         }
+    }
+
+    /// Whether a measurement from `at` is too old to tell where a joint is.
+    fn is_too_old(&self, at: Time, now: Time, ctx: &Context<'_, Ports>) -> bool {
+        let timeout_s = *ctx.get(ctx.ports.state_timeout);
+        timeout_s > 0.0 && now.saturating_since(at) > Duration::from_secs_f64(timeout_s)
+    }
+
+    /// The first joint without a fresh position, as the reason for which it cannot follow a trajectory.
+    fn without_state(&self, ctx: &Context<'_, Ports>) -> Result<(), Refusal> {
+        let now = ctx.now();
+        for (measured, joint) in self.measured.iter().zip(&self.joints) {
+            let joint = joint.clone();
+            let Some(Measured { at, .. }) = *measured else { return Err(Refusal::Unknown { joint }) };
+            if self.is_too_old(at, now, ctx) {
+                let age_s = now.saturating_since(at).as_secs_f64();
+                let timeout_s = *ctx.get(ctx.ports.state_timeout);
+                return Err(Refusal::NotFresh { joint, age_s, timeout_s });
+            }
+        }
+        Ok(())
     }
 
     fn on_trajectory(&mut self, message: Received<'_, JointTrajectory>, ctx: &mut Context<'_, Ports>) {
@@ -179,9 +222,10 @@ impl JointTrajectoryController {
         let allowed =
             Allowed { partial: *ctx.get(ports.allow_partial), moving_end: *ctx.get(ports.allow_moving_end) };
         let trajectory = Trajectory::new(message, &self.joints, allowed)?;
+        self.without_state(ctx)?;
         let begin = match self.commanded.is_empty() {
             false => self.commanded.clone(),
-            true => self.measured_state().ok_or_else(|| Refusal::Unknown { joint: self.first_unknown() })?,
+            true => self.measured_state().unwrap_or_default(),
         };
         let stamp = Time::from_nanos(message.header.stamp.as_nanos());
         let start = if stamp == Time::ZERO { ctx.now() } else { stamp };
@@ -260,9 +304,22 @@ impl JointTrajectoryController {
     fn advance(&mut self, ctx: &mut Context<'_, Ports>) {
         let now = ctx.now();
         if let Some(following) = &mut self.following {
-            following.start = following.start + standstill(std::mem::replace(&mut following.last, now), now);
+            let pause = standstill(std::mem::replace(&mut following.last, now), now);
+            following.start = following.start + pause;
+            // Nothing was measured in the pause either.
+            for measured in self.measured.iter_mut().flatten() {
+                measured.at = (measured.at + pause).min(now);
+            }
         }
         let Some(following) = &self.following else { return };
+        if let Err(reason) = self.without_state(ctx) {
+            let is_over = now >= following.start + following.trajectory.duration();
+            let code = match is_over {
+                true => FollowJointTrajectoryResult::GOAL_TOLERANCE_VIOLATED,
+                false => FollowJointTrajectoryResult::PATH_TOLERANCE_VIOLATED,
+            };
+            return self.give_up(following.goal, code, reason.to_string(), ctx);
+        }
         let Following { trajectory, start, begin, goal, tolerances, .. } = following;
         let end = *start + trajectory.duration();
         trajectory.sample(begin, now.saturating_since(*start), &mut self.commanded);
@@ -322,12 +379,7 @@ impl JointTrajectoryController {
 
     /// `None` while the position of a joint is not known.
     fn measured_state(&self) -> Option<Vec<JointSample>> {
-        self.measured.iter().copied().collect()
-    }
-
-    fn first_unknown(&self) -> String {
-        let unknown = self.measured.iter().position(Option::is_none);
-        unknown.map(|joint| self.joints[joint].clone()).unwrap_or_default()
+        self.measured.iter().map(|measured| Some(measured.as_ref()?.state)).collect()
     }
 
     fn publish_state(&self, ctx: &mut Context<'_, Ports>) {
@@ -412,6 +464,12 @@ impl Module for JointTrajectoryController {
                 0.0..=3600.0,
                 "s; by how much the stamp of a trajectory may lie in the past; 0 for any",
             )?,
+            state_timeout: setup.setting_in(
+                "state_timeout",
+                0.5,
+                0.0..=3600.0,
+                "s; how old the last fresh position of a joint may be while it follows a trajectory; 0 for any",
+            )?,
             goal_time: setup.setting_in(
                 "constraints.goal_time",
                 0.0,
@@ -477,8 +535,17 @@ enum Refusal {
         "its stamp is {ahead_s:.3} s in the future, more than {most_s} s; check the clocks, or use a stamp of 0"
     )]
     Ahead { ahead_s: f64, most_s: u64 },
-    #[error("the position of the joint \"{joint}\" is not known yet: `joint_states` does not have it")]
+    #[error(
+        "the position of the joint \"{joint}\" is not known: `joint_states` has had no fresh one yet; see in `diagnostics` whether \
+         its servo answers, and whether the module of the hardware runs"
+    )]
     Unknown { joint: String },
+    #[error(
+        "the last fresh position of the joint \"{joint}\" is {age_s:.3} s old, more than the state_timeout of {timeout_s} s, and \
+         the arm holds its position: its servo does not answer, or `joint_states` stopped. See `diagnostics`, check cable, power and \
+         clocks, then send a new goal"
+    )]
+    NotFresh { joint: String, age_s: f64, timeout_s: f64 },
 }
 
 /// Puts the tolerances of a goal in place of those of the settings: 0 leaves them, negative values remove
@@ -578,6 +645,10 @@ mod tests {
         state: downbeat_executor::Inlet<JointState>,
         position: Vec<f64>,
         is_stuck: bool,
+        /// No joint answers: `joint_states` stops, and no command arrives.
+        is_cut: bool,
+        /// The elbow does not answer.
+        is_elbow_dead: bool,
     }
 
     impl Arm {
@@ -591,22 +662,44 @@ mod tests {
             core.add_with("arm", JointTrajectoryController::default(), options).unwrap();
             let commands = Collector::add(&mut core, "joint_commands");
             let state = core.inlet("joint_states").unwrap();
-            let mut arm = Self { core, clock, commands, state, position: vec![0.0, 0.0], is_stuck: false };
+            let mut arm = Self {
+                core,
+                clock,
+                commands,
+                state,
+                position: vec![0.0, 0.0],
+                is_stuck: false,
+                is_cut: false,
+                is_elbow_dead: false,
+            };
             arm.run(0.1);
             arm
         }
 
         fn run(&mut self, seconds: f64) {
             for _ in 0..(seconds * 125.0_f64).round() as u32 {
-                let name = vec!["shoulder".into(), "elbow".into()];
-                let position = self.position.clone();
-                self.state.publish(JointState { name, position, ..JointState::default() }).unwrap();
+                if !self.is_cut {
+                    self.publish_state();
+                }
                 self.clock.advance(Duration::from_millis(8));
                 (0..3).for_each(|_| self.core.cycle().unwrap());
-                if let Some(command) = self.commands.take().pop().filter(|_| !self.is_stuck) {
+                if let Some(command) = self.commands.take().pop().filter(|_| !self.is_stuck && !self.is_cut) {
+                    let elbow = self.position[1];
                     self.position = command.position;
+                    if self.is_elbow_dead {
+                        self.position[1] = elbow;
+                    }
                 }
             }
+        }
+
+        /// As `servo_bus` does: a joint that does not answer keeps its last position.
+        fn publish_state(&mut self) {
+            let name = vec!["shoulder".into(), "elbow".into()];
+            let velocity = vec![0.0, if self.is_elbow_dead { f64::NAN } else { 0.0 }];
+            let (position, effort) = (self.position.clone(), velocity.clone());
+            let header = header(self.clock.now(), "");
+            self.state.publish(JointState { header, name, position, velocity, effort }).unwrap();
         }
 
         fn call<Q: Send + 'static, R: Send + 'static>(&mut self, part: &str, request: Q) -> Receiver<R> {
@@ -701,6 +794,78 @@ mod tests {
         arm.is_stuck = false;
         arm.run(1.0);
         assert!(arm.position[1] > -0.25, "it holds where it was given up: {:?}", arm.position);
+    }
+
+    #[test]
+    fn a_goal_on_a_joint_that_does_not_answer_is_aborted_and_the_arm_holds() {
+        let mut arm = Arm::new(&[]);
+        let result = arm.send(1, to(2, 0.5, -1.0)).unwrap();
+        arm.run(0.8);
+        arm.is_elbow_dead = true;
+        arm.run(0.4);
+        assert!(result.try_recv().is_err(), "0.5 s are allowed");
+        arm.run(0.2);
+        let response = result.try_recv().unwrap();
+        assert_eq!((response.status, response.result.error_code), (ABORTED, -4));
+        let text = response.result.error_string;
+        let parts = ["\"elbow\" is 0.50", "state_timeout of 0.5 s", "does not answer", "check cable, power"];
+        assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+        let held = arm.position.clone();
+        assert!(arm.send(2, to(1, 0.0, 0.0)).is_none(), "no goal is accepted for it");
+        arm.run(1.0);
+        assert!((arm.position[0] - held[0]).abs() < 0.01, "{held:?} {:?}", arm.position);
+        arm.position[1] = -0.1;
+        (arm.is_elbow_dead, arm.is_stuck) = (false, true);
+        // A servo approaches old commands slowly until its position is known here.
+        arm.run(0.008);
+        arm.is_stuck = false;
+        for _ in 0..50 {
+            arm.run(0.008);
+            assert!((arm.position[1] + 0.1).abs() < 0.01, "it stays where it is: {:?}", arm.position);
+        }
+        let again = arm.send(3, to(1, 0.2, 0.2)).unwrap();
+        arm.run(1.1);
+        assert_eq!(again.try_recv().unwrap().status, SUCCEEDED);
+        assert_eq!(arm.position, [0.2, 0.2]);
+    }
+
+    #[test]
+    fn a_goal_does_not_wait_for_joint_states_that_have_stopped() {
+        for (seconds, code) in [(2, -4), (1, -5)] {
+            // A joint that is not at its goal when `joint_states` stop after the end of the trajectory.
+            let mut arm = Arm::new(&[("constraints.shoulder.goal", 0.01)]);
+            let result = arm.send(1, to(seconds, 0.5, 0.0)).unwrap();
+            arm.run(0.9);
+            arm.is_stuck = true;
+            arm.run(0.2);
+            arm.is_cut = true;
+            arm.run(0.6);
+            let response = result.try_recv().unwrap();
+            assert_eq!((response.status, response.result.error_code), (ABORTED, code), "{seconds}");
+            assert!(response.result.error_string.contains("`joint_states` stopped"));
+        }
+        let mut patient = Arm::new(&[("state_timeout", 0.0)]);
+        let result = patient.send(1, to(1, 0.5, 0.0)).unwrap();
+        patient.is_cut = true;
+        patient.run(3.0);
+        assert_eq!(result.try_recv().unwrap().status, SUCCEEDED, "any age is allowed");
+    }
+
+    #[test]
+    fn joints_whose_velocities_are_never_known_are_followed() {
+        // As the joint_state_broadcaster of ros2_control publishes hardware without velocities.
+        let mut arm = Arm::new(&[]);
+        let result = arm.send(1, to(1, 0.0, 0.0)).unwrap();
+        for _ in 0..150 {
+            let name = vec!["shoulder".into(), "elbow".into()];
+            let (position, velocity) = (vec![0.0; 2], vec![f64::NAN; 2]);
+            let state =
+                JointState { name, position, effort: velocity.clone(), velocity, ..JointState::default() };
+            arm.state.publish(state).unwrap();
+            arm.is_cut = true;
+            arm.run(0.008);
+        }
+        assert_eq!(result.try_recv().unwrap().status, SUCCEEDED);
     }
 
     #[test]

@@ -22,6 +22,19 @@ pub mod joint_trajectory;
 pub mod spline;
 
 use downbeat_executor::{Module, Setting, Setup, SetupError};
+use downbeat_msgs::sensor_msgs::msg::JointState;
+
+/// Whether the position of this joint of `joint_states` is a measurement of now.
+///
+/// `servo_bus` gives a servo that does not answer its last position, and NaN as velocity and effort. Hardware
+/// that measures neither, of which ros2_control publishes NaN too, has none for any of its joints.
+fn is_fresh(state: &JointState, joint: usize) -> bool {
+    let has = |joint: usize| {
+        [&state.velocity, &state.effort].iter().any(|values| values.get(joint).is_some_and(|v| v.is_finite()))
+    };
+    let is_position = state.position.get(joint).is_some_and(|position| position.is_finite());
+    is_position && (has(joint) || !(0..state.name.len()).any(has))
+}
 
 /// A name of the module's own, as ros2_control forms it.
 fn own<M: Module>(setup: &Setup<'_, M>, name: &str) -> String {

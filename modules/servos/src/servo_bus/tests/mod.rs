@@ -5,6 +5,7 @@ mod drives;
 mod faults;
 mod limp;
 mod table_bus;
+mod trajectories;
 
 use super::module::ImuReading;
 use super::protocol::Protocol;
