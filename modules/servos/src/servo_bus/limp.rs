@@ -16,8 +16,8 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    pub(crate) fn new(min: i64, max: i64) -> Self {
-        Self { min, max }
+    pub(crate) fn contains(self, raw: i64) -> bool {
+        (self.min..=self.max).contains(&raw)
     }
 }
 
@@ -56,7 +56,7 @@ impl Limp {
             None
         } else if error.contains(StatusError::POSITION_SENSOR) {
             Some(Self::Sensor { position })
-        } else if (reach.min..=reach.max).contains(&position) {
+        } else if reach.contains(position) {
             None
         } else {
             Some(Self::Outside { position, reach })

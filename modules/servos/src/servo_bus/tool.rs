@@ -1,9 +1,12 @@
 //! Finding and configuring single servos, for commands.
 
 use super::bus::{Bus, ExpectedStatus, LineSettings, Outcome, SerialBus};
+use super::joint::Joint;
 use super::line::{ECHO, Line, Trouble, for_each_status};
 use super::models::{self, Access, Model, Register};
+use super::preparation::{PrepareError, Prepared, prepare};
 use super::protocol::{Id, Instruction, Protocol, StatusError, echo_end};
+use super::servo::Servo;
 use downbeat_msgs::definitions::suggestion;
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,7 +22,7 @@ const ATTEMPTS: usize = 2;
 
 /// A serial port with servos.
 pub struct ServoPort {
-    bus: SerialBus,
+    bus: Box<dyn Bus>,
     path: String,
     line: LineSettings,
     own_models: Vec<Arc<Model>>,
@@ -92,6 +95,20 @@ pub enum ServoError {
         /// The model that answers.
         found: String,
     },
+    /// The servo is not what is described, or cannot be driven as described.
+    #[error("{path}: servo {id} ({name}) at {} bit/s cannot be used: {reason}; correct its description, or exchange it", line.baud)]
+    Unsuitable {
+        /// The port.
+        path: String,
+        /// The device.
+        id: Id,
+        /// The joint.
+        name: String,
+        /// How it was asked.
+        line: LineSettings,
+        /// Why.
+        reason: String,
+    },
     /// The model has no such register.
     #[error("{model} has no register \"{register}\"{near}")]
     UnknownRegister {
@@ -144,14 +161,14 @@ impl ServoPort {
     /// # Errors
     /// Returns an error if it cannot be opened.
     pub fn open(path: &str, slack: Duration, own_models: Vec<Arc<Model>>) -> Result<Self, ServoError> {
-        let mut port = Self {
-            bus: SerialBus::with_slack(slack),
-            path: path.to_owned(),
-            line: LineSettings::default(),
-            own_models,
-            is_garbled: false,
-        };
-        port.speak(LineSettings::default())?;
+        Self::on(Box::new(SerialBus::with_slack(slack)), path, own_models)
+    }
+
+    /// Opens a port of this bus.
+    pub(crate) fn on(bus: Box<dyn Bus>, path: &str, own_models: Vec<Arc<Model>>) -> Result<Self, ServoError> {
+        let (path, line) = (path.to_owned(), LineSettings::default());
+        let mut port = Self { bus, path, line, own_models, is_garbled: false };
+        port.speak(line)?;
         Ok(port)
     }
 
@@ -372,6 +389,30 @@ impl ServoPort {
         })
     }
 
+    /// Brings a servo into service as the driver does, with torque where it is, if its position can be a goal.
+    pub(crate) fn prepare(&mut self, joint: &Joint) -> Result<Prepared, ServoError> {
+        let (mut exchanges, softness) = (Vec::new(), Servo::new().softness(joint));
+        let mut prepared = Err(PrepareError::Trouble(Trouble::Silent));
+        for _ in 0..ATTEMPTS {
+            let (bus, protocol) = (&mut *self.bus, self.line.protocol);
+            let mut line = Line { bus, protocol, exchanges: &mut exchanges };
+            prepared = prepare(&mut line, joint, softness, true);
+            if prepared != Err(PrepareError::Trouble(Trouble::Silent)) {
+                break;
+            }
+        }
+        prepared.map_err(|error| match error {
+            PrepareError::Trouble(trouble) => self.explain(joint.id, "take its settings", trouble),
+            PrepareError::OtherModel(reason) | PrepareError::Unsuitable(reason) => ServoError::Unsuitable {
+                path: self.path.clone(),
+                id: joint.id,
+                name: joint.name.clone(),
+                line: self.line,
+                reason,
+            },
+        })
+    }
+
     /// Reads a register.
     ///
     /// # Errors
@@ -454,6 +495,11 @@ impl ServoPort {
             name if register.access == Access::Eeprom => {
                 Some(format!("\"{name}\" outlives the power, and wears out with each write"))
             }
+            "torque_enable" if value != 0 && self.turns_at_once(id, model)? => Some(
+                "it is in an operating mode whose goal is a velocity or a current, and that goal is not 0: it would turn; write 0 to \
+                 goal_velocity and goal_current first, or set operating_mode"
+                    .to_owned(),
+            ),
             "torque_enable" if value != 0 => {
                 let (goal, position) =
                     (Self::register(model, "goal_position")?, Self::register(model, "present_position")?);
@@ -475,6 +521,18 @@ impl ServoPort {
             _ => None,
         };
         danger.map_or(Ok(()), |danger| Err(ServoError::Dangerous(danger)))
+    }
+
+    /// Whether a servo has a goal that is a velocity or a current, and not 0.
+    fn turns_at_once(&mut self, id: Id, model: &Model) -> Result<bool, ServoError> {
+        let Some(mode) = model.register("operating_mode") else { return Ok(false) };
+        let mode = Some(self.read(id, mode)?);
+        let goal = match mode {
+            mode if mode == model.modes.velocity => "goal_velocity",
+            mode if mode == model.modes.effort => "goal_current",
+            _ => return Ok(false),
+        };
+        Ok(self.read(id, &Self::register(model, goal)?)? != 0)
     }
 
     fn read_raw(&mut self, id: Id, register: &Register) -> Result<i64, Trouble> {
@@ -502,7 +560,7 @@ impl ServoPort {
 
     fn ask(&mut self, instruction: &Instruction, parameters: u16) -> Result<Vec<u8>, Trouble> {
         let mut exchanges = Vec::new();
-        let mut line = Line { bus: &mut self.bus, protocol: self.line.protocol, exchanges: &mut exchanges };
+        let mut line = Line { bus: &mut *self.bus, protocol: self.line.protocol, exchanges: &mut exchanges };
         let answer = line.ask(instruction, parameters);
         let has_bytes = exchanges.last().is_some_and(|exchange| !exchange.reply.is_empty());
         self.is_garbled = has_bytes && answer == Err(Trouble::Silent);

@@ -100,6 +100,7 @@ impl Calibrator {
     /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
     pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<Self, ServoError> {
         let mut port = opened(plan, port, slack)?;
+        checked(plan, &mut port)?;
         let mut joints = Vec::new();
         for joint in &plan.joints {
             port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
@@ -260,10 +261,14 @@ impl Calibrator {
     }
 }
 
-/// Opens a bus, switches the power of its servos on, and checks that they are of the described models.
+/// Opens a bus.
 fn opened(plan: &BusPlan, port: &str, slack: Duration) -> Result<ServoPort, ServoError> {
     let models = plan.joints.iter().map(|joint| joint.model.clone()).collect();
-    let mut port = ServoPort::open(port, slack, models)?;
+    ServoPort::open(port, slack, models)
+}
+
+/// Switches the power of the servos on, and checks that they are of the described models.
+fn checked(plan: &BusPlan, port: &mut ServoPort) -> Result<(), ServoError> {
     port.speak(plan.line)?;
     for device in &plan.devices {
         if let Some(power) = &device.power {
@@ -281,7 +286,7 @@ fn opened(plan: &BusPlan, port: &str, slack: Duration) -> Result<ServoPort, Serv
             });
         }
     }
-    Ok(port)
+    Ok(())
 }
 
 impl Limb {

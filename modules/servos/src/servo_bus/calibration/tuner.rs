@@ -4,9 +4,8 @@
 use super::super::description::BusPlan;
 use super::super::joint::Joint;
 use super::super::limp::{Limp, Reach};
-use super::super::protocol::StatusError;
 use super::super::tool::{Caution, ServoError, ServoPort};
-use super::{TurnedJoint, opened};
+use super::{TurnedJoint, checked, opened};
 use std::time::Duration;
 
 /// How fast joints go to 0 rad, in rad/s.
@@ -29,6 +28,8 @@ struct Held {
     /// The raw position at 0 rad, or at the nearer limit, as it is described.
     reference: i64,
     goal: i64,
+    /// Where its goals can be.
+    reach: Reach,
     is_silent: bool,
 }
 
@@ -52,7 +53,13 @@ impl Tuner {
     /// # Errors
     /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
     pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<(Self, Vec<String>), ServoError> {
-        let mut tuner = Self { port: opened(plan, port, slack)?, joints: Vec::new() };
+        Self::on(opened(plan, port, slack)?, plan)
+    }
+
+    /// The same, on an open port.
+    pub(crate) fn on(port: ServoPort, plan: &BusPlan) -> Result<(Self, Vec<String>), ServoError> {
+        let mut tuner = Self { port, joints: Vec::new() };
+        checked(plan, &mut tuner.port)?;
         let notes = tuner.hold(plan);
         if notes.is_err() {
             // What was held already is let go; the first error says what is wrong.
@@ -61,7 +68,8 @@ impl Tuner {
         notes.map(|notes| (tuner, notes))
     }
 
-    /// Gives the joints their torque where they are.
+    /// Gives the joints their torque where they are, prepared as the driver prepares them: a servo may have
+    /// been left in another operating mode, or with other gains.
     fn hold(&mut self, plan: &BusPlan) -> Result<Vec<String>, ServoError> {
         let Self { port, joints } = self;
         let mut notes = Vec::new();
@@ -70,17 +78,30 @@ impl Tuner {
                 notes.push(format!("{} is driven by velocities or efforts, and has no offset", joint.name));
                 continue;
             }
-            let position = port.read(joint.id, &joint.registers.position)?;
-            let reach = reach(port, joint)?;
-            if let Some(limp) = Limp::of(joint, reach, position, StatusError::default()) {
-                notes.push(limp.words(joint));
+            let reference = joint.steps(0.0_f64.clamp(joint.min_rad, joint.max_rad));
+            let prepared = match port.prepare(joint) {
+                Ok(prepared) => prepared,
+                Err(error) => {
+                    // Its torque may be on though its answer was lost; the first error says what is wrong.
+                    let _ = port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force);
+                    return Err(error);
+                }
+            };
+            let (goal, reach) = (prepared.position, prepared.reach);
+            if let Some(limp) = Limp::of(joint, reach, goal, prepared.error) {
+                notes.push(format!("{}; start again for that", limp.words(joint)));
                 continue;
             }
-            let reference = joint.steps(0.0_f64.clamp(joint.min_rad, joint.max_rad));
-            let mut held = Held { joint: joint.clone(), reference, goal: position, is_silent: false };
-            held.go_to(port, position)?;
-            joints.push(held);
-            port.write(joint.id, &joint.model, &joint.registers.torque, 1, Caution::Force)?;
+            if !reach.contains(reference) {
+                notes.push(format!(
+                    "{} stays limp: servo {} cannot go to 0 rad, which is {reference} of its steps, beyond its position limits or \
+                     what it counts; correct its zero with `downbeat servo calibrate`, or its position limits",
+                    joint.name, joint.id
+                ));
+                port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
+                continue;
+            }
+            joints.push(Held { joint: joint.clone(), reference, goal, reach, is_silent: false });
         }
         Ok(notes)
     }
@@ -119,8 +140,7 @@ impl Tuner {
     pub fn step(&mut self, joint: usize, steps: i64) -> Result<bool, ServoError> {
         let Some(held) = self.joints.get_mut(joint) else { return Ok(false) };
         let goal = held.goal + if held.joint.sign < 0.0 { -steps } else { steps };
-        let is_possible = (held.joint.registers.goal.min..=held.joint.registers.goal.max).contains(&goal);
-        if !is_possible || held.offset(goal).abs() > MOST_RAD {
+        if !held.reach.contains(goal) || held.offset(goal).abs() > MOST_RAD {
             return Ok(false);
         }
         held.go_to(&mut self.port, goal)?;
@@ -189,15 +209,4 @@ impl Held {
         self.goal = goal;
         Ok(())
     }
-}
-
-/// Where the goals of a servo can be.
-fn reach(port: &mut ServoPort, joint: &Joint) -> Result<Reach, ServoError> {
-    let goal = &joint.registers.goal;
-    let mut limit = |name: &str, otherwise: i64| match joint.model.register(name) {
-        Some(register) => port.read(joint.id, register),
-        None => Ok(otherwise),
-    };
-    let (min, max) = (limit("min_position_limit", goal.min)?, limit("max_position_limit", goal.max)?);
-    Ok(Reach::new(min.max(goal.min), max.min(goal.max)))
 }

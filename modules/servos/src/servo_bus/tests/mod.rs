@@ -6,6 +6,7 @@ mod faults;
 mod limp;
 mod table_bus;
 mod trajectories;
+mod tuning;
 
 use super::module::ImuReading;
 use super::protocol::Protocol;

@@ -98,6 +98,15 @@ impl Tables {
             statuses.iter().for_each(|status| status.emit(protocol, &mut reply).unwrap());
         };
         match instruction {
+            Instruction::Ping { id } => {
+                let count = if protocol == Protocol::Dynamixel2 { 3 } else { 0 };
+                let known = self.tables.get(&id);
+                let parameters = known.map(|table| table[..count].to_vec());
+                put(parameters
+                    .map(|parameters| Status { id, error: self.error, parameters })
+                    .into_iter()
+                    .collect());
+            }
             Instruction::Read { id, address, length } => {
                 put(self.read(&ReadEntry { id, address, length }).into_iter().collect());
             }
