@@ -19,6 +19,7 @@
 //! | `allow_nonzero_velocity_at_trajectory_end` | false | |
 //! | `stamp_timeout` | 0.5 | s by which the stamp of a trajectory may lie in the past; 0 any |
 //! | `state_timeout` | 0.5 | s without a fresh measured position of a joint after which a trajectory is given up, by the stamps of `joint_states`; 0 any |
+//! | `max_deceleration` | 10 | rad/s² or m/s² with which joints in motion brake that a new trajectory would let swing, and join a late one |
 //! | `constraints.goal_time` | 0 | s that the joints have to reach the goal after the end of the trajectory; 0 waits |
 //! | `constraints.stopped_velocity_tolerance` | 0.01 | rad/s or m/s at the goal; 0 is not checked |
 //! | `constraints.JOINT.trajectory`, `constraints.JOINT.goal` | 0 | tolerance of the position on the way and at the goal, rad or m; 0 is not checked |
@@ -26,7 +27,10 @@
 //! A trajectory begins at its stamp, or at once if that is zero; one whose stamp is older than
 //! `stamp_timeout`, or more than a minute ahead, is refused: its beginning would be skipped, or the clocks
 //! differ. It begins from the command so far, so that a replaced trajectory causes no jump; without one, and
-//! after an activation, from the measured position. A goal that is cancelled or aborted holds the position in
+//! after an activation, from the measured position. Joints in motion that would swing on the way to the first
+//! point brake first, and a trajectory that is late, or whose first point is at its start, is joined without
+//! a jump ([`motion`](super::motion)); its goal is then reached later if the way to its end is too long for
+//! the time that is left. A goal that is cancelled or aborted holds the position in
 //! which it ends. Deactivating the controller aborts its goal. Tolerances in a goal replace those of the
 //! settings: 0 leaves them, -1 removes them.
 //!
@@ -47,6 +51,7 @@
 use std::time::Duration;
 
 use super::claims::OwnClaims;
+use super::motion::Motion;
 use super::spline::{Allowed, JointSample, Trajectory, TrajectoryError};
 use super::{is_fresh, joint_names, own};
 use crate::stamps::{Stale, header};
@@ -93,11 +98,9 @@ struct Measured {
 /// A trajectory on its way.
 #[derive(Debug)]
 struct Following {
-    trajectory: Trajectory,
+    motion: Motion,
     start: Time,
     last: Time,
-    /// The state in which it begins.
-    begin: Vec<JointSample>,
     /// `None` for one that came from the topic.
     goal: Option<GoalId>,
     tolerances: Tolerances,
@@ -126,6 +129,7 @@ pub struct Ports {
     allow_moving_end: Setting<bool>,
     stamp_timeout: Setting<f64>,
     state_timeout: Setting<f64>,
+    max_deceleration: Setting<f64>,
     goal_time: Setting<f64>,
     stopped_velocity: Setting<f64>,
     /// Of the position on the way and at the goal, by joint.
@@ -256,8 +260,10 @@ impl JointTrajectoryController {
             let reason = "a new trajectory has replaced it";
             self.abort(before, FollowJointTrajectoryResult::SUCCESSFUL, reason.to_owned(), ctx);
         }
-        self.commanded.clone_from(&begin);
-        self.following = Some(Following { trajectory, start, last: ctx.now(), begin, goal, tolerances });
+        let (now, deceleration) = (ctx.now(), *ctx.get(ctx.ports.max_deceleration));
+        let motion = Motion::new(trajectory, &begin, seconds_after(start, now), deceleration);
+        self.commanded = begin;
+        self.following = Some(Following { motion, start, last: now, goal, tolerances });
         Ok(())
     }
 
@@ -313,16 +319,16 @@ impl JointTrajectoryController {
         }
         let Some(following) = &self.following else { return };
         if let Err(reason) = self.without_state(ctx) {
-            let is_over = now >= following.start + following.trajectory.duration();
+            let is_over = now >= following.start + following.motion.duration();
             let code = match is_over {
                 true => FollowJointTrajectoryResult::GOAL_TOLERANCE_VIOLATED,
                 false => FollowJointTrajectoryResult::PATH_TOLERANCE_VIOLATED,
             };
             return self.give_up(following.goal, code, reason.to_string(), ctx);
         }
-        let Following { trajectory, start, begin, goal, tolerances, .. } = following;
-        let end = *start + trajectory.duration();
-        trajectory.sample(begin, now.saturating_since(*start), &mut self.commanded);
+        let Following { motion, start, goal, tolerances, .. } = following;
+        let end = *start + motion.duration();
+        motion.sample(seconds_after(*start, now), &mut self.commanded);
         let (commanded, measured) = (&self.commanded, self.measured_state());
         let Some(measured) = measured else { return };
         let outside = |tolerances: &[Tolerance]| violation(&self.joints, commanded, &measured, tolerances);
@@ -386,7 +392,7 @@ impl JointTrajectoryController {
         let Some(measured) = self.measured_state() else { return };
         let reference = if self.commanded.is_empty() { &measured } else { &self.commanded };
         let since_start = self.following.as_ref().map_or(Duration::ZERO, |following| {
-            ctx.now().saturating_since(following.start).min(following.trajectory.duration())
+            ctx.now().saturating_since(following.start).min(following.motion.duration())
         });
         let point = |states: &[JointSample]| point(states, since_start);
         let error: Vec<_> =
@@ -469,6 +475,12 @@ impl Module for JointTrajectoryController {
                 0.5,
                 0.0..=3600.0,
                 "s; how old the last fresh position of a joint may be while it follows a trajectory; 0 for any",
+            )?,
+            max_deceleration: setup.setting_in(
+                "max_deceleration",
+                10.0,
+                0.1..=1e4,
+                "rad/s² or m/s²; with which joints brake that a new trajectory would let swing, and join a late one",
             )?,
             goal_time: setup.setting_in(
                 "constraints.goal_time",
@@ -589,6 +601,11 @@ fn violation(
         }
         None
     })
+}
+
+/// Negative before `start`.
+fn seconds_after(start: Time, now: Time) -> f64 {
+    now.saturating_since(start).as_secs_f64() - start.saturating_since(now).as_secs_f64()
 }
 
 fn difference(to: JointSample, from: JointSample) -> JointSample {
@@ -898,6 +915,53 @@ mod tests {
         assert!((arm.position[0] - before).abs() < 0.05, "{before} {}", arm.position[0]);
         arm.run(1.2);
         assert_eq!(second.try_recv().unwrap().status, SUCCEEDED);
+    }
+
+    #[test]
+    fn a_goal_that_stops_a_joint_in_motion_does_not_let_it_swing() {
+        let mut arm = Arm::new(&[]);
+        drop(arm.send(1, to(2, 2.0, 0.0)));
+        arm.run(1.0);
+        let (before, period) = (arm.position[0], 0.008);
+        let second = arm.send(2, to(10, before, 0.0)).unwrap();
+        let (mut last, mut most) = (before, before);
+        for _ in 0..1400 {
+            arm.run(period);
+            assert!((arm.position[0] - last).abs() < 1.6 * period, "{last} {}", arm.position[0]);
+            last = arm.position[0];
+            most = most.max(last);
+        }
+        // At 1.5 rad/s and 10 rad/s² it takes 0.11 rad to stop; the spline alone would swing out by 2.2 rad.
+        assert!(most - before < 0.14, "{}", most - before);
+        assert_eq!((second.try_recv().unwrap().status, arm.position[0]), (SUCCEEDED, before));
+    }
+
+    #[test]
+    fn a_late_trajectory_and_one_whose_first_point_is_now_do_not_jump() {
+        for late_ms in [0, 20, 300, 480] {
+            let mut arm = Arm::new(&[("constraints.shoulder.trajectory", 0.1)]);
+            let mut goal = to(2, 1.0, 0.0);
+            let first = JointTrajectoryPoint {
+                positions: vec![0.4, 0.0],
+                time_from_start: DurationMessage::from_nanos(0),
+                ..goal.trajectory.points[0].clone()
+            };
+            goal.trajectory.points.insert(0, first);
+            if late_ms > 0 {
+                let stamp = arm.clock.now().as_nanos() - late_ms * 1_000_000;
+                goal.trajectory.header = header(Time::from_nanos(stamp), "");
+            }
+            let result = arm.send(1, goal).unwrap();
+            let mut last = 0.0;
+            for _ in 0..300 {
+                arm.run(0.008);
+                let step = (arm.position[0] - last).abs();
+                assert!(step < 0.016, "late by {late_ms} ms: a step of {step} rad in 8 ms");
+                last = arm.position[0];
+            }
+            let response = result.try_recv().unwrap();
+            assert_eq!((response.status, last), (SUCCEEDED, 1.0), "{}", response.result.error_string);
+        }
     }
 
     #[test]

@@ -19,6 +19,7 @@ pub mod claims;
 pub mod diff_drive;
 pub mod forward_command;
 pub mod joint_trajectory;
+pub mod motion;
 pub mod spline;
 
 use downbeat_executor::{Module, Setting, Setup, SetupError};

@@ -6,8 +6,8 @@
 //! - cubic, if both have velocities: the polynomial that meets positions and velocities at both ends;
 //! - quintic, if both have accelerations too: the one that meets these as well.
 //!
-//! Before the first point the trajectory leads there from the state in which it begins; after the last one it
-//! holds its position.
+//! Before the first point the trajectory leads there from the state in which it begins, unless it would
+//! swing or jump ([`motion`](super::motion)); after the last one it holds its position.
 //!
 //! # References
 //! `joint_trajectory_controller/src/trajectory.cpp` and `doc/trajectory.rst` of
@@ -183,35 +183,58 @@ impl Trajectory {
         Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO)
     }
 
-    /// The state of the controller's joints at a time after the start, for a trajectory that begins in the
-    /// state `begin`. Joints that it does not move stay where they were.
-    ///
-    /// Writes into `sample`, which has one entry per joint of the controller, as has `begin`.
-    pub fn sample(&self, begin: &[JointSample], after: Duration, sample: &mut [JointSample]) {
-        let time = after.as_secs_f64();
-        let next = self.points.iter().position(|point| time < point.time);
-        for (nth, &joint) in self.moved.iter().enumerate() {
-            sample[joint] = match next {
-                // The state in which it begins has all derivatives.
-                Some(0) => self.points[0].between(0.0, begin[joint], (true, true), nth, time),
-                Some(next) => {
-                    let before = &self.points[next - 1];
-                    let has = (before.has_velocities, before.has_accelerations);
-                    self.points[next].between(before.time, before.states[nth], has, nth, time)
-                }
-                None => match self.points.last() {
-                    Some(last) => {
-                        JointSample { position: last.states[nth].position, ..JointSample::default() }
-                    }
-                    None => begin[joint],
-                },
-            };
+    /// The place in the trajectory of a joint of the controller; `None` if it does not move that.
+    pub(super) fn place_of(&self, joint: usize) -> Option<usize> {
+        self.moved.iter().position(|moved| *moved == joint)
+    }
+
+    /// When its first point is, in s after the start.
+    pub(super) fn first_time(&self) -> f64 {
+        self.points.first().map_or(0.0, |first| first.time)
+    }
+
+    /// The state of the trajectory's nth joint at `time`, in s after the start, if it is in the state `from`
+    /// at `from_time`. Stays there before that.
+    pub(super) fn state(&self, nth: usize, from: JointSample, from_time: f64, time: f64) -> JointSample {
+        match self.points.iter().position(|point| time < point.time) {
+            Some(0) if time < from_time => from,
+            // The state in which it begins has all derivatives.
+            Some(0) => self.points[0].between(from_time, from, (true, true), nth, time),
+            Some(next) => {
+                let before = &self.points[next - 1];
+                let has = (before.has_velocities, before.has_accelerations);
+                self.points[next].between(before.time, before.states[nth], has, nth, time)
+            }
+            None => self.points.last().map_or(from, |last| JointSample {
+                position: last.states[nth].position,
+                ..JointSample::default()
+            }),
         }
-        for (joint, state) in sample.iter_mut().enumerate() {
-            if !self.moved.contains(&joint) {
-                *state = JointSample { position: begin[joint].position, ..JointSample::default() };
+    }
+
+    /// Whether joints move on a line at this time after the start.
+    pub(super) fn is_line(&self, time: f64) -> bool {
+        let Some(next) = self.points.iter().position(|point| time < point.time) else {
+            return false;
+        };
+        let has_first = next == 0 || self.points[next - 1].has_velocities;
+        !(has_first && self.points[next].has_velocities)
+    }
+
+    /// The smallest and the largest position of the trajectory's nth joint on the way to the first point,
+    /// from the state `from` at `from_time`.
+    pub(super) fn range_of_first(&self, nth: usize, from: JointSample, from_time: f64) -> [f64; 2] {
+        let Some(first) = self.points.first() else { return [from.position; 2] };
+        let ends = [from.position, first.states[nth].position];
+        let mut range = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        let span = first.time - from_time;
+        if let (Some(coefficients), true) = (first.spline_from(from, (true, true), nth, span), span > 0.0) {
+            for t in turning_points(&coefficients, span) {
+                let position = evaluate(&coefficients, t).position;
+                range = [range[0].min(position), range[1].max(position)];
             }
         }
+        range
     }
 }
 
@@ -258,7 +281,7 @@ impl Point {
         &self,
         from_time: f64,
         from: JointSample,
-        (from_has_velocities, from_has_accelerations): (bool, bool),
+        from_has: (bool, bool),
         nth: usize,
         time: f64,
     ) -> JointSample {
@@ -267,16 +290,32 @@ impl Point {
         if span <= 0.0 {
             return to;
         }
-        if !(from_has_velocities && self.has_velocities) {
-            let velocity = (to.position - from.position) / span;
-            return JointSample { position: from.position + velocity * t, velocity, acceleration: 0.0 };
+        match self.spline_from(from, from_has, nth, span) {
+            Some(coefficients) => evaluate(&coefficients, t),
+            None => {
+                let velocity = (to.position - from.position) / span;
+                JointSample { position: from.position + velocity * t, velocity, acceleration: 0.0 }
+            }
         }
-        let coefficients = if from_has_accelerations && self.has_accelerations {
-            quintic(from, to, span)
+    }
+
+    /// The polynomial from a state that has velocities and accelerations, or not, to this point; `None` for a
+    /// line.
+    fn spline_from(
+        &self,
+        from: JointSample,
+        (from_has_velocities, from_has_accelerations): (bool, bool),
+        nth: usize,
+        span: f64,
+    ) -> Option<Coefficients> {
+        let to = self.states[nth];
+        if !(from_has_velocities && self.has_velocities) {
+            None
+        } else if from_has_accelerations && self.has_accelerations {
+            Some(quintic(from, to, span))
         } else {
-            cubic(from, to, span)
-        };
-        evaluate(&coefficients, t)
+            Some(cubic(from, to, span))
+        }
     }
 }
 
@@ -316,6 +355,37 @@ fn evaluate(coefficients: &Coefficients, t: f64) -> JointSample {
     sample
 }
 
+/// Where the position on a polynomial turns, from 0 to `span`.
+fn turning_points(coefficients: &Coefficients, span: f64) -> Vec<f64> {
+    let mut roots = Vec::new();
+    // Between two roots of its derivative a polynomial has at most one root: from the highest derivative,
+    // which is constant, down to the velocity.
+    for order in (1..coefficients.len()).rev() {
+        let value = |t: f64| {
+            let falling = |power: usize| (0..order).map(|less| (power - less) as f64).product::<f64>();
+            let terms = (order..coefficients.len()).rev();
+            terms.fold(0.0, |sum, power| sum * t + falling(power) * coefficients[power])
+        };
+        let ends: Vec<f64> = [0.0].into_iter().chain(roots).chain([span]).collect();
+        roots = ends.windows(2).filter_map(|pair| root_between(value, pair[0], pair[1])).collect();
+    }
+    roots
+}
+
+/// The root of a function that rises or falls all the way, by bisection.
+fn root_between(value: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> Option<f64> {
+    let is_negative = value(low) < 0.0;
+    if is_negative == (value(high) < 0.0) {
+        return None;
+    }
+    // As many halves as a number has bits.
+    for _ in 0..53 {
+        let middle = 0.5 * (low + high);
+        if (value(middle) < 0.0) == is_negative { low = middle } else { high = middle }
+    }
+    Some(0.5 * (low + high))
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -346,9 +416,11 @@ mod tests {
     }
 
     fn sample(trajectory: &Trajectory, begin: &[JointSample], seconds: f64) -> Vec<JointSample> {
-        let mut states = vec![JointSample::default(); begin.len()];
-        trajectory.sample(begin, Duration::from_secs_f64(seconds), &mut states);
-        states
+        let state = |joint: usize| {
+            let nth = trajectory.place_of(joint).unwrap();
+            trajectory.state(nth, begin[joint], 0.0, seconds)
+        };
+        (0..begin.len()).map(state).collect()
     }
 
     #[test]
@@ -385,17 +457,46 @@ mod tests {
     }
 
     #[test]
-    fn joints_may_come_in_another_order_and_those_left_out_stay_where_they_are() {
+    fn joints_may_come_in_another_order_and_be_left_out() {
         let message = trajectory(&["c", "a"], vec![point(1.0, &[3.0, 1.0], &[], &[])]);
         let known = joints(&["a", "b", "c"]);
         let refused = Trajectory::new(&message, &known, Allowed::default());
         assert_eq!(refused, Err(TrajectoryError::MissingJoint { joint: "b".into() }));
         let partial = Allowed { partial: true, ..Allowed::default() };
         let accepted = Trajectory::new(&message, &known, partial).unwrap();
-        let begin = [JointSample { position: 0.25, velocity: 1.0, acceleration: 0.0 }; 3];
-        let states = sample(&accepted, &begin, 1.0);
-        assert_eq!(states.iter().map(|state| state.position).collect::<Vec<_>>(), [1.0, 0.25, 3.0]);
-        assert_eq!(states[1].velocity, 0.0);
+        let places = [0, 1, 2].map(|joint| accepted.place_of(joint));
+        assert_eq!(places, [Some(1), None, Some(0)]);
+        let end = |nth| accepted.state(nth, JointSample::default(), 0.0, 1.0).position;
+        assert_eq!([end(0), end(1)], [3.0, 1.0]);
+    }
+
+    #[test]
+    fn the_range_of_a_spline_is_where_it_turns() {
+        // x = t (1 - t)^2 turns at 1/3, and reaches 4/27.
+        let message = trajectory(&["a"], vec![point(1.0, &[0.0], &[0.0], &[])]);
+        let cubic = Trajectory::new(&message, &joints(&["a"]), Allowed::default()).unwrap();
+        let begin = JointSample { velocity: 1.0, ..JointSample::default() };
+        let [low, high] = cubic.range_of_first(0, begin, 0.0);
+        assert!(low == 0.0 && (high - 4.0 / 27.0).abs() < 1e-12, "{low} {high}");
+        let mut random = fuzzing::Random::new(3);
+        for _ in 0..200 {
+            let mut number = || (random.bits() >> 11) as f64 / (1_u64 << 51) as f64 - 2.0;
+            let message = trajectory(&["a"], vec![point(1.5, &[number()], &[number()], &[number()])]);
+            let allowed = Allowed { moving_end: true, ..Allowed::default() };
+            let quintic = Trajectory::new(&message, &joints(&["a"]), allowed).unwrap();
+            let begin = JointSample { position: number(), velocity: number(), acceleration: 9.0 * number() };
+            let found = quintic.range_of_first(0, begin, 0.0);
+            let seen: Vec<f64> = (0..1500)
+                .map(|step| quintic.state(0, begin, 0.0, f64::from(step) / 1000.0).position)
+                .chain([quintic.points[0].states[0].position])
+                .collect();
+            let [low, high] = [
+                seen.iter().copied().fold(f64::MAX, f64::min),
+                seen.iter().copied().fold(f64::MIN, f64::max),
+            ];
+            assert!(found[0] <= low && found[1] >= high, "{found:?} {low} {high}");
+            assert!(found[0] > low - 1e-4 && found[1] < high + 1e-4, "{found:?} {low} {high}");
+        }
     }
 
     #[test]

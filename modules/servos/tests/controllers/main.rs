@@ -3,6 +3,7 @@
 
 use downbeat_msgs::builtin_interfaces::msg::Duration as DurationMessage;
 use downbeat_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
+use downbeat_servos::controllers::motion::Motion;
 use downbeat_servos::controllers::spline::{Allowed, JointSample, Trajectory};
 use fuzzing::Random;
 use python_peer::{Python, printed, with_file};
@@ -58,15 +59,16 @@ fn every_sample_agrees_with_scipy() {
         let at: Vec<f64> = (0..200).map(|part| end * f64::from(part) / 200.0).collect();
         let point = |(time, state): &(f64, [f64; 3])| json!({"time": time, "state": state[..derivatives]});
         asked.push(json!({"points": points.iter().map(point).collect::<Vec<_>>(), "at": at}));
-        trajectories.push((trajectory, begin, at));
+        // The joint begins at rest, so no spline swings.
+        trajectories.push((Motion::new(trajectory, &[begin], 0.0, 10.0), at));
     }
     let Some(answers) = scipy(&json!(asked)) else { return };
     let mut worst = 0.0_f64;
-    for ((trajectory, begin, at), theirs) in trajectories.iter().zip(answers) {
+    for ((motion, at), theirs) in trajectories.iter().zip(answers) {
         for (&seconds, theirs) in at.iter().zip(theirs) {
             let mut sample = [JointSample::default()];
             // A sample lies within the segment of its time, also where that is rounded to nanoseconds.
-            trajectory.sample(&[*begin], Duration::from_secs_f64(seconds), &mut sample);
+            motion.sample(Duration::from_secs_f64(seconds).as_secs_f64(), &mut sample);
             let ours = [sample[0].position, sample[0].velocity, sample[0].acceleration];
             for (ours, theirs) in ours.into_iter().zip(theirs) {
                 worst = worst.max((ours - theirs).abs() / (1.0 + theirs.abs()));
