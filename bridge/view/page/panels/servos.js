@@ -2,18 +2,12 @@
 // The joints of the robot: position, goal, load, and what the diagnostics say of their servos.
 
 import { empty, h, number, replace, setText } from '../panel.js';
+import { LOSS_MS, Servos, cableTrouble } from './servos_data.js';
 
-/**
- * @typedef {{ name: string, position: number, velocity: number, effort: number, goal: number, seenMs: number, id: number,
- *   temperature: number, voltage: number, level: number, message: string, bus: string, missed: number, outages: number, lostMs: number }} Joint
- *   `missed`: answers; `outages`: how often it was out of service; `lostMs`: when the last answer was missed
- */
+/** @typedef {import('./servos_data.js').Joint} Joint */
 
 const STALE_MS = 2000;
-const MOST_JOINTS = 500;
 const HOT = 60;
-/** A servo that has missed an answer in this time is one that misses answers. */
-const LOSS_MS = 10_000;
 const COLUMNS = /** @type {[string, string, (joint: Joint) => string | number][]} */ ([
   ['ID', 'number lesser', ({ id }) => id], ['Joint', '', ({ name }) => name], ['Position', 'number', ({ position }) => position], ['', '', ({ position }) => position],
   ['Goal', 'number minor', ({ goal }) => goal], ['Velocity', 'number minor', ({ velocity }) => velocity], ['Load', 'number lesser', ({ effort }) => Math.abs(effort)],
@@ -25,12 +19,13 @@ export default {
   id: 'servos',
   title: 'Servos',
   create(root, robot, view) {
-    /** @type {{ degrees: boolean, sort: number, down: boolean }} */
-    const options = { degrees: true, sort: 0, down: false, ...view.get() };
-    /** @type {Map<string, Joint>} */
-    const joints = new Map();
+    /** Without a column to sort by, joints are in the order of the cable. @type {{ degrees: boolean, sort: number, down: boolean }} */
+    const options = { degrees: true, sort: -1, down: false, ...view.get() };
+    const servos = new Servos();
     /** @type {Map<string, ReturnType<typeof rowOf>>} */
     const rows = new Map();
+    /** @type {Map<string, HTMLTableRowElement>} */
+    const titles = new Map();
     /** @type {Map<string, [number, number]>} */
     const limits = new Map();
     const body = h('tbody', null);
@@ -49,26 +44,20 @@ export default {
     const table = h('div', { class: 'scroll' }, h('table', { 'data-testid': 'servos' }, h('thead', null, h('tr', null, heads)), body));
     const nothing = empty('No joints here.', 'No topic carries sensor_msgs/JointState.');
 
-    /** @param {string} name */
-    const jointOf = (name) => {
-      let joint = joints.get(name);
-      if (!joint && joints.size < MOST_JOINTS) {
-        joint = { name, position: NaN, velocity: NaN, effort: NaN, goal: NaN, seenMs: 0, id: joints.size + 1, temperature: NaN, voltage: NaN, level: -1, message: '', bus: '', missed: NaN, outages: NaN, lostMs: -Infinity };
-        joints.set(name, joint);
+    /** @type {Set<string>} */
+    const subscribed = new Set();
+    const listen = () => {
+      for (const { topic, schemaName } of robot.channels.values()) {
+        if (schemaName !== 'sensor_msgs/msg/JointState' || subscribed.has(topic)) continue;
+        const isOf = (/** @type {string[]} */ ...names) => names.includes(topic.slice(topic.lastIndexOf('/') + 1));
+        if (isOf('joint_states')) robot.subscribe(topic, (message) => servos.takeStates(topic, message, performance.now()), { latest: true });
+        else if (isOf('joint_goals', 'joint_commands')) robot.subscribe(topic, (message) => servos.takeGoals(topic, message));
+        else continue;
+        subscribed.add(topic);
       }
-      return joint;
     };
-    robot.subscribe('/joint_states', ({ name, position, velocity, effort }) => {
-      const now = performance.now();
-      name.forEach((/** @type {string} */ each, /** @type {number} */ i) => {
-        const joint = jointOf(each);
-        if (joint) Object.assign(joint, { position: position[i] ?? NaN, velocity: velocity[i] ?? NaN, effort: effort[i] ?? NaN, seenMs: now });
-      });
-    }, { latest: true });
-    const goals = robot.channels.has('/joint_goals') ? '/joint_goals' : '/joint_commands';
-    robot.subscribe(goals, ({ name, position }) => {
-      name.forEach((/** @type {string} */ each, /** @type {number} */ i) => { const joint = joints.get(each); if (joint) joint.goal = position[i] ?? NaN; });
-    });
+    robot.addEventListener('channels', listen);
+    listen();
     robot.subscribe('/robot_description', ({ data }) => {
       for (const joint of new DOMParser().parseFromString(data, 'text/xml').querySelectorAll('robot > joint')) {
         const limit = joint.querySelector('limit');
@@ -76,70 +65,45 @@ export default {
         if (range[1] > range[0]) limits.set(joint.getAttribute('name') ?? '', /** @type {[number, number]} */ (range));
       }
     }, { latest: true });
-    robot.subscribe('/diagnostics', ({ status }) => {
-      for (const { name, level, message, values } of status) {
-        // `darwin_op: servo 3 head_pan`, or any part whose last word is the name of a joint.
-        const joint = joints.get(/(\S+)$/.exec(name)?.[1] ?? '');
-        if (!joint) continue;
-        const id = /\b(\d+)\s+\S+$/.exec(name);
-        if (id) joint.id = Number(id[1]);
-        Object.assign(joint, { level, message, bus: name.slice(0, Math.max(0, name.indexOf(':'))) });
-        for (const { key, value } of values) {
-          if (/temperature/i.test(key)) joint.temperature = Number(value);
-          else if (/voltage/i.test(key)) joint.voltage = Number(value);
-          else if (/missed/i.test(key)) {
-            if (Number(value) > joint.missed) joint.lostMs = performance.now();
-            joint.missed = Number(value);
-          } else if (/out of service/i.test(key)) joint.outages = Number(value);
-        }
-      }
-    });
+    robot.subscribe('/diagnostics', (message) => servos.takeDiagnostics(message, performance.now()));
 
     function show() {
-      if (joints.size === 0) { replace(root, [nothing]); return; }
+      const groups = servos.groups();
+      const joints = groups.flatMap((group) => group.joints);
+      if (joints.length === 0) { replace(root, [nothing]); return; }
       replace(root, [cable, table]);
       const now = performance.now();
-      const trouble = cableTrouble([...joints.values()], now);
+      const trouble = cableTrouble(joints, now);
       cable.hidden = trouble === '';
       setText(cable, trouble);
       heads.forEach((head, i) => (i === options.sort ? head.setAttribute('aria-sort', options.down ? 'descending' : 'ascending') : head.removeAttribute('aria-sort')));
-      const key = COLUMNS[options.sort]?.[2] ?? COLUMNS[0][2];
+      const key = COLUMNS[options.sort]?.[2];
       const sign = options.down ? -1 : 1;
-      const sorted = [...joints.values()].sort((a, b) => {
+      const sorted = (/** @type {Joint[]} */ all) => (key === undefined ? all : [...all].sort((a, b) => {
         const [x, y] = [key(a), key(b)];
         return sign * (typeof x === 'string' ? x.localeCompare(String(y)) : (Number.isNaN(x) ? Infinity : x) - (Number.isNaN(Number(y)) ? Infinity : Number(y))) || a.id - b.id;
-      });
-      const faults = sorted.filter(({ level }) => level > 0).length;
-      const hottest = Math.max(...sorted.map(({ temperature }) => (Number.isNaN(temperature) ? -Infinity : temperature)));
-      view.setTitle(`${sorted.length}${faults > 0 ? `, ${faults} with faults` : ''}${Number.isFinite(hottest) ? `, up to ${hottest} °C` : ''}`);
-      replace(body, sorted.map((joint) => {
-        let row = rows.get(joint.name);
-        if (!row) { row = rowOf(joint.name); rows.set(joint.name, row); }
-        row.show(joint, options.degrees, limits.get(joint.name) ?? [-Math.PI, Math.PI], now - joint.seenMs > STALE_MS);
-        return row.element;
+      }));
+      const faults = joints.filter(({ level }) => level > 0).length;
+      const hottest = Math.max(...joints.map(({ temperature }) => (Number.isNaN(temperature) ? -Infinity : temperature)));
+      view.setTitle(`${joints.length}${faults > 0 ? `, ${faults} with faults` : ''}${Number.isFinite(hottest) ? `, up to ${hottest} °C` : ''}`);
+      replace(body, groups.flatMap((group) => {
+        const lines = sorted(group.joints).map((joint) => {
+          let row = rows.get(joint.key);
+          if (!row) { row = rowOf(joint.name); rows.set(joint.key, row); }
+          row.show(joint, options.degrees, limits.get(joint.name) ?? [-Math.PI, Math.PI], joint.seenMs === -Infinity ? joint.level < 0 : now - joint.seenMs > STALE_MS);
+          return row.element;
+        });
+        if (groups.length === 1) return lines;
+        let title = titles.get(group.key);
+        if (!title) { title = h('tr', { 'data-testid': 'servos-bus' }, h('th', { scope: 'rowgroup', colSpan: COLUMNS.length })); titles.set(group.key, title); }
+        setText(/** @type {HTMLElement} */ (title.firstElementChild), group.label);
+        return [title, ...lines];
       }));
     }
     robot.every(100, show);
-    return { destroy() {}, seeked() { for (const joint of joints.values()) Object.assign(joint, { goal: NaN, level: -1, message: '', temperature: NaN, voltage: NaN, missed: NaN, outages: NaN, lostMs: -Infinity }); } };
+    return { destroy() {}, seeked() { servos.forget(); } };
   },
 };
-
-/**
- * Where a cable is bad: from one servo on, all miss answers. The servos of a bus are in the order in which the robot reports them, which is
- * that of their description.
- * @param {Joint[]} joints @param {number} nowMs
- */
-export function cableTrouble(joints, nowMs) {
-  for (const bus of new Set(joints.map((joint) => joint.bus))) {
-    const chain = joints.filter((joint) => joint.bus === bus && joint.level >= 0);
-    const loses = (/** @type {Joint} */ { lostMs }) => nowMs - lostMs < LOSS_MS;
-    const first = chain.findIndex(loses);
-    if (chain.length < 2 || first < 0 || !chain.slice(first).every(loses)) continue;
-    if (first === 0) return `No servo of ${bus} answers reliably: its power, or the cable to ${chain[0].name}.`;
-    if (first < chain.length - 1) return `From ${chain[first].name} (id ${chain[first].id}) on, servos of ${bus} miss answers: look at the cable between ${chain[first - 1].name} and ${chain[first].name}, if the description lists them as the cable does.`;
-  }
-  return '';
-}
 
 /** Without the sign of a zero. @param {number} value @param {number} decimals */
 const fixed = (value, decimals) => value.toFixed(decimals).replace(/^-(0(\.0*)?)$/, '$1').replace('-', '−');

@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { Chains, drawnOf, wayBetween } from '../../page/panels/graph_chains.js';
 import { History, edgesOf, isDebug, isOwn, summary } from '../../page/panels/graph_data.js';
-import { cableTrouble } from '../../page/panels/servos.js';
+import { Servos, cableTrouble } from '../../page/panels/servos_data.js';
 import { Timeline, niceStep, publishersOf } from '../../page/panels/timeline_data.js';
 
 const times = (more = {}) => ({ count: 0, sum_ns: 0, p50_ns: 0, p99_ns: 0, max_ns: 0, ...more });
@@ -257,4 +257,68 @@ test('a bad cable is between the last servo that answers and the first that does
   assert.equal(cableTrouble(chain('.....x'), 2000), '', 'the last one alone');
   assert.equal(cableTrouble(chain('...xxx'), 60_000), '', 'long ago');
   assert.match(cableTrouble([...chain('......', 'legs'), ...chain('.xx', 'arm')], 2000), /cable between arm_1 and arm_2/);
+});
+
+/** The diagnostics of an arm whose servos have missed that many answers. */
+const diagnosticsOf = (hardware, missed, topics = {}, title = 'so101') => ({ status: [
+  { name: `${title}: bus`, hardware_id: hardware, level: 0, message: 'running', values: Object.entries({ port: `memory:${hardware}`, ...topics }).map(([key, value]) => ({ key, value })) },
+  ...missed.map((count, place) => ({
+    name: `${title}: servo ${10 - place} joint_${'cba'[place]}`, hardware_id: hardware, level: place === 2 ? 1 : 0, message: hardware,
+    values: [{ key: 'answers missed', value: String(count) }],
+  })),
+] });
+const stateOf = (name, angle) => ({ name, position: name.map((_, i) => angle + i), velocity: name.map(() => 0), effort: name.map(() => 0) });
+const shown = (servos) => servos.groups().map(({ label, joints }) => [label, joints.map(({ name, position, missed, goal }) => [name, position, missed, goal])]);
+
+test('the joints of two arms with the same names are shown each by itself, in the order of the cable', () => {
+  const servos = new Servos();
+  for (let second = 0; second < 4; second += 1) {
+    servos.takeDiagnostics(diagnosticsOf('leader', [5, 5, 5], { joint_states: 'leader/joint_states', joint_commands: 'leader/joint_commands' }), second * 1000);
+    servos.takeDiagnostics(diagnosticsOf('follower', [0, 0, 0], { joint_states: 'joint_states', joint_commands: '/joint_goals' }), second * 1000);
+  }
+  servos.takeStates('/leader/joint_states', stateOf(['joint_a', 'joint_b', 'joint_c'], 0.1), 3000);
+  servos.takeStates('/joint_states', stateOf(['joint_a', 'joint_b', 'joint_c'], 7), 3000);
+  servos.takeGoals('/joint_goals', stateOf(['joint_a', 'joint_b', 'joint_c'], 20));
+  assert.deepEqual(shown(servos), [
+    ['leader', [['joint_c', 2.1, 5, NaN], ['joint_b', 1.1, 5, NaN], ['joint_a', 0.1, 5, NaN]]],
+    ['follower', [['joint_c', 9, 0, 22], ['joint_b', 8, 0, 21], ['joint_a', 7, 0, 20]]],
+  ]);
+  const joints = servos.groups().flatMap((group) => group.joints);
+  assert.equal(new Set(joints.map(({ key }) => key)).size, 6);
+  assert.deepEqual(joints.map(({ id }) => id), [10, 9, 8, 10, 9, 8]);
+  assert.equal(cableTrouble(joints, 4000), '', 'counts of one arm are no losses of the other');
+  servos.takeDiagnostics(diagnosticsOf('follower', [0, 3, 3]), 4000);
+  servos.takeDiagnostics(diagnosticsOf('follower', [0, 4, 4]), 5000);
+  const trouble = cableTrouble(servos.groups().flatMap((group) => group.joints), 5500);
+  assert.match(trouble, /From joint_b \(id 9\) on, servos of follower miss answers: look at the cable between joint_c and joint_b/);
+});
+
+test('an arm whose states are not exposed has rows from its diagnostics', () => {
+  const servos = new Servos();
+  servos.takeDiagnostics(diagnosticsOf('leader', [1, 1, 1], { joint_states: 'leader/joint_states' }), 0);
+  servos.takeDiagnostics(diagnosticsOf('follower', [0, 0, 0], { joint_states: 'joint_states' }), 0);
+  servos.takeStates('/joint_states', stateOf(['joint_a'], 1), 0);
+  assert.deepEqual(shown(servos).map(([label, joints]) => [label, joints.map(([, position]) => position)]), [['leader', [NaN, NaN, NaN]], ['follower', [NaN, NaN, 1]]]);
+});
+
+test('two arms of one description differ by their ports', () => {
+  const servos = new Servos();
+  for (const port of ['/dev/ttyACM0', '/dev/ttyACM1']) servos.takeDiagnostics(diagnosticsOf('so101', [1], { port }), 0);
+  assert.deepEqual(shown(servos).map(([label]) => label), ['so101, /dev/ttyACM0', 'so101, /dev/ttyACM1']);
+});
+
+test('buses whose states are merged, and robots that do not name their topics, find them on joint_states', () => {
+  const merged = new Servos();
+  merged.takeDiagnostics(diagnosticsOf('op3', [1, 1], { joint_states: 'legs/joint_states', joint_commands: 'joint_commands' }), 0);
+  merged.takeStates('/joint_states', stateOf(['joint_c', 'joint_b', 'wheel'], 1), 0);
+  merged.takeGoals('/joint_commands', stateOf(['joint_c', 'wheel'], 5));
+  assert.deepEqual(shown(merged), [['op3', [['joint_c', 1, 1, 5], ['joint_b', 2, 1, NaN]]], ['/joint_states', [['wheel', 3, NaN, 6]]]]);
+  const silent = new Servos();
+  silent.takeStates('/joint_states', stateOf(['joint_c'], 1), 0);
+  silent.takeGoals('/joint_commands', stateOf(['joint_c'], 5));
+  assert.deepEqual(shown(silent), [['/joint_states', [['joint_c', 1, NaN, 5]]]]);
+  silent.takeDiagnostics(diagnosticsOf('', [2], {}, 'darwin_op'), 0);
+  assert.deepEqual(shown(silent), [['darwin_op', [['joint_c', 1, 2, 5]]]]);
+  silent.forget();
+  assert.deepEqual(shown(silent), [['darwin_op', [['joint_c', 1, NaN, NaN]]]]);
 });

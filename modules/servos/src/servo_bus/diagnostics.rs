@@ -26,6 +26,8 @@ pub(crate) struct Labels<'a> {
     pub(crate) unknown_names: u64,
     /// Commands that were refused.
     pub(crate) refused: &'a Refused,
+    /// The topics of its joints: what they are for, and their names.
+    pub(crate) joint_topics: &'a [(&'static str, String)],
     /// Whether late cycles are reported.
     pub(crate) reports_cycles: bool,
 }
@@ -163,6 +165,7 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
     ];
     values.extend(board.map(|board| value(&format!("{} silent", board.name), troubles.silent_board.count())));
     values.push(value("joint names unknown in commands", labels.unknown_names));
+    values.extend(labels.joint_topics.iter().map(|(what, topic)| value(what, topic)));
     if labels.refused.last.is_some() {
         values.push(value("commands refused", labels.refused.count.count()));
     }

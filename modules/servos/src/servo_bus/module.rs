@@ -32,6 +32,9 @@ pub struct Hardware {
     pub hardware_id: String,
     /// The frame of `joint_states`.
     pub joint_frame: String,
+    /// The topics of its joints, `joint_states` and `joint_commands` after remaps, which diagnostics name. Empty
+    /// if they do not, as those in recorded bags of the Darwin OP.
+    joint_topics: Vec<(&'static str, String)>,
     /// Whether diagnostics report late cycles, which those in recorded bags of the Darwin OP do not.
     reports_cycles: bool,
     exchanges: Vec<Exchange>,
@@ -73,6 +76,7 @@ impl Hardware {
             hardware_id: plan.title.clone(),
             plan,
             joint_frame: String::new(),
+            joint_topics: Vec::new(),
             reports_cycles,
             exchanges: Vec::new(),
             unknown_names: Counted::default(),
@@ -243,6 +247,7 @@ impl Hardware {
             hardware_id: &self.hardware_id,
             unknown_names: self.unknown_names.count(),
             refused: &self.refused,
+            joint_topics: &self.joint_topics,
             reports_cycles: self.reports_cycles,
         };
         let levels = levels(now, &self.plan, &self.driver, &labels);
@@ -531,6 +536,9 @@ impl Module for ServoBus {
             let bus = self.bus.take().unwrap_or_else(|| Box::new(SerialBus::new()));
             let mut hardware = Hardware::new(bus, plan, true);
             hardware.joint_frame = joint_frame;
+            // A robot may have two arms whose joints have the same names.
+            hardware.joint_topics =
+                ["joint_states", "joint_commands"].map(|name| (name, setup.remapped(name))).into();
             if !hardware_id.is_empty() {
                 hardware.hardware_id = hardware_id;
             }

@@ -349,6 +349,25 @@ fn an_imu_is_published_in_si_units_along_the_axes_of_the_robot() {
 }
 
 #[test]
+fn diagnostics_name_the_topics_of_the_joints() {
+    // By these a page tells two arms apart whose joints have the same names.
+    let (mut core, clock) = core_at_zero();
+    let settings = [("description".to_owned(), SettingValue::Text(arm("feetech_sts", "STS3215", "")))].into();
+    let remaps = [("joint_states".to_owned(), "leader/joint_states".to_owned())].into();
+    let options = ModuleOptions { settings, remaps, ..ModuleOptions::default() };
+    core.add_with("servos", ServoBus::serial(), options).unwrap();
+    let diagnostics = Collector::<DiagnosticArray>::add(&mut core, "diagnostics");
+    for _ in 0..3 {
+        clock.advance(Duration::from_millis(10));
+        core.cycle().unwrap();
+    }
+    let values = diagnostics.take().remove(0).status.remove(0).values;
+    let value = |key: &str| values.iter().find(|value| value.key == key).map(|value| &*value.value);
+    assert_eq!(value("joint_states"), Some("leader/joint_states"));
+    assert_eq!(value("joint_commands"), Some("joint_commands"));
+}
+
+#[test]
 fn a_late_cycle_is_counted_and_not_made_up_for() {
     let mut run = Run::of(&arm("feetech_sts", "STS3215", ""));
     run.cycles(50);
