@@ -1,5 +1,7 @@
 //! The licences of what is compiled in, with their texts: THIRD-PARTY.txt.
 
+mod expression;
+
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -8,6 +10,7 @@ use anyhow::Context;
 
 use crate::crates::{Crate, Crates};
 use crate::steps::workspace;
+use expression::Choice;
 
 /// The notices of all crates that are not ours: a list of them, then each text once, with the crates that
 /// have it.
@@ -18,14 +21,19 @@ pub(crate) fn of(crates: &Crates) -> anyhow::Result<String> {
     let theirs = || crates.crates.iter().filter(|one| !one.is_ours());
     let mut notices = String::from(
         "downbeat contains the crates below, and the standard library of Rust (MIT OR Apache-2.0).\n\
-         Where several licences are offered, each text that the crate comes with is here. The sources of all\n\
-         are at https://crates.io/crates/NAME/VERSION.\n\n",
+         Where several licences are offered, the one that follows \"used under\" was chosen, and the texts of the\n\
+         others are left out. The sources of all are at https://crates.io/crates/NAME/VERSION.\n\n",
     );
     let mut texts: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for one in theirs() {
         let name = format!("{} {}", one.name, one.version);
-        writeln!(notices, "{name}: {}", one.license.as_deref().unwrap_or("see its text"))?;
-        for text in licences(one).with_context(|| name.clone())? {
+        let choice = Choice::of(one.license.as_deref().unwrap_or_default()).with_context(|| name.clone())?;
+        write!(notices, "{name}: {}", one.license.as_deref().unwrap_or("see its text"))?;
+        match choice.leaves_out_any() {
+            true => writeln!(notices, "; used under {}", choice.chosen().join(" AND "))?,
+            false => writeln!(notices)?,
+        }
+        for text in licences(one, &choice).with_context(|| name.clone())? {
             texts.entry(text).or_default().push(name.clone());
         }
     }
@@ -55,8 +63,9 @@ fn in_lines(names: &[String]) -> String {
     text
 }
 
-/// The texts that come with a crate, or the usual ones of its licence.
-fn licences(one: &Crate) -> anyhow::Result<Vec<String>> {
+/// The texts that come with a crate, without those of licences that were not chosen; the usual texts of
+/// chosen licences that have no file.
+fn licences(one: &Crate, choice: &Choice) -> anyhow::Result<Vec<String>> {
     let mut files: Vec<PathBuf> = one.licence_file().into_iter().collect();
     for folder in ["", "LICENSES", "fonts"] {
         let folder = one.folder().join(folder);
@@ -76,24 +85,44 @@ fn licences(one: &Crate) -> anyhow::Result<Vec<String>> {
         let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
         texts.push(tidied(&String::from_utf8_lossy(&bytes)));
     }
-    if !texts.is_empty() {
-        return Ok(texts);
-    }
-    let license = one.license.as_deref().unwrap_or_default();
-    let offered = |name: &str| license.split([' ', '/', '(', ')']).any(|word| word == name);
-    if offered("Apache-2.0") {
-        let apache = std::fs::read_to_string(workspace().join("LICENSE")).context("cannot read LICENSE")?;
-        return Ok(vec![tidied(&apache)]);
-    }
+    complete(texts, choice, &one.name, &one.authors)
+}
+
+/// The texts that a crate comes with, as [`licences`] returns them.
+fn complete(
+    mut texts: Vec<String>,
+    choice: &Choice,
+    name: &str,
+    authors: &[String],
+) -> anyhow::Result<Vec<String>> {
+    texts.retain(|text| !choice.leaves_out(text));
+    // A text that is not recognised may be that of any licence.
+    let is_there =
+        |licence: &str| texts.iter().any(|text| expression::is_text_of(text, licence) != Some(false));
+    let missing: Vec<&String> = choice.chosen().iter().filter(|licence| !is_there(licence)).collect();
     anyhow::ensure!(
-        license == "MIT",
-        "no file has the text of its licence ({license:?}): teach xtask/src/notices.rs where it is"
+        !(choice.chosen().is_empty() && texts.is_empty()),
+        "it names no licence and has no file with one: ask its authors"
     );
-    let authors = match one.authors.as_slice() {
-        [] => format!("the authors of {}", one.name),
-        authors => authors.join(", "),
-    };
-    Ok(vec![format!("Copyright (c) {authors}\n\n{MIT}")])
+    for licence in missing {
+        match licence.as_str() {
+            "Apache-2.0" => {
+                let apache = std::fs::read_to_string(workspace().join("LICENSE"));
+                texts.push(tidied(&apache.context("cannot read LICENSE")?));
+            }
+            "MIT" => {
+                let authors = match authors {
+                    [] => format!("the authors of {name}"),
+                    authors => authors.join(", "),
+                };
+                texts.push(format!("Copyright (c) {authors}\n\n{MIT}"));
+            }
+            other => anyhow::bail!(
+                "no file has the text of its licence ({other:?}): teach xtask/src/notices.rs where it is"
+            ),
+        }
+    }
+    Ok(texts)
 }
 
 /// Whether a file is one with a licence or a notice, by its name.
@@ -145,6 +174,32 @@ mod tests {
             assert!(notices.contains(part), "{part:?} is not in the notices");
         }
         assert!(!notices.contains("\ndownbeat"), "ours are no third party");
+        assert!(notices.contains(": MIT OR GPL-3.0-only; used under MIT\n"), "the choice is not said");
+        assert!(!notices.contains("GNU GENERAL PUBLIC LICENSE"), "the text of a licence that was not chosen");
+    }
+
+    #[test]
+    fn texts_of_other_licences_are_left_out_and_missing_ones_are_added() {
+        let apache = std::fs::read_to_string(workspace().join("LICENSE")).unwrap();
+        let notice = "This product contains measurements.\n".to_owned();
+        let mit = format!("Copyright (c) 2020 Ann\n\n{MIT}");
+        let of = |texts: &[&String], license: &str| {
+            let choice = Choice::of(license).unwrap();
+            complete(texts.iter().map(|text| (*text).clone()).collect(), &choice, "wire", &[])
+        };
+        assert_eq!(of(&[&apache, &mit, &notice], "MIT OR Apache-2.0").unwrap(), [&*apache, &*notice]);
+        assert_eq!(of(&[&mit], "MIT OR Apache-2.0").unwrap(), [tidied(&apache)]);
+        assert_eq!(of(&[&apache, &mit], "MIT AND Apache-2.0").unwrap(), [&*apache, &*mit]);
+        // Of something in the crate that its manifest does not mention.
+        assert_eq!(of(&[&apache, &mit], "Apache-2.0").unwrap(), [&*apache, &*mit]);
+        // Both in one file.
+        let both = format!("{apache}\n{mit}");
+        assert_eq!(of(&[&both], "MIT/Apache-2.0").unwrap(), [&*both]);
+        let generic = of(&[], "MIT").unwrap();
+        assert!(generic[0].starts_with("Copyright (c) the authors of wire\n"), "{generic:?}");
+        let error = of(&[&mit], "MIT AND ISC").unwrap_err().to_string();
+        assert!(error.contains("(\"ISC\")"), "{error}");
+        assert!(of(&[], "").is_err());
     }
 
     #[test]

@@ -19,6 +19,7 @@ use clap::Args;
 
 use crate::steps::output_of;
 use cross::Target;
+pub(crate) use release::FEATURES;
 use release::Release;
 
 #[derive(Args)]

@@ -32,10 +32,8 @@ pub(super) fn build(release: &Release) -> anyhow::Result<Program> {
 
     let folder = release.scratch.join(release.name());
     fresh(&folder)?;
-    arrange(&built, &|program| release.target.runs(program), &folder)?;
-    let documents = folder.join("share/doc/downbeat");
-    write(&documents.join("THIRD-PARTY.txt"), notices::of(&crates)?.as_bytes())?;
-    write(&documents.join("README.md"), how_to_install()?.as_bytes())?;
+    arrange(&built, &|program| release.target.runs(program), &notices::of(&crates)?, &folder)?;
+    write(&folder.join("share/doc/downbeat/README.md"), how_to_install()?.as_bytes())?;
     Ok(Program { folder, crates })
 }
 
@@ -52,7 +50,7 @@ fn how_to_install() -> anyhow::Result<String> {
 }
 
 impl Program {
-    /// Makes the Debian package and returns its path.
+    /// Makes the Debian package, lets lintian look at it where it is installed, and returns its path.
     pub(super) fn debian_package(&self, release: &Release) -> anyhow::Result<PathBuf> {
         let about = About {
             version: &release.version,
@@ -60,7 +58,11 @@ impl Program {
             time: release.time,
             compression: &["-Zxz"],
         };
-        debian::package(&self.folder, &about, &release.out)
+        let package = debian::package(&self.folder, &about, &release.out)?;
+        if !debian::lint(&package)? {
+            eprintln!("xtask: lintian is missing, and did not look at {}", package.display());
+        }
+        Ok(package)
     }
 
     /// Packs the folder as a tarball and returns its path: sorted, without owners, all with one time.

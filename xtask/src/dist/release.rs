@@ -11,7 +11,7 @@ use crate::steps::{output_of, run, workspace};
 
 /// The features of the program and the wheel beside the default ones: all but `rustdds`, a second DDS engine
 /// for comparison. SQLite and the TLS of Zenoh compile C.
-pub(super) const FEATURES: &str = "football,mqtt,mujoco,policy,px4,security,sensors,sqlite,tables,zenoh";
+pub(crate) const FEATURES: &str = "football,mqtt,mujoco,policy,px4,security,sensors,sqlite,tables,zenoh";
 
 /// What is built, and for whom.
 pub(crate) struct Release {

@@ -7,11 +7,13 @@ use std::process::Command;
 use anyhow::ensure;
 
 use super::{Arrival, Home};
+use crate::dist::FEATURES;
+use crate::dist::cross::Target;
 use crate::packaging::arrange;
 use crate::packaging::debian::{self, About};
 use crate::skips::Run;
 use crate::steps::{run, workspace};
-use crate::{crates, files};
+use crate::{crates, files, notices};
 
 /// Packages an installed program, unpacks the package as dpkg does, runs what it has, and removes it again:
 /// nothing is left. Lintian, where it is installed, finds nothing.
@@ -22,17 +24,18 @@ pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> 
     }
     let home = Home::new()?;
     let arranged = home.path().join("arranged");
-    arrange(program, &|program| Command::new(program), &arranged)?;
+    let architecture = architecture()?;
+    // Of what a release contains, so that lintian reads what it reads there.
+    let notices = notices::of(&crates::of("downbeat", FEATURES, architecture.triple())?)?;
+    arrange(program, &|program| Command::new(program), &notices, &arranged)?;
     let about = About {
         version: &crates::version()?,
-        architecture: architecture()?,
+        architecture: architecture.of_debian(),
         time: 1_700_000_000,
         compression: &["-Zgzip", "-z1"],
     };
     let package = debian::package(&arranged, &about, &workspace().join("target/install"))?;
-    if test_machine::has_program("lintian") {
-        run(Command::new("lintian").args(["--fail-on", "error,warning"]).arg(&package))?;
-    } else {
+    if !debian::lint(&package)? {
         skips.missing(
             "lintian of the Debian package",
             "lintian is missing: install Debian's package lintian",
@@ -81,10 +84,11 @@ pub(crate) fn dpkg(root: &Path) -> Command {
     dpkg
 }
 
-fn architecture() -> anyhow::Result<&'static str> {
+/// The platform of this machine, as a release names it.
+fn architecture() -> anyhow::Result<Target> {
     match std::env::consts::ARCH {
-        "x86_64" => Ok("amd64"),
-        "aarch64" => Ok("arm64"),
+        "x86_64" => Ok(Target::X86_64),
+        "aarch64" => Ok(Target::Aarch64),
         other => anyhow::bail!("no name of Debian is known for {other}"),
     }
 }

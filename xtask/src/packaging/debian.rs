@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, ensure};
 
-use super::{copy, write};
+use super::{NOTICES, copy, write};
 use crate::crates::repository;
 use crate::files;
 use crate::steps::{run, workspace};
@@ -52,11 +52,14 @@ pub(crate) fn package(arranged: &Path, about: &About<'_>, out: &Path) -> anyhow:
     }
     let documents = root.join("usr/share/doc/downbeat");
     write(&documents.join("changelog.gz"), &compressed(changelog(about)?.as_bytes())?)?;
-    write(&documents.join("copyright"), copyright(&arranged.join("share/doc/downbeat"))?.as_bytes())?;
+    let arranged_documents = arranged.join("share/doc/downbeat");
+    write(&documents.join("copyright"), copyright(&arranged_documents)?.as_bytes())?;
+    copy(&arranged_documents.join(NOTICES), &documents.join(NOTICES))?;
     let overrides = root.join("usr/share/lintian/overrides/downbeat");
     copy(&packaging.join("debian/lintian-overrides"), &overrides)?;
     control(&root, about)?;
     modes(&root, &program)?;
+    fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
     let package = out.join(format!("downbeat_{}_{}.deb", about.version, about.architecture));
     let mut build = Command::new("dpkg-deb");
     build
@@ -105,26 +108,35 @@ fn changelog(about: &About<'_>) -> anyhow::Result<String> {
     ))
 }
 
-/// The licence, notices of interfaces, and those of the crates that are compiled in.
+/// The licence, and notices of interfaces. Debian wants the full texts of common licences elsewhere.
 fn copyright(documents: &Path) -> anyhow::Result<String> {
-    let mut text = String::from(
+    let mut text = format!(
         "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: downbeat\n\n\
          Files: *\nCopyright: the downbeat authors\nLicense: Apache-2.0\n On Debian systems, the text of the Apache License 2.0 is in\n \
-         /usr/share/common-licenses/Apache-2.0.\n",
+         /usr/share/common-licenses/Apache-2.0.\n\n\
+         Comment: Crates of others, which are compiled into the program, and the texts of their licences are in\n \
+         /usr/share/doc/downbeat/{NOTICES}.\n\n\
+         Comment: Interface definitions of others, which the program contains:\n"
     );
-    for (file, what) in [
-        ("NOTICE", "Interface definitions of others, which the program contains"),
-        ("THIRD-PARTY.txt", "Crates of others, which are compiled into the program"),
-    ] {
-        // A development build has no list of crates.
-        let Ok(notices) = fs::read_to_string(documents.join(file)) else { continue };
-        text += &format!("\nComment: {what}:\n");
-        for line in notices.lines() {
-            let line = line.trim_end();
-            text += &if line.is_empty() { " .\n".to_owned() } else { format!(" {line}\n") };
-        }
+    let notice = documents.join("NOTICE");
+    let notice = fs::read_to_string(&notice).with_context(|| notice.display().to_string())?;
+    for line in notice.lines() {
+        let line = line.trim_end();
+        text += &if line.is_empty() { " .\n".to_owned() } else { format!(" {line}\n") };
     }
     Ok(text)
+}
+
+/// Lets lintian look at a package, where it is installed: false where it is not.
+///
+/// # Errors
+/// If lintian finds an error or a warning.
+pub(crate) fn lint(package: &Path) -> anyhow::Result<bool> {
+    if !test_machine::has_program("lintian") {
+        return Ok(false);
+    }
+    run(Command::new("lintian").args(["--fail-on", "error,warning"]).arg(package))?;
+    Ok(true)
 }
 
 /// The same bytes for the same content: without a name and a time.

@@ -10,10 +10,18 @@ use anyhow::Context;
 
 use crate::steps::{output_of, run, workspace};
 
+/// The licences of the crates that are compiled in, beside the documents of the program.
+const NOTICES: &str = "THIRD-PARTY.txt";
+
 /// Puts a program into a folder, as in a tarball: `bin/downbeat`, `share/man/man1/`, `share/completions/`
 /// (`downbeat.bash`, `_downbeat`, `downbeat.fish`), `share/doc/downbeat/`. `runs` is the command that runs
-/// it, which may be for another processor.
-pub(crate) fn arrange(program: &Path, runs: &dyn Fn(&Path) -> Command, folder: &Path) -> anyhow::Result<()> {
+/// it, which may be for another processor; `notices` are those of the crates in it.
+pub(crate) fn arrange(
+    program: &Path,
+    runs: &dyn Fn(&Path) -> Command,
+    notices: &str,
+    folder: &Path,
+) -> anyhow::Result<()> {
     let placed = folder.join("bin/downbeat");
     copy(program, &placed)?;
     run(runs(&placed).arg("man").arg(folder.join("share/man/man1")))?;
@@ -25,7 +33,7 @@ pub(crate) fn arrange(program: &Path, runs: &dyn Fn(&Path) -> Command, folder: &
     for (from, to) in [("LICENSE", "LICENSE"), ("msgs/NOTICE", "NOTICE"), ("CHANGELOG.md", "CHANGELOG.md")] {
         copy(&workspace().join(from), &documents.join(to))?;
     }
-    Ok(())
+    write(&documents.join(NOTICES), notices.as_bytes())
 }
 
 /// Copies a file into a folder that is made if there is none.
