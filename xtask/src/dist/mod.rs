@@ -17,6 +17,7 @@ use std::process::Command;
 use anyhow::Context;
 use clap::Args;
 
+use crate::crates;
 use crate::steps::output_of;
 use cross::Target;
 pub(crate) use release::FEATURES;
@@ -53,12 +54,12 @@ pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
     }
     let program = program::build(&release)?;
     let mut files = vec![program.tarball(&release)?];
-    let sbom = release.out.join(format!("{}.cdx.json", release.name()));
-    std::fs::write(&sbom, sbom::of(&program.crates, &release)?)?;
-    files.push(sbom);
+    files.push(sbom::write("downbeat", &program.crates, &release)?);
     if !arguments.program {
         files.push(program.debian_package(&release)?);
         files.push(wheel::build(&release)?);
+        let compiled_in = crates::of("downbeat-python", FEATURES, release.target.triple())?;
+        files.push(sbom::write("downbeat-python", &compiled_in, &release)?);
         // With the licences of that platform; one serves all.
         if release.target == Target::X86_64 {
             files.push(wheel::sources(&release)?);

@@ -11,7 +11,7 @@ use crate::packaging::debian::{self, About};
 use crate::packaging::{arrange, write};
 use crate::paths::normal;
 use crate::steps::{run, workspace};
-use crate::{markdown, notices};
+use crate::{files, markdown, notices};
 
 /// A folder `downbeat-VERSION-TARGET` as it is in the tarball.
 pub(crate) struct Program {
@@ -28,12 +28,11 @@ pub(super) fn build(release: &Release) -> anyhow::Result<Program> {
     cargo.args(["--target", release.target.triple(), "--features", FEATURES]);
     run(release.compiling(&mut cargo)?)?;
     let built = workspace().join("target").join(release.target.triple()).join("release/downbeat");
-    without_paths(&built)?;
-
     let folder = release.scratch.join(release.name());
     fresh(&folder)?;
     arrange(&built, &|program| release.target.runs(program), &notices::of(&crates)?, &folder)?;
     write(&folder.join("share/doc/downbeat/README.md"), how_to_install()?.as_bytes())?;
+    without_paths(&folder)?;
     Ok(Program { folder, crates })
 }
 
@@ -73,17 +72,41 @@ impl Program {
     }
 }
 
-/// Checks that a program or library tells nothing about the machine that built it.
-pub(super) fn without_paths(file: &Path) -> anyhow::Result<()> {
-    let bytes = std::fs::read(file).with_context(|| file.display().to_string())?;
-    for place in [workspace(), cargo_home()?] {
-        let path = place.to_string_lossy();
-        let found = bytes.windows(path.len()).position(|window| window == path.as_bytes());
-        if let Some(start) = found {
-            let end = bytes.len().min(start + 200);
-            let text = String::from_utf8_lossy(&bytes[start..end]);
-            anyhow::bail!("{} contains a path of this machine: {text:?}", file.display());
+/// Checks that no file of a folder tells anything about the machine that built it.
+pub(super) fn without_paths(folder: &Path) -> anyhow::Result<()> {
+    let places = [workspace(), cargo_home()?];
+    for file in files::below(folder)? {
+        let path = folder.join(file.path);
+        let bytes = std::fs::read(&path).with_context(|| path.display().to_string())?;
+        if let Some(text) = places.iter().find_map(|place| path_in(&bytes, place)) {
+            anyhow::bail!("{} contains a path of this machine: {text:?}", path.display());
         }
     }
     Ok(())
+}
+
+/// Where a path is in the bytes of a file, with what follows it.
+fn path_in(bytes: &[u8], path: &Path) -> Option<String> {
+    let path = path.as_os_str().as_encoded_bytes();
+    let start = bytes.windows(path.len()).position(|window| window == path)?;
+    let end = bytes.len().min(start + 200);
+    Some(String::from_utf8_lossy(&bytes[start..end]).into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_path_of_this_machine_is_found_in_any_file() {
+        let folder = tempfile::tempdir().unwrap();
+        write(&folder.path().join("bin/program"), b"\x7fELF /downbeat/src/lib.rs").unwrap();
+        without_paths(folder.path()).unwrap();
+        let list = format!("{{\"bom-ref\": \"path+file://{}/python#0.1.0\"}}", workspace().display());
+        write(&folder.path().join("sboms/list.json"), list.as_bytes()).unwrap();
+        let error = without_paths(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("sboms/list.json contains a path of this machine: "), "{error}");
+        assert!(error.contains("/python#0.1.0"), "{error}");
+    }
 }

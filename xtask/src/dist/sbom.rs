@@ -3,6 +3,7 @@
 //! Written here, for `cargo-cyclonedx` lists what a workspace may use, not what is compiled into one program
 //! with given features for one target.
 
+use std::path::PathBuf;
 use std::process::Command;
 
 use anyhow::Context;
@@ -12,8 +13,16 @@ use super::release::Release;
 use crate::crates::{Crate, Crates, checksums};
 use crate::steps::{output_of, workspace};
 
-/// The SBOM of a program as JSON.
-pub(super) fn of(crates: &Crates, release: &Release) -> anyhow::Result<String> {
+/// Writes the SBOM of what is compiled into a package of the workspace, and returns its path.
+pub(super) fn write(package: &str, crates: &Crates, release: &Release) -> anyhow::Result<PathBuf> {
+    let name = format!("{package}-{}-{}", release.version, release.target.triple());
+    let file = release.out.join(format!("{name}.cdx.json"));
+    let sbom = of(package, &name, crates, release)?;
+    std::fs::write(&file, sbom).with_context(|| format!("cannot write {}", file.display()))?;
+    Ok(file)
+}
+
+fn of(package: &str, name: &str, crates: &Crates, release: &Release) -> anyhow::Result<String> {
     let lock = std::fs::read_to_string(workspace().join("Cargo.lock")).context("cannot read Cargo.lock")?;
     let checksums = checksums(&lock);
     let components: Vec<Value> = crates
@@ -43,8 +52,8 @@ pub(super) fn of(crates: &Crates, release: &Release) -> anyhow::Result<String> {
             "timestamp": time.trim(),
             "component": {
                 "type": "application",
-                "bom-ref": release.name(),
-                "name": "downbeat",
+                "bom-ref": name,
+                "name": package,
                 "version": release.version,
                 "properties": [{ "name": "cdx:rustc:sbom:target:triple", "value": release.target.triple() }],
             },
