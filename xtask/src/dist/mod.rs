@@ -6,6 +6,7 @@
 
 pub(crate) mod cross;
 mod from_nothing;
+mod glibc;
 mod program;
 mod release;
 mod sbom;

@@ -5,6 +5,7 @@ use std::process::Command;
 
 use anyhow::Context;
 
+use super::glibc;
 use super::release::{FEATURES, Release, fresh};
 use crate::crates::{self, Crates, cargo_home};
 use crate::packaging::debian::{self, About};
@@ -28,6 +29,7 @@ pub(super) fn build(release: &Release) -> anyhow::Result<Program> {
     cargo.args(["--target", release.target.triple(), "--features", FEATURES]);
     run(release.compiling(&mut cargo)?)?;
     let built = workspace().join("target").join(release.target.triple()).join("release/downbeat");
+    glibc::check(&built)?;
     let folder = release.scratch.join(release.name());
     fresh(&folder)?;
     arrange(&built, &|program| release.target.runs(program), &notices::of(&crates)?, &folder)?;

@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, ensure};
 
 use super::cross::Target;
+use super::glibc;
 use super::program::without_paths;
 use super::release::{FEATURES, Release, fresh};
 use crate::python;
@@ -59,6 +60,7 @@ fn check(wheel: &Path, release: &Release) -> anyhow::Result<()> {
     let python = python::tools("target/wheel-checks", &CHECKS)?;
     run(Command::new(&python).args(["-m", "zipfile", "--extract"]).args([wheel, &unpacked]))?;
     without_paths(&unpacked)?;
+    glibc::check(&unpacked.join("downbeat/_core.abi3.so"))?;
     for tool in
         [["auditwheel", "show"].as_slice(), &["abi3audit", "--strict"], &["twine", "check", "--strict"]]
     {
