@@ -41,6 +41,7 @@ pub(crate) fn tidy() -> anyhow::Result<()> {
 fn problems(root: &Path, workspace: &Workspace) -> anyhow::Result<Problems> {
     let mut problems = workspace.arrows_between_packages(layers::PACKAGES);
     problems.extend(workspace.unknown_features());
+    problems.extend(workspace.undocumented_features());
     problems.extend(workspace.unpublishable());
     let (mut circles, mut tied) = (BTreeSet::new(), BTreeMap::new());
     for package in &workspace.packages {

@@ -1,6 +1,6 @@
 //! The packages of the workspace and what they depend on, as Cargo sees them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -8,6 +8,10 @@ use anyhow::{Context, bail};
 use serde::Deserialize;
 
 use super::Problems;
+
+/// Features that docs.rs leaves out on purpose: a second DDS engine, for comparison, which releases leave out
+/// too.
+const NOT_FOR_DOCS: [&str; 1] = ["rustdds"];
 
 /// What `cargo metadata` says of this workspace.
 pub(super) struct Workspace {
@@ -22,6 +26,8 @@ pub(super) struct Package {
     /// The packages of the workspace that it is built with; tests may use more.
     uses: Vec<String>,
     /// Features that its settings for docs.rs name, and that it does not have.
+    unknown: Vec<String>,
+    /// Features that docs.rs does not enable.
     undocumented: Vec<String>,
     /// What a registry is to show of it and its manifest does not say; nothing of one that is not published.
     unsaid: Vec<&'static str>,
@@ -83,13 +89,39 @@ impl Workspace {
     /// Features for docs.rs that no package has: its build would fail, after the release.
     pub(super) fn unknown_features(&self) -> Problems {
         let unknown = |package: &Package| {
-            let Package { name, undocumented, .. } = package;
+            let Package { name, unknown, .. } = package;
             let problem = |feature| {
                 format!("{name}: docs.rs is to enable its feature {feature}, which it does not have")
             };
-            undocumented.iter().map(problem).collect::<Problems>()
+            unknown.iter().map(problem).collect::<Problems>()
         };
         self.packages.iter().flat_map(unknown).collect()
+    }
+
+    /// Features whose items would be missing on docs.rs.
+    pub(super) fn undocumented_features(&self) -> Problems {
+        let mut problems = Problems::new();
+        for Package { name, undocumented, is_published, .. } in &self.packages {
+            let forgotten = undocumented
+                .iter()
+                .filter(|feature| *is_published && !NOT_FOR_DOCS.contains(&feature.as_str()));
+            problems.extend(forgotten.map(|feature| {
+                format!(
+                    "{name}: docs.rs does not enable its feature {feature}: name it in [package.metadata.docs.rs], or in \
+                     NOT_FOR_DOCS of xtask/src/tidy/packages.rs"
+                )
+            }));
+        }
+        let is_left_out = |feature: &&str| {
+            self.packages.iter().any(|package| package.undocumented.iter().any(|other| other == feature))
+        };
+        let gone = NOT_FOR_DOCS.iter().filter(|feature| !is_left_out(feature));
+        problems.extend(gone.map(|feature| {
+            format!(
+                "{feature}: NOT_FOR_DOCS of xtask/src/tidy/packages.rs lists it, but no package leaves it out"
+            )
+        }));
+        problems
     }
 
     /// What a package lacks that is to be published.
@@ -135,8 +167,11 @@ impl From<Described> for Package {
         let unsaid = described.unsaid();
         let is_published = described.is_published();
         let Described { name, manifest_path, targets, dependencies, features, metadata, .. } = described;
-        let for_docs = metadata["docs"]["rs"]["features"].as_array().into_iter().flatten();
-        let for_docs = for_docs.filter_map(|feature| feature.as_str());
+        let docs = &metadata["docs"]["rs"];
+        let for_docs = docs["features"].as_array().into_iter().flatten();
+        let for_docs: Vec<&str> = for_docs.filter_map(|feature| feature.as_str()).collect();
+        let enabled = enabled(&features, &for_docs);
+        let has_all = docs["all-features"].as_bool() == Some(true);
         let is_product = |target: &Target| {
             target.kind.iter().any(|kind| matches!(kind.as_str(), "lib" | "bin" | "cdylib" | "proc-macro"))
         };
@@ -146,15 +181,34 @@ impl From<Described> for Package {
             name,
             folder: manifest_path.parent().unwrap_or(Path::new("")).to_owned(),
             roots: targets.into_iter().filter(is_product).map(|target| target.src_path).collect(),
-            undocumented: for_docs
-                .filter(|feature| !features.contains_key(*feature))
-                .map(str::to_owned)
+            unknown: for_docs
+                .iter()
+                .filter(|feature| !features.contains_key(**feature))
+                .map(|feature| (*feature).to_owned())
+                .collect(),
+            undocumented: features
+                .keys()
+                .filter(|feature| !has_all && !enabled.contains(feature.as_str()))
+                .cloned()
                 .collect(),
             uses: dependencies.into_iter().filter(used).map(|dependency| dependency.name).collect(),
             unsaid,
             is_published,
         }
     }
+}
+
+/// The default features of a package and some more, with all that they enable in it.
+fn enabled<'a>(features: &'a BTreeMap<String, Vec<String>>, chosen: &[&'a str]) -> BTreeSet<&'a str> {
+    let mut waiting = chosen.to_vec();
+    waiting.push("default");
+    let mut enabled = BTreeSet::new();
+    while let Some(feature) = waiting.pop() {
+        if enabled.insert(feature) {
+            waiting.extend(features.get(feature).into_iter().flatten().map(String::as_str));
+        }
+    }
+    enabled
 }
 
 impl Described {
@@ -181,6 +235,34 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+
+    #[test]
+    fn features_that_docs_rs_does_not_enable_are_problems() {
+        let package = |name: &str, docs: serde_json::Value, publish: serde_json::Value| {
+            json!({
+                "name": name, "manifest_path": format!("/{name}/Cargo.toml"), "targets": [], "dependencies": [],
+                "features": {
+                    "default": ["view"], "view": ["dep:png"], "football": ["network", "wire/network"], "network": [],
+                    "sqlite": [], "rustdds": [],
+                },
+                "metadata": {"docs": {"rs": docs}}, "publish": publish, "keywords": [], "categories": [],
+            })
+        };
+        let metadata = json!({"packages": [
+            package("robot", json!({"features": ["football"]}), json!(null)),
+            package("wire", json!({"all-features": true}), json!(null)),
+            package("tests", json!({}), json!([])),
+        ]});
+        let workspace = Workspace::parse(metadata.to_string().as_bytes()).unwrap();
+        let problems = workspace.undocumented_features();
+        assert_eq!(problems.len(), 1, "{problems:?}");
+        assert!(
+            problems[0].starts_with("robot: docs.rs does not enable its feature sqlite: "),
+            "{problems:?}"
+        );
+        let problems = Workspace { packages: Vec::new() }.undocumented_features();
+        assert!(problems[0].starts_with("rustdds: "), "{problems:?}");
+    }
 
     #[test]
     fn what_a_package_may_not_use_and_what_it_lacks_are_problems() {
