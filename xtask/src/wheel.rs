@@ -196,3 +196,21 @@ fn output_of(python: &Path, program: &str) -> anyhow::Result<String> {
     anyhow::ensure!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
     Ok(String::from_utf8(output.stdout)?.trim().to_owned())
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_addresses_of_the_wheel_are_those_of_the_repository() {
+        let project = std::fs::read_to_string(workspace().join("python/pyproject.toml")).unwrap();
+        let urls = project.split("[project.urls]\n").nth(1).unwrap();
+        let urls: Vec<&str> = urls.lines().take_while(|line| !line.is_empty()).collect();
+        let repository = crates::repository().unwrap();
+        assert!(urls.len() >= 4, "{urls:?}");
+        for url in urls {
+            assert!(url.contains(&format!("= \"{repository}")), "{url}: not of {repository}");
+        }
+    }
+}
