@@ -5,7 +5,9 @@ mod common;
 
 use std::path::Path;
 
-use common::{Running, downbeat, output_of, python, record_until, robot_file, text_of, wait_until};
+use common::{
+    QUIET_ROBOT, Running, downbeat, output_of, python, record_until, robot_file, text_of, wait_until,
+};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::downbeat_interfaces::msg::BusExchange;
@@ -102,7 +104,23 @@ fn errors_in_a_robot_file_contain_file_line_and_the_nearest_name() {
 
 #[test]
 fn invalid_arguments_are_refused_with_a_reason() {
-    let cases: [(&[&str], &str); 11] = [
+    let cases: [(&[&str], &str); 15] = [
+        (
+            &["run", "darwin_opp"],
+            "there is no such file, and no robot \"darwin_opp\" is carried; did you mean \"darwin_op\"?",
+        ),
+        (
+            &["check", "zzz"],
+            "there is no such file, and no robot \"zzz\" is carried; `downbeat robots list` names those that are",
+        ),
+        (
+            &["robots", "copy", "darwin_opp"],
+            "no robot \"darwin_opp\" is carried; did you mean \"darwin_op\"? `downbeat robots list` names",
+        ),
+        (
+            &["robots", "copy", "zzz"],
+            "no robot \"zzz\" is carried; `downbeat robots list` names those that are",
+        ),
         (&["compose", "darwin_op"], "by `downbeat robots copy darwin_op FOLDER`, then `downbeat compose"),
         (&["run", "no/such.toml"], "cannot read the robot file no/such.toml"),
         (&["run", "robots/darwin_op.toml", "--domain", "400"], "0 to 232"),
@@ -129,6 +147,26 @@ fn invalid_arguments_are_refused_with_a_reason() {
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {message}");
         assert!(message.contains(expected), "{arguments:?}: {message}");
+    }
+}
+
+#[test]
+fn a_port_for_viewers_that_another_program_has_is_named_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = folder.path().join("robot.toml");
+    std::fs::write(&robot, QUIET_ROBOT).unwrap();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap();
+    for option in ["--view", "--foxglove"] {
+        let output = output_of(&["run", text(&robot), &format!("{option}={}", address.port())]);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{option}: {message}");
+        assert!(
+            message.contains(&format!("cannot listen for viewers on {address}: ")),
+            "{option}: {message}"
+        );
+        let remedy = "Choose another port, or 0 for a free one, or end the program that has it";
+        assert!(message.contains(remedy), "{option}: {message}");
     }
 }
 

@@ -138,11 +138,13 @@ fn missing_option_if(
     missing.map(|(feature, ..)| *feature)
 }
 
-/// The arguments of a command that a feature would add.
+/// The arguments of a command that a feature would add, or another system has.
 #[cfg(not(all(
+    unix,
     feature = "football",
     feature = "plots",
     feature = "security",
+    feature = "tables",
     feature = "view",
     feature = "zenoh"
 )))]
@@ -526,6 +528,9 @@ pub(crate) enum BagCommand {
     /// cycle is near. Type `help` for the commands.
     #[cfg(unix)]
     Debug(Box<DebugArguments>),
+    /// (Not on this system, which has no `fork`.) Walk through a recorded run.
+    #[cfg(not(unix))]
+    Debug(NotBuiltIn),
     /// Find the revision in git from which on a replay differs from a bag, by `git bisect`.
     Bisect(BisectArguments),
     /// Read a whole bag and report problems.

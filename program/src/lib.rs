@@ -137,6 +137,11 @@ pub fn main(catalog: Result<&Catalog, &CatalogError>, line: impl IntoIterator<It
         Command::Bag(BagCommand::Replay(arguments)) => bag::replay::replay(&arguments, catalog, &ros, &log),
         #[cfg(unix)]
         Command::Bag(BagCommand::Debug(arguments)) => bag::debug::debug(&arguments, catalog, &ros, &log),
+        #[cfg(not(unix))]
+        Command::Bag(BagCommand::Debug(_)) => Err(anyhow::anyhow!(
+            "`bag debug` makes checkpoints by `fork`, which this system does not have: use it on Linux or macOS, or here \
+             `downbeat bag replay`, which finds the first difference, and `downbeat bag why`"
+        )),
         Command::Bag(BagCommand::Bisect(arguments)) => bag::bisect::bisect(&arguments),
         Command::Bag(BagCommand::Check(arguments)) => bag::check::check(&arguments, catalog),
         Command::Bag(BagCommand::Repair(arguments)) => bag::repair::repair(&arguments),

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use downbeat_files::suggestion;
+use downbeat_files::nearest;
 use downbeat_robot::Catalog;
 use downbeat_robot::features::missing_kinds;
 use downbeat_robots::{Error, kinds_of, robots};
@@ -71,7 +71,9 @@ fn copy(arguments: &CopyArguments) -> anyhow::Result<()> {
     match downbeat_robots::copy(name, folder, *force) {
         Ok(paths) => paths.iter().for_each(|path| println!("{}", path.display())),
         Err(error @ Error::Unknown(_)) => {
-            anyhow::bail!("{error}{}", suggestion(name, robots().map(|robot| robot.name)))
+            let nearest = nearest(name, robots().map(|robot| robot.name));
+            let nearest = nearest.map(|nearest| format!("did you mean \"{nearest}\"? ")).unwrap_or_default();
+            anyhow::bail!("{error}; {nearest}`downbeat robots list` names those that are")
         }
         Err(error @ Error::Exists(_)) => {
             anyhow::bail!("{error}; choose another folder, or replace it with --force")

@@ -3,6 +3,7 @@
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
+use std::net::SocketAddrV4;
 use std::time::Duration;
 
 use downbeat_device::{Device, DeviceLink};
@@ -62,7 +63,7 @@ impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
                 BusExchange::OK => datagrams.push(exchange.reply.to_vec()),
                 BusExchange::TIMEOUT => break,
                 _ => {
-                    self.report("receive", exchange.error, ctx.now());
+                    self.report(exchange.error, Some("; this is tried again every second"), ctx.now());
                     break;
                 }
             }
@@ -74,14 +75,14 @@ impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
     pub fn send<P>(&mut self, bytes: Vec<u8>, topic: Publication<BusExchange>, ctx: &mut Context<'_, P>) {
         let exchange = self.link.exchange(&Request::Send(bytes), topic, ctx);
         if exchange.outcome == BusExchange::FAILED {
-            self.report("send", exchange.error, ctx.now());
+            self.report(exchange.error, None, ctx.now());
         }
     }
 
-    fn report(&mut self, attempted: &str, failure: String, now: Time) {
+    fn report(&mut self, failure: String, what_follows: Option<&str>, now: Time) {
         self.not_before = now + RETRY;
         if self.failure != failure {
-            tracing::warn!("{}: cannot {attempted}: {failure}; this is tried again every second", D::TOPIC);
+            tracing::warn!("{failure}{}", what_follows.unwrap_or_default());
             self.failure = failure;
         }
     }
@@ -117,6 +118,39 @@ impl Waiting {
     pub(crate) fn next(&mut self) -> Option<Vec<u8>> {
         self.lines.pop_front()
     }
+}
+
+/// Why nothing can listen on an address, with what to do; `protocol` is `TCP` or `UDP`.
+pub(crate) fn cannot_listen(error: &io::Error, protocol: &str, address: SocketAddrV4) -> io::Error {
+    let remedy = match error.kind() {
+        ErrorKind::AddrInUse => {
+            let (option, port) = (if protocol == "TCP" { "-ltnp" } else { "-lunp" }, address.port());
+            format!("; choose another port, or end the program that `ss {option} 'sport = :{port}'` shows")
+        }
+        ErrorKind::AddrNotAvailable => {
+            "; `ip -brief address` lists the addresses of this machine, and 0.0.0.0 stands for all of them"
+                .to_owned()
+        }
+        ErrorKind::PermissionDenied => "; choose a port from 1024 on".to_owned(),
+        _ => String::new(),
+    };
+    io::Error::new(error.kind(), format!("cannot listen on {protocol} {address}: {error}{remedy}"))
+}
+
+/// Why another program cannot be reached, with what to do: `attempted` names its address. An error that says
+/// "not yet" stays as it is.
+pub(crate) fn cannot_reach(error: io::Error, attempted: &str) -> io::Error {
+    let remedy = match error.kind() {
+        ErrorKind::WouldBlock => return error,
+        ErrorKind::ConnectionRefused | ErrorKind::TimedOut => {
+            "; start the program that listens there, or correct the address in the robot file"
+        }
+        ErrorKind::NetworkUnreachable | ErrorKind::HostUnreachable => {
+            "; connect this machine with that network, or correct the address in the robot file"
+        }
+        _ => "",
+    };
+    io::Error::new(error.kind(), format!("cannot {attempted}: {error}{remedy}"))
 }
 
 /// The record of what became of a request.

@@ -11,7 +11,7 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
 
 pub use crate::mailbox::Request;
-use crate::mailbox::{exchange_of, outcome_of};
+use crate::mailbox::{cannot_listen, cannot_reach, exchange_of, outcome_of};
 use crate::udp::LONGEST;
 
 /// How many peers a server has at most; others are turned away.
@@ -57,10 +57,17 @@ impl Tcp {
     }
 
     fn attempt(&mut self, request: &Request) -> io::Result<Vec<u8>> {
-        match self.side.ok_or(ErrorKind::AddrNotAvailable)? {
-            Side::Server(address) => self.accept(address)?,
-            Side::Client(address) => self.connect(address)?,
-        }
+        let not_connected = match self.side.ok_or(ErrorKind::AddrNotAvailable)? {
+            Side::Server(address) => {
+                self.accept(address)?;
+                format!("cannot send a line: no program is connected to TCP {address}")
+            }
+            Side::Client(address) => {
+                self.connect(address)
+                    .map_err(|error| cannot_reach(error, &format!("connect to TCP {address}")))?;
+                format!("cannot send a line: this is not connected to TCP {address} yet")
+            }
+        };
         match request {
             Request::Receive => {
                 let line = self.peers.iter_mut().find_map(Peer::next_line);
@@ -68,7 +75,7 @@ impl Tcp {
                 line.ok_or_else(|| ErrorKind::WouldBlock.into())
             }
             Request::Send(_) if self.peers.is_empty() => {
-                Err(io::Error::new(ErrorKind::NotConnected, "nobody is connected"))
+                Err(io::Error::new(ErrorKind::NotConnected, not_connected))
             }
             Request::Send(line) => {
                 self.peers.iter_mut().for_each(|peer| peer.send(line));
@@ -81,7 +88,8 @@ impl Tcp {
         let listener = match &mut self.listener {
             Some(listener) => listener,
             none => {
-                let listener = TcpListener::bind(address)?;
+                let listener = TcpListener::bind(address);
+                let listener = listener.map_err(|error| cannot_listen(&error, "TCP", address))?;
                 listener.set_nonblocking(true)?;
                 none.insert(listener)
             }
@@ -91,7 +99,7 @@ impl Tcp {
                 Ok((stream, _)) if self.peers.len() < MOST_PEERS => self.peers.push(Peer::new(stream)?),
                 Ok((_, peer)) => tracing::warn!("{peer} is turned away: {MOST_PEERS} peers are connected"),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(()),
-                Err(error) => return Err(error),
+                Err(error) => return Err(cannot_listen(&error, "TCP", address)),
             }
         }
     }
@@ -116,7 +124,7 @@ impl Tcp {
         } else if since.elapsed() < PATIENCE {
             self.connecting = Some((socket, since));
         } else {
-            return Err(io::Error::new(ErrorKind::TimedOut, format!("{address} does not answer")));
+            return Err(io::Error::new(ErrorKind::TimedOut, "no answer"));
         }
         Ok(())
     }

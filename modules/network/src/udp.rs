@@ -10,7 +10,7 @@ use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use socket2::{Domain, Protocol, Socket, Type};
 
 pub use crate::mailbox::{LONGEST, Request};
-use crate::mailbox::{exchange_of, outcome_of};
+use crate::mailbox::{cannot_listen, cannot_reach, exchange_of, outcome_of};
 
 /// Where datagrams go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,21 +45,32 @@ impl Udp {
         let (receives_on, target) = self.addresses.ok_or(ErrorKind::AddrNotAvailable)?;
         let socket = match self.socket.take() {
             Some(socket) => socket,
-            None => open(receives_on)?,
+            None => open(receives_on).map_err(|error| cannot_listen(&error, "UDP", receives_on))?,
         };
         let result = match request {
-            Request::Receive => self.receive(&socket, target),
-            Request::Send(bytes) => match target {
-                Target::Address(address) => socket.send_to(bytes, address).map(|_| Vec::new()),
-                Target::LastSender { port, .. } => match self.last_sender {
-                    Some(sender) => socket.send_to(bytes, (sender.ip(), port)).map(|_| Vec::new()),
-                    None => Err(io::Error::new(ErrorKind::NotConnected, "nobody to answer to")),
-                },
-            },
+            Request::Receive => self
+                .receive(&socket, target)
+                .map_err(|error| cannot_reach(error, &format!("receive on UDP {receives_on}"))),
+            Request::Send(bytes) => self.send(&socket, bytes, target),
         };
         // Unreachable targets are reported on the socket, which stays usable.
         self.socket = Some(socket);
         result
+    }
+
+    fn send(&self, socket: &UdpSocket, bytes: &[u8], target: Target) -> io::Result<Vec<u8>> {
+        let address = match (target, self.last_sender) {
+            (Target::Address(address), _) => address,
+            (Target::LastSender { port, .. }, Some(sender)) => SocketAddr::new(sender.ip(), port),
+            (Target::LastSender { .. }, None) => {
+                return Err(io::Error::new(
+                    ErrorKind::NotConnected,
+                    "cannot send a datagram: no program has sent one to which it is the answer",
+                ));
+            }
+        };
+        let sent = socket.send_to(bytes, address).map(|_| Vec::new());
+        sent.map_err(|error| cannot_reach(error, &format!("send to UDP {address}")))
     }
 
     fn receive(&mut self, socket: &UdpSocket, target: Target) -> io::Result<Vec<u8>> {

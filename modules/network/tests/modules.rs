@@ -10,6 +10,8 @@ use std::time::Duration;
 
 use common::{Bench, free_port, options};
 use downbeat_device::DeviceLink;
+use downbeat_executor::Module;
+use downbeat_msgs::downbeat_interfaces::msg::BusExchange;
 use downbeat_msgs::std_msgs::msg::String as Line;
 use downbeat_network::tcp::Tcp;
 use downbeat_network::tcp_lines::TcpLines;
@@ -112,4 +114,61 @@ fn a_tcp_client_connects_again_when_its_server_comes_back() {
         peer.read_exact(&mut buffer).unwrap();
         assert_eq!(&buffer, b"back\n");
     }
+}
+
+/// The first failure that a module records on a topic.
+fn failure<M: Module>(module: M, topic: &str, settings: &[(&str, &str)]) -> String {
+    let mut bench = Bench::new();
+    let exchanges = bench.collect::<BusExchange>(topic);
+    let settings =
+        settings.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned().into())).collect();
+    let options = downbeat_executor::ModuleOptions { settings, ..Default::default() };
+    bench.core.add_with("lines", module, options).unwrap();
+    let mut error = String::new();
+    run_until(&mut bench, || {
+        let exchanges = exchanges.lock().unwrap();
+        let failed = exchanges.iter().find(|exchange| exchange.outcome == BusExchange::FAILED);
+        failed.inspect(|exchange| error = exchange.error.to_string()).is_some()
+    });
+    error
+}
+
+#[test]
+fn an_address_on_which_nothing_can_listen_is_named_with_what_to_do() {
+    let tcp = |address: &str| {
+        let module = TcpLines::new(DeviceLink::new(Tcp::default()));
+        failure(module, "lines/exchanges", &[("side", "server"), ("address", address)])
+    };
+    let udp = |address: &str| {
+        failure(UdpLines::new(DeviceLink::new(Udp::default())), "datagrams", &[("listen", address)])
+    };
+    let (stream, datagram) =
+        (TcpListener::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
+    for (failure, protocol, address, option) in [
+        (tcp as fn(&str) -> String, "TCP", stream.local_addr().unwrap(), "-ltnp"),
+        (udp, "UDP", datagram.local_addr().unwrap(), "-lunp"),
+    ] {
+        let error = failure(&address.to_string());
+        let start = format!("cannot listen on {protocol} {address}: ");
+        let end = format!(
+            "; choose another port, or end the program that `ss {option} 'sport = :{}'` shows",
+            address.port()
+        );
+        assert!(error.starts_with(&start) && error.ends_with(&end), "{error}");
+        // RFC 5737: for documentation, of no machine.
+        let error = failure("192.0.2.1:4010");
+        let start = format!("cannot listen on {protocol} 192.0.2.1:4010: ");
+        assert!(error.starts_with(&start) && error.contains("; `ip -brief address` lists "), "{error}");
+    }
+}
+
+#[test]
+fn a_program_that_does_not_listen_is_named_with_what_to_do() {
+    let address = format!("127.0.0.1:{}", free_tcp_port());
+    let module = TcpLines::new(DeviceLink::new(Tcp::default()));
+    let error = failure(module, "lines/exchanges", &[("side", "client"), ("address", &address)]);
+    assert!(error.starts_with(&format!("cannot connect to TCP {address}: ")), "{error}");
+    assert!(
+        error.ends_with("; start the program that listens there, or correct the address in the robot file")
+    );
 }
