@@ -43,9 +43,9 @@ pub(super) struct Facts {
     pub(super) ephemeral_ports: Option<(u16, u16)>,
     pub(super) devices: Vec<Device>,
     pub(super) clock: Clock,
-    /// The folder in which the command runs.
-    pub(super) folder: PathBuf,
-    pub(super) free_bytes: Option<u64>,
+    /// The folder in which the command runs, and that of robots that start at boot if it exists, with the
+    /// bytes that are free in each.
+    pub(super) disks: Vec<(PathBuf, u64)>,
     pub(super) python: Option<Python>,
 }
 
@@ -96,6 +96,8 @@ pub(super) struct Python {
     pub(super) has_downbeat: bool,
 }
 
+/// Where robots that start at boot write: `StateDirectory` of packaging/systemd/downbeat@.service.
+const OF_SERVICE: &str = "/var/lib/downbeat";
 /// The variables whose values are files or folders.
 const PATHS: [&str; 2] = ["ROS_SECURITY_KEYSTORE", "ZENOH_SESSION_CONFIG_URI"];
 const PREFIXES: [&str; 6] = ["RMW_", "ROS_", "ZENOH_", "FASTRTPS_", "FASTDDS_", "CYCLONEDDS_"];
@@ -112,14 +114,14 @@ impl Facts {
             .filter(|(name, value)| is_variable(name) && !value.trim().is_empty())
             .collect();
         let is_dangling = |name: &&str| variables.get(*name).is_some_and(|path| !Path::new(path).exists());
-        let folder = std::env::current_dir().unwrap_or_default();
+        let folders = [std::env::current_dir().unwrap_or_default(), PathBuf::from(OF_SERVICE)];
+        let disks = folders.into_iter().filter(|folder| folder.is_dir());
         let mut facts = Self {
             dangling: PATHS.into_iter().filter(is_dangling).collect(),
             variables,
             c_library: answer("getconf", &["GNU_LIBC_VERSION"]),
             highest_priority: system::highest_priority(),
-            free_bytes: system::free_bytes(&folder),
-            folder,
+            disks: disks.filter_map(|folder| Some((folder.clone(), system::free_bytes(&folder)?))).collect(),
             devices: devices(Path::new("/"), named),
             interfaces: interfaces(),
             python: python(),

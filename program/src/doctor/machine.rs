@@ -1,5 +1,6 @@
 //! The system, its clock, the disk and Python.
 
+use std::path::Path;
 use std::time::Duration;
 
 use chrono::DateTime;
@@ -21,7 +22,7 @@ const OLDEST_PYTHON: (u32, u32) = (3, 11);
 
 pub(super) fn examine(facts: &Facts) -> Vec<Finding> {
     let mut findings = vec![system(facts), clock(facts)];
-    findings.extend(disk(facts));
+    findings.extend(facts.disks.iter().map(|(folder, free)| disk(folder, *free)));
     findings.extend(facts.python.as_ref().map(python));
     findings
 }
@@ -59,17 +60,16 @@ fn clock(facts: &Facts) -> Finding {
     }
 }
 
-fn disk(facts: &Facts) -> Option<Finding> {
+fn disk(folder: &Path, free: u64) -> Finding {
     const AREA: &str = "disk";
-    let free = facts.free_bytes?;
-    let found = format!("{} MiB are free in {}", free / MIB, facts.folder.display());
+    let found = format!("{} MiB are free in {}", free / MIB, folder.display());
     let remedy = "free some space, or record elsewhere: `downbeat run ROBOT.toml --record /other/disk/run`; max_bag_files in \
                   [record] deletes the oldest files of a run";
-    Some(match free {
+    match free {
         ..HARDLY_ANY => Finding::problem(AREA, found, remedy),
         HARDLY_ANY..LITTLE => Finding::warn(AREA, found, remedy),
         _ => Finding::ok(AREA, found),
-    })
+    }
 }
 
 /// Modules in Python run in the program of the wheel.

@@ -8,7 +8,7 @@ use downbeat_bridge::middleware::{
 
 use super::facts::{Facts, Interface};
 use super::finding::Finding;
-use super::wanted::Wanted;
+use super::wanted::{ModulePort, Protocol, Wanted};
 
 const AREA: &str = "network";
 const KIB: u64 = 1 << 10;
@@ -40,6 +40,7 @@ pub(super) fn examine(facts: &Facts, wanted: &Wanted) -> Vec<Finding> {
         },
     ));
     findings.extend(view_ports(facts, wanted));
+    findings.extend(wanted.module_ports.iter().map(|port| module_port(port, facts)));
     findings
 }
 
@@ -233,4 +234,28 @@ fn view_ports<'a>(facts: &'a Facts, wanted: &'a Wanted) -> impl Iterator<Item = 
         let remedy = format!("another port, or end the program that `ss -ltnp 'sport = :{port}'` shows");
         Finding::problem(AREA, found, remedy)
     })
+}
+
+fn module_port(ModulePort { module, protocol, port }: &ModulePort, facts: &Facts) -> Finding {
+    let (name, option, used) = match protocol {
+        Protocol::Tcp => ("TCP", "-ltnp", &facts.tcp_ports),
+        Protocol::Udp => ("UDP", "-lunp", &facts.udp_ports),
+    };
+    if !used.contains(port) {
+        return Finding::ok(AREA, format!("{name} port {port} of {module} is free"));
+    }
+    let remedy = format!(
+        "another port in its settings, or end the program that `ss {option} 'sport = :{port}'` shows"
+    );
+    match protocol {
+        Protocol::Tcp => Finding::problem(AREA, format!("{name} port {port} of {module} is in use"), remedy),
+        // Sockets with SO_REUSEPORT, such as those of other robots, share it.
+        Protocol::Udp => {
+            let found = format!(
+                "{name} port {port} of {module} is in use: the module receives nothing, or a part of what is sent, unless \
+                 it is sent to all"
+            );
+            Finding::warn(AREA, found, remedy)
+        }
+    }
 }

@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use super::facts::{Access, Clock, Device, Interface, Python};
+use super::wanted::{ModulePort, Protocol};
 use super::*;
 
 /// A machine on which there is nothing to do.
@@ -22,8 +23,7 @@ fn healthy() -> Facts {
         ephemeral_ports: Some((32_768, 60_999)),
         devices: vec![device(Access::Granted)],
         clock: Clock { seconds: 1_790_000_000, jump: Duration::ZERO, is_synchronised: Some(true) },
-        folder: "/home/ann".into(),
-        free_bytes: Some(64 << 30),
+        disks: vec![("/home/ann".into(), 64 << 30), ("/var/lib/downbeat".into(), 32 << 30)],
         python: Some(Python { version: (3, 11), has_downbeat: true }),
         ..Facts::default()
     }
@@ -78,6 +78,7 @@ fn a_healthy_machine_has_nothing_to_do() {
         "ok       network   eth0 is up and has multicast",
         "ok       clock     2026-09-21 14:13:20 UTC, synchronised",
         "ok       disk      65536 MiB are free in /home/ann",
+        "ok       disk      32768 MiB are free in /var/lib/downbeat",
     ] {
         assert!(lines.iter().any(|line| line == expected), "{expected} in {lines:#?}");
     }
@@ -218,6 +219,20 @@ fn a_port_of_a_viewer_that_is_in_use_is_named_with_its_key() {
     });
 }
 
+#[test]
+fn a_port_of_a_module_that_is_in_use_is_named_with_the_module() {
+    let port = |protocol| {
+        move |facts: &mut Facts, wanted: &mut Wanted| {
+            facts.tcp_ports.insert(4010);
+            facts.udp_ports.insert(4010);
+            let module = |name: &str, port| ModulePort { module: name.into(), protocol, port };
+            wanted.module_ports = vec![module("lines", 4010), module("others", 4011)];
+        }
+    };
+    is_problem(&["TCP port 4010 of lines is in use", "`ss -ltnp 'sport = :4010'`"], port(Protocol::Tcp));
+    warns(&["UDP port 4010 of lines is in use", "`ss -lunp 'sport = :4010'`"], port(Protocol::Udp));
+}
+
 #[cfg(feature = "zenoh")]
 #[test]
 fn zenoh_without_a_router_finds_nobody() {
@@ -246,8 +261,8 @@ fn a_clock_that_was_never_set_is_a_problem_and_one_that_moves_or_drifts_a_warnin
 
 #[test]
 fn a_disk_that_is_nearly_full_is_named_with_its_folder() {
-    warns(&["1024 MiB are free in /home/ann", "max_bag_files"], |facts, _| facts.free_bytes = Some(1 << 30));
-    is_problem(&["10 MiB are free"], |facts, _| facts.free_bytes = Some(10 << 20));
+    warns(&["1024 MiB are free in /home/ann", "max_bag_files"], |facts, _| facts.disks[0].1 = 1 << 30);
+    is_problem(&["10 MiB are free in /var/lib/downbeat"], |facts, _| facts.disks[1].1 = 10 << 20);
 }
 
 #[test]
