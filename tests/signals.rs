@@ -176,6 +176,43 @@ fn a_robot_stops_in_order() {
     }
 }
 
+/// What `sd_notify(3)` and `sd_watchdog_enabled(3)` say between a service and its manager.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_robot_tells_its_service_manager_how_it_is_from_start_to_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let (folder, domain) = (folder.path(), free_domain());
+    let socket = folder.join("notify");
+    let manager = std::os::unix::net::UnixDatagram::bind(&socket).unwrap();
+    manager.set_read_timeout(Some(WATCHDOG)).unwrap();
+    let mut told: Vec<String> = Vec::new();
+    let mut wait_for = |expected: &str| {
+        let mut buffer = [0; 4096];
+        let begins = |text: &String| text.starts_with(expected);
+        while !told.last().is_some_and(begins) {
+            let length = manager.recv(&mut buffer);
+            let length = length.unwrap_or_else(|error| panic!("no {expected}: {error}; {told:?}"));
+            told.push(String::from_utf8(buffer[..length].to_vec()).unwrap());
+        }
+        told.clone()
+    };
+    let robot = folder.join("robot.toml");
+    fs::write(&robot, QUIET_ROBOT).unwrap();
+    let mut run = command(&["run", robot.to_str().unwrap()], domain, folder);
+    // Fed four times in a second.
+    run.env("NOTIFY_SOCKET", &socket).env("WATCHDOG_USEC", "1000000").env_remove("WATCHDOG_PID");
+    let mut program = Program::start(run);
+    assert_eq!(wait_for("READY=1"), ["READY=1"], "it is ready before it tells anything else");
+    wait_for("WATCHDOG=1");
+    let status = wait_for("STATUS=").pop().unwrap();
+    assert!(status.contains("joint_goals "), "it has the rates of topics: {status}");
+    wait_for("WATCHDOG=1");
+    program.ask(Way::Signal(Signal::TERM));
+    let told = wait_for("STOPPING=1");
+    assert_eq!(told.iter().filter(|text| *text == "READY=1").count(), 1, "{told:?}");
+    assert_eq!(program.wait().code(), Some(0), "{}", program.output());
+}
+
 #[test]
 fn a_recorded_robot_closes_its_bag() {
     for way in WAYS {

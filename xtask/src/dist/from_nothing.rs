@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 
@@ -15,6 +15,10 @@ use crate::install::{
     Arrival, Figures, Home, cargo_install_for_release, deb, first_look, ros_workspace_for_release,
 };
 use crate::wheel;
+
+/// How long it may take, from `pip install` on, until a subscriber has a joint state, and until the robot moves
+/// in a browser. Other figures depend on the machine.
+const PATIENCE_OF_NEWCOMERS: Duration = Duration::from_secs(60);
 
 /// How the program comes onto a machine.
 #[derive(Clone, Copy)]
@@ -61,8 +65,10 @@ impl Way {
         let program = self.program(release, &home);
         let arrival = Arrival::of(&program, &home)?;
         if let Self::Pip = self {
+            in_time("a joint state", install + arrival.first_joint_state)?;
             let seen = install + first_look(&program, &home)?;
             println!("from `pip install` to a robot that moves in a browser: {:.1} s", seen.as_secs_f64());
+            in_time("a robot that moves in a browser", seen)?;
         }
         self.remove(release, &home)?;
         let before: BTreeSet<_> = before.into_iter().map(|file| file.path).collect();
@@ -151,6 +157,16 @@ impl Way {
             Self::Tarball => user(home.command("rm").arg("-r").arg(release.name())),
         }
     }
+}
+
+fn in_time(what: &str, since_install: Duration) -> anyhow::Result<()> {
+    ensure!(
+        since_install <= PATIENCE_OF_NEWCOMERS,
+        "from the start of `pip install` to {what} it took {:.1} s, more than {} s",
+        since_install.as_secs_f64(),
+        PATIENCE_OF_NEWCOMERS.as_secs()
+    );
+    Ok(())
 }
 
 /// Runs a command where it says, and fails if it does.
