@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 
 use super::{Arrival, Home};
 use crate::dist::FEATURES;
@@ -16,7 +16,7 @@ use crate::steps::{run, workspace};
 use crate::{crates, files, notices};
 
 /// Packages an installed program, unpacks the package as dpkg does, runs what it has, and removes it again:
-/// nothing is left. Lintian, where it is installed, finds nothing.
+/// nothing is left. Lintian and systemd, where they are installed, find nothing.
 pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> {
     if !test_machine::has_program("dpkg-deb") {
         let reason = "dpkg-deb is missing: a Debian package can be made on Debian and Ubuntu";
@@ -45,6 +45,12 @@ pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> 
     prepare(&root)?;
     run(dpkg(&root).arg("--install").arg(&package))?;
     let installed = root.join("usr/bin/downbeat");
+    if test_machine::has_program("systemd-analyze") {
+        verify(&root, home.path())?;
+    } else {
+        let reason = "systemd-analyze is missing: install Debian's package systemd";
+        skips.missing("systemd's view of the service of the Debian package", reason)?;
+    }
     let checked =
         home.command(&installed).arg("check").arg(root.join("etc/downbeat/darwin_op.toml")).output()?;
     ensure!(checked.status.success(), "check: {}", String::from_utf8_lossy(&checked.stderr));
@@ -55,6 +61,26 @@ pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> 
     let left: Vec<_> = files::below(&root)?.into_iter().map(|file| file.path).collect();
     let left: Vec<_> = left.iter().filter(|path| !is_of_system(path)).collect();
     ensure!(left.is_empty(), "after the package was purged, these are left: {left:?}");
+    Ok(())
+}
+
+/// Lets systemd look at the service of a package that is installed in a root. It ignores keys and values that
+/// it does not understand, with a line that names the file.
+fn verify(root: &Path, scratch: &Path) -> anyhow::Result<()> {
+    let unit = root.join("usr/lib/systemd/system/downbeat@.service");
+    let text = fs::read_to_string(&unit).with_context(|| unit.display().to_string())?;
+    let program = root.join("usr/bin/downbeat").display().to_string();
+    // As an instance, whose program is that of the root.
+    let instance = scratch.join("downbeat@darwin_op.service");
+    fs::write(&instance, text.replace("/usr/bin/downbeat", &program))?;
+    let mut verify = Command::new("systemd-analyze");
+    let output = verify.args(["verify", "--man=no"]).arg(&instance).output()?;
+    let found = String::from_utf8_lossy(&output.stderr);
+    ensure!(
+        output.status.success() && !found.contains("downbeat@"),
+        "systemd-analyze verify of packaging/systemd/downbeat@.service: {}\n{found}",
+        output.status
+    );
     Ok(())
 }
 
