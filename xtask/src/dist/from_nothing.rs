@@ -16,8 +16,8 @@ use crate::install::{
 };
 use crate::wheel;
 
-/// How long it may take, from `pip install` on, until a subscriber has a joint state, and until the robot moves
-/// in a browser. Other figures depend on the machine.
+/// How long it may take, from `pip install` on, until a subscriber has a joint state, and until the robot
+/// moves in a browser. Other figures depend on the machine.
 const PATIENCE_OF_NEWCOMERS: Duration = Duration::from_secs(60);
 
 /// How the program comes onto a machine.

@@ -13,8 +13,8 @@ use crate::python;
 use crate::steps::{run, run_in, workspace};
 use crate::wheel::{Build, pack, tools};
 
-/// What checks wheels and their sources: that wheels run on the systems that their name promises, and that PyPI
-/// takes the files.
+/// What checks wheels and their sources: that wheels run on the systems that their name promises, and that
+/// PyPI takes the files.
 const CHECKS: [&str; 3] = ["abi3audit==0.0.26", "auditwheel==6.8.2", "twine==7.0.0"];
 
 /// The largest that a wheel may be, in bytes: robots are on slow lines.
