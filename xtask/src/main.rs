@@ -146,8 +146,8 @@ enum Command {
     /// Records the simulated walk of tests/walk_replay.rs again, after a change of the gait, the motions, the
     /// falls or the physics; then runs the tests that replay it.
     RecordWalk,
-    /// Checks the program for Windows and macOS, some minutes. Needs the sources of the standard library and a
-    /// tool of Windows: Debian's packages rust-web-src and binutils-mingw-w64-x86-64.
+    /// Checks the program for Windows and macOS, some minutes. Needs the sources of the standard library and
+    /// a tool of Windows: Debian's packages rust-web-src and binutils-mingw-w64-x86-64.
     Portability,
     /// Only the Python environment under target/venv; prints the path of its interpreter.
     Python,

@@ -10,8 +10,8 @@ use downbeat_bags::{Problem, Reader, Storage, TopicDescription, check};
 
 use crate::stock_readers;
 
-/// What a stock reader does not read in the bags of some tests: its name, a part of the test's, a part of what it
-/// says, and the reason.
+/// What a stock reader does not read in the bags of some tests: its name, a part of the test's, a part of
+/// what it says, and the reason.
 const BEYOND_A_READER: &[(&str, &str, &str, &str)] = &[
     ("rosbags", "types::", "wstring", "strings of wide characters"),
     ("mcap-ros2-support", "types::", "wstring", "strings of wide characters"),

@@ -350,8 +350,8 @@ impl ReplaySession {
         self.core_of(module).settings(module)
     }
 
-    /// The graph of the modules that run, and their counters so far: for each detached module those of its own
-    /// core. What the replay itself takes out of the cores is left out.
+    /// The graph of the modules that run, and their counters so far: for each detached module those of its
+    /// own core. What the replay itself takes out of the cores is left out.
     pub fn graph(&mut self) -> (Graph, Snapshot) {
         let (mut graph, mut snapshot) = (self.core.graph(), self.core.snapshot());
         graph.outlets.clear();

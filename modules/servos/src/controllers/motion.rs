@@ -15,11 +15,11 @@
 //!
 //! (2)  x(t) = (1 - w) B(t) + w R(t),  w = 3 s² - 2 s³,  s = (t - b) / D
 //!
-//! from b on, which is when it meets the trajectory, or when the trajectory starts if that is later.//!
-//! A weighted mean leaves the range of neither B nor R: a joint stays between its position and those of the
+//! from b on, which is when it meets the trajectory, or when the trajectory starts if that is later.//! A
+//! weighted mean leaves the range of neither B nor R: a joint stays between its position and those of the
 //! points, except for the way that it takes to brake, and for what the velocities of the points demand. D is
-//! the time in which the distance d = |R(b) - B(b)| is covered from rest to rest with accelerations up to a, and
-//! the difference of the velocities u is:
+//! the time in which the distance d = |R(b) - B(b)| is covered from rest to rest with accelerations up to a,
+//! and the difference of the velocities u is:
 //!
 //! (3)  D = max(√(6 d / a), u / a)
 //!
@@ -27,9 +27,9 @@
 //! its first segment: then velocities are at most twice those that were sent.
 //!
 //! # References
-//! For (1) `joint_trajectory_controller/doc/decelerate_on_cancel.rst` of `ros-controls/ros2_controllers`, branch
-//! jazzy, which stops joints this way. 4/27 is the largest value of s (1 - s)², the basis function of the
-//! first velocity in the cubic Hermite spline, and 6 in (3) the largest second derivative of w.
+//! For (1) `joint_trajectory_controller/doc/decelerate_on_cancel.rst` of `ros-controls/ros2_controllers`,
+//! branch jazzy, which stops joints this way. 4/27 is the largest value of s (1 - s)², the basis function of
+//! the first velocity in the cubic Hermite spline, and 6 in (3) the largest second derivative of w.
 
 use std::time::Duration;
 

@@ -32,8 +32,8 @@ pub struct Hardware {
     pub hardware_id: String,
     /// The frame of `joint_states`.
     pub joint_frame: String,
-    /// The topics of its joints, `joint_states` and `joint_commands` after remaps, which diagnostics name. Empty
-    /// if they do not, as those in recorded bags of the Darwin OP.
+    /// The topics of its joints, `joint_states` and `joint_commands` after remaps, which diagnostics name.
+    /// Empty if they do not, as those in recorded bags of the Darwin OP.
     joint_topics: Vec<(&'static str, String)>,
     /// Whether diagnostics report late cycles, which those in recorded bags of the Darwin OP do not.
     reports_cycles: bool,

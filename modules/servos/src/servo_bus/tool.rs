@@ -389,7 +389,8 @@ impl ServoPort {
         })
     }
 
-    /// Brings a servo into service as the driver does, with torque where it is, if its position can be a goal.
+    /// Brings a servo into service as the driver does, with torque where it is, if its position can be a
+    /// goal.
     pub(crate) fn prepare(&mut self, joint: &Joint) -> Result<Prepared, ServoError> {
         let (mut exchanges, softness) = (Vec::new(), Servo::new().softness(joint));
         let mut prepared = Err(PrepareError::Trouble(Trouble::Silent));
