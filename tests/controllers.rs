@@ -295,3 +295,61 @@ fn a_head_follows_the_trajectory_of_rclpy_and_the_goal_of_an_action() {
     cyclone.leave();
     rclpy.leave();
 }
+
+/// Types the page for users of ros2_control, in an empty folder.
+#[test]
+fn a_urdf_of_ros2_control_leads_to_a_trajectory() {
+    let page = include_str!("../docs/ros2_control.md");
+    let blocks = |language: &str| -> Vec<&str> {
+        let start = format!("```{language}\n");
+        page.split(&*start).skip(1).map(|block| block.split("```").next().unwrap()).collect()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("arm.urdf"), blocks("xml")[0]).unwrap();
+    std::fs::write(folder.path().join("robot.toml"), blocks("toml")[0]).unwrap();
+    let domain = free_domain().to_string();
+    let [run, asked] = blocks("sh")[..] else { panic!("other commands") };
+    let command = |line: &str| {
+        let mut parts = line.split('"');
+        let words = parts.next().unwrap().split_whitespace().skip(1).chain(parts.next());
+        let mut command = common::downbeat(&words.collect::<Vec<_>>());
+        command.current_dir(folder.path()).env("ROS_DOMAIN_ID", &domain);
+        command
+    };
+    let types = |line: &str| {
+        let output = command(line).output().unwrap();
+        let printed = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        assert!(output.status.success(), "{line}\n{printed}");
+        printed
+    };
+    let mut robot = Running::start_by(&mut command(run.trim()));
+    robot.wait_for_output("exposed controllers: /controller_manager");
+    let are_at = |expected: [f64; 2]| {
+        let state = types("ros2 topic echo --once --field position /joint_states sensor_msgs/msg/JointState");
+        let angles: Vec<f64> = state
+            .split(|letter: char| !(letter.is_ascii_digit() || "-.e".contains(letter)))
+            .filter_map(|word| word.parse().ok())
+            .collect();
+        angles.len() == 2
+            && angles.iter().zip(expected).all(|(angle, expected)| (angle - expected).abs() < 0.02)
+    };
+    wait_until("the joints are measured", || are_at([0.0, 0.0]));
+    let [controllers, components, trajectory, switch, by_hand] = asked.lines().collect::<Vec<_>>()[..] else {
+        panic!("{asked}")
+    };
+    let listed = types(controllers);
+    for named in
+        ["arm_controller", "joint_trajectory_controller/JointTrajectoryController", "position_controller"]
+    {
+        assert!(listed.contains(named), "{named}\n{listed}");
+    }
+    assert!(types(components).contains("hardware"));
+    let done = types(trajectory);
+    assert!(done.contains("SUCCEEDED"), "{done}");
+    wait_until("the arm is at the end of the trajectory", || are_at([0.3, 0.2]));
+    let switched = types(switch);
+    assert!(switched.contains("ok=True") || switched.contains("ok: true"), "{switched}");
+    types(by_hand);
+    wait_until("the other controller moves it", || are_at([-0.2, 0.1]));
+    robot.interrupt();
+}
