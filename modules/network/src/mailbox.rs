@@ -63,7 +63,7 @@ impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
                 BusExchange::OK => datagrams.push(exchange.reply.to_vec()),
                 BusExchange::TIMEOUT => break,
                 _ => {
-                    self.report(exchange.error, Some("; this is tried again every second"), ctx.now());
+                    self.report(exchange.error, "; this is tried again every second", ctx.now());
                     break;
                 }
             }
@@ -75,14 +75,14 @@ impl<D: Device<Request = Request, Exchange = BusExchange>> Mailbox<D> {
     pub fn send<P>(&mut self, bytes: Vec<u8>, topic: Publication<BusExchange>, ctx: &mut Context<'_, P>) {
         let exchange = self.link.exchange(&Request::Send(bytes), topic, ctx);
         if exchange.outcome == BusExchange::FAILED {
-            self.report(exchange.error, None, ctx.now());
+            self.report(exchange.error, "", ctx.now());
         }
     }
 
-    fn report(&mut self, failure: String, what_follows: Option<&str>, now: Time) {
+    fn report(&mut self, failure: String, what_follows: &str, now: Time) {
         self.not_before = now + RETRY;
         if self.failure != failure {
-            tracing::warn!("{failure}{}", what_follows.unwrap_or_default());
+            tracing::warn!("{failure}{what_follows}");
             self.failure = failure;
         }
     }

@@ -252,8 +252,8 @@ fn module_port(ModulePort { module, protocol, port }: &ModulePort, facts: &Facts
         // Sockets with SO_REUSEPORT, such as those of other robots, share it.
         Protocol::Udp => {
             let found = format!(
-                "{name} port {port} of {module} is in use: the module receives nothing, or a part of what is sent, unless \
-                 it is sent to all"
+                "{name} port {port} of {module} is in use: if the other program shares it, each datagram reaches one of \
+                 them, else the module cannot listen"
             );
             Finding::warn(AREA, found, remedy)
         }

@@ -10,6 +10,7 @@ use anyhow::{Context, ensure};
 
 use super::cross::Target;
 use super::release::Release;
+use crate::crates::cargo_home;
 use crate::files;
 use crate::install::{
     Arrival, Figures, Home, cargo_install_for_release, deb, first_look, ros_workspace_for_release,
@@ -25,6 +26,8 @@ const PATIENCE_OF_NEWCOMERS: Duration = Duration::from_secs(60);
 enum Way {
     Cargo,
     Pip,
+    /// By pip, from the source distribution.
+    Sources,
     Deb,
     Tarball,
 }
@@ -36,7 +39,7 @@ pub(super) fn test(release: &Release) -> anyhow::Result<()> {
         release.target
     );
     Figures::print_header();
-    for way in [Way::Pip, Way::Deb, Way::Tarball, Way::Cargo] {
+    for way in [Way::Pip, Way::Deb, Way::Tarball, Way::Sources, Way::Cargo] {
         way.costs(release).with_context(|| way.name())?.print(way.name());
     }
     ros_workspace_for_release().context("colcon")?.print("colcon");
@@ -49,6 +52,7 @@ impl Way {
         match self {
             Self::Cargo => "cargo",
             Self::Pip => "pip",
+            Self::Sources => "sdist",
             Self::Deb => "deb",
             Self::Tarball => "tarball",
         }
@@ -97,7 +101,7 @@ impl Way {
                     || path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(".crates"))
             }
             // What Python compiled of pip when it ran.
-            Self::Pip => path.extension().is_some_and(|extension| extension == "pyc"),
+            Self::Pip | Self::Sources => path.extension().is_some_and(|extension| extension == "pyc"),
             Self::Deb => path.strip_prefix("root").is_ok_and(deb::is_of_system),
             Self::Tarball => false,
         };
@@ -107,7 +111,7 @@ impl Way {
     /// Makes what a user has before.
     fn prepare(self, home: &Home) -> anyhow::Result<()> {
         match self {
-            Self::Pip => user(home.command(wheel::tools()?).args(["-m", "venv", "venv"])),
+            Self::Pip | Self::Sources => user(home.command(wheel::tools()?).args(["-m", "venv", "venv"])),
             Self::Deb => deb::prepare(&home.path().join("root")),
             Self::Cargo | Self::Tarball => Ok(()),
         }
@@ -116,10 +120,19 @@ impl Way {
     fn install(self, release: &Release, home: &Home) -> anyhow::Result<()> {
         match self {
             Self::Cargo => cargo_install_for_release(home.path()).map(drop),
-            Self::Pip => {
+            Self::Pip | Self::Sources => {
                 let package = format!("downbeat-robotics=={}", release.version);
                 let mut pip = home.command(home.path().join("venv/bin/python"));
-                pip.args(["-m", "pip", "--quiet", "install", "--no-cache-dir", "--only-binary=:all:"]);
+                pip.args(["-m", "pip", "--quiet", "install", "--no-cache-dir"]);
+                if let Self::Sources = self {
+                    // Maturin comes from PyPI. All crates are those that the release was compiled from.
+                    pip.arg("--no-binary=downbeat-robotics");
+                    pip.env("CARGO_HOME", cargo_home()?).env("CARGO_NET_OFFLINE", "true");
+                    // The pip that fetches maturin looks for a later pip, and would keep what it found.
+                    pip.env("PIP_DISABLE_PIP_VERSION_CHECK", "1");
+                } else {
+                    pip.arg("--only-binary=:all:");
+                }
                 user(pip.arg("--find-links").arg(&release.out).arg(package))
             }
             Self::Deb => {
@@ -137,7 +150,7 @@ impl Way {
     fn program(self, release: &Release, home: &Home) -> PathBuf {
         match self {
             Self::Cargo => home.path().join("installed/bin/downbeat"),
-            Self::Pip => home.path().join("venv/bin/downbeat"),
+            Self::Pip | Self::Sources => home.path().join("venv/bin/downbeat"),
             Self::Deb => home.path().join("root/usr/bin/downbeat"),
             Self::Tarball => home.path().join(release.name()).join("bin/downbeat"),
         }
@@ -149,7 +162,7 @@ impl Way {
                 let mut cargo = home.command("cargo");
                 user(cargo.args(["uninstall", "--quiet", "downbeat", "--root", "installed"]))
             }
-            Self::Pip => {
+            Self::Pip | Self::Sources => {
                 let pip = ["-m", "pip", "--quiet", "uninstall", "--yes", "downbeat-robotics", "numpy"];
                 user(home.command(home.path().join("venv/bin/python")).args(pip))
             }
