@@ -2,9 +2,11 @@
 
 use super::description::{BusPlan, DevicePlan};
 use super::driver::{DeviceUnit, Driver, Phase};
+use super::fault_text::{alarm, closed_port, place, silent, unusable};
 use super::joint::{Joint, Protection};
 use super::line::ECHO;
 use super::protocol::StatusError;
+use super::reading::Unit;
 use super::servo::{Link, Service, Servo, reading};
 use crate::stamps::header;
 use downbeat_device::counted::Counted;
@@ -29,7 +31,7 @@ pub(crate) struct Labels<'a> {
     /// The topics of its joints: what they are for, and their names.
     pub(crate) joint_topics: &'a [(&'static str, String)],
     /// Whether late cycles are reported.
-    pub(crate) reports_cycles: bool,
+    pub(crate) is_detailed: bool,
 }
 
 /// The current level of each part.
@@ -47,9 +49,8 @@ pub(crate) fn levels(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels
 /// The complete report.
 pub(crate) fn report(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> DiagnosticArray {
     let mut status = vec![bus(now, plan, driver, labels)];
-    status
-        .extend(driver.devices.iter().zip(&plan.devices).map(|(unit, one)| device(plan, driver, unit, one)));
-    status.extend(driver.servos.iter().zip(&plan.joints).map(|(one, joint)| servo(driver, one, joint)));
+    status.extend((0..plan.devices.len()).map(|index| device(plan, driver, index, labels)));
+    status.extend((0..plan.joints.len()).map(|index| servo(plan, driver, index, labels)));
     for one in &mut status {
         labels.hardware_id.clone_into(&mut one.hardware_id);
         one.name = format!("{}: {}", plan.title, one.name);
@@ -77,7 +78,7 @@ fn bus_level(now: Time, driver: &Driver, labels: &Labels<'_>) -> u8 {
     match driver.phase {
         Phase::Running if driver.is_held() => DiagnosticStatus::ERROR,
         _ if is_recent(now, driver.last_echo_at) => DiagnosticStatus::ERROR,
-        Phase::Running if is_lossy(now, driver) || (labels.reports_cycles && is_slow(now, driver)) => {
+        Phase::Running if is_lossy(now, driver) || (labels.is_detailed && is_slow(now, driver)) => {
             DiagnosticStatus::WARN
         }
         Phase::Running if labels.refused.recently(now).is_some() => DiagnosticStatus::WARN,
@@ -142,8 +143,17 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
         Phase::Running if is_lossy(now, driver) && is_recent(now, driver.last_late_at) => {
             "running, but this machine is too busy: answers come after they were given up".to_owned()
         }
-        Phase::Running if is_lossy(now, driver) => "running, but answers are missing or corrupt".to_owned(),
-        Phase::Running if labels.reports_cycles && is_slow(now, driver) => {
+        Phase::Running if is_lossy(now, driver) => {
+            let short = "running, but answers are missing or corrupt";
+            let place = place(plan);
+            match labels.is_detailed {
+                true => format!(
+                    "{short} on {place}: the servos below that have missed answers show where; check plugs and cables there"
+                ),
+                false => short.to_owned(),
+            }
+        }
+        Phase::Running if labels.is_detailed && is_slow(now, driver) => {
             format!("running, but cycles of {} ms begin late", plan.cycle.as_secs_f64() * 1000.0)
         }
         Phase::Running => match labels.refused.recently(now) {
@@ -153,6 +163,7 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
         Phase::PowerOn { .. } => "switching the servos on".to_owned(),
         Phase::Preparing { .. } => "preparing the servos".to_owned(),
         Phase::Open { .. } => format!("the {} does not answer", board.map_or("", |board| &board.name)),
+        Phase::Closed { .. } if labels.is_detailed => closed_port(plan),
         Phase::Closed { .. } => "the serial port is closed".to_owned(),
     };
     let troubles = &driver.troubles;
@@ -172,33 +183,39 @@ fn bus(now: Time, plan: &BusPlan, driver: &Driver, labels: &Labels<'_>) -> Diagn
     if labels.refused.stale > 0 {
         values.push(value("commands dropped for their stamps", labels.refused.stale));
     }
-    if labels.reports_cycles {
+    if labels.is_detailed {
         values.push(value("late cycles", troubles.late_cycles.count()));
     }
     let name = if plan.name.is_empty() { "bus".to_owned() } else { format!("bus {}", plan.name) };
     status(bus_level(now, driver, labels), &name, &message, values)
 }
 
-fn device(plan: &BusPlan, driver: &Driver, unit: &DeviceUnit, device: &DevicePlan) -> DiagnosticStatus {
+fn device(plan: &BusPlan, driver: &Driver, index: usize, labels: &Labels<'_>) -> DiagnosticStatus {
+    let (unit, device) = (&driver.devices[index], &plan.devices[index]);
     let level = device_level(plan, driver, unit, device);
     let message = match level {
         DiagnosticStatus::OK => "OK".to_owned(),
         DiagnosticStatus::WARN => "the battery is low".to_owned(),
-        DiagnosticStatus::ERROR => out_of_service(&unit.link, "no answer"),
+        DiagnosticStatus::ERROR => out_of_service(plan, Unit::Device(index), &unit.link, labels),
         _ => "no news".to_owned(),
     };
     let voltage = battery(plan, unit, device).map(|(volts, _)| value("voltage (V)", volts));
     status(level, &device.name, &message, voltage.into_iter().collect())
 }
 
-fn out_of_service(link: &Link, silent: &str) -> String {
-    match &link.service {
-        Service::Unsuitable { reason, .. } => reason.clone(),
-        _ => silent.to_owned(),
+/// Why a unit is out of service: with its place and the remedy, if labels are detailed.
+fn out_of_service(plan: &BusPlan, unit: Unit, link: &Link, labels: &Labels<'_>) -> String {
+    match (&link.service, unit) {
+        (Service::Unsuitable { reason, .. }, _) if labels.is_detailed => unusable(plan, unit, reason),
+        (Service::Unsuitable { reason, .. }, _) => reason.clone(),
+        _ if labels.is_detailed => silent(plan, unit),
+        (_, Unit::Joint(_)) => "no answer; its joint is stale".to_owned(),
+        (_, Unit::Device(_)) => "no answer".to_owned(),
     }
 }
 
-fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
+fn servo(plan: &BusPlan, driver: &Driver, index: usize, labels: &Labels<'_>) -> DiagnosticStatus {
+    let (servo, joint) = (&driver.servos[index], &plan.joints[index]);
     let message = match (&servo.link.service, servo.link.error) {
         (Service::Active, _) if let (true, Some(limp)) = (servo.wants_torque(), servo.limp(joint)) => {
             limp.words(joint)
@@ -222,9 +239,13 @@ fn servo(driver: &Driver, servo: &Servo, joint: &Joint) -> DiagnosticStatus {
                 .to_owned()
         }
         (Service::Active, StatusError::NONE) => "OK".to_owned(),
+        (Service::Active, alarms) if labels.is_detailed => {
+            let measured = servo.last.as_ref().map(reading).unwrap_or_default();
+            alarm(plan, Unit::Joint(index), alarms, &measured)
+        }
         (Service::Active, alarms) => format!("the servo reports: {alarms}"),
         (Service::Silent { .. } | Service::Unsuitable { .. }, _) => {
-            out_of_service(&servo.link, "no answer; its joint is stale")
+            out_of_service(plan, Unit::Joint(index), &servo.link, labels)
         }
         (Service::Unknown, _) => "not asked yet".to_owned(),
     };

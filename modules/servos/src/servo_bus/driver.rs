@@ -6,6 +6,7 @@
 
 use super::bus::{Bus, Exchange, LATE, Outcome};
 use super::description::BusPlan;
+use super::fault_text::{closed_port, lost_port, named, place, silent, unusable, without_torque};
 use super::joint::{Drive, Joint};
 use super::line::{ECHO, Line, Trouble};
 use super::models::Register;
@@ -166,7 +167,7 @@ impl Driver {
             Phase::Closed { .. } | Phase::Open { .. } | Phase::PowerOn { .. } => Ok(None),
         };
         let reading = done.unwrap_or_else(|PortFailed| {
-            self.lose_port(now, &mut line);
+            self.lose_port(now, plan, &mut line);
             None
         });
         self.count(now, plan, is_live, &exchanges[before..]);
@@ -247,7 +248,7 @@ impl Driver {
         if self.troubles.refused_ports.is_worth_a_line() {
             let count = self.troubles.refused_ports.count();
             let error = line.exchanges.last().map_or("", |exchange| &exchange.error);
-            tracing::warn!("{error} (failed {count} times so far, retrying)");
+            tracing::warn!("{error}; {} (failed {count} times so far)", closed_port(plan));
         }
         self.wait_for_port(now);
         Ok(())
@@ -266,7 +267,9 @@ impl Driver {
                 if self.troubles.silent_board.is_worth_a_line() {
                     let (count, name) = (self.troubles.silent_board.count(), &board.name);
                     tracing::warn!(
-                        "the {name} did not switch the servos on ({count} times so far); is it on?"
+                        "the {name} (id {}) on {} did not switch the servos on ({count} times so far); is it on?",
+                        board.id,
+                        place(plan)
                     );
                 }
                 self.phase = Phase::Open { retry_at: now + RETRY_BOARD };
@@ -321,8 +324,6 @@ impl Driver {
                 prepared = attempt();
             }
         }
-        let (id, name) = plan.label(unit);
-        let what = kind(unit);
         let is_other = matches!(prepared, Err(PrepareError::OtherModel(_)));
         match prepared {
             Ok(prepared) => {
@@ -334,7 +335,7 @@ impl Driver {
                 }
                 if was_out {
                     let missed = self.link(unit).missed;
-                    tracing::info!("{what} {id} ({name}) is back; it missed {missed} answers so far");
+                    tracing::info!("{} is back; it missed {missed} answers so far", named(plan, unit));
                 }
                 if let (Unit::Joint(index), Some(prepared)) = (unit, prepared) {
                     self.join(index, &prepared, plan);
@@ -349,7 +350,7 @@ impl Driver {
             Err(PrepareError::Trouble(_)) => self.silence(unit, now, plan),
             Err(PrepareError::OtherModel(reason) | PrepareError::Unsuitable(reason)) => {
                 if !was_out {
-                    tracing::warn!("{what} {id} ({name}) cannot be used: {reason}");
+                    tracing::warn!("{}", unusable(plan, unit, &reason));
                 }
                 if let (Unit::Joint(index), Phase::Preparing { .. }, true) = (unit, self.phase, is_other) {
                     self.servos[index].misfit = Some(reason.clone());
@@ -409,13 +410,14 @@ impl Driver {
         let refusal = match self.engage(index, joint, line) {
             Ok(()) => return self.write_softness(plan, line),
             Err(Trouble::PortFailed) => return Err(PortFailed),
-            Err(Trouble::Silent) => "it does not answer".to_owned(),
-            Err(Trouble::Refused(error)) => format!("it answers: {error}"),
+            Err(Trouble::Silent) => "it does not answer; check its power and plugs".to_owned(),
+            Err(Trouble::Refused(error)) => format!("it answers: {error}; {}", error.remedy()),
             Err(Trouble::Echo) => ECHO.to_owned(),
         };
         if self.troubles.refused_torque.is_worth_a_line() {
-            let (Joint { id, name, .. }, count) = (joint, self.troubles.refused_torque.count());
-            tracing::warn!("servo {id} ({name}) gets no torque yet: {refusal} ({count} times so far)");
+            let (refusal, count) =
+                (without_torque(plan, Unit::Joint(index), &refusal), self.troubles.refused_torque.count());
+            tracing::warn!("{refusal} ({count} times so far)");
         }
         Ok(())
     }
@@ -567,7 +569,10 @@ impl Driver {
                 if self.troubles.silent_board.is_worth_a_line() {
                     let count = self.troubles.silent_board.count();
                     let name = plan.devices.first().map_or("", |device| &device.name);
-                    tracing::warn!("the {name} does not answer ({count} times so far), reopening the port");
+                    tracing::warn!(
+                        "the {name} does not answer on {} ({count} times so far), reopening the port; is it on?",
+                        place(plan)
+                    );
                 }
                 return Err(PortFailed);
             }
@@ -655,11 +660,11 @@ impl Driver {
         }
     }
 
-    fn lose_port(&mut self, now: Time, line: &mut Line<'_>) {
+    fn lose_port(&mut self, now: Time, plan: &BusPlan, line: &mut Line<'_>) {
         if self.troubles.lost_ports.is_worth_a_line() {
             let count = self.troubles.lost_ports.count();
             let error = line.exchanges.last().map_or("", |exchange| &exchange.error);
-            tracing::warn!("lost the serial port ({count} times so far), opening it again: {error}");
+            tracing::warn!("{} ({count} times so far): {error}", lost_port(plan));
         }
         line.close();
         self.forget_units();
@@ -689,9 +694,8 @@ impl Driver {
     fn silence(&mut self, unit: Unit, now: Time, plan: &BusPlan) {
         let link = self.link(unit);
         if link.retry_at().is_none() && link.outages.is_worth_a_line() {
-            let (id, name) = plan.label(unit);
-            let (what, count) = (kind(unit), link.outages.count());
-            tracing::warn!("{what} {id} ({name}) does not answer ({count} times so far), others continue");
+            let (silent, count) = (silent(plan, unit), link.outages.count());
+            tracing::warn!("{silent} ({count} times so far); others continue");
         }
         link.service = Service::Silent { retry_at: now + RETRY_UNIT };
     }
@@ -745,7 +749,7 @@ impl Driver {
             self.last_timeout_at = Some(now);
             if self.troubles.timeouts.is_worth_a_line() {
                 let count = self.troubles.timeouts.count();
-                tracing::warn!("the bus: {} ({count} times so far)", exchange.error);
+                tracing::warn!("the bus on {port}: {} ({count} times so far)", exchange.error);
             }
         }
     }
@@ -753,13 +757,6 @@ impl Driver {
 
 /// The port does not work; the exchange contains the reason.
 struct PortFailed;
-
-fn kind(unit: Unit) -> &'static str {
-    match unit {
-        Unit::Device(_) => "device",
-        Unit::Joint(_) => "servo",
-    }
-}
 
 /// The device that switches the power of the servos, which is the first one.
 fn power_switch(

@@ -17,6 +17,7 @@ mod calibration;
 mod description;
 mod diagnostics;
 mod driver;
+mod fault_text;
 mod first_description;
 mod joint;
 mod limp;

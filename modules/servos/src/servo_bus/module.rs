@@ -35,8 +35,9 @@ pub struct Hardware {
     /// The topics of its joints, `joint_states` and `joint_commands` after remaps, which diagnostics name.
     /// Empty if they do not, as those in recorded bags of the Darwin OP.
     joint_topics: Vec<(&'static str, String)>,
-    /// Whether diagnostics report late cycles, which those in recorded bags of the Darwin OP do not.
-    reports_cycles: bool,
+    /// Whether diagnostics report late cycles, and say with each fault where it is and what to do. Those in
+    /// recorded bags of the Darwin OP do not.
+    is_detailed: bool,
     exchanges: Vec<Exchange>,
     unknown_names: Counted,
     refused: Refused,
@@ -67,17 +68,18 @@ impl Topics {
 }
 
 impl Hardware {
-    /// The servos of this plan on this bus. Diagnostics report late cycles if `reports_cycles`.
+    /// The servos of this plan on this bus. Diagnostics report late cycles, and place and remedy of each fault, if
+    /// `is_detailed`.
     #[must_use]
-    pub fn new(bus: Box<dyn Bus>, plan: BusPlan, reports_cycles: bool) -> Self {
+    pub fn new(bus: Box<dyn Bus>, plan: BusPlan, is_detailed: bool) -> Self {
         Self {
             bus,
-            driver: driver_of(&plan, reports_cycles),
+            driver: driver_of(&plan, is_detailed),
             hardware_id: plan.title.clone(),
             plan,
             joint_frame: String::new(),
             joint_topics: Vec::new(),
-            reports_cycles,
+            is_detailed,
             exchanges: Vec::new(),
             unknown_names: Counted::default(),
             refused: Refused::default(),
@@ -88,7 +90,7 @@ impl Hardware {
 
     /// Drives this robot from now on, which may have other devices. Only before the first step.
     pub fn describe(&mut self, plan: BusPlan) {
-        self.driver = driver_of(&plan, self.reports_cycles);
+        self.driver = driver_of(&plan, self.is_detailed);
         self.plan = plan;
     }
 
@@ -248,7 +250,7 @@ impl Hardware {
             unknown_names: self.unknown_names.count(),
             refused: &self.refused,
             joint_topics: &self.joint_topics,
-            reports_cycles: self.reports_cycles,
+            is_detailed: self.is_detailed,
         };
         let levels = levels(now, &self.plan, &self.driver, &labels);
         if self.last_diagnostics.as_ref().is_none_or(|(at, last)| *at + SLOW <= now || *last != levels) {
@@ -306,9 +308,9 @@ impl Hardware {
     }
 }
 
-fn driver_of(plan: &BusPlan, reports_cycles: bool) -> Driver {
+fn driver_of(plan: &BusPlan, is_detailed: bool) -> Driver {
     let driver = Driver::new(plan.joints.len(), plan.devices.len());
-    if reports_cycles { driver } else { driver.with_recorded_freshness() }
+    if is_detailed { driver } else { driver.with_recorded_freshness() }
 }
 
 /// What an IMU measured, forward, left and up, with the steps of its numbers, in rad/s and m/s^2.

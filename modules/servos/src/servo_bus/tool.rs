@@ -68,8 +68,12 @@ pub enum ServoError {
         path: String,
     },
     /// The device answered with an error.
-    #[error("id {id} refuses to {doing}: {error}{}", hint(*error))]
+    #[error("{path}: id {id} at {} bit/s refuses to {doing}: {error}; {}", line.baud, error.remedy())]
     Refused {
+        /// The port.
+        path: String,
+        /// How it was asked.
+        line: LineSettings,
         /// The device.
         id: Id,
         /// What it was asked to do.
@@ -78,16 +82,24 @@ pub enum ServoError {
         error: StatusError,
     },
     /// The model is unknown.
-    #[error("id {id} is model {}, which is unknown; name a file with its registers with --model-file", number.map_or("?".to_owned(), |number| number.to_string()))]
+    #[error("{path}: id {id} at {} bit/s is model {}, which is unknown; name a file with its registers with --model-file", line.baud, number.map_or("?".to_owned(), |number| number.to_string()))]
     UnknownModel {
+        /// The port.
+        path: String,
+        /// How it was asked.
+        line: LineSettings,
         /// The device.
         id: Id,
         /// The number of its model.
         number: Option<u16>,
     },
     /// The model is another one than described.
-    #[error("id {id} is a {found}, and is described as a {described}; are ids mixed up?")]
+    #[error("{path}: id {id} at {} bit/s is a {found}, and is described as a {described}; correct its model in the description, or, if ids are mixed up, give it its own with `downbeat servo set-id`", line.baud)]
     OtherModel {
+        /// The port.
+        path: String,
+        /// How it was asked.
+        line: LineSettings,
         /// The device.
         id: Id,
         /// The model in the description.
@@ -138,14 +150,6 @@ pub enum ServoError {
     Dangerous(String),
 }
 
-fn hint(error: StatusError) -> &'static str {
-    if error.contains(StatusError::ACCESS) {
-        " (registers that outlive the power can be written only while torque_enable is 0)"
-    } else {
-        ""
-    }
-}
-
 /// Whether a write that can do harm is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Caution {
@@ -181,6 +185,12 @@ impl ServoPort {
         self.bus.set_line(line);
         let opened = self.bus.open(&self.path);
         if opened.outcome == Outcome::Ok { Ok(()) } else { Err(ServoError::Port(opened.error)) }
+    }
+
+    /// The port.
+    #[must_use]
+    pub fn path(&self) -> &str {
+        &self.path
     }
 
     /// The speed and protocol.
@@ -373,7 +383,9 @@ impl ServoPort {
     /// Returns an error if it does not answer, or its model is unknown.
     pub fn known(&mut self, id: Id) -> Result<(Found, Arc<Model>), ServoError> {
         let found = self.identify(id)?.ok_or_else(|| self.silent(id))?;
-        let model = found.model.clone().ok_or(ServoError::UnknownModel { id, number: found.number })?;
+        let number = found.number;
+        let unknown = || ServoError::UnknownModel { path: self.path.clone(), line: self.line, id, number };
+        let model = found.model.clone().ok_or_else(unknown)?;
         Ok((found, model))
     }
 
@@ -572,7 +584,10 @@ impl ServoPort {
         match trouble {
             Trouble::PortFailed => self.lost(),
             Trouble::Silent => self.silent(id),
-            Trouble::Refused(error) => ServoError::Refused { id, doing: doing.to_owned(), error },
+            Trouble::Refused(error) => {
+                let (path, line, doing) = (self.path.clone(), self.line, doing.to_owned());
+                ServoError::Refused { path, line, id, doing, error }
+            }
             Trouble::Echo => self.echo(),
         }
     }
@@ -582,7 +597,8 @@ impl ServoPort {
     }
 
     fn lost(&self) -> ServoError {
-        ServoError::Port(format!("lost the serial port {}; is it plugged in?", self.path))
+        let Self { path, line, .. } = self;
+        ServoError::Port(format!("lost the serial port {path} at {} bit/s; is it plugged in?", line.baud))
     }
 }
 

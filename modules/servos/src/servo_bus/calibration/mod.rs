@@ -280,6 +280,8 @@ fn checked(plan: &BusPlan, port: &mut ServoPort) -> Result<(), ServoError> {
         let (_, model) = port.known(joint.id)?;
         if model.name != joint.model.name {
             return Err(ServoError::OtherModel {
+                path: port.path().to_owned(),
+                line: port.line(),
                 id: joint.id,
                 described: joint.model.name.clone(),
                 found: model.name.clone(),

@@ -126,6 +126,28 @@ impl StatusError {
         }
     }
 
+    /// What a person can do about the first of the errors.
+    #[must_use]
+    pub const fn remedy(self) -> &'static str {
+        if self.intersects(Self::INPUT_VOLTAGE) {
+            "check that the supply is the one for this model, its plugs, and the registers min_voltage_limit and max_voltage_limit"
+        } else if self.intersects(Self::POSITION_SENSOR) {
+            "switch its power off and on, calibrate it, or exchange it"
+        } else if self.intersects(Self::OVERHEATING) {
+            "let it cool down, and relieve its joint"
+        } else if self.intersects(Self::OVERLOAD) || self.intersects(Self::OVERCURRENT) {
+            "free its joint of what blocks or loads it; if it has switched its torque off, command that again"
+        } else if self.intersects(Self::ALERT) {
+            "read its register hardware_error_status with `downbeat servo read`, and switch its power off and on"
+        } else if self.intersects(Self::ACCESS) {
+            "registers that outlive the power can be written only while torque_enable is 0"
+        } else if self.intersects(Self::ANGLE_LIMIT) || self.intersects(Self::RANGE) {
+            "write a value within its range and its position limits"
+        } else {
+            "see whether its model is the described one, and look at its cable"
+        }
+    }
+
     /// Returns whether no flag is set.
     #[must_use]
     pub const fn is_none(self) -> bool {

@@ -13,7 +13,11 @@ fn a_dead_servo_is_stale_while_the_others_continue_and_recovers() {
         run.cycles(10);
         assert_eq!(
             run.health_of("servo 2 lift"),
-            (DiagnosticStatus::ERROR, "no answer; its joint is stale"),
+            (
+                DiagnosticStatus::ERROR,
+                "servo 2 (lift) does not answer on p at 1000000 bit/s; its joint is stale. Check its power, its plugs and its id; \
+                 `downbeat servo scan` shows what answers"
+            ),
             "{model}"
         );
         let states = run.cycles(150);

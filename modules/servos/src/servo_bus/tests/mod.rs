@@ -260,7 +260,11 @@ fn a_servo_of_another_model_is_refused() {
     let states = run.cycles(120);
     assert_eq!(
         run.health_of("servo 4 wrist"),
-        (DiagnosticStatus::ERROR, "it is model 1200, not an XM430-W350 (1020)")
+        (
+            DiagnosticStatus::ERROR,
+            "servo 4 (wrist) on p at 1000000 bit/s cannot be used: it is model 1200, not an XM430-W350 (1020); correct its \
+             description, or exchange it"
+        )
     );
     assert!(
         states[states.len() - 1].velocity[3].is_nan() && states[states.len() - 1].velocity[0].is_finite()
