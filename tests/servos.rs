@@ -278,9 +278,13 @@ fn setup_names_two_servos_of_one_id_and_a_wrong_supply() {
     let twins =
         printed.lines().filter(|line| line.contains("Two servos may have this id")).collect::<Vec<_>>();
     assert!(
-        twins.len() == 1 && twins[0].starts_with("id 4: 10 of 10 answers are not understood"),
+        twins.len() == 1 && twins[0].starts_with("id 4: what comes at 1000000 bit/s is not understood."),
         "{printed}"
     );
+    let scanned = servos.servo("scan", &["--last-id", "7", "--protocol", "feetech_sts"]);
+    assert!(scanned.contains("id 4: what comes at 1000000 bit/s is not understood: two servos"), "{scanned}");
+    let read = servos.refused("read", &["4", "present_position", "--protocol", "feetech_sts"]);
+    assert!(read.contains("id 4 at 1000000 bit/s is not understood. Two servos may have this id"), "{read}");
     let supply = "id 1: it measures a supply of 12.1 V, and its limits are 4.0 to 8.0 V. Is the power supply the one for a STS3215?";
     assert!(printed.contains(supply), "{printed}");
     assert!(!description.exists());

@@ -256,6 +256,8 @@ fn set_up(
     // A description names them relative to itself.
     let model = |path: &PathBuf| path.canonicalize().map(|path| path.display().to_string());
     let models = arguments.model_file.iter().map(model).collect::<Result<Vec<_>, _>>()?;
+    // With --force, those that are not understood are left out.
+    let found: Vec<Found> = found.into_iter().filter(|found| !found.is_garbled).collect();
     let text = first_description(name, &arguments.path, &models, &found).map_err(anyhow::Error::msg)?;
     std::fs::write(output, text).with_context(|| format!("cannot write {}", output.display()))?;
     println!(
@@ -306,24 +308,28 @@ impl PortArguments {
     fn find(&self, id: u8) -> anyhow::Result<(ServoPort, Found)> {
         let id = device(id)?;
         let mut port = self.open()?;
-        let mut unknown = None;
+        let (mut unknown, mut garbled) = (None, None);
         for line in self.lines() {
             if let Err(error) = port.speak(line) {
                 tracing::debug!("skipped {} bit/s: {error}", line.baud);
                 continue;
             }
-            match port.identify(id)? {
-                Some(found) if found.model.is_some() => return Ok((port, found)),
-                Some(found) if unknown.is_none() => unknown = Some(found),
-                _ => {}
+            match port.identify(id) {
+                Ok(Some(found)) if found.model.is_some() => return Ok((port, found)),
+                Ok(Some(found)) if unknown.is_none() => unknown = Some(found),
+                Ok(_) => {}
+                // It may be understood at another speed.
+                Err(error @ ServoError::Garbled { .. }) => garbled = garbled.or(Some(error)),
+                Err(error) => return Err(error.into()),
             }
         }
-        match unknown {
-            Some(found) => {
+        match (unknown, garbled) {
+            (Some(found), _) => {
                 port.speak(found.line)?;
                 Ok((port, found))
             }
-            None => bail!(
+            (None, Some(error)) => Err(error.into()),
+            (None, None) => bail!(
                 "{}: no answer from id {id}; is it powered? `downbeat servo scan {}` lists the devices",
                 self.path,
                 self.path
@@ -370,6 +376,13 @@ fn without_power(board: &Found, path: &str) -> String {
 }
 
 fn described(found: &Found) -> String {
+    if found.is_garbled {
+        return format!(
+            "id {}: what comes at {} bit/s is not understood: two servos may have this id. Connect one at a time, and give each its own \
+             with `downbeat servo set-id`",
+            found.id, found.line.baud
+        );
+    }
     let model = match (&found.model, found.number) {
         (Some(model), _) => model.name.clone(),
         (None, Some(number)) => format!("unknown model {number}"),

@@ -109,7 +109,7 @@ mod tests {
             model.map(|name| models::built_in().iter().find(|model| model.name == name).unwrap().clone());
         let number = Some(model.as_ref().and_then(|model| model.number).unwrap_or(4711));
         let line = LineSettings { baud, protocol };
-        Found { id: Id::new(id).unwrap(), line, number, firmware: None, model }
+        Found { id: Id::new(id).unwrap(), line, number, firmware: None, model, is_garbled: false }
     }
 
     #[test]

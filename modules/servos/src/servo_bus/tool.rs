@@ -17,6 +17,8 @@ const JUMP_RAD: f64 = 0.1;
 const POWER_SWITCH: &str = "dynamixel_power";
 /// How often the position of a servo is read to see whether its answers come.
 const READS_OF_EXAMINATION: usize = 10;
+/// The bytes of an answer to a ping in Dynamixel 2.0, with number of the model and firmware.
+const LENGTH_OF_PONG: usize = 14;
 /// Devices are asked this often before they count as silent.
 const ATTEMPTS: usize = 2;
 
@@ -43,7 +45,24 @@ pub struct Found {
     pub firmware: Option<i64>,
     /// Its model, if it is known.
     pub model: Option<Arc<Model>>,
+    /// Whether bytes came in place of its answers that are none, as from two devices of one id.
+    pub is_garbled: bool,
 }
+
+/// What came for a ping.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Presence {
+    /// Nothing.
+    Absent,
+    /// Bytes that are no answer.
+    Garbled,
+    /// An answer.
+    Present,
+}
+
+/// What to do about answers that are not understood.
+const GARBLED: &str = "Two servos may have this id: connect one at a time and give each its own with `downbeat servo set-id`; otherwise \
+     the line is disturbed";
 
 /// Why a device did not do what it was asked.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -54,6 +73,16 @@ pub enum ServoError {
     /// No answer.
     #[error("{}: no answer from id {id} at {} bit/s in {}; is it powered, and are speed and protocol right? `downbeat servo scan` finds it", path, line.baud, line.protocol)]
     Silent {
+        /// The port.
+        path: String,
+        /// The device.
+        id: Id,
+        /// How it was asked.
+        line: LineSettings,
+    },
+    /// Bytes came that are no answer.
+    #[error("{path}: what comes from id {id} at {} bit/s is not understood. {GARBLED}", line.baud)]
+    Garbled {
         /// The port.
         path: String,
         /// The device.
@@ -207,8 +236,14 @@ impl ServoPort {
         let mut found = Vec::new();
         if protocols.contains(&Protocol::Dynamixel2) {
             self.speak(LineSettings { baud, protocol: Protocol::Dynamixel2 })?;
-            for id in self.answering_broadcast(ids)? {
-                found.extend(self.identify(id)?);
+            let (answering, is_garbled) = self.answering_broadcast(ids)?;
+            for id in ids {
+                if answering.contains(id) {
+                    found.extend(self.look_for(*id)?);
+                } else if is_garbled && self.presence(*id, 1)? != Presence::Absent {
+                    // Its answer was not understood among those of all.
+                    found.extend(self.look_for(*id)?);
+                }
             }
         }
         // The others have the same ping.
@@ -216,14 +251,14 @@ impl ServoPort {
         let Some(first) = others.first() else { return Ok(found) };
         self.speak(LineSettings { baud, protocol: **first })?;
         for id in ids {
-            if !self.is_there(*id, 1)? {
+            if self.presence(*id, 1)? == Presence::Absent {
                 continue;
             }
             let mut kinds = Vec::new();
             for protocol in &others {
                 self.line.protocol = **protocol;
                 self.bus.set_line(self.line);
-                kinds.extend(self.identify(*id)?);
+                kinds.extend(self.look_for(*id)?);
             }
             let known = kinds.iter().position(|kind| kind.model.is_some()).unwrap_or(0);
             if known < kinds.len() {
@@ -233,9 +268,10 @@ impl ServoPort {
         Ok(found)
     }
 
-    /// All devices answer a ping of the broadcast address.
-    fn answering_broadcast(&mut self, ids: &[Id]) -> Result<Vec<Id>, ServoError> {
-        let mut answering = Vec::new();
+    /// All devices answer a ping of the broadcast address. Returns those that are understood, and whether
+    /// other bytes came.
+    fn answering_broadcast(&mut self, ids: &[Id]) -> Result<(Vec<Id>, bool), ServoError> {
+        let (mut answering, mut is_garbled) = (Vec::new(), false);
         // Waits for as many answers as there can be.
         let expected: Vec<_> = ids.iter().map(|id| ExpectedStatus { id: *id, parameters: 3 }).collect();
         let ping = Instruction::Ping { id: Id::BROADCAST };
@@ -248,32 +284,40 @@ impl ServoPort {
             if echo_end(self.line.protocol, &bytes, &exchange.reply).is_some() {
                 return Err(self.echo());
             }
-            for_each_status(self.line.protocol, &exchange.reply, |status| answering.push(status.id));
+            let mut understood = 0;
+            for_each_status(self.line.protocol, &exchange.reply, |status| {
+                understood += LENGTH_OF_PONG;
+                answering.push(status.id);
+            });
+            is_garbled |= exchange.reply.len() > understood;
         }
         answering.sort_unstable();
         answering.dedup();
         answering.retain(|id| ids.contains(id));
-        Ok(answering)
+        Ok((answering, is_garbled))
     }
 
-    fn is_there(&mut self, id: Id, attempts: usize) -> Result<bool, ServoError> {
+    /// Pings a device, which may be silent this often.
+    fn presence(&mut self, id: Id, attempts: usize) -> Result<Presence, ServoError> {
         let parameters = if self.line.protocol == Protocol::Dynamixel2 { 3 } else { 0 };
-        for _ in 0..attempts {
+        let (mut silent, mut garbled) = (0, 0);
+        while silent < attempts && garbled < ATTEMPTS {
             match self.ask(&Instruction::Ping { id }, parameters) {
                 Ok(_) | Err(Trouble::Refused(_)) => {
                     // The answer to a ping may have the bytes of the ping. A read of one byte never has.
                     return match self.ask(&Instruction::Read { id, address: 0, length: 1 }, 1) {
                         Err(Trouble::PortFailed) => Err(self.lost()),
                         Err(Trouble::Echo) => Err(self.echo()),
-                        _ => Ok(true),
+                        _ => Ok(Presence::Present),
                     };
                 }
-                Err(Trouble::Silent) => {}
+                Err(Trouble::Silent) if self.is_garbled => garbled += 1,
+                Err(Trouble::Silent) => silent += 1,
                 Err(Trouble::PortFailed) => return Err(self.lost()),
                 Err(Trouble::Echo) => return Err(self.echo()),
             }
         }
-        Ok(false)
+        Ok(if garbled > 0 { Presence::Garbled } else { Presence::Absent })
     }
 
     fn echo(&self) -> ServoError {
@@ -283,24 +327,38 @@ impl ServoPort {
     /// Asks a device what it is; `None` if it does not answer.
     ///
     /// # Errors
-    /// Returns an error if the port fails.
+    /// Returns an error if the port fails, or bytes come that are no answer.
     pub fn identify(&mut self, id: Id) -> Result<Option<Found>, ServoError> {
-        if !self.is_there(id, ATTEMPTS)? {
-            return Ok(None);
+        match self.look_for(id)? {
+            Some(found) if found.is_garbled => Err(self.garbled(id)),
+            found => Ok(found),
         }
+    }
+
+    /// Asks a device what it is, and tells one that is not understood from none.
+    fn look_for(&mut self, id: Id) -> Result<Option<Found>, ServoError> {
         let line = self.line;
+        let unknown = Found { id, line, number: None, firmware: None, model: None, is_garbled: false };
+        match self.presence(id, ATTEMPTS)? {
+            Presence::Absent => return Ok(None),
+            Presence::Garbled => return Ok(Some(Found { is_garbled: true, ..unknown })),
+            Presence::Present => {}
+        }
         let of_protocol = |model: &&Arc<Model>| model.protocols.contains(&line.protocol);
         let known: Vec<Arc<Model>> =
             self.own_models.iter().chain(models::built_in()).filter(of_protocol).cloned().collect();
         // The register of the number is at the same place in all models of a protocol.
         let Some(register) = known.iter().find_map(|model| model.register("model_number")).cloned() else {
-            return Ok(Some(Found { id, line, number: None, firmware: None, model: None }));
+            return Ok(Some(unknown));
         };
-        let number = self.read_raw(id, &register).ok().and_then(|number| u16::try_from(number).ok());
+        let number = self.read_raw(id, &register);
+        // Two devices whose answers to pings are the same have different numbers.
+        let is_garbled = number.is_err() && self.is_garbled;
+        let number = number.ok().and_then(|number| u16::try_from(number).ok());
         let model = known.into_iter().find(|model| model.number.is_some() && model.number == number);
         let version = model.as_ref().and_then(|model| model.register("firmware_version").cloned());
         let firmware = version.and_then(|register| self.read_raw(id, &register).ok());
-        Ok(Some(Found { id, line, number, firmware, model }))
+        Ok(Some(Found { id, line, number, firmware, model, is_garbled }))
     }
 
     /// Whether this device switches the power of the servos behind it and has it off: they cannot answer
@@ -333,6 +391,13 @@ impl ServoPort {
     /// Returns an error if the port fails.
     pub fn examine(&mut self, found: &Found) -> Result<Vec<String>, ServoError> {
         let id = found.id;
+        if found.is_garbled {
+            let Found { line, .. } = found;
+            return Ok(vec![format!(
+                "id {id}: what comes at {} bit/s is not understood. {GARBLED}",
+                line.baud
+            )]);
+        }
         let Some(model) = found.model.clone() else { return Ok(Vec::new()) };
         let Some(position) = model.register("present_position") else { return Ok(Vec::new()) };
         self.speak(found.line)?;
@@ -349,8 +414,7 @@ impl ServoPort {
         let mut problems = Vec::new();
         if garbled > 0 {
             problems.push(format!(
-                "id {id}: {garbled} of {READS_OF_EXAMINATION} answers are not understood. Two servos may have this id: connect one \
-                 at a time and give each its own with `downbeat servo set-id`; otherwise the line is disturbed"
+                "id {id}: {garbled} of {READS_OF_EXAMINATION} answers are not understood. {GARBLED}"
             ));
         }
         if silent > 0 {
@@ -481,7 +545,7 @@ impl ServoPort {
     pub fn set_id(&mut self, id: Id, new: Id, caution: Caution) -> Result<(), ServoError> {
         let (_, model) = self.known(id)?;
         let register = Self::register(&model, "id")?;
-        if caution == Caution::Refuse && self.is_there(new, ATTEMPTS)? {
+        if caution == Caution::Refuse && self.presence(new, ATTEMPTS)? != Presence::Absent {
             return Err(ServoError::Dangerous(format!(
                 "id {new} is taken: two devices of one id answer at the same time, and neither is understood"
             )));
@@ -490,7 +554,11 @@ impl ServoPort {
         if let Some(lock) = model.register("lock").filter(|_| self.line.protocol != Protocol::Dynamixel1) {
             self.write_raw(new, lock, 1)?;
         }
-        if self.is_there(new, ATTEMPTS)? { Ok(()) } else { Err(self.silent(new)) }
+        match self.presence(new, ATTEMPTS)? {
+            Presence::Present => Ok(()),
+            Presence::Garbled => Err(self.garbled(new)),
+            Presence::Absent => Err(self.silent(new)),
+        }
     }
 
     fn check_harmless(
@@ -583,6 +651,7 @@ impl ServoPort {
     fn explain(&self, id: Id, doing: &str, trouble: Trouble) -> ServoError {
         match trouble {
             Trouble::PortFailed => self.lost(),
+            Trouble::Silent if self.is_garbled => self.garbled(id),
             Trouble::Silent => self.silent(id),
             Trouble::Refused(error) => {
                 let (path, line, doing) = (self.path.clone(), self.line, doing.to_owned());
@@ -590,6 +659,10 @@ impl ServoPort {
             }
             Trouble::Echo => self.echo(),
         }
+    }
+
+    fn garbled(&self, id: Id) -> ServoError {
+        ServoError::Garbled { path: self.path.clone(), id, line: self.line }
     }
 
     fn silent(&self, id: Id) -> ServoError {

@@ -42,8 +42,8 @@ pub enum FaultKind {
     Flip(Rate),
     /// The port is closed, as if it were unplugged.
     ClosePort,
-    /// A second servo with this id, in another position: both answer at the same time, and what they say
-    /// differently is not understood.
+    /// A second servo with this id, in another position and with another delay before it answers: both answer
+    /// at the same time, to whatever they are asked, and neither is understood.
     Twin(Id),
     /// The servos are supplied with this voltage, in V.
     Supply(f64),

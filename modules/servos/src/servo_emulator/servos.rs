@@ -173,14 +173,41 @@ impl Devices for Servos {
             })
             .collect();
         let mut answers = answer(protocol, &mut awake, packet, is_lost);
-        if let Ok(Instruction::Read { id, address, length }) = Instruction::parse(packet)
-            && self.disturbance.twins.contains(&id)
-            && let Some(unit) = self.units.iter().find(|unit| unit.declared == id)
-        {
-            answers.iter_mut().for_each(|answer| unit.talk_into(address, length, &mut answer.packet));
+        if !self.disturbance.twins.is_empty() {
+            let instruction = Instruction::parse(packet).ok();
+            let is_twin = |id: Id| self.disturbance.twins.contains(&id);
+            for answer in &mut answers {
+                // The joined answer to a fast read has that of each device asked.
+                let joined = match &instruction {
+                    Some(Instruction::FastSyncRead { ids, .. }) => ids.iter().any(|id| is_twin(*id)),
+                    Some(Instruction::FastBulkRead { entries }) => {
+                        entries.iter().any(|entry| is_twin(entry.id))
+                    }
+                    _ => false,
+                };
+                let status = Packet::new_checked(protocol, &answer.packet).ok();
+                let own = status.and_then(|packet| Status::parse(&packet).ok()).map(|status| status.id);
+                let twin =
+                    self.units.iter().find(|unit| Some(unit.declared) == own && is_twin(unit.declared));
+                match (&instruction, twin) {
+                    (Some(Instruction::Read { address, length, .. }), Some(twin)) => {
+                        twin.talk_into(*address, *length, &mut answer.packet);
+                    }
+                    (_, Some(_)) => talk_late_into(&mut answer.packet),
+                    (_, None) if joined => talk_late_into(&mut answer.packet),
+                    _ => {}
+                }
+            }
         }
         self.switch_power();
         answers
+    }
+}
+
+/// A second servo answers the same a byte later, after another delay: on the line, a 0 of either wins.
+fn talk_late_into(packet: &mut [u8]) {
+    for place in (1..packet.len()).rev() {
+        packet[place] &= packet[place - 1];
     }
 }
 

@@ -38,6 +38,33 @@ fn a_dead_servo_is_stale_while_the_others_continue_and_recovers() {
 }
 
 #[test]
+fn a_wrong_supply_is_named_and_the_joints_go_on() {
+    // Dynamixel 2.0 has one bit for all alarms.
+    for (kind, alarm) in [(0, "input voltage"), (2, "hardware alert"), (4, "input voltage")] {
+        let (protocol, model, rest) = KINDS[kind];
+        let mut run = Run::of(&arm(protocol, model, rest));
+        run.cycles(60);
+        assert_eq!(run.health_of("servo 2 lift"), (DiagnosticStatus::OK, "OK"), "{model}");
+        run.inject(Fault::lasting(FaultKind::Supply(20.0), Duration::from_secs(5)));
+        run.command(&[("pan", 0.5), ("lift", -0.5)]);
+        let states = run.cycles(300);
+        assert_eq!(states.len(), 300, "{model}: no cycle is lost");
+        let last = &states[299];
+        assert!(last.velocity.iter().all(|velocity| velocity.is_finite()), "{model}: {last:?}");
+        assert!((position(last, "pan") - 0.5).abs() < 0.02, "{model}: {last:?}");
+        assert!((position(last, "lift") + 0.5).abs() < 0.02, "{model}: {last:?}");
+        let (level, words) = run.health_of("servo 2 lift");
+        assert_eq!(level, DiagnosticStatus::WARN, "{model}");
+        let remedy = if kind == 2 { "hardware_error_status" } else { "check that the supply is the one" };
+        for part in ["servo 2 (lift) on p at 1000000 bit/s reports:", alarm, "20 V", remedy] {
+            assert!(words.contains(part), "{model}: {words}");
+        }
+        run.cycles(400);
+        assert_eq!(run.health_of("servo 2 lift"), (DiagnosticStatus::OK, "OK"), "{model}");
+    }
+}
+
+#[test]
 fn control_never_stops_in_ten_minutes_with_one_percent_of_faulty_answers() {
     endure(2, 600);
 }

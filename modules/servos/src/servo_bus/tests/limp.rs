@@ -480,3 +480,28 @@ fn no_answer_makes_the_driver_write_a_goal_that_was_neither_commanded_nor_just_r
         assert!(exchanges > 2000, "{}: the driver does nothing", plan.joints[0].model.name);
     }
 }
+
+#[test]
+fn a_servo_that_has_counted_backwards_over_zero_is_shown_where_it_is_and_stays_limp() {
+    // What a servo reads 100 steps below 0: a complement of two in Dynamixel 2.0, a bit for the sign of Feetech.
+    for (kind, bytes) in [(2, &[0x9C, 0xFF, 0xFF, 0xFF][..]), (4, &[0x64, 0x80])] {
+        let (protocol, model, rest) = KINDS[kind];
+        let description = arm(protocol, model, rest);
+        let plan = Description::load(&description).unwrap().bus("").unwrap().clone();
+        let joint = &plan.joints[0];
+        let register = &joint.registers.position;
+        assert_eq!(register.raw_in(plan.line.protocol, bytes, register.address), Some(-100), "{model}");
+        assert_eq!(register.bytes(plan.line.protocol, -100), bytes, "{model}");
+        let angle = (-100.0 - 2048.0) * std::f64::consts::TAU / 4096.0;
+        assert!((joint.angle(-100) - angle).abs() < 1e-9, "{model}: {}", joint.angle(-100));
+
+        let tables = Tables::of(&plan);
+        tables.lock().set(0, "present_position", -100);
+        let mut it = run(&description, &tables);
+        let states = it.cycles(60);
+        let last = &states[states.len() - 1];
+        assert!((position(last, "pan") - angle).abs() < 1e-9, "{model}: {last:?}");
+        assert_limp(&mut it, &tables, model);
+        assert!(it.health_of("servo 1 pan").1.contains("reads -100 (-3.295 rad)"), "{:?}", it.health);
+    }
+}

@@ -4,6 +4,7 @@
 mod drives;
 mod faults;
 mod limp;
+mod scan;
 mod table_bus;
 mod trajectories;
 mod tuning;
