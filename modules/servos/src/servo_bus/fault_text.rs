@@ -1,5 +1,5 @@
-//! Faults of the bus in words, for logs and diagnostics: which servo on which port at which speed, and what to
-//! do.
+//! Faults of the bus in words, for logs and diagnostics: which servo on which port at which speed, and what
+//! to do.
 
 use super::description::BusPlan;
 use super::protocol::StatusError;

@@ -68,8 +68,8 @@ impl Topics {
 }
 
 impl Hardware {
-    /// The servos of this plan on this bus. Diagnostics report late cycles, and place and remedy of each fault, if
-    /// `is_detailed`.
+    /// The servos of this plan on this bus. Diagnostics report late cycles, and place and remedy of each
+    /// fault, if `is_detailed`.
     #[must_use]
     pub fn new(bus: Box<dyn Bus>, plan: BusPlan, is_detailed: bool) -> Self {
         Self {

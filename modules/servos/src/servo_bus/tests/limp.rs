@@ -483,7 +483,8 @@ fn no_answer_makes_the_driver_write_a_goal_that_was_neither_commanded_nor_just_r
 
 #[test]
 fn a_servo_that_has_counted_backwards_over_zero_is_shown_where_it_is_and_stays_limp() {
-    // What a servo reads 100 steps below 0: a complement of two in Dynamixel 2.0, a bit for the sign of Feetech.
+    // What a servo reads 100 steps below 0: a complement of two in Dynamixel 2.0, a bit for the sign of
+    // Feetech.
     for (kind, bytes) in [(2, &[0x9C, 0xFF, 0xFF, 0xFF][..]), (4, &[0x64, 0x80])] {
         let (protocol, model, rest) = KINDS[kind];
         let description = arm(protocol, model, rest);
