@@ -15,7 +15,7 @@
 //!
 //! (2)  x(t) = (1 - w) B(t) + w R(t),  w = 3 s² - 2 s³,  s = (t - b) / D
 //!
-//! from b on, which is when it meets the trajectory, or when the trajectory starts if that is later.//! A
+//! from b on, which is when it meets the trajectory, or when the trajectory starts if that is later. A
 //! weighted mean leaves the range of neither B nor R: a joint stays between its position and those of the
 //! points, except for the way that it takes to brake, and for what the velocities of the points demand. D is
 //! the time in which the distance d = |R(b) - B(b)| is covered from rest to rest with accelerations up to a,
