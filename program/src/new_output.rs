@@ -28,6 +28,7 @@ pub(crate) enum Output {
     /// A directory of tables.
     Tables,
     /// A directory of a data set.
+    #[cfg_attr(not(feature = "tables"), expect(dead_code, reason = "only `bag export -f lerobot` makes one"))]
     Dataset,
     File,
 }
