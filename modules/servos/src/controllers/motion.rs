@@ -19,7 +19,7 @@
 //! weighted mean leaves the range of neither B nor R: a joint stays between its position and those of the
 //! points, except for the way that it takes to brake, and for what the velocities of the points demand. D is
 //! the time in which the distance d = |R(b) - B(b)| is covered from rest to rest with accelerations up to a,
-//! and the difference of the velocities u is:
+//! or in which the velocity changes by the difference u = |R'(b) - B'(b)|:
 //!
 //! (3)  D = max(√(6 d / a), u / a)
 //!
