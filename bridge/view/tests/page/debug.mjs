@@ -61,7 +61,7 @@ const command = async (text) => {
   await isIdle();
 };
 
-test('the graph, the robot and its values are those of where it stands', async () => {
+test('the graph and the joints are those of where it stands', async () => {
   const rate = async () => {
     const node = page.locator('[data-node="t:joint_states"].graph-body');
     await node.waitFor();
@@ -75,15 +75,13 @@ test('the graph, the robot and its values are those of where it stands', async (
     await until(`joint states come at 125 Hz, and not ${await rate()}`, async () => Math.abs((await rate()) - 125) < 5);
     const nodes = await page.locator('.graph-body').evaluateAll((bodies) => bodies.map((body) => body.dataset.node));
     for (const module of ['hardware', 'imu_filter', 'gait', 'falls', 'mux']) assert(nodes.includes(`m:${module}`), `${nodes}`);
-    await look(page, 'scene');
-    const canvas = page.getByTestId('panel-scene').first().locator('canvas').first();
-    const picture = await until('the robot stands otherwise', async () => {
-      const shown = await canvas.screenshot();
-      return !seen.some((before) => before.equals(shown)) && shown;
-    });
-    seen.push(picture);
+    // The bag has no description of the robot for the view in 3D.
     await look(page, 'servos');
-    await page.getByTestId('panel-servos').first().getByText('r_knee').first().waitFor();
+    const positions = await until('the joints are otherwise', async () => {
+      const shown = await page.getByTestId('panel-servos').first().innerText();
+      return shown.includes('r_knee') && !seen.includes(shown) && shown;
+    });
+    seen.push(positions);
   }
   await look(page, 'debug');
 });
