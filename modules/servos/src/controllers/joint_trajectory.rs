@@ -18,7 +18,7 @@
 //! | `allow_partial_joints_goal` | false | trajectories may name some of the joints |
 //! | `allow_nonzero_velocity_at_trajectory_end` | false | |
 //! | `stamp_timeout` | 0.5 | s by which the stamp of a trajectory may lie in the past; 0 any |
-//! | `state_timeout` | 0.5 | s without a fresh measured position of a joint after which a trajectory is given up, by the stamps of `joint_states`; 0 any |
+//! | `state_timeout` | 1.5 | s without a fresh measured position of a joint after which a trajectory is given up, by the stamps of `joint_states`; 0 any |
 //! | `max_deceleration` | 10 | rad/s² or m/s² with which joints in motion brake that a new trajectory would let swing, and join a late one |
 //! | `constraints.goal_time` | 0 | s that the joints have to reach the goal after the end of the trajectory; 0 waits |
 //! | `constraints.stopped_velocity_tolerance` | 0.01 | rad/s or m/s at the goal; 0 is not checked |
@@ -472,7 +472,8 @@ impl Module for JointTrajectoryController {
             )?,
             state_timeout: setup.setting_in(
                 "state_timeout",
-                0.5,
+                // `servo_bus` asks a servo that has missed two answers again after a second.
+                1.5,
                 0.0..=3600.0,
                 "s; how old the last fresh position of a joint may be while it follows a trajectory; 0 for any",
             )?,
@@ -815,7 +816,7 @@ mod tests {
 
     #[test]
     fn a_goal_on_a_joint_that_does_not_answer_is_aborted_and_the_arm_holds() {
-        let mut arm = Arm::new(&[]);
+        let mut arm = Arm::new(&[("state_timeout", 0.5)]);
         let result = arm.send(1, to(2, 0.5, -1.0)).unwrap();
         arm.run(0.8);
         arm.is_elbow_dead = true;
@@ -850,7 +851,7 @@ mod tests {
     fn a_goal_does_not_wait_for_joint_states_that_have_stopped() {
         for (seconds, code) in [(2, -4), (1, -5)] {
             // A joint that is not at its goal when `joint_states` stop after the end of the trajectory.
-            let mut arm = Arm::new(&[("constraints.shoulder.goal", 0.01)]);
+            let mut arm = Arm::new(&[("constraints.shoulder.goal", 0.01), ("state_timeout", 0.5)]);
             let result = arm.send(1, to(seconds, 0.5, 0.0)).unwrap();
             arm.run(0.9);
             arm.is_stuck = true;

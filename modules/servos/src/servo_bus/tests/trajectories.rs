@@ -19,7 +19,9 @@ impl Run {
     fn with_controller(protocol: &str, model: &str, rest: &str) -> Self {
         let mut run = Self::of(&arm(protocol, model, rest));
         let joints: Vec<String> = JOINTS.map(str::to_owned).into();
-        let settings = [("joints".to_owned(), joints.into()), ("rate_hz".to_owned(), 100.0.into())].into();
+        let numbers = [("rate_hz", 100.0), ("state_timeout", 0.5)];
+        let numbers = numbers.map(|(name, value)| (name.to_owned(), value.into()));
+        let settings = numbers.into_iter().chain([("joints".to_owned(), joints.into())]).collect();
         let options = ModuleOptions { settings, ..ModuleOptions::default() };
         run.core.add_with("arm", JointTrajectoryController::default(), options).unwrap();
         run.cycles(60);
