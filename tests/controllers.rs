@@ -130,7 +130,11 @@ fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
             .map(|one| (one["name"].as_str().unwrap().to_owned(), one.clone()));
         listed.collect::<std::collections::BTreeMap<_, _>>()
     };
-    let listed = controllers();
+    let mut listed = controllers();
+    wait_until("the robot has begun", || {
+        listed = controllers();
+        ["head_controller", "joint_state_broadcaster"].iter().all(|name| listed[*name]["state"] == "active")
+    });
     let names: Vec<_> = listed.keys().map(String::as_str).collect();
     assert_eq!(names, ["head", "head_by_hand", "head_controller", "joint_state_broadcaster"]);
     let trajectory = &listed["head_controller"];
