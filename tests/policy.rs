@@ -155,14 +155,13 @@ impl Push {
 }
 
 /// Whether a robot stands two seconds after a push.
-fn survives(robot: &Path, angle: f64, impulse: f64, world: &str) -> bool {
+fn survives(robot: &Path, impulse: [f64; 2], world: &str) -> bool {
     let text = std::fs::read_to_string(robot).unwrap();
     let text = text.replace("link = \"memory:darwin_op\"", &format!("link = \"memory:darwin_op\", {world}"));
     let pushed = robot.with_file_name("pushed.toml");
     std::fs::write(&pushed, text + "[[module]]\nkind = \"push\"\n").unwrap();
     let upright = Arc::new(Mutex::new(0.0));
     let of_module = upright.clone();
-    let impulse = [impulse * angle.cos(), impulse * angle.sin()];
     let push = move || Push { impulse, ticks: 0, upright: of_module.clone() };
     let file = App::with_built_in_kinds().kind("push", "a push", push).robot_file(&pushed).unwrap();
     let prepared = PreparedRobot::simulated(file, Some(Duration::from_millis(3500))).unwrap();
@@ -186,13 +185,16 @@ fn the_example_balances_better_than_a_network_of_zeros_against_twenty_pushes() {
     let zeros = onnx::perceptron(&[19, 14], "Tanh", || 0.0);
     std::fs::write(robots[1].with_file_name("balance.onnx"), zeros).unwrap();
     let mut survived = [0; 2];
-    // None of those that it was trained with: directions all around, by the golden angle.
+    // None of those that it was trained with: directions all around, each by the golden angle from the last.
+    const GOLDEN: [f64; 2] = [-0.737_369, 0.675_490]; // its cosine and sine
+    let [mut x, mut y] = [1.0, 0.0];
     for seed in 1..=20 {
-        let (angle, part) = (f64::from(seed) * 2.399_963, f64::from(seed * 7 % 20) / 20.0);
+        [x, y] = [x * GOLDEN[0] - y * GOLDEN[1], x * GOLDEN[1] + y * GOLDEN[0]];
+        let part = f64::from(seed * 7 % 20) / 20.0;
         let world = format!("seed = {seed}, mass = {}, friction = {}", 0.9 + part / 5.0, 1.2 - part / 3.0);
         let impulse = 0.6 + 0.9 * part;
         for (robot, survived) in robots.iter().zip(&mut survived) {
-            *survived += u32::from(survives(robot, angle, impulse, &world));
+            *survived += u32::from(survives(robot, [impulse * x, impulse * y], &world));
         }
     }
     println!("survived of 20 pushes: {} with the example's network, {} with zeros", survived[0], survived[1]);
