@@ -27,7 +27,7 @@ const BEYOND_A_READER: &[(&str, &str, &str, &str)] = &[
     ("rosbags", "fuzz::", "not in timestamp order", "files without an index whose messages are not in order"),
 ];
 
-/// Why a stock reader is not made for a bag; nothing if it should read it.
+/// The reason why a stock reader cannot read a bag. `None` if it should.
 fn beyond(reader: &str, test: &str, folder: &Path, bag: &Reader, difference: &str) -> Option<&'static str> {
     let (reads_files, is_of_ros) = (reader != "rosbags", reader != "@mcap/core");
     let has_other_files = |named: &Metadata| {

@@ -96,7 +96,7 @@ impl PilotClock {
     /// Converts a stamp of a message that was received now.
     ///
     /// # Errors
-    /// Returns an error for a stamp of 0, and for one that does not agree with those before it.
+    /// Returns an error if the stamp is 0, or does not agree with earlier stamps.
     pub fn time_of(&mut self, stamp_us: u64, received: Time) -> Result<Time, StampRefused> {
         if stamp_us == 0 {
             return Err(StampRefused::Zero);

@@ -29,7 +29,7 @@ pub(super) struct Package {
     unknown: Vec<String>,
     /// Features that docs.rs does not enable.
     undocumented: Vec<String>,
-    /// What a registry is to show of it and its manifest does not say; nothing of one that is not published.
+    /// The fields that registries show and its manifest lacks. Empty if it is not published.
     unsaid: Vec<&'static str>,
     is_published: bool,
 }

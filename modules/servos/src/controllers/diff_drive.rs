@@ -178,7 +178,7 @@ impl DiffDriveController {
     fn on_joint_states(&mut self, state: Received<'_, JointState>, ctx: &mut Context<'_, Ports>) {
         for (index, (name, position)) in state.name.iter().zip(&state.position).enumerate() {
             let wheel = self.sides.iter_mut().flatten().find(|wheel| wheel.name == *name);
-            // One that does not answer may turn: without its position there is no odometry.
+            // A wheel that does not answer may be turning. There is no odometry until its position is known.
             if let Some(wheel) = wheel.filter(|_| is_fresh(&state, index)) {
                 // A servo may count within one turn: what it has turned is the shorter way round.
                 let turned = wheel.position.map_or(0.0, |before| wrapped(position - before));

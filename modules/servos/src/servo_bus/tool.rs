@@ -335,7 +335,7 @@ impl ServoPort {
         }
     }
 
-    /// Asks a device what it is, and tells one that is not understood from none.
+    /// Asks a device what it is. `None` if it does not answer; `is_garbled` if its answer is not understood.
     fn look_for(&mut self, id: Id) -> Result<Option<Found>, ServoError> {
         let line = self.line;
         let unknown = Found { id, line, number: None, firmware: None, model: None, is_garbled: false };
