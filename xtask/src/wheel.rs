@@ -158,7 +158,7 @@ pub(crate) fn test(skips: &skips::Run) -> anyhow::Result<()> {
     let program = environment.join("bin/downbeat");
     run(Command::new(&program).args(["check", "--kinds"]))?;
     run(Command::new(&program).args(["robots", "list"]))?;
-    let arrival = Arrival::of(&program, &Home::new()?)?;
+    let arrival = Arrival::of(Home::new()?.command(&program))?;
     println!("first joint state after {} ms (development build)", arrival.first_joint_state.as_millis());
     pip(&TOOLS)?;
     pip(&TABLES)?;

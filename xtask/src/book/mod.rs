@@ -1,10 +1,11 @@
 //! `cargo xtask book`: README.md and the pages of docs/ as a site with search, and the documentation of the
-//! crates beside it.
+//! crates beside it. Then each crate is documented as docs.rs does it.
 //!
 //! The order of the pages is that of docs/README.md. Links between pages stay links between pages; those to
 //! other files of the repository lead to its address.
 
 mod check;
+mod docs_rs;
 mod pages;
 
 use std::path::{Path, PathBuf};
@@ -26,6 +27,8 @@ struct Package {
     name: String,
     description: Option<String>,
     publish: Option<Vec<String>>,
+    /// Null if its manifest has none.
+    metadata: serde_json::Value,
 }
 
 /// Writes the site to target/book/html and checks its links.
@@ -56,7 +59,7 @@ pub(crate) fn book() -> anyhow::Result<()> {
     }
     anyhow::ensure!(broken.is_empty(), "{} broken links in {}", broken.len(), html.display());
     println!("{}", html.join("index.html").display());
-    Ok(())
+    docs_rs::document(&packages)
 }
 
 /// The packages that are published.

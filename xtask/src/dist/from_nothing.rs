@@ -2,7 +2,7 @@
 //! demo robot at a subscriber of ROS 2, and back; after `pip install` also up to the robot in a browser.
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -66,11 +66,10 @@ impl Way {
         self.install(release, &home)?;
         let install = started.elapsed();
         let size = self.size(&home)? - files::size(&before);
-        let program = self.program(release, &home);
-        let arrival = Arrival::of(&program, &home)?;
+        let arrival = Arrival::of(self.program(release, &home))?;
         if let Self::Pip = self {
             in_time("a joint state", install + arrival.first_joint_state)?;
-            let seen = install + first_look(&program, &home)?;
+            let seen = install + first_look(self.program(release, &home))?;
             println!("from `pip install` to a robot that moves in a browser: {:.1} s", seen.as_secs_f64());
             in_time("a robot that moves in a browser", seen)?;
         }
@@ -102,7 +101,7 @@ impl Way {
             }
             // What Python compiled of pip when it ran.
             Self::Pip | Self::Sources => path.extension().is_some_and(|extension| extension == "pyc"),
-            Self::Deb => path.strip_prefix("root").is_ok_and(deb::is_of_system),
+            Self::Deb => path.strip_prefix("root").is_ok_and(deb::is_left),
             Self::Tarball => false,
         };
         is_cache_of_robots || is_of_others
@@ -147,13 +146,14 @@ impl Way {
         }
     }
 
-    fn program(self, release: &Release, home: &Home) -> PathBuf {
-        match self {
+    fn program(self, release: &Release, home: &Home) -> Command {
+        let path = match self {
             Self::Cargo => home.path().join("installed/bin/downbeat"),
             Self::Pip | Self::Sources => home.path().join("venv/bin/downbeat"),
-            Self::Deb => home.path().join("root/usr/bin/downbeat"),
+            Self::Deb => return deb::installed(&home.path().join("root"), home),
             Self::Tarball => home.path().join(release.name()).join("bin/downbeat"),
-        }
+        };
+        home.command(path)
     }
 
     fn remove(self, release: &Release, home: &Home) -> anyhow::Result<()> {

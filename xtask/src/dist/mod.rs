@@ -4,6 +4,7 @@
 //! The same commit is to give the same bytes, wherever the checkout is: times are those of the commit,
 //! archives are sorted, and paths of this machine are replaced.
 
+mod again;
 pub(crate) mod cross;
 mod from_nothing;
 mod glibc;
@@ -21,6 +22,7 @@ use clap::Args;
 use crate::crates;
 use crate::steps::output_of;
 use cross::Target;
+use program::Program;
 pub(crate) use release::FEATURES;
 use release::Release;
 
@@ -35,12 +37,15 @@ pub(crate) struct DistArguments {
     /// Only the tarball and its SBOM.
     #[arg(long)]
     program: bool,
+    /// Once more in a clone of the commit: every file must have the same bytes.
+    #[arg(long)]
+    twice: bool,
     /// Only the sources of the wheel, for which nothing is compiled.
     #[arg(long, conflicts_with = "program")]
     sources: bool,
     /// Install from the files that are there already, each into a clean environment, run the demo robot, and
     /// remove it again.
-    #[arg(long, conflicts_with_all = ["program", "sources"])]
+    #[arg(long, conflicts_with_all = ["program", "sources", "twice"])]
     test: bool,
 }
 
@@ -50,24 +55,38 @@ pub(crate) fn dist(arguments: DistArguments) -> anyhow::Result<()> {
     if arguments.test {
         return from_nothing::test(&release);
     }
-    if arguments.sources {
-        return print(&[wheel::sources(&release)?]);
+    if arguments.twice {
+        again::only_of_a_commit()?;
     }
-    let program = program::build(&release)?;
-    let mut files = vec![program.tarball(&release)?];
-    files.push(sbom::write("downbeat", &program.crates, &release)?);
-    if !arguments.program {
-        files.push(program.debian_package(&release)?);
-        files.push(wheel::build(&release)?);
-        let compiled_in = crates::of("downbeat-python", FEATURES, release.target.triple())?;
-        files.push(sbom::write("downbeat-python", &compiled_in, &release)?);
-        // With the licences of that platform; one serves all.
-        if release.target == Target::X86_64 {
-            files.push(wheel::sources(&release)?);
-        }
-    }
+    let (files, options) = match (arguments.sources, arguments.program) {
+        (true, _) => (vec![wheel::sources(&release)?], ["--sources"].as_slice()),
+        (false, true) => (of_program(&program::build(&release)?, &release)?, ["--program"].as_slice()),
+        (false, false) => (all(&release)?, [].as_slice()),
+    };
     sum(&release.out)?;
-    print(&files)
+    print(&files)?;
+    if arguments.twice {
+        again::compare(&release, options, &files)?;
+    }
+    Ok(())
+}
+
+fn of_program(program: &Program, release: &Release) -> anyhow::Result<Vec<PathBuf>> {
+    Ok(vec![program.tarball(release)?, sbom::write("downbeat", &program.crates, release)?])
+}
+
+fn all(release: &Release) -> anyhow::Result<Vec<PathBuf>> {
+    let program = program::build(release)?;
+    let mut files = of_program(&program, release)?;
+    files.push(program.debian_package(release)?);
+    files.push(wheel::build(release)?);
+    let compiled_in = crates::of("downbeat-python", FEATURES, release.target.triple())?;
+    files.push(sbom::write("downbeat-python", &compiled_in, release)?);
+    // With the licences of that platform; one serves all.
+    if release.target == Target::X86_64 {
+        files.push(wheel::sources(release)?);
+    }
+    Ok(files)
 }
 
 /// Builds the program of a release and returns its path.

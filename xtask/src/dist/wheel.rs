@@ -24,19 +24,7 @@ const LARGEST: u64 = 45_000_000;
 pub(super) fn build(release: &Release) -> anyhow::Result<PathBuf> {
     let triple = release.target.triple();
     let environment = |command: &mut Command| release.compiling(command).map(drop);
-    let stubs = match release.target {
-        Target::X86_64 => None,
-        Target::Aarch64 => {
-            let other = format!("downbeat_robotics-{}-cp311-abi3-manylinux_2_28_x86_64.whl", release.version);
-            let other = release.out.join(other);
-            ensure!(
-                other.exists(),
-                "{} is missing: build for x86_64-unknown-linux-gnu first",
-                other.display()
-            );
-            Some(other)
-        }
-    };
+    let stubs = with_stubs(release)?;
     let wheel = pack(&Build {
         profile: "release",
         features: FEATURES,
@@ -51,6 +39,17 @@ pub(super) fn build(release: &Release) -> anyhow::Result<PathBuf> {
     let file = release.out.join(wheel.file_name().context("a wheel without name")?);
     std::fs::copy(&wheel, &file).with_context(|| format!("cannot write {}", file.display()))?;
     Ok(file)
+}
+
+/// The wheel whose stubs one for another platform gets, since nothing of that one runs here.
+pub(super) fn with_stubs(release: &Release) -> anyhow::Result<Option<PathBuf>> {
+    if release.target == Target::X86_64 {
+        return Ok(None);
+    }
+    let name = format!("downbeat_robotics-{}-cp311-abi3-manylinux_2_28_x86_64.whl", release.version);
+    let wheel = release.out.join(name);
+    ensure!(wheel.exists(), "{} is missing: build for x86_64-unknown-linux-gnu first", wheel.display());
+    Ok(Some(wheel))
 }
 
 fn check(wheel: &Path, release: &Release) -> anyhow::Result<()> {

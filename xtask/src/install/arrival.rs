@@ -51,9 +51,9 @@ pub(crate) struct Arrival {
 }
 
 impl Arrival {
-    /// Runs the robot with an installed program.
-    pub(crate) fn of(program: &Path, home: &Home) -> anyhow::Result<Self> {
-        Self::at("/joint_states", 20, home.command(program).args(["run", "darwin_op"]))
+    /// Runs the robot with a command that is an installed program.
+    pub(crate) fn of(mut program: Command) -> anyhow::Result<Self> {
+        Self::at("/joint_states", 20, program.args(["run", "darwin_op"]))
     }
 
     /// Runs a command that starts a robot, up to its first message on a topic of joint states, and interrupts
@@ -83,13 +83,12 @@ impl Arrival {
     }
 }
 
-/// Runs the robot with an installed program and looks at it in a browser: from the start of the program until
-/// the robot moves there.
-pub(crate) fn first_look(program: &Path, home: &Home) -> anyhow::Result<Duration> {
+/// Runs the robot with a command that is an installed program and looks at it in a browser: from the start of
+/// the program until the robot moves there.
+pub(crate) fn first_look(mut robot: Command) -> anyhow::Result<Duration> {
     let modules = node::modules()?.context("Node.js is missing")?;
     let script = workspace().join("bridge/view/tests/page/first_look.mjs");
     let domain = test_machine::free_domain().to_string();
-    let mut robot = home.command(program);
     robot.args(["run", "darwin_op", "--view=0"]).env("ROS_DOMAIN_ID", domain);
     robot
         .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -14,7 +14,7 @@ use crate::steps::workspace;
 pub(crate) fn cargo_install() -> anyhow::Result<PathBuf> {
     let (cargo, program) = installed()?;
     let home = Home::new()?;
-    let arrival = Arrival::of(&program, &home)?;
+    let arrival = Arrival::of(home.command(&program))?;
     println!(
         "installed from packages: first joint state after {} ms, {} MB (development build)",
         arrival.first_joint_state.as_millis(),

@@ -1,5 +1,6 @@
 //! The Debian package, installed into an empty root.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -9,10 +10,10 @@ use anyhow::{Context, ensure};
 use super::{Arrival, Home};
 use crate::dist::FEATURES;
 use crate::dist::cross::Target;
-use crate::packaging::arrange;
 use crate::packaging::debian::{self, About};
+use crate::packaging::{arrange, copy};
 use crate::skips::Run;
-use crate::steps::{run, workspace};
+use crate::steps::{output_of, run, workspace};
 use crate::{crates, files, notices};
 
 /// Packages an installed program, unpacks the package as dpkg does, runs what it has, and removes it again:
@@ -43,23 +44,23 @@ pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> 
     }
     let root = home.path().join("root");
     prepare(&root)?;
+    let before = files::below(&root)?;
     run(dpkg(&root).arg("--install").arg(&package))?;
-    let installed = root.join("usr/bin/downbeat");
     if test_machine::has_program("systemd-analyze") {
         verify(&root, home.path())?;
     } else {
         let reason = "systemd-analyze is missing: install Debian's package systemd";
         skips.missing("systemd's view of the service of the Debian package", reason)?;
     }
-    let checked =
-        home.command(&installed).arg("check").arg(root.join("etc/downbeat/darwin_op.toml")).output()?;
+    let checked = installed(&root, &home).args(["check", "/etc/downbeat/darwin_op.toml"]).output()?;
     ensure!(checked.status.success(), "check: {}", String::from_utf8_lossy(&checked.stderr));
-    let arrival = Arrival::of(&installed, &home)?;
+    let arrival = Arrival::of(installed(&root, &home))?;
     println!("from the Debian package: first joint state after {} ms", arrival.first_joint_state.as_millis());
     run(dpkg(&root).args(["--purge", "downbeat"]))?;
-    // The user of the service, which systemd's tools put into the root, is removed on a running system only.
-    let left: Vec<_> = files::below(&root)?.into_iter().map(|file| file.path).collect();
-    let left: Vec<_> = left.iter().filter(|path| !is_of_system(path)).collect();
+    let before: BTreeSet<_> = before.into_iter().map(|file| file.path).collect();
+    let mut left = files::below(&root)?;
+    left.retain(|file| !before.contains(&file.path) && !is_left(&file.path));
+    let left: Vec<_> = left.into_iter().map(|file| file.path).collect();
     ensure!(left.is_empty(), "after the package was purged, these are left: {left:?}");
     Ok(())
 }
@@ -84,21 +85,48 @@ fn verify(root: &Path, scratch: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// True for a file in a root that dpkg and the tools for accounts keep, whatever is installed.
-pub(crate) fn is_of_system(path: &Path) -> bool {
+/// True for a file in a root that stays when the package is purged: what dpkg and the tools for accounts write
+/// (the user of the service is removed on a running system only), and the robots that were run.
+pub(crate) fn is_left(path: &Path) -> bool {
     let accounts = ["etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock"];
-    path.starts_with("var/lib/dpkg") || accounts.iter().any(|known| path.to_string_lossy().starts_with(known))
+    path.starts_with("var/lib/dpkg")
+        || path.starts_with("root/.cache/downbeat")
+        || accounts.iter().any(|known| path.to_string_lossy().starts_with(known))
 }
 
-/// Makes an empty root for [`dpkg`].
+/// Makes a root that has what the package needs, as its `Depends` says, and nothing else: the C library, in
+/// the version of this machine. The tools of systemd, which it needs too, work from outside.
 pub(crate) fn prepare(root: &Path) -> anyhow::Result<()> {
-    for folder in ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers"] {
+    for folder in
+        ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers", "proc", "root", "tmp"]
+    {
         fs::create_dir_all(root.join(folder))?;
     }
     for file in ["var/lib/dpkg/status", "var/lib/dpkg/available"] {
         fs::write(root.join(file), "")?;
     }
+    // As on the systems that the package is for, where /lib is a link.
+    for folder in ["lib", "lib64"] {
+        fs::create_dir_all(root.join("usr").join(folder))?;
+        std::os::unix::fs::symlink(Path::new("usr").join(folder), root.join(folder))?;
+    }
+    let package = format!("libc6:{}", architecture()?.of_debian());
+    let files = output_of(Command::new("dpkg").args(["--listfiles", &package]))?;
+    for file in files.lines().map(Path::new) {
+        let is_library = ["/lib", "/lib64", "/usr/lib"].iter().any(|folder| file.starts_with(folder));
+        if is_library && file.is_file() {
+            copy(file, &root.join(file.strip_prefix("/")?))?;
+        }
+    }
     Ok(())
+}
+
+/// The installed program, which sees nothing but its root.
+pub(crate) fn installed(root: &Path, home: &Home) -> Command {
+    let mut command = home.command("unshare");
+    command.arg("--mount-proc").arg(format!("--root={}", root.display())).arg("/usr/bin/downbeat");
+    command.env("HOME", "/root");
+    command
 }
 
 /// A command of dpkg for a root without the packages that ours depends on.
