@@ -57,7 +57,7 @@ enum Command {
         db: Option<std::path::PathBuf>,
     },
     /// README.md and docs/ as a site with search, and the documentation of the crates, under
-    /// target/book/html.
+    /// target/book/html; then the documentation of each crate as docs.rs writes it.
     /// Fails if a link leads nowhere.
     Book,
     /// What a default build costs: its crates, and the code of ours as the tests compile it. Part of the test
