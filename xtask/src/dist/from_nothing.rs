@@ -66,10 +66,10 @@ impl Way {
         self.install(release, &home)?;
         let install = started.elapsed();
         let size = self.size(&home)? - files::size(&before);
-        let arrival = Arrival::of(self.program(release, &home))?;
+        let arrival = Arrival::of(self.program(release, &home)?)?;
         if let Self::Pip = self {
             in_time("a joint state", install + arrival.first_joint_state)?;
-            let seen = install + first_look(self.program(release, &home))?;
+            let seen = install + first_look(self.program(release, &home)?)?;
             println!("from `pip install` to a robot that moves in a browser: {:.1} s", seen.as_secs_f64());
             in_time("a robot that moves in a browser", seen)?;
         }
@@ -146,14 +146,14 @@ impl Way {
         }
     }
 
-    fn program(self, release: &Release, home: &Home) -> Command {
+    fn program(self, release: &Release, home: &Home) -> anyhow::Result<Command> {
         let path = match self {
             Self::Cargo => home.path().join("installed/bin/downbeat"),
             Self::Pip | Self::Sources => home.path().join("venv/bin/downbeat"),
             Self::Deb => return deb::installed(&home.path().join("root"), home),
             Self::Tarball => home.path().join(release.name()).join("bin/downbeat"),
         };
-        home.command(path)
+        Ok(home.command(path))
     }
 
     fn remove(self, release: &Release, home: &Home) -> anyhow::Result<()> {

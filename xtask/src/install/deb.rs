@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::process::Command;
 
@@ -52,9 +53,9 @@ pub(crate) fn debian_package(program: &Path, skips: &Run) -> anyhow::Result<()> 
         let reason = "systemd-analyze is missing: install Debian's package systemd";
         skips.missing("systemd's view of the service of the Debian package", reason)?;
     }
-    let checked = installed(&root, &home).args(["check", "/etc/downbeat/darwin_op.toml"]).output()?;
+    let checked = installed(&root, &home)?.args(["check", "etc/downbeat/darwin_op.toml"]).output()?;
     ensure!(checked.status.success(), "check: {}", String::from_utf8_lossy(&checked.stderr));
-    let arrival = Arrival::of(installed(&root, &home))?;
+    let arrival = Arrival::of(installed(&root, &home)?)?;
     println!("from the Debian package: first joint state after {} ms", arrival.first_joint_state.as_millis());
     run(dpkg(&root).args(["--purge", "downbeat"]))?;
     let before: BTreeSet<_> = before.into_iter().map(|file| file.path).collect();
@@ -122,12 +123,20 @@ pub(crate) fn prepare(root: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The installed program, which sees nothing but its root.
-pub(crate) fn installed(root: &Path, home: &Home) -> Command {
+/// The installed program, which works in its root and sees nothing else. Only root may do that: for others it
+/// runs with the libraries of this machine.
+pub(crate) fn installed(root: &Path, home: &Home) -> anyhow::Result<Command> {
+    let user = fs::metadata("/proc/self").context("the number of the user")?.uid();
+    if user != 0 {
+        eprintln!("xtask: not as root, so the program of the Debian package sees all of this machine");
+        let mut command = home.command(root.join("usr/bin/downbeat"));
+        command.current_dir(root);
+        return Ok(command);
+    }
     let mut command = home.command("unshare");
     command.arg("--mount-proc").arg(format!("--root={}", root.display())).arg("/usr/bin/downbeat");
-    command.env("HOME", "/root");
-    command
+    command.env("HOME", "/root").current_dir(root);
+    Ok(command)
 }
 
 /// A command of dpkg for a root without the packages that ours depends on.
