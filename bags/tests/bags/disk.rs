@@ -1,48 +1,16 @@
 //! Full disks: a small in-memory file system, if the test may mount one.
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use bytes::Bytes;
 use downbeat_bags::metadata::{FILE_NAME, Metadata};
 use downbeat_bags::{
     Reader, Recording, SplitLimits, TruncationCause, WhenDiskFull, WhenLow, WriterError, WriterOptions,
 };
+use test_machine::SmallDisk;
 
 use crate::support::{messages, number, topic};
-
-/// An in-memory file system of that many KiB, unmounted when dropped.
-pub struct SmallDisk {
-    pub path: PathBuf,
-    _folder: tempfile::TempDir,
-}
-
-impl SmallDisk {
-    /// Returns `None` and reports a skipped test if mounting is not permitted.
-    pub fn mount(kibibytes: u32) -> Option<Self> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("disk");
-        fs::create_dir(&path).unwrap();
-        let mounted = rustix::process::geteuid().is_root()
-            && Command::new("mount")
-                .args(["-t", "tmpfs", "-o", &format!("size={kibibytes}k"), "downbeat_test"])
-                .arg(&path)
-                .status()
-                .is_ok_and(|status| status.success());
-        if !mounted {
-            test_machine::skipped("only root can mount a small disk");
-            return None;
-        }
-        Some(Self { path, _folder: folder })
-    }
-}
-
-impl Drop for SmallDisk {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg("-l").arg(&self.path).status();
-    }
-}
 
 fn read(bag: &Path) -> Vec<i64> {
     let value = |data: &[u8]| i64::from_le_bytes(data[4..12].try_into().unwrap());

@@ -22,8 +22,8 @@ use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::sensor_msgs::msg::CompressedImage;
 use downbeat_msgs::std_srvs::srv::SetBoolEvent;
+use test_machine::SmallDisk;
 
-use crate::disk::SmallDisk;
 use crate::interrupted::{BAG, child, kill};
 use crate::python::topic;
 use crate::stock_readers;
