@@ -4,15 +4,17 @@
 mod common;
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 use common::matrix::{Way, With, check};
 use common::rclpy::Peer;
-use common::{Running, WATCHDOG, open_with_stock_readers, output_of, text_of};
+use common::{Running, WATCHDOG, open_with_stock_readers, output_of, text_of, wait_until};
 use downbeat::bags::{TopicDescription, WriterOptions};
-use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
-use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions, Sample};
+use downbeat::bridge::ros::{MessageType, Node, NodeName, Participant};
 use downbeat::msgs::builtin_interfaces::msg::{Duration, Time};
 use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rosbag2_interfaces::msg::ReadSplitEvent;
 use downbeat::msgs::rosbag2_interfaces::srv::{
     Burst, BurstRequest, GetRate, GetRateRequest, IsPaused, IsPausedRequest, Pause, PauseRequest, Play,
     PlayNext, PlayNextRequest, PlayRequest, Resume, ResumeRequest, Seek, SeekRequest, SetRate,
@@ -198,6 +200,52 @@ fn a_service_plays_a_part_of_a_bag() {
     assert!(call::<Play>(&node, "play", &part).success);
     assert!(player.wait().success(), "{}", player.output());
     assert!(player.output().contains("played 5 messages"), "2 to 6: {}", player.output());
+}
+
+#[test]
+fn a_player_says_when_it_goes_on_to_the_next_file() {
+    let domain = free_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let chatter = writer.add_topic(info("/chatter", QosProfile::DEFAULT)).unwrap();
+    let string = cdr::to_vec(&std_msgs::msg::String::default());
+    for n in 0..3 {
+        writer.write(chatter, n * 1_000_000_000, 0, &string).unwrap();
+        if n < 2 {
+            writer.split().unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let node = node(domain);
+    let events: Arc<Mutex<Vec<ReadSplitEvent>>> = Arc::default();
+    let heard = Arc::clone(&events);
+    let on_event =
+        Box::new(move |sample: Sample| heard.lock().unwrap().push(cdr::from_slice(&sample.cdr).unwrap()));
+    let message_type = MessageType::new(ReadSplitEvent::TYPE_NAME).unwrap();
+    let topic = "/events/read_split";
+    let listening = node.subscribe(topic, &message_type, QosProfile::DEFAULT, on_event).unwrap();
+    let mut player =
+        Running::start(&["bag", "play", text(&bag), "--start-paused", "--domain", &domain.to_string()]);
+    wait_until("the player is matched", || listening.matched_publishers() > 0);
+    let next = |splits: usize| {
+        assert!(call::<PlayNext>(&node, "play_next", &PlayNextRequest::default()).success);
+        wait_until("the split is reported", || events.lock().unwrap().len() >= splits);
+        assert_eq!(events.lock().unwrap().len(), splits);
+    };
+    next(0);
+    next(1);
+    next(2);
+    assert!(!call::<PlayNext>(&node, "play_next", &PlayNextRequest::default()).success);
+    call::<Stop>(&node, "stop", &StopRequest::default());
+    assert!(player.wait().success(), "{}", player.output());
+    let events = events.lock().unwrap();
+    for (number, event) in events.iter().enumerate() {
+        let file = |number: usize| text(&bag.join(format!("bag_{number}.mcap"))).to_owned();
+        assert_eq!((&event.closed_file, &event.opened_file), (&file(number), &file(number + 1)));
+        assert_eq!(event.node_name, "/rosbag2_player");
+    }
+    assert_eq!(events.len(), 2, "there is no file after the last one");
 }
 
 #[test]

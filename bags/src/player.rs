@@ -3,6 +3,7 @@
 //! Nothing here reads a clock or waits; see [`Playback`].
 
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::edit::MergedBags;
@@ -10,6 +11,7 @@ use crate::playback::{Gap, Playback, PlayerError, Rate, Step};
 use crate::read_ahead::{AheadOf, ReadAhead};
 use crate::reader::{BagMessage, Reader, ReaderError, RecordedTopic, Selection};
 use crate::topic::TopicDescription;
+use crate::writer::FileSplit;
 
 /// What to play and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,6 +77,36 @@ pub struct Player<'a> {
     read_ahead: ReadAhead,
     /// The number of messages returned since the last start: bags without messages do not repeat forever.
     given: u64,
+    /// The files of each bag.
+    files: Vec<Files>,
+}
+
+/// The files of a bag, and how many of them playback has reached.
+struct Files {
+    starts: Vec<(PathBuf, i64)>,
+    reached: usize,
+}
+
+impl Files {
+    fn of(bag: &Reader) -> Self {
+        let mut starts: Vec<_> =
+            bag.starts_of_files().map(|(path, start)| (path.to_owned(), start)).collect();
+        starts.sort_by_key(|(_, start)| *start);
+        Self { starts, reached: 0 }
+    }
+
+    fn go_to(&mut self, time: i64) {
+        self.reached = self.starts.partition_point(|(_, start)| *start <= time).max(1);
+    }
+
+    /// The next file, if its first message is not after `time`.
+    fn pass(&mut self, time: i64) -> Option<FileSplit> {
+        let (opened, _) = self.starts.get(self.reached).filter(|(_, start)| *start <= time)?;
+        let (closed, _) = self.starts.get(self.reached.checked_sub(1)?)?;
+        let split = FileSplit { closed: closed.clone(), opened: Some(opened.clone()) };
+        self.reached += 1;
+        Some(split)
+    }
 }
 
 impl<'a> Player<'a> {
@@ -113,7 +145,9 @@ impl<'a> Player<'a> {
             all_latched: None,
             read_ahead,
             given: 0,
+            files: bags.iter().map(Files::of).collect(),
         };
+        player.files.iter_mut().for_each(|files| files.go_to(begin));
         if options.starts_paused {
             player.playback.pause(Duration::ZERO);
         }
@@ -137,6 +171,13 @@ impl<'a> Player<'a> {
     #[must_use]
     pub fn end_time(&self) -> i64 {
         self.last.min(self.end)
+    }
+
+    /// The files that playback leaves for the next one of their bag with this message, since the last call or
+    /// seek.
+    pub fn take_splits(&mut self, message: &BagMessage) -> impl Iterator<Item = FileSplit> {
+        let time = message.log_time;
+        self.files.iter_mut().flat_map(move |files| std::iter::from_fn(move || files.pass(time)))
     }
 
     /// Returns the action at `now`, a reading of any steady clock.
@@ -247,6 +288,7 @@ impl<'a> Player<'a> {
         let messages = self.bags.messages(&Selection::all().from(time).until(self.end), |_| true)?;
         let messages = self.read_ahead.read(messages);
         self.playback.replace(messages);
+        self.files.iter_mut().for_each(|files| files.go_to(time));
         self.latched = self.latched_before(time)?;
         Ok(())
     }
@@ -368,6 +410,39 @@ mod tests {
         assert!(matches!(player.step(ms(1025)), Step::Wait(wait) if wait == ms(200)));
         player.seek(ms(1025), -5).unwrap();
         assert_eq!(due(&mut player, ms(1025)), of(&[("/a", 0)]), "a time before the bag is its start");
+    }
+
+    #[test]
+    fn the_player_says_when_it_leaves_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let info = TopicDescription { name: "/a".to_owned(), ..TopicDescription::default() };
+        let mut writer = WriterOptions::new().create(folder.path().join("bag")).unwrap();
+        let a = writer.add_topic(info).unwrap();
+        for n in 0..6 {
+            if n == 2 || n == 4 {
+                writer.split().unwrap();
+            }
+            writer.write(a, n * 100_000_000, 0, &[]).unwrap();
+        }
+        writer.finish().unwrap();
+        let bags = [Reader::open(folder.path().join("bag")).unwrap()];
+        let mut player = Player::open(&bags, &PlayerOptions::default(), |_| true).unwrap();
+        let passed = |player: &mut Player<'_>, now| {
+            let mut passed = Vec::new();
+            while let Step::Due(message) = player.step(now) {
+                let name = |path: &std::path::Path| path.file_name().unwrap().to_str().unwrap().to_owned();
+                let splits = player.take_splits(&message);
+                let splits = splits.map(|split| (name(&split.closed), name(&split.opened.unwrap())));
+                passed.extend(splits.map(|names| (message.log_time / 100_000_000, names)));
+            }
+            passed
+        };
+        let split = |time, from: u32, to: u32| (time, (format!("bag_{from}.mcap"), format!("bag_{to}.mcap")));
+        assert_eq!(passed(&mut player, ms(0)), []);
+        assert_eq!(passed(&mut player, ms(600)), [split(2, 0, 1), split(4, 1, 2)]);
+        // A seek passes nothing by itself.
+        player.seek(ms(600), 350_000_000).unwrap();
+        assert_eq!(passed(&mut player, ms(1000)), [split(4, 1, 2)]);
     }
 
     #[test]

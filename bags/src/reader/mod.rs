@@ -163,6 +163,12 @@ impl Reader {
         self.files.iter().map(|file| file.path.as_path())
     }
 
+    /// The files that have messages, with the receive time of the first one.
+    pub(crate) fn starts_of_files(&self) -> impl Iterator<Item = (&Path, i64)> {
+        let first = |file: &BagFile| file.segments.iter().map(|segment| segment.first).min();
+        self.files.iter().filter_map(move |file| Some((&*file.path, messages::signed(first(file)?))))
+    }
+
     /// The contents of each file, as for metadata.yaml.
     pub(crate) fn file_metadata(&self) -> impl Iterator<Item = FileMetadata> {
         self.files.iter().map(|file| {

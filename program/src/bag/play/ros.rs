@@ -10,12 +10,13 @@ use super::target::{Target, targets};
 use crate::bag::select::absolute;
 use crate::screen::Screen;
 use crate::stop::{Key, Keyboard, Stop};
-use downbeat_bags::{BagMessage, Gap, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
+use downbeat_bags::{BagMessage, FileSplit, Gap, Player, PlayerOptions, Rate, Reader, ReaderError, Step};
 use downbeat_bridge::limiter::Limiter;
 use downbeat_bridge::middleware::WriteError;
 use downbeat_bridge::ros::{MessageType, Node, Publisher};
 use downbeat_msgs::builtin_interfaces::msg::Time;
 use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::rosbag2_interfaces::msg::ReadSplitEvent;
 use downbeat_msgs::rosbag2_interfaces::srv::{
     BurstResponse, GetRateResponse, IsPausedResponse, PauseResponse, PlayNextResponse, PlayResponse,
     ResumeResponse, SeekResponse, SetRateResponse, StopResponse, TogglePausedResponse,
@@ -75,6 +76,7 @@ pub(super) fn play(
         bail!("nothing of {} can be played; see above", left_out.join(", "));
     }
     let clock = PublishedClock::new(&node, arguments)?;
+    let splits = PublishedSplits::new(&node)?;
     let controls = Controls::offer(&node)?;
     wait_for_peers(&player, &targets, &stop);
     let keyboard = (!arguments.disable_keyboard_controls).then(Keyboard::open).flatten();
@@ -87,6 +89,7 @@ pub(super) fn play(
         player,
         targets,
         clock,
+        splits,
         started: Instant::now(),
         delay: arguments.delay.unwrap_or_default(),
         played: 0,
@@ -217,10 +220,39 @@ impl PublishedClock {
     }
 }
 
+/// `events/read_split`, as rosbag2's player has it.
+struct PublishedSplits {
+    publisher: Publisher,
+    node_name: String,
+}
+
+impl PublishedSplits {
+    fn new(node: &Node) -> anyhow::Result<Self> {
+        let message_type = MessageType::new(ReadSplitEvent::TYPE_NAME)?;
+        let qos = QosProfile::DEFAULT.keep_last(1);
+        let publisher = node.publish("events/read_split", &message_type, qos);
+        let publisher = publisher.context("cannot publish events/read_split")?;
+        Ok(Self { publisher, node_name: node.name().to_string() })
+    }
+
+    fn publish(&self, split: &FileSplit) {
+        let path = |path: &std::path::Path| path.display().to_string();
+        let event = ReadSplitEvent {
+            closed_file: path(&split.closed),
+            opened_file: split.opened.as_deref().map(path).unwrap_or_default(),
+            node_name: self.node_name.clone(),
+        };
+        if let Err(error) = self.publisher.publish(cdr::to_vec(&event).into()) {
+            tracing::debug!("{}: {error}", self.publisher.topic());
+        }
+    }
+}
+
 struct Run<'a> {
     player: Player<'a>,
     targets: Vec<Option<Target>>,
     clock: PublishedClock,
+    splits: PublishedSplits,
     started: Instant,
     delay: Duration,
     played: u64,
@@ -320,7 +352,9 @@ impl Run<'_> {
     }
 
     /// Returns false if it could not be published.
-    fn publish(&mut self, BagMessage { topic, log_time, data, .. }: BagMessage) -> bool {
+    fn publish(&mut self, message: BagMessage) -> bool {
+        self.player.take_splits(&message).for_each(|split| self.splits.publish(&split));
+        let BagMessage { topic, log_time, data, .. } = message;
         let Some(target) = self.targets.get(topic.index()).and_then(Option::as_ref) else { return false };
         let name = &self.player.topics()[topic.index()].info.name;
         if self.clock.precedes(name) {
