@@ -7,11 +7,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use common::{
-    QUIET_ROBOT, Running, downbeat, open_with_stock_readers, output_of, robot_file, text_of, wait_until,
+    QUIET_ROBOT, Running, WATCHDOG, downbeat, open_with_stock_readers, output_of, robot_file, text_of,
+    wait_until,
 };
 use downbeat::bags::metadata::Metadata;
 use downbeat::bags::{Reader, Selection};
-use downbeat::msgs::{cdr, std_msgs};
+use downbeat::bridge::middleware::{DiscoveryRange, ParticipantOptions};
+use downbeat::bridge::ros::{Node, NodeName, Participant};
+use downbeat::msgs::qos::QosProfile;
+use downbeat::msgs::rosbag2_interfaces::srv::{
+    IsDiscoveryRunning, Record, RecordRequest, StartDiscovery, Stop, StopDiscovery,
+};
+use downbeat::msgs::{Service, cdr, std_msgs};
 use test_machine::free_domain;
 
 fn text(path: &Path) -> &str {
@@ -211,4 +218,42 @@ fn a_panic_takes_a_snapshot_of_what_was_before_and_after() {
     assert_eq!(numbers.collect::<Vec<_>>(), [0.0, -1.0, -2.0]);
     assert!(text_of(&["bag", "check", text(&bag)]).contains("0 problems"));
     open_with_stock_readers(&bag);
+}
+
+/// The recorder of a robot's own has all services of rosbag2's, of which some can do nothing for it.
+#[test]
+fn the_recorder_of_a_robot_refuses_what_it_cannot_do_with_a_reason() {
+    let domain = free_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = (folder.path().join("robot.toml"), folder.path().join("bag"));
+    std::fs::write(&robot, QUIET_ROBOT).unwrap();
+    let mut running =
+        Running::start(&["run", text(&robot), "--record", text(&bag), "--domain", &domain.to_string()]);
+    let options =
+        ParticipantOptions { discovery_range: DiscoveryRange::Localhost, ..ParticipantOptions::new(domain) };
+    let participant = Participant::join(&options).unwrap();
+    let node = participant.create_node(NodeName::new("/", "operator").unwrap()).unwrap();
+    let record = || {
+        let response = call::<Record>(&node, "record", &RecordRequest::default());
+        (response.return_code, response.error_string)
+    };
+    assert_eq!(record(), (1, "a recording is running already".to_owned()));
+    let started = call::<StartDiscovery>(&node, "start_discovery", &Default::default());
+    assert_eq!(started.return_code, 1);
+    assert!(started.error_string.contains("[record] of its file selects"), "{}", started.error_string);
+    let stopped = call::<StopDiscovery>(&node, "stop_discovery", &Default::default());
+    assert_eq!((stopped.return_code, &*stopped.error_string), (1, "discovery is not running"));
+    assert!(!call::<IsDiscoveryRunning>(&node, "is_discovery_running", &Default::default()).running);
+    call::<Stop>(&node, "stop", &Default::default());
+    let (code, reason) = record();
+    assert!(code == 1 && reason.contains("start it again with --record"), "{reason}");
+    assert!(running.is_running(), "the robot goes on");
+    running.interrupt();
+    open_with_stock_readers(&bag);
+}
+
+fn call<S: Service>(node: &Node, service: &str, request: &S::Request) -> S::Response {
+    let client = node.client::<S>(&format!("/rosbag2_recorder/{service}"), QosProfile::SERVICES).unwrap();
+    assert!(client.wait_for_service(WATCHDOG), "{service}");
+    client.call_and_wait(request, WATCHDOG).unwrap()
 }

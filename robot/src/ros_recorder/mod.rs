@@ -32,7 +32,7 @@ use channel::{Channel, RecorderClock};
 use definitions::{Definition, Inquiry};
 pub use filter::{SeenTopic, TopicFilter};
 pub use qos_overrides::{QosOverrides, QosOverridesError};
-pub use services::{RecorderServices, ServeError, SteeredRecording, serve, serve_stop, split_events};
+pub use services::{RecorderServices, ServeError, SteeredRecording, serve, serve_robot, split_events};
 use watch::Watch;
 
 /// Options of a recording from ROS 2.

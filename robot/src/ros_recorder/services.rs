@@ -10,8 +10,10 @@ use downbeat_bridge::ros::{MessageType, Node, NodeError, Service};
 use downbeat_msgs::qos::QosProfile;
 use downbeat_msgs::rosbag2_interfaces::msg::WriteSplitEvent;
 use downbeat_msgs::rosbag2_interfaces::srv::{
-    IsPaused, IsPausedResponse, Pause, PauseResponse, Resume, ResumeResponse, Snapshot, SnapshotResponse,
-    SplitBagfile, SplitBagfileResponse, Stop, StopResponse, TogglePaused, TogglePausedResponse,
+    IsDiscoveryRunning, IsDiscoveryRunningResponse, IsPaused, IsPausedResponse, Pause, PauseResponse, Record,
+    RecordResponse, Resume, ResumeResponse, Snapshot, SnapshotResponse, SplitBagfile, SplitBagfileResponse,
+    StartDiscovery, StartDiscoveryResponse, Stop, StopDiscovery, StopDiscoveryResponse, StopResponse,
+    TogglePaused, TogglePausedResponse,
 };
 use downbeat_msgs::{Message, cdr};
 use parking_lot::Mutex;
@@ -108,17 +110,41 @@ pub fn serve(
     Ok(RecorderServices { _services: services })
 }
 
-/// Offers `~/stop`, which stops the recording.
+/// Offers `~/stop`, which stops the recording, and what the recorder of a robot refuses: `~/record`, since a
+/// run has one bag, and the services of discovery, since the topics of a robot are known.
 ///
 /// # Errors
-/// If the middleware refuses the service.
-pub fn serve_stop(node: &Node, steered: &SteeredRecording) -> Result<RecorderServices, ServeError> {
-    let steered = steered.clone();
-    let stop = node.serve::<Stop>("~/stop", QosProfile::SERVICES, move |_| {
-        steered.control().stop();
-        StopResponse::default()
-    })?;
-    Ok(RecorderServices { _services: vec![stop] })
+/// If the middleware refuses a service.
+pub fn serve_robot(node: &Node, steered: &SteeredRecording) -> Result<RecorderServices, ServeError> {
+    let qos = QosProfile::SERVICES;
+    let (stopping, asked) = (steered.clone(), steered.clone());
+    let services = vec![
+        node.serve::<Stop>("~/stop", qos, move |_| {
+            stopping.control().stop();
+            StopResponse::default()
+        })?,
+        node.serve::<Record>("~/record", qos, move |_| {
+            let error_string = match asked.control().is_stopped() {
+                false => "a recording is running already",
+                true => "a robot records one bag in a run: start it again with --record for another",
+            };
+            RecordResponse { return_code: 1, error_string: error_string.to_owned() }
+        })?,
+        node.serve::<StartDiscovery>("~/start_discovery", qos, |_| StartDiscoveryResponse {
+            return_code: 1,
+            error_string:
+                "a robot records its own topics, which [record] of its file selects: there is no discovery"
+                    .to_owned(),
+        })?,
+        node.serve::<StopDiscovery>("~/stop_discovery", qos, |_| StopDiscoveryResponse {
+            return_code: 1,
+            error_string: "discovery is not running".to_owned(),
+        })?,
+        node.serve::<IsDiscoveryRunning>("~/is_discovery_running", qos, |_| IsDiscoveryRunningResponse {
+            running: false,
+        })?,
+    ];
+    Ok(RecorderServices { _services: services })
 }
 
 /// Publishes on `events/write_split` that a file was closed: for [`downbeat_bags::Writer::on_split`].

@@ -19,7 +19,9 @@ use parking_lot::Mutex;
 use super::StartError;
 use super::snapshots::SnapshotWatch;
 use crate::recorder::{self, RecorderError, Unrecorded, WhenFull};
-use crate::ros_recorder::{RecorderServices, SteeredRecording, TopicFilter, serve, serve_stop, split_events};
+use crate::ros_recorder::{
+    RecorderServices, SteeredRecording, TopicFilter, serve, serve_robot, split_events,
+};
 use crate::{RecordOptions, RecordedSettings, Robot, RobotFile, SourcedModules, Sources, VersionLog};
 
 /// Options of a recording.
@@ -276,7 +278,7 @@ impl RobotRecording {
             .map_err(|source| StartError::Thread { what: "the bag's writer", source })?;
         let steered = SteeredRecording::new(recording.control());
         let offer = |node: Node| -> Result<_, StartError> {
-            Ok([serve(&node, &steered, takes_snapshots)?, serve_stop(&node, &steered)?])
+            Ok([serve(&node, &steered, takes_snapshots)?, serve_robot(&node, &steered)?])
         };
         let services = node.map(offer).transpose()?;
         if let Some(diagnostics) = diagnostics {
