@@ -349,34 +349,42 @@ class Source : public downbeat::Module {
 DOWNBEAT_MODULE(Source)
 "#;
 
-#[test]
-fn a_module_in_cpp_shows_its_variables_at_any_cycle() {
+/// Compiles C++ to `libNAME.so` in the folder; `None` without a compiler.
+fn compile(folder: &Path, sources: &[(&str, String)]) -> Option<()> {
     if !test_machine::has_compilers(&["c++"]) {
-        return;
+        return None;
     }
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
     let run = |command: &mut Command| {
         let output = command.current_dir(folder).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     };
     run(&mut downbeat(&["interface", "generate", "--lang", "cpp", "std_msgs/msg/Float64"]));
-    for (name, source) in [("source", format!("{CPP}{SOURCE}")), ("smoother", smoother())] {
+    for (name, source) in sources {
         fs::write(folder.join(format!("{name}.cpp")), source).unwrap();
         let mut compiler = Command::new("c++");
         compiler.args(["-std=c++17", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-Iinclude"]);
         run(compiler.args([&format!("{name}.cpp"), "-o", &format!("lib{name}.so")]));
     }
+    Some(())
+}
+
+/// The robot file of a source and a smoother, with further keys of both.
+fn smooth_robot(keys: &str) -> String {
+    let module = |name: &str| {
+        format!("[[module]]\nname = \"{name}\"\nkind = \"library\"\npath = \"lib{name}.so\"\n{keys}")
+    };
+    let (source, smoother) = (module("source"), module("smoother"));
+    format!("[robot]\nname = \"smooth\"\n{source}{smoother}[record]\ntopics = \"all\"\n")
+}
+
+#[test]
+fn a_module_in_cpp_shows_its_variables_at_any_cycle() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let sources = [("source", format!("{CPP}{SOURCE}")), ("smoother", smoother())];
+    let Some(()) = compile(folder, &sources) else { return };
     for keys in ["", "isolate = true\n"] {
-        let module = |name: &str| {
-            format!("[[module]]\nname = \"{name}\"\nkind = \"library\"\npath = \"lib{name}.so\"\n{keys}")
-        };
-        let file = format!(
-            "[robot]\nname = \"smooth\"\n{}{}[record]\ntopics = \"all\"\n",
-            module("source"),
-            module("smoother")
-        );
-        fs::write(folder.join("robot.toml"), file).unwrap();
+        fs::write(folder.join("robot.toml"), smooth_robot(keys)).unwrap();
         let bag = folder.join(format!("bag{}", keys.len()));
         let [robot, bag] = [folder.join("robot.toml"), bag].map(|path| path.to_str().unwrap().to_owned());
         text_of(&["run", &robot, "--fast", "--duration", "1s", "--record", &bag]);
@@ -390,15 +398,64 @@ fn a_module_in_cpp_shows_its_variables_at_any_cycle() {
 }
 
 #[test]
+fn another_version_of_a_library_is_tried() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let other =
+        smoother().replace("0.5 * (last_ + message.data)", "count_ < 3 ? 0.5 * (last_ + message.data) : 0.0");
+    let same = smoother().replace("0.5 * (last_", "(1.0 / 2) * (last_");
+    let source = format!("{CPP}{SOURCE}");
+    let sources = [("source", source), ("smoother", smoother()), ("other", other), ("same", same)];
+    let Some(()) = compile(folder, &sources) else { return };
+    fs::write(folder.join("robot.toml"), smooth_robot("")).unwrap();
+    let [robot, bag] = ["robot.toml", "bag"].map(|name| folder.join(name).to_str().unwrap().to_owned());
+    text_of(&["run", &robot, "--fast", "--duration", "1s", "--record", &bag]);
+    let with = |library: &str| format!("smoother={}", folder.join(library).display());
+    let printed = text_of(&["bag", "replay", &robot, &bag, "--with", &with("libother.so")]);
+    // After three numbers it has 0.875, so the fourth differs.
+    let parting = "from smoother: in /out #3, data is 0.0, and 0.9375 without the change";
+    assert!(printed.contains(parting), "{printed}");
+    let printed = text_of(&["bag", "replay", &robot, &bag, "--with", &with("libsame.so")]);
+    assert!(printed.contains("the two runs are the same"), "{printed}");
+    let refused = output_of(&["bag", "replay", &robot, &bag, "--with", &with("missing.so")]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && said.contains("missing.so"), "{said}");
+}
+
+#[test]
+fn it_goes_to_the_first_difference() {
+    let folder = tempfile::tempdir().unwrap();
+    let (robot, bag) = talker(folder.path());
+    // Not the picture of the chart, which shows what is changed in it.
+    let text = fs::read_to_string(&robot).unwrap() + "[replay]\nexcept = [\"mouth/dot\"]\n";
+    fs::write(&robot, text).unwrap();
+    let late = CHART.replace("'tick ' + count", "if count > 5 { 'tock ' + count } else { 'tick ' + count }");
+    fs::write(folder.path().join("mouth.scxml"), late.replace("> 5", "&gt; 5")).unwrap();
+    let [robot, bag] = [&robot, &bag].map(|path| path.to_str().unwrap());
+    let printed = debugged(robot, bag, "go end\ngo difference\nprint said\nback\nprint said\ngo said#5\n");
+    assert!(
+        printed.contains("first difference: ") && printed.contains("`go difference` goes there"),
+        "{printed}"
+    );
+    let (_, after) = printed.split_once("data: tock 6").unwrap_or_else(|| panic!("{printed}"));
+    assert!(after.contains("data: tick 5"), "{printed}");
+    let cycles: Vec<_> = printed.lines().filter(|line| line.starts_with("cycle #")).collect();
+    let [_, _, difference, before, message] = cycles[..] else { panic!("{printed}") };
+    assert!(difference == message && difference != before, "{printed}");
+    assert!(after.contains("differs from the bag since"), "{printed}");
+}
+
+fn git(folder: &Path, arguments: &[&str]) -> String {
+    let identity = ["-c", "user.name=A", "-c", "user.email=a@localhost", "-c", "init.defaultBranch=main"];
+    let output = Command::new("git").args(identity).args(arguments).current_dir(folder).output().unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+#[test]
 fn the_revision_that_changed_a_run_is_found() {
     let folder = tempfile::tempdir().unwrap();
-    let git = |arguments: &[&str]| {
-        let identity = ["-c", "user.name=A", "-c", "user.email=a@localhost", "-c", "init.defaultBranch=main"];
-        let output =
-            Command::new("git").args(identity).args(arguments).current_dir(folder.path()).output().unwrap();
-        assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap().trim().to_owned()
-    };
+    let git = |arguments: &[&str]| git(folder.path(), arguments);
     git(&["init", "--quiet"]);
     let (robot, bag) = talker(folder.path());
     fs::write(folder.path().join(".gitignore"), "bag\n").unwrap();
@@ -433,4 +490,65 @@ fn the_revision_that_changed_a_run_is_found() {
     assert!(String::from_utf8_lossy(&refused.stderr).contains("differs from the bag too"));
     let refused = output_of(&["bag", "bisect", robot, bag, "--good", &revisions[0], "--bad", &revisions[2]]);
     assert!(String::from_utf8_lossy(&refused.stderr).contains("does not differ from the bag"));
+}
+
+/// Each revision is built by a script of its own, and replayed by a program that the build makes.
+#[test]
+fn revisions_are_built_and_replayed_with_the_options_that_are_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let git = |arguments: &[&str]| git(folder.path(), arguments);
+    git(&["init", "--quiet"]);
+    let (robot, bag) = talker(folder.path());
+    fs::write(folder.path().join(".gitignore"), "bag\n").unwrap();
+    let tock = CHART.replace("'tick '", "'tock '");
+    let build = "mkdir -p made; printf '#!/bin/sh\nexec \"$DOWNBEAT_TEST\" \"$@\"\n' > made/robot; chmod +x made/robot\n";
+    for (number, (chart, build)) in
+        [(CHART, build), (CHART, "echo no compiler here >&2; exit 1\n"), (&tock, build), (&tock, build)]
+            .into_iter()
+            .enumerate()
+    {
+        fs::write(folder.path().join("mouth.scxml"), chart).unwrap();
+        fs::write(folder.path().join("build.sh"), build).unwrap();
+        git(&["add", "."]);
+        git(&["commit", "--quiet", "--allow-empty", "-m", &format!("Revision {number}")]);
+        git(&["tag", &format!("v{number}")]);
+    }
+    let [robot, bag] = [&robot, &bag].map(|path| path.to_str().unwrap());
+    let bisect = |more: &[&str]| {
+        let mut command = downbeat(&[&["bag", "bisect", robot, bag], more].concat());
+        let output = command.env("DOWNBEAT_TEST", env!("CARGO_BIN_EXE_downbeat")).output().unwrap();
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+        (output.status.success(), text)
+    };
+    let built = ["--build", "sh build.sh", "--program", "made/robot"];
+    let (is_found, said) = bisect(&[&["--good", "v0"], &built[..]].concat());
+    // Of v1 it is not known, so it may be either.
+    assert!(!is_found && said.contains("skipped: ") && said.contains("no compiler here"), "{said}");
+    assert!(said.contains("the first that differs is one of these"), "{said}");
+    let (_, said) = bisect(&[&["--good", "v1"], &built[..]].concat());
+    assert!(said.contains("v1 cannot be replayed: sh build.sh: no compiler here"), "{said}");
+    // Without the build, this program replays all of them.
+    let (is_found, said) = bisect(&["--good", "v0"]);
+    assert!(is_found && said.contains("Revision 2"), "{said}");
+    let (is_found, said) = bisect(&["--good", "v0", "--program", "made/robot"]);
+    assert!(!is_found && said.contains("made/robot"), "{said}");
+
+    // An option that takes several names does not take the bag.
+    let (is_found, said) = bisect(&["--good", "v0", "--", "--except", "said", "mouth/dot"]);
+    assert!(!is_found && said.contains("the replay of HEAD does not differ from the bag"), "{said}");
+    let (_, said) = bisect(&["--good", "v0", "--", "--modules", "moth"]);
+    assert!(said.contains("HEAD cannot be replayed: ") && said.contains("moth"), "{said}");
+    let (_, said) = bisect(&["--good", "v9"]);
+    assert!(said.contains("there is no revision v9"), "{said}");
+    let (is_found, said) = bisect(&["--good", "v0", "--bad", "v2"]);
+    assert!(is_found && said.contains("Revision 2"), "{said}");
+    assert_eq!(git(&["worktree", "list"]).lines().count(), 1, "no folder is left");
+
+    let elsewhere = tempfile::tempdir().unwrap();
+    let robot = elsewhere.path().join("robot.toml");
+    fs::copy(folder.path().join("talker.toml"), &robot).unwrap();
+    let refused = output_of(&["bag", "bisect", robot.to_str().unwrap(), bag, "--good", "v0"]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("is in no repository of git"));
+    let refused = output_of(&["bag", "bisect", "darwin_op", bag, "--good", "v0"]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("a carried robot has no revisions"));
 }

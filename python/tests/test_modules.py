@@ -91,6 +91,20 @@ def test_a_recorded_run_replays_bit_for_bit_and_a_changed_source_is_reported(lev
         report.assert_same()
 
 
+def test_another_version_of_a_module_is_tried(level, program, write):
+    run = program("run", "robot.toml", "--record", "bag", "--duration", "2s")
+    assert run.wait() == 0, run.text()
+    write("other.py", LEVEL_HEAD.replace("0.9)", "0.01)"))
+    tried = program("bag", "replay", "robot.toml", "bag", "--with", "level_head=other.py")
+    assert tried.wait() == 0, tried.text()
+    assert re.search(r"they part .* from level_head: in /joint_commands #\d+, position\[0\] is 0\.01, and", tried.text()), tried.text()
+    write("same.py", LEVEL_HEAD + "# The same.\n")
+    tried = program("bag", "replay", "robot.toml", "bag", "--with", "level_head=same.py")
+    assert tried.wait() == 0 and "the two runs are the same" in tried.text(), tried.text()
+    tried = program("bag", "replay", "robot.toml", "bag", "--with", "level_head=missing.py")
+    assert tried.wait() != 0 and "missing.py" in tried.text(), tried.text()
+
+
 def test_a_script_runs_a_robot_with_its_own_classes(write, program, tmp_path):
     write(
         "robot.toml",

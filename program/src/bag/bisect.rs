@@ -56,7 +56,10 @@ pub(crate) fn bisect(arguments: &BisectArguments) -> anyhow::Result<()> {
         .with_context(|| format!("{} is in no repository of git", arguments.robot.display()))?;
     let inside = robot.canonicalize()?;
     let inside = inside.strip_prefix(Path::new(&top).canonicalize()?)?.to_owned();
-    let revision = |name: &str| git(folder, ["rev-parse", "--verify", &format!("{name}^{{commit}}")]);
+    let revision = |name: &str| {
+        let found = git(folder, ["rev-parse", "--verify", &format!("{name}^{{commit}}")]);
+        found.with_context(|| format!("there is no revision {name}"))
+    };
     let (good, bad) = (revision(&arguments.good)?, revision(&arguments.bad)?);
     let place = TempDir::with_prefix("downbeat_bisect_")?;
     let tree = place.path().join("tree");
@@ -167,8 +170,9 @@ impl Replays<'_> {
                 command
             }
         };
-        replay.args(["bag", "replay", "--json"]).args(&self.arguments.options);
-        replay.arg(self.tree.join(&self.robot)).arg(&self.bag).current_dir(self.tree);
+        // Some options take all names that follow, so they come last.
+        replay.args(["bag", "replay", "--json"]).arg(self.tree.join(&self.robot)).arg(&self.bag);
+        replay.args(&self.arguments.options).current_dir(self.tree);
         let output = replay.output().with_context(|| format!("cannot run {replay:?}"))?;
         let Ok(report) = serde_json::from_slice::<Value>(&output.stdout) else {
             return Ok(Outcome::Fails(last_line(&output.stderr)));
