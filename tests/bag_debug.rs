@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use common::{downbeat, open_with_stock_readers, output_of, text_of};
-use downbeat::bags::{Copy, Reader, WriterOptions};
+use downbeat::bags::{Copy, MessageFormat, Reader, Selection, WriterOptions};
+use downbeat::msgs::encoding::Schema;
 
 const WALK: &str = "bags/recordings/darwin_op_walk_simulated";
 const WALKER: &str = "bags/recordings/darwin_op_walk_simulated.toml";
@@ -326,6 +327,105 @@ fn a_chart_shows_its_states_and_another_version_of_it_is_tried() {
     let parting = "they part 0.000000 s into the bag, in cycle #0 from mouth: in /mouth/dot #0";
     assert!(printed.contains(parting), "{printed}");
     assert!(printed.lines().any(|line| line.split_whitespace().eq(["/said", "20", "20", "+0"])), "{printed}");
+}
+
+const PLANTER: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
+    <downbeat:publish topic="simple" type="my_idl/msg/Simple"/>
+    <downbeat:every period="100ms" event="tick"/>
+    <datamodel><data id="count" expr="0"/></datamodel>
+    <state id="plants">
+        <transition event="tick">
+            <assign location="count" expr="count + 1"/>
+            <send target="simple"><param name="a" expr="count"/><param name="b" expr="count / 2.0"/></send>
+        </transition>
+    </state>
+</scxml>
+"#;
+
+const WEIGHER: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
+    <downbeat:subscribe topic="simple" type="my_idl/msg/Simple" event="planted"/>
+    <downbeat:publish topic="weight" type="my_idl/msg/Simple"/>
+    <state id="weighs">
+        <transition event="planted">
+            <send target="weight"><param name="b" expr="_event.data.b * 10"/></send>
+        </transition>
+    </state>
+</scxml>
+"#;
+
+/// Copies a bag. The schema of its topics of type `my_idl/msg/Simple` is IDL, as `mcap` and others write it.
+fn in_idl(bag: &Path, into: &Path) {
+    let reader = Reader::open(bag).unwrap();
+    let mut options = WriterOptions::new();
+    for (key, value) in &reader.metadata().unwrap().custom_data {
+        options = options.custom_data(key, value);
+    }
+    let mut writer = options.create(into).unwrap();
+    let name = "my_idl/msg/Simple";
+    let text = format!("{}\nIDL: {name}\n{}", "=".repeat(80), include_str!("data/my_idl/msg/Simple.idl"));
+    for topic in reader.topics() {
+        let mut info = topic.info.clone();
+        if info.type_name == name {
+            let schema =
+                Schema { name: name.to_owned(), encoding: "ros2idl".to_owned(), data: text.clone().into() };
+            info.format = Some(MessageFormat { message_encoding: "cdr".to_owned(), schema });
+        }
+        writer.add_topic(info).unwrap();
+    }
+    for message in reader.messages(Selection::all()).unwrap().map(Result::unwrap) {
+        writer.write(message.topic, message.log_time, message.publish_time, &message.data).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_robot_whose_types_are_defined_in_idl_is_explained_measured_walked_through_and_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::create_dir_all(folder.join("my_idl/msg")).unwrap();
+    fs::copy("tests/data/my_idl/msg/Simple.idl", folder.join("my_idl/msg/Simple.idl")).unwrap();
+    let module = |name: &str| {
+        format!("[[module]]\nname = \"{name}\"\nkind = \"state_machine\"\nfile = \"{name}.scxml\"\n")
+    };
+    let file = format!(
+        "[robot]\nname = \"garden\"\ninterfaces = [\"my_idl\"]\n{}{}[record]\ntopics = \"all\"\n",
+        module("planter"),
+        module("weigher")
+    );
+    for (name, text) in [("robot.toml", &*file), ("planter.scxml", PLANTER), ("weigher.scxml", WEIGHER)] {
+        fs::write(folder.join(name), text).unwrap();
+    }
+    let [robot, bag, copy] = ["robot.toml", "bag", "copy"].map(|name| folder.join(name));
+    let [robot_text, bag_text] = [&robot, &bag].map(|path| path.to_str().unwrap());
+    text_of(&["run", robot_text, "--fast", "--duration", "2s", "--record", bag_text]);
+    open_with_stock_readers(&bag);
+    in_idl(&bag, &copy);
+    for bag in [&bag, &copy].map(|path| path.to_str().unwrap()) {
+        let why = text_of(&["bag", "why", bag, "weight#5"]);
+        assert!(why.contains("weigher in cycle") && why.contains("/simple#5"), "{why}");
+        let latency = text_of(&["bag", "latency", bag, "--from", "simple", "--to", "weight"]);
+        assert!(latency.contains("20 messages on /weight, 0 of which come from none"), "{latency}");
+        let lines = "go 1.05s\nprint simple\nuntil weight.b > 70\nprint weight\nwhy weight\n";
+        let printed = debugged(robot_text, bag, lines);
+        for sentence in ["a: 10\nb: 5.0", "b: 75.0", "earlier: published by planter (timer)"] {
+            assert!(printed.contains(sentence), "{sentence}\n{printed}");
+        }
+        let report = output_of(&["bag", "replay", robot_text, bag, "--json"]).stdout;
+        let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+        assert_eq!(report["different"], 0, "{report}");
+        let compared = |name: &str| {
+            report["topics"].as_array().unwrap().iter().find(|of| of["topic"] == name).unwrap()["compared"]
+                .clone()
+        };
+        // The last ones are of the cycle in which the robot stopped.
+        assert_eq!([compared("/simple"), compared("/weight")], [19, 19]);
+    }
+    // Definitions of another meaning are other types.
+    let idl = fs::read_to_string(folder.join("my_idl/msg/Simple.idl")).unwrap();
+    fs::write(folder.join("my_idl/msg/Simple.idl"), idl.replace("int32", "int64")).unwrap();
+    let output = output_of(&["bag", "replay", robot_text, copy.to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("with another definition of my_idl/msg/Simple than the registered one"), "{said}");
 }
 
 /// The module of docs/libraries.md for the debugger.

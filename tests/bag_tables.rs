@@ -6,7 +6,8 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use common::{output_of, python, text_of};
-use downbeat::bags::{Reader, TopicDescription, WriterOptions};
+use downbeat::bags::metadata::Metadata;
+use downbeat::bags::{Reader, RecordedTopic, Selection, TopicDescription, WriterOptions};
 
 fn recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/recordings/darwin_op_emulated")
@@ -211,6 +212,51 @@ fn composite_types_that_are_defined_in_idl_are_read_by_every_command() {
     let part = folder.path().join("part");
     text_of(&["bag", "cut", text(&bag), "--from", "0.1s", "-o", text(&part)]);
     assert_eq!(exported(&part, folder.path()).0, rows[1..]);
+}
+
+#[test]
+fn a_bag_of_types_in_idl_is_indexed_again() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, count) in [("idl_simple", 3), ("idl_composite", 4)] {
+        let bag = folder.path().join(name);
+        std::fs::create_dir(&bag).unwrap();
+        std::fs::copy(foreign(name), bag.join(format!("{name}_0.mcap"))).unwrap();
+        let printed = text_of(&["bag", "reindex", text(&bag)]);
+        assert!(printed.contains(&format!("of {count} messages on 1 topics in 1 files")), "{printed}");
+        let indexed = Metadata::read(&bag.join("metadata.yaml")).unwrap();
+        let known = &Reader::open(foreign(name)).unwrap().topics()[0].info.clone();
+        let found = &indexed.topics[0];
+        assert_eq!((&found.type_name, &found.type_hash), (&known.type_name, &known.type_hash));
+        assert!(text_of(&["bag", "check", text(&bag)]).contains("found 0 problems"));
+        assert!(text_of(&["bag", "diff", text(&bag), text(&foreign(name))]).contains("are the same"));
+    }
+}
+
+/// A topic that has each stamp of another one, 20 ms later.
+#[test]
+fn causes_are_guessed_from_the_stamps_of_types_in_idl() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("seen");
+    let reader = Reader::open(foreign("idl_composite")).unwrap();
+    let mut writer = WriterOptions::new().create(&bag).unwrap();
+    let bed = &reader.topics()[0].info;
+    let seen = TopicDescription { name: "/seen".to_owned(), ..bed.clone() };
+    let [bed, seen] = [bed.clone(), seen].map(|topic| writer.add_topic(topic).unwrap());
+    for message in reader.messages(Selection::all()).unwrap().map(Result::unwrap) {
+        writer.write(bed, message.log_time, message.publish_time, &message.data).unwrap();
+        writer.write(seen, message.log_time + 20_000_000, message.publish_time, &message.data).unwrap();
+    }
+    writer.finish().unwrap();
+    let schemas = Reader::open(&bag).unwrap();
+    let is_idl =
+        |topic: &RecordedTopic| topic.info.format.as_ref().is_some_and(|of| of.schema.encoding == "ros2idl");
+    assert!(schemas.topics().iter().all(is_idl));
+    let why = text_of(&["bag", "why", text(&bag), "seen#2"]);
+    assert!(why.contains("/bed at 0.2") && why.contains("20.0 ms before: same header.stamp"), "{why}");
+    let latency =
+        output_of(&["bag", "latency", text(&bag), "--from", "bed", "--to", "seen", "--json"]).stdout;
+    let latency: serde_json::Value = serde_json::from_slice(&latency).unwrap();
+    assert_eq!((&latency["messages"], &latency["age_ns"]["max"]), (&4.into(), &20_000_000.into()));
 }
 
 #[test]

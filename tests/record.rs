@@ -647,6 +647,40 @@ fn a_type_that_only_the_ament_path_knows_is_recorded_with_its_definition() {
     open_with_stock_readers(&bag);
 }
 
+/// Packages that are generated from IDL install no `.msg` file.
+#[test]
+fn a_type_that_only_an_idl_file_of_the_ament_path_defines_is_recorded_with_its_definition() {
+    let domain = free_domain();
+    let folder = tempfile::tempdir().unwrap();
+    let package = folder.path().join("prefix/share/my_idl/msg");
+    std::fs::create_dir_all(&package).unwrap();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/my_idl/msg/Simple.idl");
+    std::fs::copy(source, package.join("Simple.idl")).unwrap();
+    let bag = folder.path().join("bag");
+    let node = node("gardener", domain);
+    let message_type = MessageType::new("my_idl/msg/Simple").unwrap();
+    let publisher = node.publish("/simple", &message_type, QosProfile::DEFAULT).unwrap();
+    let arguments = ["bag", "record", "/simple", "-o", text(&bag), "--domain", &domain.to_string()];
+    let mut recorder =
+        Running::start_by(downbeat(&arguments).env("AMENT_PREFIX_PATH", folder.path().join("prefix")));
+    wait_until("the recorder is matched", || publisher.matched_subscriptions() > 0);
+    // Little-endian CDR: an integer, padding, and 0.5.
+    let message = [0, 1, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xe0, 0x3f];
+    publisher.publish(message.to_vec().into()).unwrap();
+    wait_until("the message is in the file", || recorded_messages(&bag, "/simple") == 1);
+    recorder.interrupt();
+    let reader = Reader::open(&bag).unwrap();
+    let info = &reader.topics()[0].info;
+    assert_eq!(info.definition.trim(), "int32 a\nfloat64 b");
+    assert!(info.type_hash.starts_with("RIHS01_"));
+    let exported = folder.path().join("exported");
+    text_of(&["bag", "export", text(&bag), "-f", "jsonl", "-o", text(&exported)]);
+    let rows = std::fs::read_to_string(exported.join("simple.jsonl")).unwrap();
+    let row: serde_json::Value = serde_json::from_str(rows.trim()).unwrap();
+    assert_eq!(row["message"], json!({"a": 7, "b": 0.5}));
+    open_with_stock_readers(&bag);
+}
+
 #[test]
 fn events_of_a_service_of_a_real_node_are_recorded() {
     let domain = free_domain().to_string();
