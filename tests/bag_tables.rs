@@ -257,6 +257,12 @@ fn causes_are_guessed_from_the_stamps_of_types_in_idl() {
         output_of(&["bag", "latency", text(&bag), "--from", "bed", "--to", "seen", "--json"]).stdout;
     let latency: serde_json::Value = serde_json::from_slice(&latency).unwrap();
     assert_eq!((&latency["messages"], &latency["age_ns"]["max"]), (&4.into(), &20_000_000.into()));
+    assert_eq!(latency["worst"]["passed"][0][0], "/bed");
+    let latency = text_of(&["bag", "latency", text(&bag), "--from", "bed", "--to", "seen"]);
+    assert!(
+        latency.contains("waiting is not told from work") && latency.contains(", 20.0 ms until /seen"),
+        "{latency}"
+    );
 }
 
 #[test]

@@ -7,7 +7,7 @@ use anyhow::bail;
 use clap::Args;
 use downbeat_bags::Reader;
 use downbeat_robot::Catalog;
-use downbeat_robot::causes::{Ages, Latency, Sample};
+use downbeat_robot::causes::{Ages, GuessedWay, Latency, Sample};
 use serde_json::{Value, json};
 
 use super::causes::{guess, offset, runs, topic};
@@ -45,8 +45,10 @@ pub(crate) fn latency(arguments: &LatencyArguments, catalog: &Catalog) -> anyhow
     topic(&bag, &from)?;
     topic(&bag, &to)?;
     let Some(recorded) = runs(&bag, catalog)? else {
-        let (ages, without) = guess(&bag, catalog)?.ages(&from, &to);
-        return print(arguments, &bag, &Measured { from, to, ages, reactions: None, without, worst: None });
+        let guess = guess(&bag, catalog)?;
+        let (ages, without) = guess.ages(&from, &to);
+        let worst = guess.oldest(&from, &to).map(Worst::Guessed);
+        return print(arguments, &bag, &Measured { from, to, ages, reactions: None, without, worst });
     };
     let mut latency = Latency::new(&from[1..], &to[1..]);
     recorded.measure(&mut latency);
@@ -55,7 +57,7 @@ pub(crate) fn latency(arguments: &LatencyArguments, catalog: &Catalog) -> anyhow
     let reactions = samples.iter().filter(|sample| sample.is_reaction).map(|sample| (sample.age, 1));
     let reactions = Some(Ages::new(reactions));
     let without = latency.without_origin();
-    let worst = samples.into_iter().max_by_key(|sample| sample.age);
+    let worst = samples.into_iter().max_by_key(|sample| sample.age).map(Worst::Exact);
     print(arguments, &bag, &Measured { from, to, ages, reactions, without, worst })
 }
 
@@ -67,13 +69,22 @@ struct Measured {
     reactions: Option<Ages>,
     /// Messages of `to` that depend on none of `from`.
     without: u64,
-    worst: Option<Sample>,
+    worst: Option<Worst>,
+}
+
+/// The message with the greatest age.
+enum Worst {
+    Exact(Sample),
+    Guessed(GuessedWay),
 }
 
 fn print(arguments: &LatencyArguments, bag: &Reader, measured: &Measured) -> anyhow::Result<()> {
     let Measured { from, to, ages, reactions, without, worst } = measured;
     if arguments.json {
-        let worst = worst.as_ref().map(worst_as_json);
+        let worst = worst.as_ref().map(|worst| match worst {
+            Worst::Exact(sample) => worst_as_json(sample),
+            Worst::Guessed(way) => json!(way),
+        });
         let output = json!({
             "from": from,
             "to": to,
@@ -103,8 +114,10 @@ fn print(arguments: &LatencyArguments, bag: &Reader, measured: &Measured) -> any
     if arguments.histogram {
         histogram(ages);
     }
-    if let Some(worst) = worst {
-        print_worst(bag, measured, worst);
+    match worst {
+        Some(Worst::Exact(sample)) => print_worst(bag, measured, sample),
+        Some(Worst::Guessed(way)) => print_guessed(bag, measured, way),
+        None => {}
     }
     Ok(())
 }
@@ -150,6 +163,18 @@ fn print_worst(bag: &Reader, Measured { to, .. }: &Measured, worst: &Sample) {
             "  /{by} at {} waited {waited} for {module}, which kept it {held}",
             offset(bag, hop.sent.as_nanos())
         );
+    }
+}
+
+/// The same by the times of recording, which do not tell waiting from work.
+fn print_guessed(bag: &Reader, Measured { to, .. }: &Measured, way: &GuessedWay) {
+    println!(
+        "the oldest is in {to} at {}; where its stamp was, by the times of recording, in which waiting is not told from work:",
+        offset(bag, way.time_ns)
+    );
+    for ((topic, time), (next, until)) in way.passed.iter().zip(way.passed.iter().skip(1)) {
+        let took = short(Duration::from_nanos(until.saturating_sub(*time).unsigned_abs()));
+        println!("  {topic} at {}, {took} until {next}", offset(bag, *time));
     }
 }
 

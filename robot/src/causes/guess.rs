@@ -44,6 +44,18 @@ pub struct Guessed {
     pub from: Vec<Guessed>,
 }
 
+/// The way of a stamp from one topic to another.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct GuessedWay {
+    /// When the message was recorded to which the way leads, in nanoseconds.
+    pub time_ns: i64,
+    /// The time from the first message on the way to it.
+    pub age_ns: u64,
+    /// The first message with the stamp on each topic, both ends included, by time: topic and time in
+    /// nanoseconds.
+    pub passed: Vec<(String, i64)>,
+}
+
 /// The messages of a bag, and the graph of nodes if the bag has it.
 #[derive(Default)]
 pub struct Guess {
@@ -93,20 +105,65 @@ impl Guess {
     /// messages of the other have none.
     #[must_use]
     pub fn ages(&self, from: &str, to: &str) -> (Ages, u64) {
-        let of = |topic: &str| self.topics.get(topic).map(Vec::as_slice).unwrap_or_default();
+        let ages = self.aged(from, to).map(|aged| (Duration::from_nanos(aged.age_ns), 1));
+        let ages = Ages::new(ages);
+        let without = self.messages(to).len() as u64 - ages.count();
+        (ages, without)
+    }
+
+    /// The message with the greatest of these ages, and where its stamp was on the way. Without a graph of
+    /// nodes, every topic that had it in the meantime is taken for a part of the way.
+    #[must_use]
+    pub fn oldest(&self, from: &str, to: &str) -> Option<GuessedWay> {
+        let Aged { time_ns, stamp_ns, age_ns } = self.aged(from, to).max_by_key(|aged| aged.age_ns)?;
+        let start = time_ns.saturating_sub_unsigned(age_ns);
+        let is_between = |topic: &str| match &self.inputs {
+            _ if [from, to].contains(&topic) => true,
+            Some(_) => self.leads(from, topic) && self.leads(topic, to),
+            None => true,
+        };
+        let passed = self.topics.iter().filter(|(topic, _)| is_between(topic));
+        let passed = passed.filter_map(|(topic, messages)| {
+            let in_time =
+                |time: i64| if topic == to { time == time_ns } else { (start..time_ns).contains(&time) };
+            let &(time, _) =
+                messages.iter().find(|&&(time, stamp)| in_time(time) && stamp == Some(stamp_ns))?;
+            Some((topic.clone(), time))
+        });
+        let mut passed: Vec<_> = passed.collect();
+        // Those of one time keep the ends outside.
+        passed.sort_by_key(|(topic, time)| (*time, topic != from, topic == to));
+        Some(GuessedWay { time_ns, age_ns, passed })
+    }
+
+    /// The messages of a topic with the stamp of an earlier one of another.
+    fn aged(&self, from: &str, to: &str) -> impl Iterator<Item = Aged> {
         let mut origins = HashMap::new();
-        for &(time, stamp) in of(from) {
+        for &(time, stamp) in self.messages(from) {
             if let Some(stamp) = stamp.filter(|stamp| *stamp != 0) {
                 origins.entry(stamp).or_insert(time);
             }
         }
-        let age = |&(time, stamp): &(i64, Option<i64>)| {
-            let age = time.checked_sub(*origins.get(&stamp?)?)?;
-            Some((Duration::from_nanos(u64::try_from(age).ok()?), 1))
-        };
-        let ages = Ages::new(of(to).iter().filter_map(age));
-        let without = of(to).len() as u64 - ages.count();
-        (ages, without)
+        self.messages(to).iter().filter_map(move |&(time_ns, stamp)| {
+            let (stamp_ns, origin) = (stamp?, *origins.get(&stamp?)?);
+            let age_ns = u64::try_from(time_ns.checked_sub(origin)?).ok()?;
+            Some(Aged { time_ns, stamp_ns, age_ns })
+        })
+    }
+
+    fn messages(&self, topic: &str) -> &[(i64, Option<i64>)] {
+        self.topics.get(topic).map(Vec::as_slice).unwrap_or_default()
+    }
+
+    /// Whether nodes that receive one topic publish the other, or what leads to it.
+    fn leads(&self, from: &str, to: &str) -> bool {
+        let inputs =
+            |topic: &str| self.inputs.as_ref().and_then(|inputs| inputs.get(topic)).into_iter().flatten();
+        let (mut reached, mut waiting) = (BTreeSet::new(), vec![to]);
+        while let Some(topic) = waiting.pop() {
+            waiting.extend(inputs(topic).map(String::as_str).filter(|input| reached.insert(*input)));
+        }
+        reached.contains(from)
     }
 
     /// What probably caused a message, followed back up to `depth` messages.
@@ -145,6 +202,13 @@ impl Guess {
     }
 }
 
+/// A message of one topic with the stamp of a message of another.
+struct Aged {
+    time_ns: i64,
+    stamp_ns: i64,
+    age_ns: u64,
+}
+
 fn guessed(topic: &str, time_ns: i64, until: i64, rule: Rule, from: Vec<Guessed>) -> Guessed {
     Guessed {
         topic: topic.to_owned(),
@@ -175,6 +239,23 @@ mod tests {
         ("/goal", 130, 130),
     ];
 
+    /// A node for each pair of what it receives and publishes.
+    fn graph(nodes: &[(&str, &str)]) -> NetworkGraph {
+        let endpoint = |kind, name: &str, node| NetworkEndpoint {
+            kind,
+            name: name.to_owned(),
+            node: format!("/node_{node}"),
+            ..NetworkEndpoint::default()
+        };
+        let endpoints = nodes.iter().enumerate().flat_map(|(node, (received, published))| {
+            [
+                endpoint(NetworkEndpoint::SUBSCRIPTION, received, node),
+                endpoint(NetworkEndpoint::PUBLISHER, published, node),
+            ]
+        });
+        NetworkGraph { endpoints: endpoints.collect(), ..NetworkGraph::default() }
+    }
+
     #[test]
     fn a_stamp_that_was_passed_on_names_the_cause() {
         let causes = guess(&BAG).causes(Stamped { topic: "/box", time_ns: 125, stamp_ns: Some(90) }, 9);
@@ -186,6 +267,31 @@ mod tests {
         let (ages, without) = guess(&BAG).ages("/image", "/box");
         assert_eq!((ages.quantile(1.0), without), (Some(Duration::from_nanos(25)), 0));
         assert_eq!(guess(&BAG).ages("/image", "/goal"), (Ages::default(), 1));
+    }
+
+    #[test]
+    fn the_way_of_the_oldest_has_the_topics_that_had_its_stamp_in_between() {
+        let bag = [
+            ("/image", 100, 90),
+            ("/lines", 110, 90),
+            ("/shown", 115, 90),
+            ("/box", 125, 90),
+            ("/lines", 130, 90),
+            ("/image", 200, 190),
+            ("/box", 210, 190),
+        ];
+        let way = |topics: &[(&str, i64)]| GuessedWay {
+            time_ns: 125,
+            age_ns: 25,
+            passed: topics.iter().map(|(topic, time)| ((*topic).to_owned(), *time)).collect(),
+        };
+        let mut guess = guess(&bag);
+        let all = [("/image", 100), ("/lines", 110), ("/shown", 115), ("/box", 125)];
+        assert_eq!(guess.oldest("/image", "/box"), Some(way(&all)));
+        assert_eq!(guess.oldest("/box", "/image"), None);
+        // The graph says that a window of somebody does not lead to it.
+        guess.push_graph(&graph(&[("/image", "/lines"), ("/lines", "/box"), ("/image", "/shown")]));
+        assert_eq!(guess.oldest("/image", "/box"), Some(way(&[all[0], all[1], all[3]])));
     }
 
     #[test]
@@ -202,22 +308,7 @@ mod tests {
     #[test]
     fn with_a_graph_the_last_message_before_is_taken_and_followed_back() {
         let mut guess = guess(&BAG);
-        let endpoint = |kind, name: &str, node: &str| NetworkEndpoint {
-            kind,
-            name: name.to_owned(),
-            node: node.to_owned(),
-            ..NetworkEndpoint::default()
-        };
-        let (publisher, subscription) = (NetworkEndpoint::PUBLISHER, NetworkEndpoint::SUBSCRIPTION);
-        guess.push_graph(&NetworkGraph {
-            endpoints: vec![
-                endpoint(publisher, "/box", "/detector"),
-                endpoint(subscription, "/image", "/detector"),
-                endpoint(publisher, "/goal", "/walker"),
-                endpoint(subscription, "/box", "/walker"),
-            ],
-            ..NetworkGraph::default()
-        });
+        guess.push_graph(&graph(&[("/image", "/box"), ("/box", "/goal")]));
         let goal = Stamped { topic: "/goal", time_ns: 130, stamp_ns: Some(130) };
         let image = guessed("/image", 100, 125, Rule::SameStamp, Vec::new());
         assert_eq!(guess.causes(goal, 9), [guessed("/box", 125, 130, Rule::LastBefore, vec![image])]);

@@ -18,7 +18,7 @@ mod recorded;
 mod tests;
 
 pub use explain::{Call, Explained, From, Limits, Remembered, RunExplained};
-pub use guess::{Guess, Guessed, Rule, Stamped};
+pub use guess::{Guess, Guessed, GuessedWay, Rule, Stamped};
 pub use history::{History, MessageId, RunId, Unplaced};
 pub use latency::{Ages, Hop, Latency, Sample};
 pub use recorded::Recorded;
