@@ -329,6 +329,46 @@ fn a_chart_shows_its_states_and_another_version_of_it_is_tried() {
     assert!(printed.lines().any(|line| line.split_whitespace().eq(["/said", "20", "20", "+0"])), "{printed}");
 }
 
+const STARTER: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
+    <downbeat:service name="gait/start" type="std_srvs/srv/Trigger"/>
+    <downbeat:publish topic="said" type="std_msgs/msg/String"/>
+    <downbeat:every period="500ms" event="tick"/>
+    <state id="waits">
+        <transition event="tick"><send target="start"/></transition>
+        <transition event="done.call.start"><send target="said"><content expr="'started'"/></send></transition>
+    </state>
+</scxml>
+"#;
+
+#[test]
+fn why_follows_the_answer_of_a_service_to_its_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let [robot, bag] = ["robot.toml", "bag"].map(|name| folder.path().join(name));
+    let file = "[robot]\nname = \"starter\"\n[[module]]\nname = \"mouth\"\nkind = \"state_machine\"\nfile = \"mouth.scxml\"\n\
+                [[module]]\nname = \"gait\"\nkind = \"gait\"\n[record]\ntopics = \"all\"\n";
+    fs::write(&robot, file).unwrap();
+    fs::write(folder.path().join("mouth.scxml"), STARTER).unwrap();
+    let [robot, bag] = [&robot, &bag].map(|path| path.to_str().unwrap());
+    text_of(&["run", robot, "--fast", "--duration", "2s", "--record", bag]);
+    let printed = debugged(robot, bag, "go said#1\nwhy said\n");
+    let chain = printed.split_once("said #1 in cycle #").unwrap_or_else(|| panic!("{printed}")).1;
+    let steps: Vec<_> = chain.lines().take(3).collect();
+    for (step, parts) in steps.iter().zip([
+        [": published by mouth", ""],
+        ["  gait answers mouth about gait/start: ", "made by gait"],
+        ["    mouth asks gait for gait/start: ", "made by mouth"],
+    ]) {
+        assert!(parts.iter().all(|part| step.contains(part)), "{step}\n{printed}");
+    }
+    // Each one cycle earlier.
+    let cycle = |line: &str| -> u64 {
+        let number = line.rsplit_once('#').map_or(line, |(_, number)| number);
+        number[..number.find([',', ':']).unwrap()].parse().unwrap()
+    };
+    let cycles: Vec<_> = steps.iter().map(|line| cycle(line)).collect();
+    assert_eq!(cycles, [cycles[0], cycles[0] - 1, cycles[0] - 2], "{printed}");
+}
+
 const PLANTER: &str = r#"<scxml xmlns="http://www.w3.org/2005/07/scxml" xmlns:downbeat="urn:downbeat:state_machine" version="1.0">
     <downbeat:publish topic="simple" type="my_idl/msg/Simple"/>
     <downbeat:every period="100ms" event="tick"/>

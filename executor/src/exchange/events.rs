@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::topics::Report;
-use crate::{CallError, ModuleId, SyncPhase, Time, Transition};
+use crate::{CallError, Core, ModuleId, SyncPhase, Time, Transition};
 
 /// An event, other than a message or a setting, that took effect. Published on [`ModuleEvent::TOPIC`] if the
 /// topic has subscribers. A replay uses it to repeat the event in the same cycle.
@@ -114,6 +114,15 @@ impl ModuleEvent {
 impl Report for ModuleEvent {
     const TOPIC: &'static str = Self::TOPIC;
     const NUMBER: usize = 3;
+}
+
+impl Core {
+    /// The events of the last cycle that took effect after its messages were published. They are published in
+    /// the next cycle: this is for programs that look at a core between cycles.
+    #[must_use]
+    pub fn waiting_events(&self) -> &[ModuleEvent] {
+        self.stage.views.topics.waiting_reports()
+    }
 }
 
 /// True if the topic of events has subscribers.

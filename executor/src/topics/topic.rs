@@ -450,6 +450,12 @@ impl Topics {
         }
     }
 
+    /// The reports that are published in the next sync phase.
+    pub(crate) fn waiting_reports<R: Report>(&self) -> &[R] {
+        let outbox = self.reports.get(R::NUMBER).map(|known| &*known.outbox as &dyn Any);
+        outbox.and_then(|outbox| outbox.downcast_ref::<Outbox<R>>()).map_or(&[], |outbox| &outbox.messages)
+    }
+
     #[inline]
     pub(crate) fn has_reports(&self) -> bool {
         self.has_reports

@@ -138,6 +138,8 @@ pub(super) struct Captured(Arc<Mutex<Contents>>);
 struct Contents {
     messages: Vec<Replayed>,
     events: Vec<ModuleEvent>,
+    /// How many events that were not published yet [`Captured::take_events_of`] has taken.
+    early: usize,
     runs: Option<Arc<CycleRuns>>,
 }
 
@@ -186,5 +188,15 @@ impl Captured {
 
     pub(super) fn take_events(&self) -> Vec<ModuleEvent> {
         std::mem::take(&mut self.0.lock().events)
+    }
+
+    /// The events up to the end of the last cycle of the core; the core publishes some of them only in the
+    /// next cycle.
+    pub(super) fn take_events_of(&self, core: &Core) -> Vec<ModuleEvent> {
+        let mut contents = self.0.lock();
+        let waiting = core.waiting_events();
+        let early = std::mem::replace(&mut contents.early, waiting.len());
+        let published = std::mem::take(&mut contents.events).into_iter().skip(early);
+        published.chain(waiting.iter().map(journal::events::message)).collect()
     }
 }

@@ -410,7 +410,7 @@ impl ReplaySession {
                 self.comparisons.replayed(replayed);
             }
         }
-        let mut events = self.captured.take_events();
+        let mut events = self.captured.take_events_of(&self.core);
         let mut published = Published::of(&messages);
         let time = self.follower.clock.now();
         let mut runs = self.run_detached(cycle, time, &mut published, &mut events)?;
@@ -478,7 +478,7 @@ impl ReplaySession {
                 follower.step(core).map_err(source)?;
                 core.run_sinks();
                 captured.take().into_iter().for_each(|replayed| self.comparisons.replayed(replayed));
-                events.extend(captured.take_events());
+                events.extend(captured.take_events_of(core));
                 let Some(account) = captured.take_runs() else { continue };
                 let own = account.runs.iter().find(|run| {
                     account

@@ -6,9 +6,9 @@ import { words } from '/connection.js';
 
 /**
  * @typedef {{ topic: string, first: number, count: number }} Messages
- * @typedef {{ module: string, causes: string[], step: number | null, received: Messages[], published: Messages[], got: string[], gave: string[] }} Run
+ * @typedef {{ module: string, causes: string[], step: number | null, received: Messages[], published: Messages[], got: { event: string }[], gave: string[] }} Run
  * @typedef {{ position: number, cycle: number, time_ns: number, runs: Run[], given: Messages[], events: string[], difference: string | null }} Cycle
- * @typedef {{ messages: Messages, time_ns: number, cycle: number, run: { module: string, causes: string[], got: string[] } | null, because: Why[],
+ * @typedef {{ messages?: Messages, call?: { event: string, from: string }, time_ns: number, cycle: number, run: { module: string, causes: string[], got: string[] } | null, because: Why[],
  *   known: [Messages, number][], rest: string | null }} Why
  */
 
@@ -83,7 +83,7 @@ export default {
       const row = (/** @type {Run} */ run) => h('tr', { 'data-module': run.module },
         h('td', null, h('button', { type: 'button', class: 'chip', title: 'Settings and state', onclick: () => obey(`module ${run.module}`) }, run.module)),
         h('td', null, [...run.causes, ...(run.received.length ? ['messages'] : [])].join(', ') + (run.step === null ? '' : ` (run ${run.step})`)),
-        h('td', null, run.received.map(chip), run.got.map(event)), h('td', null, run.published.map(chip), run.gave.map(event)));
+        h('td', null, run.received.map(chip), run.got.map((got) => event(got.event))), h('td', null, run.published.map(chip), run.gave.map(event)));
       const rows = cycle.runs.map(row);
       if (cycle.given.length) rows.unshift(h('tr', null, h('td', { class: 'muted' }, 'from the bag'), h('td', null), h('td', null), h('td', null, cycle.given.map(chip))));
       replace(runs, [rows.length ? h('table', null, h('thead', null, h('tr', null, ['module', 'ran for', 'received', 'published'].map((title) => h('th', null, title)))), h('tbody', null, rows)) : empty('No module ran in this cycle.'),
@@ -105,10 +105,14 @@ export default {
 
     /** @param {Why} why @param {number | null} effectNs @returns {HTMLElement} */
     function chain(why, effectNs) {
-      const by = why.run ? `published by ${why.run.module}${why.run.causes.length ? ` (${why.run.causes.join(', ')})` : ''}` : 'from the bag: it came from outside these modules';
+      const { messages, call } = why;
+      const from = call ? `${call.from} did not run in it` : 'from the bag: it came from outside these modules';
+      const by = why.run ? `${call ? 'made' : 'published'} by ${why.run.module}${why.run.causes.length ? ` (${why.run.causes.join(', ')})` : ''}` : from;
       const delay = effectNs === null ? '' : `, ${milliseconds(effectNs - why.time_ns)} earlier`;
-      const { topic, first, count } = why.messages;
-      return h('li', null, h('button', { type: 'button', class: 'chip mono', title: 'Go there', 'data-cause': topic, onclick: () => see(topic, first + count - 1) }, name(why.messages)),
+      const there = messages
+        ? h('button', { type: 'button', class: 'chip mono', title: 'Go there', 'data-cause': messages.topic, onclick: () => see(messages.topic, messages.first + messages.count - 1) }, name(messages))
+        : h('button', { type: 'button', class: 'chip mono', title: 'Go there', 'data-call': call?.from, onclick: () => obey(`go #${why.cycle}`) }, call?.event);
+      return h('li', null, there,
         ` in cycle #${why.cycle}${delay}: ${by}${why.rest ? `; ${why.rest}` : ''}`,
         why.run?.got.length ? h('ul', null, why.run.got.map((event) => h('li', null, `it got: ${event}`))) : null,
         why.known.length ? h('ul', null, why.known.map(([messages, timeNs]) => h('li', { class: 'muted' }, `it knew ${name(messages)}, ${milliseconds(why.time_ns - timeNs)} old`))) : null,

@@ -15,7 +15,7 @@ use downbeat_robot::replay::{MessageRange, ReplaySession, SessionRun};
 use downbeat_state_machine::Condition;
 
 use super::fork::{self, Forked};
-use super::protocol::{About, Cycle, Link, Message, Messages, Module, Order, Passed, Report, Role, Run};
+use super::protocol::{About, Cycle, Got, Link, Message, Messages, Module, Order, Passed, Report, Role, Run};
 
 /// How many cycles of the first pass are told at a time.
 const TOLD_TOGETHER: usize = 1000;
@@ -248,6 +248,15 @@ impl Engine {
         }
     }
 
+    fn got(&self, event: &ModuleEvent) -> Got {
+        let is_call = [ModuleEvent::REQUEST, ModuleEvent::ANSWER].contains(&event.kind);
+        let [from, _] = self.session.parties(event);
+        Got {
+            event: self.session.sentence(event),
+            from: Some(from.to_owned()).filter(|from| is_call && !from.is_empty()),
+        }
+    }
+
     /// The sentences of events between certain modules.
     fn events(&self, events: &[ModuleEvent], is_meant: impl Fn([&str; 2]) -> bool) -> Vec<String> {
         let meant = events.iter().filter(|event| is_meant(self.session.parties(event)));
@@ -260,13 +269,14 @@ impl Engine {
         let causes = causes.iter().filter(|cause| *cause != RunCause::Messages);
         // What took effect at the end of a cycle is there for the runs of the next one.
         let (before, now) = (&self.session.before().events, &self.session.standing().events);
+        let got = before.iter().filter(|event| *self.session.parties(event)[1] == **module);
         Run {
             module: module.to_string(),
             causes: causes.map(|cause| cause.to_string()).collect(),
             step: *step,
             received: received.iter().map(messages).collect(),
             published: published.iter().map(messages).collect(),
-            got: self.events(before, |[_, to]| *to == **module),
+            got: got.map(|event| self.got(event)).collect(),
             gave: self.events(now, |[from, _]| *from == **module),
         }
     }

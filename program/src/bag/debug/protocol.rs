@@ -133,8 +133,18 @@ pub(super) struct Run {
     pub(super) received: Vec<Messages>,
     pub(super) published: Vec<Messages>,
     /// Requests, answers, commands and results of jobs that it was given and that it gave, in sentences.
-    pub(super) got: Vec<String>,
+    pub(super) got: Vec<Got>,
     pub(super) gave: Vec<String>,
+}
+
+/// What a run was given besides messages.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Got {
+    /// In words.
+    pub(super) event: String,
+    /// The module that made the request or gave the answer in the cycle before; `None` if it came from
+    /// outside, or is something else.
+    pub(super) from: Option<String>,
 }
 
 /// Messages of a topic.

@@ -163,7 +163,7 @@ fn text_of(cycle: &Cycle, start_ns: i64) -> String {
         };
         let (received, published) = (list("received", received), list("published", published));
         text += &format!("  {module:width$}  {causes}{step}{received}{published}\n");
-        for event in got.iter().chain(gave) {
+        for event in got.iter().map(|got| &got.event).chain(gave) {
             text += &format!("  {:width$}    {event}\n", "");
         }
     }
