@@ -350,21 +350,29 @@ impl ReplaySession {
         self.core_of(module).settings(module)
     }
 
-    /// The graph of the modules that run, and their counters so far: for each detached module those of its
-    /// own core. What the replay itself takes out of the cores is left out.
-    pub fn graph(&mut self) -> (Graph, Snapshot) {
-        let (mut graph, mut snapshot) = (self.core.graph(), self.core.snapshot());
+    /// The graph of the modules that run. What the replay itself takes out of the cores is left out.
+    #[must_use]
+    pub fn graph(&self) -> Graph {
+        let mut graph = self.core.graph();
         graph.outlets.clear();
-        snapshot.outlets.clear();
         graph.edges.retain(|edge| !matches!(edge, GraphEdge::Leaves { .. }));
-        for Detached { name, core, .. } in &mut self.detached {
+        for Detached { name, core, .. } in &self.detached {
             add_module(&mut graph, &core.graph(), name);
+        }
+        graph
+    }
+
+    /// The counters of the modules so far: for each detached module those of its own core.
+    pub fn snapshot(&mut self) -> Snapshot {
+        let mut snapshot = self.core.snapshot();
+        snapshot.outlets.clear();
+        for Detached { name, core, .. } in &mut self.detached {
             let statistics = core.snapshot().modules.into_iter().find(|module| module.name == *name);
             snapshot
                 .modules
                 .extend(statistics.map(|module| ModuleStatistics { is_detached: true, ..module }));
         }
-        (graph, snapshot)
+        snapshot
     }
 
     /// The topics that each module receives, without the leading slash.
@@ -587,23 +595,21 @@ fn add_module(graph: &mut Graph, other: &Graph, name: &str) {
     let module = graph.modules.len();
     graph.modules.push(GraphModule { name: name.to_owned(), is_detached: true });
     let Graph { topics, services, edges, .. } = graph;
+    let mut topic = |topic| place(topics, &other.topics, topic, |a, b| a.name == b.name);
+    let mut service = |service| place(services, &other.services, service, |a, b| a.name == b.name);
     for edge in &other.edges {
         edges.extend(match *edge {
-            GraphEdge::Publishes { module: of, topic } if of == of_other => {
-                let topic = place(topics, &other.topics, topic, |a, b| a.name == b.name);
-                topic.map(|topic| GraphEdge::Publishes { module, topic })
+            GraphEdge::Publishes { module: of, topic: to } if of == of_other => {
+                topic(to).map(|topic| GraphEdge::Publishes { module, topic })
             }
-            GraphEdge::Subscribes { module: of, topic } if of == of_other => {
-                let topic = place(topics, &other.topics, topic, |a, b| a.name == b.name);
-                topic.map(|topic| GraphEdge::Subscribes { module, topic })
+            GraphEdge::Subscribes { module: of, topic: to } if of == of_other => {
+                topic(to).map(|topic| GraphEdge::Subscribes { module, topic })
             }
-            GraphEdge::Serves { module: of, service } if of == of_other => {
-                let service = place(services, &other.services, service, |a, b| a.name == b.name);
-                service.map(|service| GraphEdge::Serves { module, service })
+            GraphEdge::Serves { module: of, service: to } if of == of_other => {
+                service(to).map(|service| GraphEdge::Serves { module, service })
             }
-            GraphEdge::Calls { module: of, service } if of == of_other => {
-                let service = place(services, &other.services, service, |a, b| a.name == b.name);
-                service.map(|service| GraphEdge::Calls { module, service })
+            GraphEdge::Calls { module: of, service: to } if of == of_other => {
+                service(to).map(|service| GraphEdge::Calls { module, service })
             }
             _ => None,
         });

@@ -110,6 +110,7 @@ impl Engine {
                 name,
             }),
             Order::Graph => Report::Graph(Box::new(self.session.graph())),
+            Order::Snapshot => Report::Snapshot(Box::new(self.session.snapshot())),
         }))
     }
 

@@ -111,13 +111,12 @@ impl Debugger {
     }
 
     fn graph(&self) -> anyhow::Result<Value> {
-        let (graph, _) = self.travel.lock().graph(RATES_OVER)?;
-        Ok(serde_json::to_value(graph)?)
+        Ok(serde_json::to_value(self.travel.lock().graph()?)?)
     }
 
     /// What was counted up to here, and some time before, of which the page computes rates.
     fn snapshot(&self) -> anyhow::Result<Value> {
-        let (_, [before, now]) = self.travel.lock().graph(RATES_OVER)?;
+        let [before, now] = self.travel.lock().snapshots(RATES_OVER)?;
         let mut snapshot = serde_json::to_value(now)?;
         snapshot["before"] = serde_json::to_value(before)?;
         Ok(snapshot)

@@ -29,6 +29,8 @@ pub(super) enum Order {
     Module { name: String },
     /// Tell of all modules and topics, and how they are connected.
     Graph,
+    /// Tell what was counted of them.
+    Snapshot,
 }
 
 /// What an engine tells the debugger.
@@ -56,7 +58,8 @@ pub(super) enum Report {
     Cycle(Box<Cycle>),
     Message(Option<Message>),
     Module(Module),
-    Graph(Box<(Graph, Snapshot)>),
+    Graph(Box<Graph>),
+    Snapshot(Box<Snapshot>),
     Failed {
         problem: String,
     },

@@ -339,11 +339,19 @@ impl Travel {
         }
     }
 
-    /// The graph, what it has counted, and what it had counted some time before.
     #[cfg_attr(not(feature = "view"), expect(dead_code))]
-    pub(super) fn graph(&mut self, window: Duration) -> anyhow::Result<(Graph, [Snapshot; 2])> {
-        let (graph, mut now) = match self.current.ask(&Order::Graph)? {
-            Report::Graph(graph) => *graph,
+    pub(super) fn graph(&mut self) -> anyhow::Result<Graph> {
+        match self.current.ask(&Order::Graph)? {
+            Report::Graph(graph) => Ok(*graph),
+            other => bail!("an engine said {other:?}"),
+        }
+    }
+
+    /// What was counted some time before, and what has been counted.
+    #[cfg_attr(not(feature = "view"), expect(dead_code))]
+    pub(super) fn snapshots(&mut self, window: Duration) -> anyhow::Result<[Snapshot; 2]> {
+        let mut now = match self.current.ask(&Order::Snapshot)? {
+            Report::Snapshot(snapshot) => *snapshot,
             other => bail!("an engine said {other:?}"),
         };
         let (index, position) = (&self.index, self.current.position);
@@ -367,7 +375,7 @@ impl Travel {
             let messages: u64 = since.map(|(_, count)| u64::from(*count)).sum();
             topic.messages = topic.messages.saturating_sub(messages);
         }
-        Ok((graph, [before, now]))
+        Ok([before, now])
     }
 
     /// Takes in the copies that have connected, and lets those go that are too many.
