@@ -1,7 +1,7 @@
 //! What viewers of recorded bags see, and how they play them.
 
 use crate::support::{Frame, Viewer};
-use downbeat_bags::{Reader, SplitLimits, TopicDescription, Truncation, WriterOptions};
+use downbeat_bags::{Reader, Selection, SplitLimits, TopicDescription, Truncation, WriterOptions};
 use downbeat_edge::Interfaces;
 use downbeat_msgs::cdr;
 use downbeat_msgs::qos::QosProfile;
@@ -139,6 +139,42 @@ fn a_bag_is_announced_with_its_topics_and_times() {
         (&channel["schemaName"], &channel["schema"]),
         (&json!("std_msgs/msg/String"), &json!("string data\n"))
     );
+}
+
+/// Viewers read the language of `.msg` files, but not IDL as `rosidl` writes it.
+#[test]
+fn types_that_are_defined_in_idl_are_announced_as_messages() {
+    let bags = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/bags");
+    for (file, topic, type_name, lines) in [
+        ("idl_simple.mcap", "/simple", "my_msgs/msg/Simple", &["int32 a", "float64 b"][..]),
+        (
+            "idl_composite.mcap",
+            "/bed",
+            "garden_msgs/msg/Bed",
+            &[
+                "uint8 WET=1",
+                "garden_msgs/Plant[2] corners",
+                "MSG: garden_msgs/Plant",
+                "MSG: std_msgs/Header",
+            ],
+        ),
+    ] {
+        let server = serve(&bags.join(file), paused());
+        let mut viewer =
+            Viewer::connect_as(server.foxglove_address().unwrap(), "/", "foxglove.sdk.v1").unwrap();
+        let channel = viewer.channel(topic);
+        assert_eq!(
+            (&channel["schemaName"], &channel["schemaEncoding"], &channel["encoding"]),
+            (&json!(type_name), &json!("ros2msg"), &json!("cdr"))
+        );
+        let schema = channel["schema"].as_str().unwrap();
+        assert!(lines.iter().all(|line| schema.lines().any(|found| found == *line)), "{schema}");
+        viewer.subscribe(1, topic);
+        let (_, time, bytes) = viewer.message();
+        let first = Reader::open(bags.join(file)).unwrap();
+        let first = first.messages(Selection::all()).unwrap().next().unwrap().unwrap();
+        assert_eq!((i64::try_from(time).unwrap(), &bytes[..]), (first.log_time, &first.data[..]));
+    }
 }
 
 #[test]
