@@ -4,15 +4,13 @@
 
 mod common;
 
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Stdio};
-use std::sync::mpsc::{self, Receiver};
-use std::time::Duration;
 
-use common::{Running, downbeat, output_of, python, record_until, recorded_messages, text_of, wait_until};
+use common::typed::Typed;
+use common::{Running, output_of, python, record_until, recorded_messages, text_of, wait_until};
 use downbeat::bags::{Reader, Selection};
 use downbeat::modules::servo_bus::protocol::{Id, Instruction, Protocol, ReadEntry, WriteEntry};
+use downbeat::modules::servo_emulator::PseudoTerminal;
 use downbeat::msgs::cdr;
 use downbeat::msgs::sensor_msgs::msg::JointState;
 use serde_json::{Value, json};
@@ -292,50 +290,52 @@ fn setup_names_two_servos_of_one_id_and_a_wrong_supply() {
     assert!(description.exists());
 }
 
-/// A program that reads lines.
-struct Typed {
-    child: Child,
-    input: ChildStdin,
-    output: Receiver<String>,
-    seen: String,
-}
+/// A folder as `/dev`, with what may be plugged in beside servos.
+#[test]
+fn setup_finds_the_port_with_servos_among_those_that_are_there() {
+    let devices = tempfile::tempdir().unwrap();
+    let at = |name: &str| devices.path().join(name);
+    let output = at("arm.toml");
+    let asked = ["--last-id", "7", "--protocol", "feetech_sts", "--baud", "1000000", "--timeout-ms", "200"];
+    let arguments =
+        [&["servo", "setup", "--devices", text(devices.path()), "--output", text(&output)][..], &asked]
+            .concat();
+    let refused = || {
+        let tried = output_of(&arguments);
+        assert!(!tried.status.success() && !output.exists());
+        [tried.stdout, tried.stderr].map(|bytes| String::from_utf8(bytes).unwrap())
+    };
+    let [_, nothing] = refused();
+    assert!(nothing.contains("has no serial port of an adapter (ttyUSB*, ttyACM*"), "{nothing}");
 
-impl Typed {
-    fn start(arguments: &[&str]) -> Self {
-        let mut command = downbeat(arguments);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::inherit());
-        let mut child = command.spawn().unwrap();
-        let (input, output) = (child.stdin.take().unwrap(), child.stdout.take().unwrap());
-        let (sender, lines) = mpsc::channel();
-        std::thread::spawn(move || {
-            BufReader::new(output).lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
-        });
-        Self { child, input, output: lines, seen: String::new() }
-    }
+    let _silent = PseudoTerminal::open(Some(&at("ttyUSB0"))).unwrap();
+    std::fs::write(at("ttyUSB1"), "").unwrap();
+    std::fs::write(at("tty1"), "").unwrap();
+    let [ports, nobody] = refused();
+    assert!(ports.contains("ttyUSB0: no device answered"), "{ports}");
+    assert!(ports.contains("ttyUSB1 is a regular file, not a serial port"), "{ports}");
+    assert!(nobody.contains("no servo was understood on") && nobody.contains("is the power on"), "{nobody}");
 
-    fn types(&mut self, line: &str) {
-        writeln!(self.input, "{line}").unwrap();
-    }
+    std::fs::create_dir_all(at("serial/by-id")).unwrap();
+    let by_id = at("serial/by-id/usb-adapter");
+    std::os::unix::fs::symlink("../../ttyACM0", &by_id).unwrap();
+    let so101 = "robots/servos/so101.toml";
+    let _first = Running::start(&["emulate", "servos", so101, "--link", text(&at("ttyACM0"))]);
+    wait_until("the emulated servos are there", || at("ttyACM0").exists());
+    let printed = text_of(&arguments);
+    assert!(printed.contains(&format!("the servos are on {}\n", text(&by_id))), "{printed}");
+    // A port with two names is asked once.
+    assert_eq!(printed.matches("id 6: STS3215").count(), 1, "{printed}");
+    let written = std::fs::read_to_string(&output).unwrap();
+    assert!(written.contains(&format!("port = {by_id:?}")), "{written}");
 
-    /// Waits for a line of output with this text.
-    fn says(&mut self, text: &str) {
-        loop {
-            let line = self.output.recv_timeout(Duration::from_secs(60));
-            let line = line.unwrap_or_else(|_| panic!("no {text:?} after\n{}", self.seen));
-            self.seen.push_str(&line);
-            self.seen.push('\n');
-            if line.contains(text) {
-                return;
-            }
-        }
-    }
-}
-
-impl Drop for Typed {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+    std::fs::remove_file(&output).unwrap();
+    let _second = Running::start(&["emulate", "servos", so101, "--link", text(&at("ttyACM1"))]);
+    wait_until("the second ones are there", || at("ttyACM1").exists());
+    let [_, several] = refused();
+    let [first, second] = [text(&by_id), text(&at("ttyACM1"))].map(str::to_owned);
+    assert!(several.contains(&format!("servos were found on {first}, {second}; name the port")), "{several}");
+    assert!(several.contains(&format!("`downbeat servo setup {first}`")), "{several}");
 }
 
 /// One servo is put on the other way round, and one so that its travel passes the end of its turn.

@@ -12,6 +12,7 @@ pub mod program;
 pub mod rclpy;
 #[path = "../../bags/tests/bags/stock_readers.rs"]
 mod stock_readers;
+pub mod typed;
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

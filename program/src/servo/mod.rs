@@ -3,6 +3,7 @@
 mod calibrate;
 mod description_edit;
 mod dialogue;
+mod setup;
 mod tune;
 
 use std::path::{Path, PathBuf};
@@ -15,7 +16,8 @@ use clap::{Args, Subcommand};
 use downbeat_servos::servo_bus::bus::LineSettings;
 use downbeat_servos::servo_bus::models::{self, Model, Register};
 use downbeat_servos::servo_bus::protocol::{Id, Protocol};
-use downbeat_servos::servo_bus::{Caution, Found, ServoError, ServoPort, first_description};
+use downbeat_servos::servo_bus::{Caution, Found, ServoError, ServoPort};
+use setup::{scan, search, set_up};
 use tune::tune;
 
 #[derive(Subcommand)]
@@ -30,8 +32,12 @@ pub(crate) enum ServoCommand {
     },
     /// Write a first description of the servos on a port, once all of them answer well.
     Setup {
+        /// The serial port, such as /dev/ttyUSB0. Default: the one with servos among all that are there. Each is
+        /// asked, so unplug what must not get bytes that it does not understand.
+        #[arg(value_name = "PORT")]
+        path: Option<String>,
         #[command(flatten)]
-        port: PortArguments,
+        asking: Asking,
         /// The last id to ask: those from 0 are asked.
         #[arg(long, value_name = "ID", default_value_t = 253)]
         last_id: u8,
@@ -44,6 +50,9 @@ pub(crate) enum ServoCommand {
         /// Write it in any case, and in place of a file that is there.
         #[arg(long)]
         force: bool,
+        /// The folder of devices, for emulated ports.
+        #[arg(long, value_name = "FOLDER", default_value = "/dev", hide = true)]
+        devices: PathBuf,
     },
     /// Find the stops, zeros and signs of joints that are turned by hand, and write them down.
     ///
@@ -133,6 +142,13 @@ pub(crate) struct PortArguments {
     /// The serial port, such as /dev/ttyUSB0.
     #[arg(value_name = "PORT")]
     path: String,
+    #[command(flatten)]
+    asking: Asking,
+}
+
+/// How the devices on a port are asked.
+#[derive(Args)]
+pub(crate) struct Asking {
     /// The speed, in bit/s; may be given more than once. Default: all usual ones.
     #[arg(long, value_name = "BPS")]
     baud: Vec<u32>,
@@ -153,10 +169,20 @@ const BAUDS: [u32; 9] = [1_000_000, 57_600, 2_000_000, 115_200, 3_000_000, 4_000
 
 pub(crate) fn run(command: ServoCommand) -> anyhow::Result<()> {
     match command {
-        ServoCommand::Scan { port, last_id } => scan(&port, last_id).map(drop),
-        ServoCommand::Setup { port, last_id, name, output, force } => {
+        ServoCommand::Scan { port, last_id } => scan(&port.path, &port.asking, last_id).map(drop),
+        ServoCommand::Setup { path, asking, last_id, name, output, force, devices } => {
             let output = output.unwrap_or_else(|| PathBuf::from(format!("{name}.toml")));
-            set_up(&port, last_id, &name, &output, force)
+            if output.exists() && !force {
+                bail!(
+                    "{} exists; name another file with --output, or replace it with --force",
+                    output.display()
+                );
+            }
+            let found = match path {
+                Some(path) => scan(&path, &asking, last_id)?,
+                None => search(&devices, &asking, last_id)?,
+            };
+            set_up(found, &asking, &name, &output, force)
         }
         ServoCommand::Calibrate { of, margin } => calibrate(&of, margin),
         ServoCommand::Tune { of } => tune(&of),
@@ -197,76 +223,6 @@ fn text_of(description: &Path) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// Lists the devices on a port.
-fn scan(arguments: &PortArguments, last_id: u8) -> anyhow::Result<(ServoPort, Vec<Found>)> {
-    let ids: Vec<Id> = (0..=last_id.min(253)).filter_map(Id::new).collect();
-    let mut port = arguments.open()?;
-    let mut all = Vec::new();
-    for baud in arguments.bauds() {
-        let found = match port.scan(*baud, arguments.protocols(), &ids) {
-            Ok(found) => found,
-            // Not every port has every speed.
-            Err(ServoError::Port(reason)) if arguments.baud.is_empty() && *baud != BAUDS[0] => {
-                tracing::debug!("skipped {baud} bit/s: {reason}");
-                continue;
-            }
-            Err(error) => return Err(error.into()),
-        };
-        for found in &found {
-            println!("{}", described(found));
-        }
-        for board in &found {
-            if port.withholds_power(board)? {
-                println!("{}", without_power(board, &arguments.path));
-            }
-        }
-        all.extend(found);
-    }
-    if all.is_empty() {
-        bail!(
-            "{}: no device answered; is the power on, is the port the right one, and does nothing else use it?",
-            arguments.path
-        );
-    }
-    Ok((port, all))
-}
-
-/// Writes a first description of the servos on a port.
-fn set_up(
-    arguments: &PortArguments,
-    last_id: u8,
-    name: &str,
-    output: &Path,
-    force: bool,
-) -> anyhow::Result<()> {
-    if output.exists() && !force {
-        bail!("{} exists; name another file with --output, or replace it with --force", output.display());
-    }
-    let (mut port, found) = scan(arguments, last_id)?;
-    let mut problems = 0;
-    for found in &found {
-        for problem in port.examine(found)? {
-            println!("{problem}");
-            problems += 1;
-        }
-    }
-    if problems > 0 && !force {
-        bail!("{} is not written before that is solved; --force writes it all the same", output.display());
-    }
-    // A description names them relative to itself.
-    let model = |path: &PathBuf| path.canonicalize().map(|path| path.display().to_string());
-    let models = arguments.model_file.iter().map(model).collect::<Result<Vec<_>, _>>()?;
-    // With --force, those that are not understood are left out.
-    let found: Vec<Found> = found.into_iter().filter(|found| !found.is_garbled).collect();
-    let text = first_description(name, &arguments.path, &models, &found).map_err(anyhow::Error::msg)?;
-    std::fs::write(output, text).with_context(|| format!("cannot write {}", output.display()))?;
-    println!(
-        "wrote {}. Set the names, zeros, signs and limits of its joints before anything moves: docs/servos.md, \"Zero, sign and limits\"",
-        output.display()
-    );
-    Ok(())
-}
-
 fn read(arguments: &PortArguments, id: u8, names: &[String]) -> anyhow::Result<()> {
     let (mut port, found) = arguments.find(id)?;
     let (_, model) = port.known(found.id)?;
@@ -282,11 +238,11 @@ fn read(arguments: &PortArguments, id: u8, names: &[String]) -> anyhow::Result<(
     Ok(())
 }
 
-impl PortArguments {
-    fn open(&self) -> anyhow::Result<ServoPort> {
+impl Asking {
+    fn open(&self, path: &str) -> anyhow::Result<ServoPort> {
         let model = |path: &PathBuf| -> anyhow::Result<Arc<Model>> { own_model(path) };
         let own_models = self.model_file.iter().map(model).collect::<anyhow::Result<Vec<_>>>()?;
-        Ok(ServoPort::open(&self.path, Duration::from_millis(self.timeout_ms), own_models)?)
+        Ok(ServoPort::open(path, Duration::from_millis(self.timeout_ms), own_models)?)
     }
 
     fn protocols(&self) -> &[Protocol] {
@@ -303,13 +259,15 @@ impl PortArguments {
         });
         lines.collect()
     }
+}
 
+impl PortArguments {
     /// Opens the port and finds a device on it.
     fn find(&self, id: u8) -> anyhow::Result<(ServoPort, Found)> {
         let id = device(id)?;
-        let mut port = self.open()?;
+        let mut port = self.asking.open(&self.path)?;
         let (mut unknown, mut garbled) = (None, None);
-        for line in self.lines() {
+        for line in self.asking.lines() {
             if let Err(error) = port.speak(line) {
                 tracing::debug!("skipped {} bit/s: {error}", line.baud);
                 continue;
@@ -357,22 +315,6 @@ fn margin(text: &str) -> Result<f64, String> {
 
 fn caution(force: bool) -> Caution {
     if force { Caution::Force } else { Caution::Refuse }
-}
-
-/// What to do about servos that cannot answer, since the board before them has switched them off.
-fn without_power(board: &Found, path: &str) -> String {
-    let Found { id, line, model, .. } = board;
-    let remedy = match model {
-        Some(_) => format!(
-            "`downbeat servo write {path} {id} dynamixel_power 1 --baud {} --protocol {}` switches it on; then scan again",
-            line.baud,
-            line.protocol.key()
-        ),
-        // Registers are written by name.
-        None => "a robot switches it on with `power` of [[device]] (docs/servos.md)".to_owned(),
-    };
-    let seems = if model.is_some() { "has" } else { "seems to have" };
-    format!("id {id} {seems} switched off the power of the servos behind it, which cannot answer: {remedy}")
 }
 
 fn described(found: &Found) -> String {
