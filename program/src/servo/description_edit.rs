@@ -2,7 +2,7 @@
 
 use anyhow::Context;
 use downbeat_servos::servo_bus::{JointCalibration, JointOffset};
-use toml_edit::{Array, DocumentMut, Item, Table, value};
+use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, value};
 
 /// The text with what calibration found of a joint.
 pub(super) fn with_calibration(text: &str, found: &JointCalibration) -> anyhow::Result<String> {
@@ -14,6 +14,12 @@ pub(super) fn with_calibration(text: &str, found: &JointCalibration) -> anyhow::
     set(joint, "sign", value(found.sign));
     if let Some(limits) = found.limits {
         set(joint, "limits", value(limits.into_iter().collect::<Array>()));
+    }
+    if let Some(offset) = found.homing_offset {
+        // Otherwise the next run writes the old one, and the zero is wrong.
+        let registers = joint.entry("registers").or_insert_with(|| value(InlineTable::new()));
+        let registers = registers.as_table_like_mut().context("\"registers\" is no table")?;
+        registers.insert("homing_offset", value(offset));
     }
     Ok(document.to_string())
 }
@@ -59,13 +65,23 @@ mod tests {
     fn only_what_was_found_changes() {
         let text = "# An arm.\nname = \"arm\"\n\n[[joint]]\nname = \"pan\"  # left and right\nid = 1\nlimits = [-1.9, 1.9]  # rad\n\
                     offset = 12\n\n[[joint]]\nname = \"tilt\"\nid = 2\nlimits = [-1.0, 1.0]\nsign = -1\n";
-        let found =
-            |name: &str, limits| JointCalibration { name: name.to_owned(), zero: 2100, sign: 1, limits };
+        let found = |name: &str, limits| JointCalibration {
+            name: name.to_owned(),
+            zero: 2100,
+            sign: 1,
+            limits,
+            homing_offset: None,
+        };
         let calibrated = with_calibration(text, &found("tilt", None)).unwrap();
         let calibrated = with_calibration(&calibrated, &found("pan", Some([-1.25, 1.0]))).unwrap();
         let expected = "# An arm.\nname = \"arm\"\n\n[[joint]]\nname = \"pan\"  # left and right\nid = 1\nlimits = [-1.25, 1.0]  # rad\n\
                         zero = 2100\nsign = 1\n\n[[joint]]\nname = \"tilt\"\nid = 2\nlimits = [-1.0, 1.0]\nsign = 1\nzero = 2100\n";
         assert_eq!(calibrated, expected);
+        let of_pan = JointCalibration { homing_offset: Some(-7), ..found("pan", None) };
+        let registers = |text: &str| with_calibration(text, &of_pan).unwrap();
+        assert!(registers(text).contains("registers = { homing_offset = -7 }\n"));
+        let described = text.replace("offset = 12", "registers = { homing_offset = 3, torque_limit = 500 }");
+        assert!(registers(&described).contains("registers = { homing_offset = -7, torque_limit = 500 }"));
         let unknown = with_calibration(text, &found("roll", None)).unwrap_err().to_string();
         assert!(unknown.contains("no joint \"roll\""), "{unknown}");
         let moved =

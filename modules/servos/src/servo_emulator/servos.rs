@@ -30,6 +30,8 @@ const STALL_CURRENT_A: f64 = 2.0;
 const VELOCITY_GAIN: f64 = 2.0;
 /// How fast joints are turned by hand.
 const HAND_RAD_S: f64 = 2.0;
+/// A Dynamixel servo with positions as goals ignores a larger offset, in steps.
+const LARGEST_OFFSET: i64 = 1024;
 /// By which bits the position of a second servo with the same id differs.
 const TWIN_BITS: i64 = 0x155;
 /// With full drive, before cooling.
@@ -228,6 +230,9 @@ pub struct Unit {
     unheard_s: f64,
     /// The speed of a bus with models that do not know it.
     bus_baud: u32,
+    /// The position in steps, without offset, and the whole turns of it that the servo has forgotten.
+    steps: i64,
+    forgotten: i64,
 }
 
 impl Unit {
@@ -246,6 +251,8 @@ impl Unit {
             celsius: AMBIENT_CELSIUS + 2.0,
             unheard_s: 0.0,
             bus_baud: line.baud,
+            steps: 0,
+            forgotten: 0,
         };
         for register in &model.registers {
             unit.set(register, register.initial);
@@ -327,6 +334,16 @@ impl Unit {
         self.get_named("torque_enable") == Some(1)
     }
 
+    /// A Dynamixel servo forgets whole turns when it is switched on, and when it gets its torque with
+    /// positions as goals.
+    fn forget_turns(&mut self) {
+        let Some((joint, _)) = &self.joint else { return };
+        let turn = joint.registers.position.steps(TAU).round() as i64;
+        if self.protocol == Protocol::Dynamixel2 {
+            self.forgotten = self.steps.div_euclid(turn) * turn;
+        }
+    }
+
     /// Starts: without power, the RAM was lost.
     fn boot(&mut self, body: &dyn Body) {
         let model = Arc::clone(&self.model);
@@ -334,9 +351,10 @@ impl Unit {
             self.set(register, register.initial);
         }
         self.registered = None;
-        if let Some((joint, index)) = &self.joint {
-            let goal = joint.registers.goal.clone();
-            let position = self.counted(joint, joint.steps(body.joint(*index).position));
+        self.steps = self.joint.as_ref().map_or(0, |(joint, index)| joint.steps(body.joint(*index).position));
+        self.forget_turns();
+        if let Some((joint, _)) = &self.joint {
+            let (goal, position) = (joint.registers.goal.clone(), self.counted(joint, self.steps));
             self.set(&goal, position);
         }
         self.show(body);
@@ -389,18 +407,22 @@ impl Unit {
         None
     }
 
-    /// What the servo reads at this position. With two bytes it counts within one turn; the offset of Feetech
-    /// is taken off.
+    /// What the servo reads at this position. With two bytes it counts within one turn. Feetech takes its
+    /// offset off; Dynamixel adds it, unless it is large and goals are positions.
     fn counted(&self, joint: &Joint, position: i64) -> i64 {
         let Register { size, max, .. } = joint.registers.goal;
-        let is_feetech = matches!(self.protocol, Protocol::FeetechSts | Protocol::FeetechScs);
-        let offset = self.get_named("homing_offset").filter(|_| is_feetech).unwrap_or(0);
+        let offset = self.get_named("homing_offset").unwrap_or(0);
+        let is_driven = self.driven(joint, 0.0).is_some();
+        let reading = match self.protocol {
+            Protocol::FeetechSts | Protocol::FeetechScs => position - offset,
+            Protocol::Dynamixel2 if is_driven || offset.abs() <= LARGEST_OFFSET => {
+                position - self.forgotten + offset
+            }
+            Protocol::Dynamixel2 => position - self.forgotten,
+            Protocol::Dynamixel1 => position,
+        };
         let is_a_turn = joint.registers.position.steps(TAU).round() as i64 == max + 1;
-        if size == 2 && (is_a_turn || self.driven(joint, 0.0).is_some()) {
-            (position - offset).rem_euclid(max + 1)
-        } else {
-            position - offset
-        }
+        if size == 2 && (is_a_turn || is_driven) { reading.rem_euclid(max + 1) } else { reading }
     }
 
     fn advance(&mut self, dt: f64, body: &dyn Body) {
@@ -432,7 +454,8 @@ impl Unit {
     fn show(&mut self, body: &dyn Body) {
         let Some((joint, index)) = &self.joint else { return };
         let JointMotion { position, velocity, drive } = body.joint(*index);
-        let position = self.counted(joint, joint.steps(position));
+        self.steps = joint.steps(position);
+        let position = self.counted(joint, self.steps);
         let (registers, protocol, memory) = (&joint.registers, self.protocol, &mut self.memory);
         put(memory, protocol, &registers.position, position);
         if let Some(register) = &registers.velocity {
@@ -532,7 +555,17 @@ impl Device for Unit {
         let target = memory.get_mut(begin..begin + data.len()).filter(|target| !target.is_empty());
         target.ok_or(StatusError::RANGE)?.copy_from_slice(data);
         self.check(&memory, address, data)?;
+        let had_torque = self.is_torque_enabled();
         self.memory = memory;
+        let holds = |(joint, _): &(Joint, usize)| self.driven(joint, 0.0).is_none();
+        if !had_torque && self.is_torque_enabled() && self.joint.as_ref().is_some_and(holds) {
+            self.forget_turns();
+        }
+        // An offset takes effect at once.
+        if let Some((joint, _)) = &self.joint {
+            let position = self.counted(joint, self.steps);
+            put(&mut self.memory, self.protocol, &joint.registers.position, position);
+        }
         Ok(())
     }
 

@@ -25,6 +25,9 @@ const LEAST_NUDGE_RAD: f64 = 0.05;
 const SETTLING: Duration = Duration::from_millis(50);
 /// By how much a joint may move while its servo takes an offset, in rad.
 const SHAKE_RAD: f64 = 0.1;
+const HOMING_OFFSET: &str = "homing_offset";
+/// A Dynamixel servo with positions as goals ignores an offset that is larger.
+const LARGEST_DYNAMIXEL_OFFSET: i64 = 1024;
 
 /// The joints of a bus, limp, as they are turned by hand.
 pub struct Calibrator {
@@ -41,6 +44,8 @@ struct Limb {
     zero: i64,
     sign: f64,
     stops: Stops,
+    /// The offset that its servo has, if the description sets it.
+    homing_offset: Option<i64>,
     /// Where a nudge began.
     nudged_from: i64,
 }
@@ -49,7 +54,7 @@ struct Limb {
 enum Stops {
     /// They are where the joint was turned to.
     Found,
-    /// It turns all the way round.
+    /// It turns all the way round, or is a wheel.
     None,
     /// They could not be found: the joint stays as it is described.
     Unknown,
@@ -90,6 +95,8 @@ pub struct JointCalibration {
     pub sign: i64,
     /// The smallest and the largest angle, in rad; `None` if the joint turns all the way round.
     pub limits: Option<[f64; 2]>,
+    /// The offset that its servo has, if the description sets it: zero and limits are those with this one.
+    pub homing_offset: Option<i64>,
 }
 
 impl Calibrator {
@@ -99,16 +106,22 @@ impl Calibrator {
     /// # Errors
     /// Returns an error if the port cannot be opened, or a servo does not answer or is of another model.
     pub fn begin(plan: &BusPlan, port: &str, slack: Duration) -> Result<Self, ServoError> {
-        let mut port = opened(plan, port, slack)?;
+        Self::on(opened(plan, port, slack)?, plan)
+    }
+
+    /// The same, on an open port.
+    pub(crate) fn on(mut port: ServoPort, plan: &BusPlan) -> Result<Self, ServoError> {
         checked(plan, &mut port)?;
         let mut joints = Vec::new();
         for joint in &plan.joints {
             port.write(joint.id, &joint.model, &joint.registers.torque, 0, Caution::Force)?;
             let raw = port.read(joint.id, &joint.registers.position)?;
-            let turn = joint.registers.position.steps(TAU).round() as i64;
+            let described = joint.further.iter().find(|(register, _)| register.name == HOMING_OFFSET);
+            let homing_offset = described.map(|(register, _)| port.read(joint.id, register)).transpose()?;
             joints.push(Limb {
                 joint: joint.clone(),
-                travel: Travel::at(raw, turn),
+                travel: Travel::at(raw, turn_of(joint)),
+                homing_offset,
                 is_silent: false,
                 zero: joint.zero,
                 sign: joint.sign,
@@ -159,7 +172,6 @@ impl Calibrator {
     /// # Errors
     /// Returns an error if the port fails.
     pub fn take_stops(&mut self) -> Result<Vec<String>, ServoError> {
-        let protocol = self.port.line().protocol;
         let mut notes = Vec::new();
         for limb in &mut self.joints {
             let (name, id) = (limb.joint.name.clone(), limb.joint.id);
@@ -168,34 +180,33 @@ impl Calibrator {
                 notes.push(format!("{name} was not turned, and stays as it is described"));
                 continue;
             }
+            if limb.joint.min_rad == f64::NEG_INFINITY {
+                // However far the hand has turned it.
+                limb.stops = Stops::None;
+                notes.push(format!("{name} has no limits, as it is described, and gets none"));
+                continue;
+            }
             if travel > (TAU - ALL_ROUND_RAD) / limb.joint.gear {
                 limb.stops = Stops::None;
                 notes.push(format!("{name} turns all the way round: its limits stay as they are described"));
                 continue;
             }
-            let goal = &limb.joint.registers.goal;
-            if (goal.min..=goal.max).contains(&limb.travel.min)
-                && (goal.min..=goal.max).contains(&limb.travel.max)
-            {
-                limb.stops = Stops::Found;
-                continue;
-            }
-            // Only theirs moves the whole turn.
-            let is_feetech = matches!(protocol, Protocol::FeetechSts | Protocol::FeetechScs);
-            let Some(offset) = limb.joint.model.register("homing_offset").filter(|_| is_feetech).cloned()
-            else {
-                notes.push(format!(
-                    "{name} passes the end of what servo {id} counts: put its horn on half a turn further, or its servo; it stays \
-                     as it is described"
-                ));
-                continue;
+            let protocol = self.port.line().protocol;
+            let offset = limb.joint.model.register(HOMING_OFFSET).cloned();
+            let brought = match (protocol, offset) {
+                (Protocol::Dynamixel2, Some(offset)) => bring_dynamixel(&mut self.port, limb, &offset)?,
+                _ if limb.is_in_range() => Ok(Vec::new()),
+                (Protocol::FeetechSts | Protocol::FeetechScs, Some(offset)) => {
+                    bring_feetech(&mut self.port, limb, &offset)?
+                }
+                _ => Err(format!(
+                    "it passes the end of what servo {id} counts: put its horn on half a turn further, or its servo"
+                )),
             };
-            match set_offset(&mut self.port, limb, &offset)? {
-                Ok(raw) => {
+            match brought {
+                Ok(more) => {
                     limb.stops = Stops::Found;
-                    notes.push(format!(
-                        "{name} passed the end of what servo {id} counts: its homing_offset is {raw} from now on"
-                    ));
+                    notes.extend(more);
                 }
                 Err(problem) => notes.push(format!("{name} stays as it is described: {problem}")),
             }
@@ -209,7 +220,8 @@ impl Calibrator {
         for limb in self.joints.iter_mut().filter(|limb| limb.stops != Stops::Unknown) {
             limb.zero = match (pose, limb.stops) {
                 (ZeroPose::Middle, Stops::Found) => limb.travel.middle(),
-                (_, Stops::None) => limb.travel.last, // as the servo reads it, not counted on
+                // Within the turn that the servo reads when it is switched on.
+                (_, Stops::None) => limb.travel.last.rem_euclid(turn_of(&limb.joint)),
                 _ => limb.travel.position,
             };
         }
@@ -255,6 +267,7 @@ impl Calibrator {
                 zero: limb.zero,
                 sign: if limb.sign < 0.0 { -1 } else { 1 },
                 limits: (limb.stops == Stops::Found).then_some([low, high.max(low)]),
+                homing_offset: limb.homing_offset,
             }
         };
         known.map(result).collect()
@@ -296,17 +309,27 @@ impl Limb {
     fn rad(&self, steps: i64) -> f64 {
         self.joint.registers.position.to_si(steps) / self.joint.gear
     }
+
+    /// Whether the whole travel can be goals.
+    fn is_in_range(&self) -> bool {
+        let (goal, Travel { min, max, .. }) = (&self.joint.registers.goal, self.travel);
+        goal.min <= min && max <= goal.max
+    }
 }
 
-/// Moves what a servo counts so that the travel is in its middle: a servo of Feetech reads its position minus
-/// its offset. Returns the offset, or why it has not taken it.
-fn set_offset(
-    port: &mut ServoPort,
-    limb: &mut Limb,
-    register: &Register,
-) -> Result<Result<i64, String>, ServoError> {
+/// The steps of a turn of a servo.
+fn turn_of(joint: &Joint) -> i64 {
+    joint.registers.position.steps(TAU).round() as i64
+}
+
+/// Sentences about a travel that now lies within what its servo counts, or why it cannot.
+type Brought = Result<Result<Vec<String>, String>, ServoError>;
+
+/// Moves what a servo of Feetech counts so that the travel is in its middle: it reads its position minus its
+/// offset, within one turn.
+fn bring_feetech(port: &mut ServoPort, limb: &mut Limb, register: &Register) -> Brought {
     let Joint { id, model, registers, .. } = &limb.joint;
-    let turn = registers.position.steps(TAU).round() as i64;
+    let turn = turn_of(&limb.joint);
     let shift = limb.travel.middle() - (registers.goal.min + registers.goal.max + 1) / 2;
     let old = port.read(*id, register)?;
     // Within half a turn to either side.
@@ -318,14 +341,77 @@ fn set_offset(
     // A multiple of a turn makes no difference to the servo.
     let turns = (limb.travel.middle() - registers.goal.min).div_euclid(turn);
     limb.travel.shift(turns * turn);
+    let settled = settle(port, limb, before, register, new)?;
+    Ok(settled.map(|_| vec![new_offset(&limb.joint, new)]))
+}
+
+/// Brings the travel into what a servo of Dynamixel counts with positions as goals. It reads its position plus
+/// its offset, and forgets whole turns when it is switched on or gets its torque; the offset does not move
+/// where a turn ends (ROBOTIS e-Manual, X series, "Homing Offset" and "Present Position").
+fn bring_dynamixel(port: &mut ServoPort, limb: &mut Limb, register: &Register) -> Brought {
+    let Joint { name, id, model, registers, drive, .. } = &limb.joint;
+    let old = port.read(*id, register)?;
+    if drive.is_none() && old.abs() > LARGEST_DYNAMIXEL_OFFSET {
+        return Ok(Err(format!(
+            "servo {id} has the homing_offset {old}, and ignores one beyond {LARGEST_DYNAMIXEL_OFFSET}: write 0 with \
+             `downbeat servo write {} {id} homing_offset 0 --force`, and calibrate again",
+            port.path()
+        )));
+    }
+    let (turn, before) = (turn_of(&limb.joint), limb.travel);
+    let turns = (before.min - old).div_euclid(turn);
+    if (before.max - old).div_euclid(turn) != turns {
+        return Ok(Err(format!(
+            "it passes the end of a turn of servo {id}, which its homing_offset does not move: put its horn on half a turn \
+             further, or its servo"
+        )));
+    }
+    let (middle, mut notes) = ((registers.goal.min + registers.goal.max + 1) / 2, Vec::new());
+    let power = format!(
+        "{name}: servo {id} has counted whole turns, which it forgets without power: switch it off and on before the robot runs"
+    );
+    limb.travel.shift(turns * turn);
+    let mut new = old;
+    if !limb.is_in_range() {
+        new =
+            (middle + old - limb.travel.middle()).clamp(-LARGEST_DYNAMIXEL_OFFSET, LARGEST_DYNAMIXEL_OFFSET);
+        port.write(*id, model, register, new, Caution::Force)?;
+        limb.travel.shift(old - new);
+        notes.push(new_offset(&limb.joint, new));
+    }
+    Ok(settle(port, limb, before, register, new)?.map(|off| {
+        notes.extend((off != 0).then_some(power));
+        notes
+    }))
+}
+
+fn new_offset(Joint { name, id, .. }: &Joint, raw: i64) -> String {
+    format!("{name} passed the end of what servo {id} counts: its homing_offset is {raw} from now on")
+}
+
+/// Checks that a servo with this offset reads what is expected, and returns by how many whole turns that is
+/// off. If it does not, the travel is as before.
+fn settle(
+    port: &mut ServoPort,
+    limb: &mut Limb,
+    before: Travel,
+    register: &Register,
+    offset: i64,
+) -> Result<Result<i64, String>, ServoError> {
+    let Joint { id, registers, .. } = &limb.joint;
     std::thread::sleep(SETTLING);
     let (read, expected) = (port.read(*id, &registers.position)?, limb.travel.position);
-    if registers.position.to_si((read - expected).abs()) > SHAKE_RAD {
+    let turn = turn_of(&limb.joint);
+    let turns = (read - expected + turn / 2).div_euclid(turn);
+    if registers.position.to_si((read - expected - turns * turn).abs()) > SHAKE_RAD {
         limb.travel = before;
         return Ok(Err(format!(
-            "servo {id} reads {read} with the {} {new}, where {expected} was expected",
+            "servo {id} reads {read} with the {} {offset}, where {expected} was expected",
             register.name
         )));
     }
-    Ok(Ok(new))
+    if let Some(described) = &mut limb.homing_offset {
+        *described = offset;
+    }
+    Ok(Ok(turns))
 }

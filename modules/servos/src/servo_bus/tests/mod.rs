@@ -1,6 +1,7 @@
 //! The module with emulated servos, in all protocols.
 #![allow(clippy::unwrap_used)]
 
+mod calibration;
 mod drives;
 mod faults;
 mod limp;
