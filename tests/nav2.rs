@@ -1,5 +1,6 @@
-//! A base with two wheels as Nav2 drives it: commands with stamps, odometry and a managed node,
-//! with rclpy in the place of Nav2's servers.
+//! A base with two wheels as Nav2 drives it: commands with stamps, odometry, its transform and a managed node,
+//! with rclpy in the place of Nav2's servers, and Cyclone DDS in that of its lifecycle manager and of who listens
+//! to transforms (no wheel has `bond` and `tf2_msgs`).
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -32,7 +33,7 @@ kind = "diff_drive"
 settings = { left_wheel_names = ["left_wheel"], right_wheel_names = ["right_wheel"], wheel_separation = 0.2, wheel_radius = 0.03, use_stamped_vel = true, base_frame_id = "base_footprint" }
 
 [expose]
-out = ["odom"]
+out = ["odom", "tf"]
 in = [{ topic = "cmd_vel", type = "geometry_msgs/msg/TwistStamped" }]
 lifecycle = ["base"]
 "#;
@@ -104,10 +105,65 @@ impl Nav2 {
     }
 }
 
+/// What Nav2's lifecycle manager, and who listens to transforms, are to the base.
+struct Watcher(Peer);
+
+impl Watcher {
+    fn of_base(mut peer: Peer) -> Self {
+        let bond = json!({"topic": "/bond", "type": "bond/msg/Status", "qos": {"depth": 100}});
+        let tf = json!({"topic": "/tf", "type": "tf2_msgs/msg/TFMessage", "qos": {"depth": 100}});
+        for (what, mut endpoint) in [("subscribe", bond.clone()), ("advertise", bond), ("subscribe", tf)] {
+            endpoint["do"] = json!(what);
+            peer.ask(endpoint);
+        }
+        // The other one is that of this peer.
+        wait_until("the base hears its manager", || {
+            peer.ask(json!({"do": "matched", "topic": "/bond"})) == 2
+        });
+        Self(peer)
+    }
+
+    /// Sends a heartbeat with Nav2's time-out, and returns whether the base has said that it is alive, or that
+    /// the bond is over, since the last call.
+    fn bond(&mut self) -> Vec<bool> {
+        let fields = json!({
+            "header": {}, "id": "base", "instance_id": "manager", "active": true, "heartbeat_timeout": 4.0,
+            "heartbeat_period": 0.1,
+        });
+        self.0.ask(json!({"do": "publish", "topic": "/bond", "fields": fields}));
+        let heard = self.0.ask(json!({"do": "take", "topic": "/bond"}));
+        let heard = heard.as_array().unwrap().iter().map(|heard| &heard["fields"]);
+        heard
+            .filter(|said| said["id"] == "base" && said["instance_id"] != "manager")
+            .map(|said| said["active"].as_bool().unwrap())
+            .collect()
+    }
+
+    /// Where the base is in the frame of the odometry, by the transform with this stamp.
+    fn base_at(&mut self, stamp: &Value) -> Value {
+        let mut found = Value::Null;
+        wait_until("the transform of the odometry arrives", || {
+            let heard = self.0.ask(json!({"do": "take", "topic": "/tf"}));
+            let all = heard.as_array().unwrap().iter();
+            let mut all = all.flat_map(|heard| heard["fields"]["transforms"].as_array().unwrap());
+            let of_odometry = all.find(|one| one["header"]["stamp"] == *stamp);
+            found = of_odometry.cloned().unwrap_or_default();
+            !found.is_null()
+        });
+        assert_eq!(
+            (&found["header"]["frame_id"], &found["child_frame_id"]),
+            (&json!("odom"), &json!("base_footprint"))
+        );
+        found["transform"].clone()
+    }
+}
+
 #[test]
 fn a_base_is_driven_by_stamped_commands_and_stops_when_they_end() {
     let domain = free_domain();
     let Some(mut peer) = Peer::start(domain, "LOCALHOST") else { return };
+    let Some(cyclone) = Peer::cyclonedds(domain) else { return };
+    let _check3 = check("Topics", "the transform of a base, odom to base_footprint", With::Cyclone, Way::Out);
     let _check = check("Topics", "stamped velocities for a base", With::Rclpy, Way::In);
     let _check2 = check("Topics", "odometry of a base", With::Rclpy, Way::Out);
     let folder = tempfile::tempdir().unwrap();
@@ -125,6 +181,14 @@ fn a_base_is_driven_by_stamped_commands_and_stops_when_they_end() {
         peer.ask(json!({"do": "matched", "topic": "/cmd_vel"})).as_u64().is_some_and(|count| count > 0)
     });
     let mut nav2 = Nav2(peer);
+    let mut watcher = Watcher::of_base(cyclone);
+    let mut alive = 0;
+    wait_until("heartbeats of the base", || {
+        let said = watcher.bond();
+        assert!(said.iter().all(|is_active| *is_active), "{said:?}");
+        alive += said.len();
+        alive >= 3
+    });
 
     let odometry = nav2.odometry();
     assert_eq!(
@@ -140,6 +204,13 @@ fn a_base_is_driven_by_stamped_commands_and_stops_when_they_end() {
     });
     // Nobody says stop.
     let stopped = nav2.place_at_rest();
+    let odometry = nav2.odometry();
+    let transform = watcher.base_at(&odometry["header"]["stamp"]);
+    let pose = &odometry["pose"]["pose"];
+    assert_eq!(
+        (&transform["translation"], &transform["rotation"]),
+        (&pose["position"], &pose["orientation"])
+    );
     // Commands that were on their way for too long are none.
     for _ in 0..10 {
         nav2.drive(0.1, Duration::from_secs(2));
@@ -147,9 +218,12 @@ fn a_base_is_driven_by_stamped_commands_and_stops_when_they_end() {
     wait_until("the old commands are counted", || running.output().contains("its stamp is"));
     assert!((nav2.place_at_rest() - stopped).abs() < 0.005);
     // A managed node that is not active does not drive.
+    watcher.bond();
     assert_eq!(nav2.change("deactivate"), true);
+    wait_until("the bond is over", || watcher.bond().contains(&false));
     nav2.drive(0.1, Duration::ZERO);
     assert_eq!(nav2.change("activate"), true);
+    wait_until("there is another bond", || watcher.bond().last() == Some(&true));
     assert!((nav2.place_at_rest() - stopped).abs() < 0.005);
     wait_until("it drives again", || {
         nav2.drive(-0.1, Duration::ZERO);
@@ -157,5 +231,6 @@ fn a_base_is_driven_by_stamped_commands_and_stops_when_they_end() {
         nav2.place() < stopped - 0.05
     });
     running.interrupt();
+    watcher.0.leave();
     nav2.0.leave();
 }
