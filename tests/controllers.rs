@@ -106,6 +106,8 @@ fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
     let domain = free_domain();
     let Some(mut cyclone) = Peer::cyclonedds(domain) else { return };
     let _check = check("Node services", "controller_manager: list, switch, hardware", With::Cyclone, Way::In);
+    let row = "dynamic_joint_states of the joint_state_broadcaster";
+    let _check2 = check("Topics", row, With::Cyclone, Way::Out);
     let folder = tempfile::tempdir().unwrap();
     let robot = folder.path().join("robot.toml");
     let hardware = "[robot]\nname = \"head\"\n[[module]]\nkind = \"darwin_op_emulator\"\n\
@@ -205,6 +207,28 @@ fn cyclone_lists_and_switches_controllers_as_ros2_control_does() {
     assert_eq!(named("command_interfaces", "head_pan/position")["is_claimed"], true);
     assert_eq!(named("command_interfaces", "l_knee/position")["is_claimed"], false);
     assert_eq!(named("state_interfaces", "head_pan/position")["is_available"], true);
+
+    let topic = "/dynamic_joint_states";
+    cyclone.ask(json!({"do": "subscribe", "topic": topic, "type": "control_msgs/msg/DynamicJointState"}));
+    let mut dynamic = Value::Null;
+    wait_until("states by interfaces arrive", || {
+        let heard = cyclone.ask(json!({"do": "take", "topic": topic}));
+        dynamic = heard.as_array().unwrap().last().map(|heard| heard["fields"].clone()).unwrap_or_default();
+        !dynamic.is_null()
+    });
+    let joints = dynamic["joint_names"].as_array().unwrap();
+    let pan = joints.iter().position(|joint| *joint == "head_pan").unwrap();
+    let measured = &dynamic["interface_values"][pan];
+    let [names, values] = ["interface_names", "values"].map(|key| measured[key].as_array().unwrap());
+    assert_eq!((joints.len(), names.len()), (20, values.len()), "{measured}");
+    // Those that the hardware says it has.
+    let available = |interface: &str| {
+        let mut states = interfaces["state_interfaces"].as_array().unwrap().iter();
+        states.any(|one| one["name"] == format!("head_pan/{interface}"))
+    };
+    assert!(names.iter().all(|name| available(name.as_str().unwrap())), "{names:?}");
+    assert_eq!(names[0], "position");
+    assert!(values[0].as_f64().unwrap().abs() < 0.5, "{values:?}");
 
     // The rest with our own calls.
     let call = |service: &str, request: &str| {

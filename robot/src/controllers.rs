@@ -4,7 +4,7 @@ use std::any::TypeId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 
-use downbeat_bridge::controller_manager::{Controller, Hardware, Joint, Joints};
+use downbeat_bridge::controller_manager::{Controller, Hardware, Joints};
 use downbeat_executor::{Core, GraphEdge, Inbox, Outlet, OutletInbox, Received, SettingValue, SetupError};
 use downbeat_msgs::sensor_msgs::msg::JointState;
 
@@ -17,6 +17,8 @@ pub(crate) struct Controllers {
     pub(crate) hardware: Vec<Hardware>,
     /// Messages from which the hardware's joints are learned.
     pub(crate) outlets: Vec<Outlet>,
+    /// The topics of what the hardware measures.
+    pub(crate) measured: Vec<String>,
 }
 
 /// The kind whose joints other controllers may command.
@@ -82,14 +84,14 @@ impl Robot {
             Some((entry.name.clone(), format!("downbeat/{}", entry.kind.name()), measured.clone()))
         };
         let found: Vec<_> = self.file.modules.iter().filter(drives).filter_map(hardware_of).collect();
-        let (mut hardware, mut outlets) = (Vec::new(), Vec::new());
+        let (mut hardware, mut outlets, mut topics) = (Vec::new(), Vec::new(), Vec::new());
         let inbox = OutletInbox::new("controller_manager", Inbox::KeepLast(NonZeroUsize::MIN));
         for (module, plugin, measured) in found {
             let joints = Joints::default();
             let (learned, mut is_known) = (joints.clone(), false);
             outlets.push(self.core.outlet(&measured, &inbox, move |message: Received<'_, JointState>| {
                 if !std::mem::replace(&mut is_known, true) {
-                    learned.set(joints_in(&message));
+                    learned.learn(&message);
                 }
             })?);
             // The name under which spawners and MoveIt look for whoever publishes `joint_states`.
@@ -105,8 +107,9 @@ impl Robot {
             });
             let rate_hz = self.rate_of(&module);
             hardware.push(Hardware { module, plugin, rate_hz, joints });
+            topics.push(measured);
         }
-        Ok(Controllers { controllers, hardware, outlets })
+        Ok(Controllers { controllers, hardware, outlets, measured: topics })
     }
 
     /// The interfaces that a controller commands, `<joint>/position`.
@@ -173,18 +176,4 @@ fn states_of(entry: &ModuleEntry, commands: &[String]) -> Vec<String> {
         "diff_drive" => joints.map(|joint| format!("{joint}/position")).collect(),
         _ => Vec::new(),
     }
-}
-
-/// The joints of a message, with what it measures of them.
-fn joints_in(message: &JointState) -> Vec<Joint> {
-    let measured = [
-        ("position", message.position.len()),
-        ("velocity", message.velocity.len()),
-        ("effort", message.effort.len()),
-    ];
-    let joint = |(index, name): (usize, &String)| Joint {
-        name: name.clone(),
-        states: measured.iter().filter(|(_, count)| index < *count).map(|(state, _)| *state).collect(),
-    };
-    message.name.iter().enumerate().map(joint).collect()
 }

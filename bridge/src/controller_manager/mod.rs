@@ -9,8 +9,11 @@
 //! ros2_control, branch jazzy: `controller_manager_msgs`, `controller_manager/src/controller_manager.cpp`,
 //! `controller_manager/doc/userdoc.rst`.
 
+mod joint_states;
 mod manager;
 mod switch;
+
+pub use joint_states::DynamicJointStates;
 
 use crate::ros::{MessageType, Node, NodeError, Publisher, Reply, Service};
 use crate::worker::Mailbox;
@@ -26,6 +29,7 @@ use downbeat_msgs::controller_manager_msgs::srv::{
     SwitchController, SwitchControllerRequest, UnloadController, UnloadControllerRequest,
 };
 use downbeat_msgs::qos::QosProfile;
+use downbeat_msgs::sensor_msgs::msg::JointState;
 use manager::Manager;
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -76,10 +80,23 @@ pub struct Joint {
     pub states: Vec<&'static str>,
 }
 
+/// What a message measures, with the names of the interfaces.
+fn measured_of(state: &JointState) -> [(&'static str, &[f64]); 3] {
+    [("position", &state.position), ("velocity", &state.velocity), ("effort", &state.effort)]
+}
+
 impl Joints {
-    /// Sets them.
-    pub fn set(&self, joints: Vec<Joint>) {
-        *self.0.lock() = joints;
+    /// Takes the joints of a message, with what it measures of them.
+    pub fn learn(&self, state: &JointState) {
+        let joint = |(index, name): (usize, &String)| Joint {
+            name: name.clone(),
+            states: measured_of(state)
+                .iter()
+                .filter(|(_, values)| index < values.len())
+                .map(|(name, _)| *name)
+                .collect(),
+        };
+        *self.0.lock() = state.name.iter().enumerate().map(joint).collect();
     }
 
     fn get(&self) -> Vec<Joint> {

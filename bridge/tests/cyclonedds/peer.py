@@ -149,6 +149,19 @@ class JointTrajectoryControllerState(
 
 
 @dataclass
+class InterfaceValue(IdlStruct, typename="control_msgs::msg::dds_::InterfaceValue_"):
+    interface_names: types.sequence[str]
+    values: types.sequence[types.float64]
+
+
+@dataclass
+class DynamicJointState(IdlStruct, typename="control_msgs::msg::dds_::DynamicJointState_"):
+    header: Header
+    joint_names: types.sequence[str]
+    interface_values: types.sequence[InterfaceValue]
+
+
+@dataclass
 class Status(IdlStruct, typename="bond::msg::dds_::Status_"):
     header: Header
     id: str
@@ -362,6 +375,7 @@ TYPES = {
     "legs/msg/Leg": Leg,
     "tf2_msgs/msg/TFMessage": TFMessage,
     "std_msgs/msg/String": String,
+    "control_msgs/msg/DynamicJointState": DynamicJointState,
     "control_msgs/msg/JointTrajectoryControllerState": JointTrajectoryControllerState,
     "sensor_msgs/msg/JointState": JointState,
     "sensor_msgs/msg/CompressedImage": CompressedImage,

@@ -1,10 +1,11 @@
 //! The node of a running robot.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use downbeat_bridge::clock::{self, NodeClock, SimTime};
-use downbeat_bridge::controller_manager::ControllerManager;
+use downbeat_bridge::controller_manager::{ControllerManager, DynamicJointStates};
 use downbeat_bridge::diagnostics::ProcessDiagnostics;
 use downbeat_bridge::expose::{
     Bridge, EndpointReport, ExposedServices, NetworkNodes, ParameterExposure, ParameterServer,
@@ -15,7 +16,8 @@ use downbeat_bridge::middleware::{self, Direction, Middleware, MiddlewareError, 
 use downbeat_bridge::network::NetworkWatch;
 use downbeat_bridge::ros::{Furnishing, Node, NodeError, Participant};
 use downbeat_bridge::rosout::{LoggerLevels, LoggerNames, LoggerServices, Rosout, RosoutPublisher};
-use downbeat_executor::Outlet;
+use downbeat_executor::{Inbox, Outlet, OutletInbox, Received};
+use downbeat_msgs::sensor_msgs::msg::JointState;
 
 use super::{LogTail, StartError};
 use crate::controllers::Controllers;
@@ -195,6 +197,9 @@ impl RobotNode {
     }
 }
 
+/// How many states of joints wait for the network.
+const WAITING_STATES: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
+
 /// The node `controller_manager`.
 struct ControllersNode {
     // Fields drop in this order.
@@ -206,7 +211,13 @@ struct ControllersNode {
 impl ControllersNode {
     fn start(robot: &mut Robot, participant: &Participant) -> Result<Self, StartError> {
         let node = participant.create_node(robot.file.node_beside("controller_manager", 0)?)?;
-        let Controllers { controllers, hardware, outlets } = robot.controllers()?;
+        let Controllers { controllers, hardware, mut outlets, measured } = robot.controllers()?;
+        let inbox = OutletInbox::new("dynamic_joint_states", Inbox::KeepLast(WAITING_STATES));
+        for topic in measured {
+            let dynamic = DynamicJointStates::beside(&node, &topic)?;
+            let publish = move |state: Received<'_, JointState>| dynamic.publish(&state);
+            outlets.push(robot.core.outlet(&topic, &inbox, publish)?);
+        }
         let manager = ControllerManager::serve(&robot.core, &node, controllers, hardware)?;
         tracing::info!("exposed controllers: {}", node.name());
         Ok(Self { _manager: manager, _outlets: outlets, _node: node })
