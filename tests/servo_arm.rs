@@ -1,15 +1,16 @@
-//! Follows docs/servo_arm.md from an empty folder, with two emulated arms, of which the leader is turned by a
-//! hand. The arms are calibrated in `tests/servos.rs`.
+//! Follows docs/servo_arm.md from an empty folder, with two emulated arms that a hand turns: both are calibrated,
+//! and one is the leader.
 #![allow(clippy::unwrap_used, missing_docs)]
 #![cfg(all(feature = "sensors", feature = "tables"))]
 
 mod common;
 
-use std::io::Write;
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{Command, Stdio};
 
+use common::typed::Typed;
 use common::{Running, downbeat, open_with_stock_readers, python, wait_until};
+use downbeat::modules::servo_bus::Description;
 use serde_json::json;
 use test_machine::free_domain;
 
@@ -22,31 +23,56 @@ fn blocks(language: &str) -> Vec<String> {
 
 /// An emulated arm that a hand turns. It ends with this.
 struct Arm {
-    program: Child,
-    hand: ChildStdin,
+    program: Typed,
+    /// The names of its joints, and their stops in rad.
+    joints: Vec<(String, [f64; 2])>,
 }
 
 impl Arm {
     fn start(description: &Path, port: &Path) -> Self {
-        let mut emulate =
-            downbeat(&["emulate", "servos", description.to_str().unwrap(), "--by-hand", "--link"]);
-        emulate.arg(port).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-        let mut program = emulate.spawn().unwrap();
-        let hand = program.stdin.take().unwrap();
-        let arm = Self { program, hand };
+        let description = description.to_str().unwrap();
+        let link = port.to_str().unwrap();
+        let program = Typed::start(&["emulate", "servos", description, "--by-hand", "--link", link]);
         wait_until("the emulated arm is there", || port.exists());
-        arm
+        let described = Description::load(description).unwrap();
+        let joints = described.bus("").unwrap().joints.iter();
+        let joints = joints.map(|joint| (joint.name.clone(), [joint.min_rad, joint.max_rad])).collect();
+        Self { program, joints }
     }
 
     fn turn(&mut self, joint: &str, angle: f64) {
-        writeln!(self.hand, "turn {joint} {angle}").unwrap();
+        self.program.types(&format!("turn {joint} {angle}"));
     }
-}
 
-impl Drop for Arm {
-    fn drop(&mut self) {
-        let _ = self.program.kill();
-        let _ = self.program.wait();
+    /// Turns all joints at once, each to this place between its stops, or from 0 rad.
+    fn turn_all(&mut self, to: impl Fn([f64; 2]) -> f64) {
+        for (joint, stops) in self.joints.clone() {
+            self.turn(&joint, to(stops));
+        }
+        // In which order they arrive is up to their ways.
+        (0..self.joints.len()).for_each(|_| self.program.says("is turned"));
+    }
+
+    /// Calibrates it as the page says, on the terminal in place of the browser.
+    fn calibrate(&mut self, command: &mut Command) {
+        let mut calibration = Typed::start_by(command);
+        calibration.says("lose their torque now");
+        calibration.types("");
+        calibration.says("from one stop to the other");
+        self.turn_all(|[low, _]| low);
+        self.turn_all(|[_, high]| high);
+        calibration.types("");
+        calibration.says("at 0 rad, and press Enter");
+        self.turn_all(|_| 0.0);
+        calibration.types("");
+        for (index, (joint, _)) in self.joints.clone().iter().enumerate() {
+            calibration.says(&format!("joint_{}: turn it a little", index + 1));
+            self.turn(joint, 0.2);
+            self.program.says("is turned");
+            calibration.types("");
+        }
+        calibration.says("the joints are still limp");
+        assert!(calibration.child.wait().unwrap().success());
     }
 }
 
@@ -66,6 +92,7 @@ impl<'a> Reader<'a> {
         let typed = line
             .replace("ros2 ", "downbeat ")
             .replace("/dev/ttyACM", self.folder.join("ttyACM").to_str().unwrap())
+            .replace("--page 0", "--timeout-ms 1000")
             .replace("--name", "--timeout-ms 1000 --baud 1000000 --protocol feetech_sts --last-id 7 --name");
         let mut shell = Command::new("sh");
         let program = Path::new(env!("CARGO_BIN_EXE_downbeat")).parent().unwrap();
@@ -105,17 +132,31 @@ fn an_evening_leads_from_an_empty_folder_to_a_data_set_and_a_trajectory() {
     let folder = tempfile::tempdir().unwrap();
     let reader = Reader::new(folder.path());
     let of_arm = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/servos/so101.toml");
-    let [_follower, mut leader] =
+    let [mut follower, mut leader] =
         ["ttyACM0", "ttyACM1"].map(|port| Arm::start(&of_arm, &folder.path().join(port)));
 
     let pages = blocks("sh");
     let lines: Vec<Vec<&str>> = pages.iter().map(|block| block.lines().collect()).collect();
-    let [setups, _calibrations, run, follow, demonstrate, trajectory, export, import] = &*lines else {
+    let [setups, calibrations, run, follow, demonstrate, trajectory, export, import] = &*lines else {
         panic!("{lines:?}")
     };
     for line in setups {
         let printed = reader.types(line);
         assert!(printed.contains("STS3215"), "{printed}");
+    }
+    for (line, arm) in calibrations.iter().zip([&mut follower, &mut leader]) {
+        arm.calibrate(&mut reader.command(line));
+    }
+    assert_eq!(calibrations.len(), 2);
+    for name in ["follower.toml", "leader.toml"] {
+        let description = folder.path().join(name);
+        let found = Description::load(description.to_str().unwrap()).unwrap();
+        for (found, (joint, [low, high])) in found.bus("").unwrap().joints.iter().zip(&follower.joints) {
+            let limits = [found.min_rad - low, high - found.max_rad];
+            // The margin, rounded towards the middle, and two steps of a servo.
+            assert!(limits.iter().all(|inside| (0.03..0.04).contains(inside)), "{joint}: {limits:?}");
+            assert_eq!(found.sign, 1.0, "{joint}");
+        }
     }
     let robot = blocks("toml").remove(0).replace("kind = \"camera\"", "kind = \"camera_emulator\"");
     let robot =
