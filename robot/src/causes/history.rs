@@ -1,6 +1,6 @@
 //! The runs of a robot, and the messages between them.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -101,12 +101,15 @@ pub(super) struct Called {
     pub(super) service: Arc<str>,
     /// The caller; `None` for one outside the robot.
     pub(super) client: Option<Arc<str>>,
+    /// Which call of the client it belongs to.
+    call: (u32, u64),
     pub(super) is_answer: bool,
 }
 
 /// Changed settings of a module.
 pub(super) struct Change {
-    time: Time,
+    /// The cycle whose sync phase applied them; of no meaning for a detached module.
+    cycle: u64,
     module: Arc<str>,
     step: Option<u64>,
     pub(super) settings: Vec<Arc<str>>,
@@ -280,13 +283,22 @@ impl History {
         let concerned = match &event.kind {
             ModuleEventKind::Request { service, origin, .. } => {
                 let (service, client) = (Arc::clone(service), origin.client.clone());
-                self.calls.push(Called { cycle, time, service, client, is_answer: false });
+                let call = (origin.port, origin.number);
+                self.calls.push(Called { cycle, time, service, client, call, is_answer: false });
                 let server = self.server(&self.calls[self.calls.len() - 1].service, cycle);
                 server.map(|server| (Arc::clone(&self.modules[server].name), Some(self.calls.len() - 1)))
             }
             ModuleEventKind::Answer { service, origin, .. } => {
                 let (service, client) = (Arc::clone(service), origin.client.clone());
-                self.calls.push(Called { cycle, time, service, client: client.clone(), is_answer: true });
+                let call = (origin.port, origin.number);
+                self.calls.push(Called {
+                    cycle,
+                    time,
+                    service,
+                    client: client.clone(),
+                    call,
+                    is_answer: true,
+                });
                 client.map(|client| (client, Some(self.calls.len() - 1)))
             }
             ModuleEventKind::Command { module, .. } | ModuleEventKind::JobResult { module, .. } => {
@@ -310,10 +322,16 @@ impl History {
         }
     }
 
-    /// Adds changed settings of a module.
-    pub fn push_settings(&mut self, change: &SettingsChange) {
+    /// Adds changed settings of a module, and the cycle whose sync phase applied them.
+    ///
+    /// Without one, that is the last cycle of the history at the time of the change.
+    pub fn push_settings(&mut self, change: &SettingsChange, cycle: Option<u64>) {
+        let last_at_time = || {
+            let runs = self.runs.partition_point(|run| run.time <= change.time);
+            runs.checked_sub(1).map_or(0, |run| self.runs[run].cycle)
+        };
         self.changes.push(Change {
-            time: change.time,
+            cycle: cycle.unwrap_or_else(last_at_time),
             module: Arc::clone(&change.module),
             step: change.step,
             settings: change.settings.iter().map(|(name, _)| Arc::from(&**name)).collect(),
@@ -455,12 +473,25 @@ impl History {
         // The previous run took what came before its cycle.
         let since = self.before(run).map_or(instance.since, |run| run.cycle);
         let first = self.calls.partition_point(|call| call.cycle < since);
-        let calls = self.calls[first..].iter().take_while(|call| call.cycle < *cycle);
-        let concerns = |call: &&Called| match call.is_answer {
-            true => call.client.as_ref() == Some(&instance.name),
-            false => instance.serves.contains(&call.service),
+        let end = self.calls.partition_point(|call| call.cycle < *cycle);
+        let concerns = |position: &usize| match &self.calls[*position] {
+            Called { is_answer: false, service, .. } => instance.serves.contains(service),
+            answer => {
+                answer.client.as_ref() == Some(&instance.name)
+                    && self.requested_at(*position).is_none_or(|cycle| cycle >= instance.since)
+            }
         };
-        calls.filter(concerns).collect()
+        (first..end).filter(concerns).map(|position| &self.calls[position]).collect()
+    }
+
+    /// The cycle of the request to which an answer belongs: a module that has started again does not get the
+    /// answers to what it asked before.
+    fn requested_at(&self, answer: usize) -> Option<u64> {
+        let Called { service, client, call, .. } = &self.calls[answer];
+        let is_it = |other: &&Called| {
+            !other.is_answer && (&other.service, &other.client, &other.call) == (service, client, call)
+        };
+        self.calls[..answer].iter().rev().find(is_it).map(|request| request.cycle)
     }
 
     /// The run in which a request was made, or an answer given; `None` if that happened outside the robot.
@@ -478,17 +509,19 @@ impl History {
 
     /// The settings that a run was the first to have.
     pub(super) fn settings_of(&self, run: RunId) -> impl Iterator<Item = &Arc<str>> {
-        let Run { module, time, step, .. } = &self.runs[run.0];
-        let name = &self.modules[*module].name;
-        let since = self.before(run).map_or(Time::from_nanos(i64::MIN), |run| run.time);
+        let Run { module, cycle, step, .. } = &self.runs[run.0];
+        let Instance { name, since, .. } = &self.modules[*module];
+        let since = self.before(run).map_or(*since, |run| run.cycle);
         let changes = self.changes.iter().filter(move |change| {
             change.module == *name
                 && match step {
                     Some(_) => change.step == *step,
-                    None => change.time >= since && change.time <= *time,
+                    // The sync phase of a cycle follows its runs.
+                    None => (since..*cycle).contains(&change.cycle),
                 }
         });
-        changes.flat_map(|change| &change.settings)
+        let settings: BTreeSet<_> = changes.flat_map(|change| &change.settings).collect();
+        settings.into_iter()
     }
 
     /// The name of the module of a run.

@@ -14,8 +14,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_executor::{
-    CycleRuns, DetachedStep, ModuleEvent, ModuleEventKind, ModuleRun, Published, RunCause, Time, WiredModule,
-    Wiring,
+    CallError, CycleRuns, DetachedStep, ModuleEvent, ModuleEventKind, ModuleRun, Published, RunCause, Time,
+    WiredModule, Wiring,
 };
 
 /// A module on the way of an origin.
@@ -80,7 +80,7 @@ impl Sample {
 #[derive(Default)]
 struct ModuleState {
     held: Option<Held>,
-    /// What requests and answers brought, until the next run.
+    /// What requests and answers brought, until the next run: of a detached module that may have begun before.
     called: Option<Held>,
     /// The batches in the inbox of a detached module, by topic.
     inbox: HashMap<usize, VecDeque<Batch>>,
@@ -208,6 +208,11 @@ impl Latency {
             ModuleEventKind::Request { service, origin, .. } => {
                 (service, client(&origin.client), server(service))
             }
+            // No run has answered.
+            ModuleEventKind::Answer {
+                result: Err(CallError::NoServer { .. } | CallError::ServerGone { .. }),
+                ..
+            } => return,
             ModuleEventKind::Answer { service, origin, .. } => {
                 (service, server(service), client(&origin.client))
             }

@@ -1,18 +1,19 @@
 //! What a bag says about the runs of a robot.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use downbeat_edge::setting_value;
 use downbeat_executor::{
-    CallOrigin, CycleRuns, DetachedStep, ModuleCommand, ModuleEvent, ModuleEventKind, Published, RunCauses,
-    SettingsChange, StepInput, Time, WiredModule, Wiring,
+    CallError, CallOrigin, CycleRuns, DetachedStep, ModuleCommand, ModuleEvent, ModuleEventKind, Published,
+    RunCauses, SettingsChange, StepInput, Time, WiredModule, Wiring,
 };
 use downbeat_msgs::downbeat_interfaces::msg::{
-    ModuleEvent as EventMessage, ModuleRuns, ModuleSettings, ModuleStep, ModuleWiring,
+    CycleTimes, ModuleEvent as EventMessage, ModuleRuns, ModuleSettings, ModuleStep, ModuleWiring,
 };
 
 use super::{History, Latency};
+use crate::playback::journals::MessageCycles;
 
 /// The journals of a bag, as the executor reported them.
 #[derive(Default)]
@@ -20,22 +21,26 @@ pub struct Recorded {
     accounts: Vec<CycleRuns>,
     steps: Vec<DetachedStep>,
     events: Vec<ModuleEvent>,
-    settings: Vec<SettingsChange>,
+    /// With the cycles in which they took effect, where several cycles ran at their time.
+    settings: Vec<(SettingsChange, Option<u64>)>,
 }
 
 /// The columns of a message do not fit each other.
 const UNEVEN: &str = "its columns have different lengths";
 
 impl Recorded {
-    /// Takes the messages of the journals, in the order of the bag.
+    /// Takes the messages of the journals, in the order of the bag, the cycles in which those about settings
+    /// joined, and the times of cycles.
     ///
     /// # Errors
     /// If the messages on `module_runs` contradict themselves; the text says how.
-    pub fn new(
+    pub(crate) fn new(
         runs: &[ModuleRuns],
         steps: Vec<ModuleStep>,
         events: Vec<EventMessage>,
         settings: Vec<ModuleSettings>,
+        joined: MessageCycles,
+        cycles: &[CycleTimes],
     ) -> Result<Self, &'static str> {
         // A recording that begins late has tables only after some messages that refer to them.
         let tables = runs.iter().filter(|message| !message.modules.is_empty());
@@ -52,7 +57,10 @@ impl Recorded {
         steps.sort_by_key(|step| step.cycle);
         let mut events: Vec<_> = events.into_iter().filter_map(event).collect();
         events.sort_by_key(|event| event.cycle);
-        let settings = settings.into_iter().map(change).collect();
+        let times = cycles.iter().flat_map(|message| (message.first..).zip(message.times.iter().copied()));
+        let times: HashMap<u64, i64> = times.collect();
+        let settings = joined.of_changes(settings, |cycle| times.get(&cycle).copied());
+        let settings = settings.map(|(message, cycle)| (change(message), cycle)).collect();
         Ok(Self { accounts, steps, events, settings })
     }
 
@@ -75,7 +83,7 @@ impl Recorded {
         self.accounts.iter().for_each(|account| history.push(account));
         self.steps.iter().for_each(|step| history.push_step(step));
         self.events.iter().for_each(|event| history.push_event(event));
-        self.settings.iter().for_each(|change| history.push_settings(change));
+        self.settings.iter().for_each(|(change, cycle)| history.push_settings(change, *cycle));
         history
     }
 
@@ -173,11 +181,16 @@ fn event(message: EventMessage) -> Option<ModuleEvent> {
         EventMessage::REQUEST => {
             ModuleEventKind::Request { service: message.service.into(), origin: origin(module), body: None }
         }
-        EventMessage::ANSWER => ModuleEventKind::Answer {
-            service: message.service.into(),
-            origin: origin(module),
-            result: Ok(None),
-        },
+        EventMessage::ANSWER => {
+            let service: Arc<str> = message.service.into();
+            let result = match message.outcome {
+                EventMessage::NO_SERVER | EventMessage::SERVER_GONE => {
+                    Err(CallError::NoServer { service: Arc::clone(&service) })
+                }
+                _ => Ok(None),
+            };
+            ModuleEventKind::Answer { service, origin: origin(module), result }
+        }
         // Which command it was does not matter here.
         EventMessage::COMMAND => ModuleEventKind::Command { module, command: ModuleCommand::Step, by: None },
         EventMessage::RESULT => {

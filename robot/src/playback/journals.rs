@@ -213,8 +213,16 @@ impl MessageCycles {
         extract: &mut Extract,
         is_wanted: impl Fn(&str) -> bool,
     ) -> Result<Self, PlaybackError> {
+        Self::of(extract.messages(reader, journal::MESSAGES)?.unwrap_or_default(), is_wanted)
+    }
+
+    /// Takes those of the wanted topics from the journal.
+    pub(crate) fn of(
+        messages: Vec<CycleMessages>,
+        is_wanted: impl Fn(&str) -> bool,
+    ) -> Result<Self, PlaybackError> {
         let mut by_topic = BTreeMap::<String, LaterMessages>::new();
-        for message in extract.messages::<CycleMessages>(reader, journal::MESSAGES)?.unwrap_or_default() {
+        for message in messages {
             let mut positions = message.positions.iter();
             for (cycle, &size) in (message.first..).zip(&message.sizes) {
                 for &position in positions.by_ref().take(size as usize) {
@@ -232,6 +240,25 @@ impl MessageCycles {
             }
         }
         Ok(Self(by_topic))
+    }
+
+    /// The changes of settings, each with the cycle in which it took effect if that was not the last one at
+    /// its time.
+    pub(crate) fn of_changes(
+        mut self,
+        changes: Vec<ModuleSettings>,
+        time_of: impl Fn(u64) -> Option<i64>,
+    ) -> impl Iterator<Item = (ModuleSettings, Option<u64>)> {
+        // The journal reports a change in the cycle after it.
+        let reported = self.take(journal::SETTINGS).0.into_iter();
+        let reported = reported.flat_map(|(cycle, count)| std::iter::repeat_n(cycle.checked_sub(1), count));
+        let mut changed = reported.filter_map(move |cycle| Some((time_of(cycle?)?, cycle?))).peekable();
+        changes.into_iter().map(move |message| {
+            let stamp = message.stamp.as_nanos();
+            while changed.next_if(|(time, _)| *time < stamp).is_some() {}
+            let cycle = changed.next_if(|(time, _)| *time == stamp).map(|(_, cycle)| cycle);
+            (message, cycle)
+        })
     }
 
     pub(crate) fn take(&mut self, topic: &str) -> LaterMessages {
@@ -255,10 +282,6 @@ impl LaterMessages {
         }
         let later = self.0.iter().take_while(|(cycle, _)| *cycle <= moment.last).map(|(_, count)| count);
         waiting.saturating_sub(later.sum())
-    }
-
-    fn cycles(&self) -> impl Iterator<Item = u64> {
-        self.0.iter().flat_map(|&(cycle, count)| std::iter::repeat_n(cycle, count))
     }
 }
 
@@ -294,18 +317,10 @@ impl SettingsChanges {
             Cycles::Recorded { first, times, .. } => (*first, times),
             Cycles::OfMessages | Cycles::Unknown => (0, &[]),
         };
-        let later =
-            MessageCycles::read(reader, extract, |topic| topic == journal::SETTINGS)?.take(journal::SETTINGS);
-        // The journal reports a change in the cycle after it.
-        let reported = later.cycles().filter_map(|cycle| cycle.checked_sub(1));
-        let time_of = |cycle: u64| times.get(usize::try_from(cycle.checked_sub(first)?).ok()?);
-        let mut changed = reported.filter_map(|cycle| Some((*time_of(cycle)?, cycle))).peekable();
-        let changes = messages.into_iter().map(|message| {
-            let stamp = message.stamp.as_nanos();
-            while changed.next_if(|(time, _)| *time < stamp).is_some() {}
-            let cycle = changed.next_if(|(time, _)| *time == stamp).map(|(_, cycle)| cycle);
-            SettingsChange { cycle, message }
-        });
+        let joined = MessageCycles::read(reader, extract, |topic| topic == journal::SETTINGS)?;
+        let time_of = |cycle: u64| times.get(usize::try_from(cycle.checked_sub(first)?).ok()?).copied();
+        let changes =
+            joined.of_changes(messages, time_of).map(|(message, cycle)| SettingsChange { cycle, message });
         Ok(Self(changes.filter(|change| is_wanted(&change.message.module)).collect()))
     }
 
