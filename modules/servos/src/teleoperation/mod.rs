@@ -1,5 +1,7 @@
 //! Robots that are shown what to do: an arm that follows another one, and episodes of it to learn from.
 
+#[cfg(test)]
+mod delay;
 pub mod episodes;
 pub mod leader_arm;
 
