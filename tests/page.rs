@@ -127,12 +127,14 @@ fn a_motion_of_an_arm_is_made_in_the_page_and_played() {
             "{ description = \"servos/so101.toml\" }",
             "{ description = \"servos/so101.toml\", file = \"motions.toml\" }",
         )
-        .replace("servos/so101.toml", robots.join("servos/so101.toml").to_str().unwrap());
+        .replace("servos/so101.toml", robots.join("servos/so101.toml").to_str().unwrap())
+        .replace("\nin = [\n", "\nin = [\n{ topic = \"hand\", type = \"sensor_msgs/msg/JointState\" },\n");
     std::fs::write(&file, robot).unwrap();
     std::fs::write(&motions, "").unwrap();
     let [line, record] = [&file, &bag].map(|path| path.to_str().unwrap());
     let mut shown = Running::start(&["run", line, "--domain", &domain, "--view=0", "--record", record]);
-    pass(script.env("DOWNBEAT_PAGE", page_of(&shown)).env("DOWNBEAT_FILE", &motions), &shown);
+    script.env("DOWNBEAT_PAGE", page_of(&shown)).env("DOWNBEAT_FILE", &motions);
+    pass(script.env("ROS_DOMAIN_ID", &domain), &shown);
     shown.interrupt();
 
     let angles = recorded_angles(&bag, "elbow_flex");
