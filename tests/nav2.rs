@@ -1,6 +1,6 @@
-//! A base with two wheels as Nav2 drives it: commands with stamps, odometry, its transform and a managed node,
-//! with rclpy in the place of Nav2's servers, and Cyclone DDS in that of its lifecycle manager and of who listens
-//! to transforms (no wheel has `bond` and `tf2_msgs`).
+//! A base with two wheels as Nav2 drives it: commands with stamps, odometry, its transform and a managed
+//! node, with rclpy in the place of Nav2's servers, and Cyclone DDS in that of its lifecycle manager and of
+//! who listens to transforms (no wheel has `bond` and `tf2_msgs`).
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -123,8 +123,8 @@ impl Watcher {
         Self(peer)
     }
 
-    /// Sends a heartbeat with Nav2's time-out, and returns whether the base has said that it is alive, or that
-    /// the bond is over, since the last call.
+    /// Sends a heartbeat with Nav2's time-out, and returns whether the base has said that it is alive, or
+    /// that the bond is over, since the last call.
     fn bond(&mut self) -> Vec<bool> {
         let fields = json!({
             "header": {}, "id": "base", "instance_id": "manager", "active": true, "heartbeat_timeout": 4.0,

@@ -555,8 +555,8 @@ fn a_bag_that_is_recorded_for_humble_is_read_as_one_of_humble() {
     assert_eq!(read, json!({ "version": 5, "qos": qos, "in_file": qos, "messages": 1 }));
 }
 
-/// Records texts of 1 kB on a small disk until the recorder ends by itself or `files` files were begun; returns
-/// whether it succeeded, and its output.
+/// Records texts of 1 kB on a small disk until the recorder ends by itself or `files` files were begun;
+/// returns whether it succeeded, and its output.
 fn fill(disk: &SmallDisk, domain: u16, options: &[&str], files: usize) -> (bool, String) {
     let (bag, node) = (disk.path.join("bag"), node("talker", domain));
     let arguments = ["bag", "record", "/chatter", "--keep-free", "200000", "-o", text(&bag), "--domain"];

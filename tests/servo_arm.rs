@@ -1,5 +1,5 @@
-//! Follows docs/servo_arm.md from an empty folder, with two emulated arms that a hand turns: both are calibrated,
-//! and one is the leader.
+//! Follows docs/servo_arm.md from an empty folder, with two emulated arms that a hand turns: both are
+//! calibrated, and one is the leader.
 #![allow(clippy::unwrap_used, missing_docs)]
 #![cfg(all(feature = "sensors", feature = "tables"))]
 

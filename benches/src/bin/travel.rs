@@ -1,9 +1,9 @@
 //! Measures how long `downbeat bag debug` takes to go to a cycle, with its checkpoints: random cycles of a
 //! recorded run, and steps back from there.
 //!
-//! The run is shorter than an hour, so its checkpoints are nearer to each other. The time to a cycle of an hour
-//! is extrapolated by their distance in the first pass; a step back starts at a checkpoint that is a few cycles
-//! away in any run. What else runs on the machine lengthens all of these times.
+//! The run is shorter than an hour, so its checkpoints are nearer to each other. The time to a cycle of an
+//! hour is extrapolated by their distance in the first pass; a step back starts at a checkpoint that is a few
+//! cycles away in any run. What else runs on the machine lengthens all of these times.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};

@@ -32,8 +32,8 @@ pub(crate) enum ServoCommand {
     },
     /// Write a first description of the servos on a port, once all of them answer well.
     Setup {
-        /// The serial port, such as /dev/ttyUSB0. Default: the one with servos among all that are there. Each is
-        /// asked, so unplug what must not get bytes that it does not understand.
+        /// The serial port, such as /dev/ttyUSB0. Default: the one with servos among all that are there. Each
+        /// is asked, so unplug what must not get bytes that it does not understand.
         #[arg(value_name = "PORT")]
         path: Option<String>,
         #[command(flatten)]

@@ -80,7 +80,8 @@ impl Sample {
 #[derive(Default)]
 struct ModuleState {
     held: Option<Held>,
-    /// What requests and answers brought, until the next run: of a detached module that may have begun before.
+    /// What requests and answers brought, until the next run: of a detached module that may have begun
+    /// before.
     called: Option<Held>,
     /// The batches in the inbox of a detached module, by topic.
     inbox: HashMap<usize, VecDeque<Batch>>,

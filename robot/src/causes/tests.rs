@@ -618,7 +618,8 @@ proptest! {
         robot.core.run().unwrap();
         let heard = robot.end();
         heard.check();
-        // A latency takes it that the next run of a detached module has an answer, though that may have begun before.
+        // A latency takes it that the next run of a detached module has an answer, though that may have begun
+        // before.
         if !has_calls {
             heard.check_latency();
         }

@@ -86,9 +86,9 @@ fn verify(root: &Path, scratch: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// True for a file in a root that stays when the package is purged: what dpkg and the tools for accounts write
-/// (the user of the service is removed on a running system only), and what docs/install.md says of robots that
-/// were run.
+/// True for a file in a root that stays when the package is purged: what dpkg and the tools for accounts
+/// write (the user of the service is removed on a running system only), and what docs/install.md says of
+/// robots that were run.
 pub(crate) fn is_left(path: &Path) -> bool {
     let accounts = ["etc/passwd", "etc/group", "etc/shadow", "etc/gshadow", "etc/.pwd.lock"];
     path.starts_with("var/lib/dpkg")

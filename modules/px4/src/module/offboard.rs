@@ -1,5 +1,5 @@
-//! What the vehicle is asked to do: set-points, which are streamed while a command is current, and modes, which
-//! services ask for.
+//! What the vehicle is asked to do: set-points, which are streamed while a command is current, and modes,
+//! which services ask for.
 
 use std::time::Duration;
 

@@ -42,12 +42,12 @@
 //! - **Ports**: a device is silent at another speed than that of its register `baud_rate`.
 //! - **Servos**: position control with P gain and torque limit, velocity and current control, without load;
 //!   temperature; the watchdog of the bus. A servo without power loses its RAM. A wrong supply is measured
-//!   and reported, and two servos of one id talk at the same time. Homing offsets; those of Dynamixel count on
-//!   over the end of a turn, and forget whole turns when they are switched on or get their torque.
+//!   and reported, and two servos of one id talk at the same time. Homing offsets; those of Dynamixel count
+//!   on over the end of a turn, and forget whole turns when they are switched on or get their torque.
 //!
 //! # What is not emulated
-//! Further operating modes; speed and acceleration limits, I and D gains; shutdown on overload, overheating or a wrong voltage; the values of sensors on devices beside servos,
-//! except an IMU that stands still.
+//! Further operating modes; speed and acceleration limits, I and D gains; shutdown on overload, overheating
+//! or a wrong voltage; the values of sensors on devices beside servos, except an IMU that stands still.
 
 mod body;
 mod devices;

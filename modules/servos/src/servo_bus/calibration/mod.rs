@@ -345,9 +345,9 @@ fn bring_feetech(port: &mut ServoPort, limb: &mut Limb, register: &Register) -> 
     Ok(settled.map(|_| vec![new_offset(&limb.joint, new)]))
 }
 
-/// Brings the travel into what a servo of Dynamixel counts with positions as goals. It reads its position plus
-/// its offset, and forgets whole turns when it is switched on or gets its torque; the offset does not move
-/// where a turn ends (ROBOTIS e-Manual, X series, "Homing Offset" and "Present Position").
+/// Brings the travel into what a servo of Dynamixel counts with positions as goals. It reads its position
+/// plus its offset, and forgets whole turns when it is switched on or gets its torque; the offset does not
+/// move where a turn ends (ROBOTIS e-Manual, X series, "Homing Offset" and "Present Position").
 fn bring_dynamixel(port: &mut ServoPort, limb: &mut Limb, register: &Register) -> Brought {
     let Joint { name, id, model, registers, drive, .. } = &limb.joint;
     let old = port.read(*id, register)?;
