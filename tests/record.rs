@@ -451,8 +451,13 @@ fn a_condition_on_topics_of_the_network_takes_a_snapshot() {
     assert!(lines.contains("no topic that is published is \"tank_lvl\""), "{lines}");
 }
 
-/// Topics and texts of messages, as `mcap` finds them in each file of a bag, and `rosbags` in all of it.
-fn read_by_others(bag: &Path) -> Option<(BTreeMap<String, Vec<[String; 2]>>, Vec<[String; 2]>)> {
+/// The topic and the text of a message.
+type Read = [String; 2];
+/// Those of each file, by its name.
+type ReadOfFiles = BTreeMap<String, Vec<Read>>;
+
+/// What `mcap` finds in each file of a bag, and `rosbags` in all of it.
+fn read_by_others(bag: &Path) -> Option<(ReadOfFiles, Vec<Read>)> {
     let mut found = python("read_files.py", &[bag])?;
     let [files, whole] = ["files", "bag"].map(|key| found[key].take());
     Some((serde_json::from_value(files).unwrap(), serde_json::from_value(whole).unwrap()))
@@ -468,7 +473,7 @@ fn latched_map(node: &Node) -> downbeat::bridge::ros::Publisher {
     publisher
 }
 
-fn map() -> [String; 2] {
+fn map() -> Read {
     ["/map", "lawn"].map(str::to_owned)
 }
 

@@ -16,7 +16,7 @@ const BEYOND_A_READER: &[(&str, &str, &str, &str)] = &[
     ("rosbags", "types::", "wstring", "strings of wide characters"),
     ("mcap-ros2-support", "types::", "wstring", "strings of wide characters"),
     ("@mcap/core", "types::", "no root MessageDefinition", "definitions with nothing in them"),
-    ("rosbags", "defined_in_idl", "Could not parse", "IDL that includes other files"),
+    ("rosbags", "in_idl", "Could not parse", "IDL that includes other files"),
     ("rosbags", "splits::", "size mismatch", "messages with bytes behind their end"),
     ("rosbags", "", "KeyError('unknown')", "a type whose definition the real recorder did not find"),
     ("@mcap/core", "", "File is not indexed", "files without an index"),
