@@ -1,6 +1,6 @@
 //! A base with two wheels as Nav2 drives it: commands with stamps, odometry, its transform and a managed
-//! node, with rclpy in the place of Nav2's servers, and Cyclone DDS in that of its lifecycle manager and of
-//! who listens to transforms (no wheel has `bond` and `tf2_msgs`).
+//! node. rclpy stands for Nav2's servers. Cyclone DDS stands for its lifecycle manager and for a listener to
+//! transforms, since no wheel on PyPI has the messages of `bond` and `tf2_msgs`.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod common;
@@ -105,7 +105,7 @@ impl Nav2 {
     }
 }
 
-/// What Nav2's lifecycle manager, and who listens to transforms, are to the base.
+/// A peer of the base: Nav2's lifecycle manager, and a listener to transforms.
 struct Watcher(Peer);
 
 impl Watcher {
