@@ -547,19 +547,25 @@ fn another_version_of_a_library_is_tried() {
     let source = format!("{CPP}{SOURCE}");
     let sources = [("source", source), ("smoother", smoother()), ("other", other), ("same", same)];
     let Some(()) = compile(folder, &sources) else { return };
-    fs::write(folder.join("robot.toml"), smooth_robot("")).unwrap();
-    let [robot, bag] = ["robot.toml", "bag"].map(|name| folder.join(name).to_str().unwrap().to_owned());
-    text_of(&["run", &robot, "--fast", "--duration", "1s", "--record", &bag]);
     let with = |library: &str| format!("smoother={}", folder.join(library).display());
-    let printed = text_of(&["bag", "replay", &robot, &bag, "--with", &with("libother.so")]);
-    // After three numbers it has 0.875, so the fourth differs.
-    let parting = "from smoother: in /out #3, data is 0.0, and 0.9375 without the change";
-    assert!(printed.contains(parting), "{printed}");
-    let printed = text_of(&["bag", "replay", &robot, &bag, "--with", &with("libsame.so")]);
-    assert!(printed.contains("the two runs are the same"), "{printed}");
-    let refused = output_of(&["bag", "replay", &robot, &bag, "--with", &with("missing.so")]);
-    let said = String::from_utf8_lossy(&refused.stderr);
-    assert!(!refused.status.success() && said.contains("missing.so"), "{said}");
+    let in_cycle = smooth_robot("");
+    let path = "path = \"libsmoother.so\"\n";
+    let detached = in_cycle.replace(path, &format!("{path}synchrony = \"detached\"\n"));
+    for (number, file) in [in_cycle, detached].into_iter().enumerate() {
+        fs::write(folder.join("robot.toml"), file).unwrap();
+        let [robot, bag] = [folder.join("robot.toml"), folder.join(format!("bag{number}"))];
+        let [robot, bag] = [robot, bag].map(|path| path.to_str().unwrap().to_owned());
+        text_of(&["run", &robot, "--fast", "--duration", "1s", "--record", &bag]);
+        let printed = text_of(&["bag", "replay", &robot, &bag, "--with", &with("libother.so")]);
+        // After three numbers it has 0.875, so the fourth differs.
+        let parting = "from smoother: in /out #3, data is 0.0, and 0.9375 without the change";
+        assert!(printed.contains(parting), "{printed}");
+        let printed = text_of(&["bag", "replay", &robot, &bag, "--with", &with("libsame.so")]);
+        assert!(printed.contains("the two runs are the same"), "{printed}");
+        let refused = output_of(&["bag", "replay", &robot, &bag, "--with", &with("missing.so")]);
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success() && said.contains("missing.so"), "{said}");
+    }
 }
 
 #[test]

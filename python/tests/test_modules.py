@@ -91,8 +91,9 @@ def test_a_recorded_run_replays_bit_for_bit_and_a_changed_source_is_reported(lev
         report.assert_same()
 
 
-def test_another_version_of_a_module_is_tried(level, program, write):
-    write("robot.toml", ROBOT.replace('kind = "python"', 'kind = "python"\n    synchrony = "when_due"'))
+@pytest.mark.parametrize("synchrony", ["when_due", "detached"])
+def test_another_version_of_a_module_is_tried(level, program, write, synchrony):
+    write("robot.toml", ROBOT.replace('kind = "python"', f'kind = "python"\n    synchrony = "{synchrony}"'))
     run = program("run", "robot.toml", "--record", "bag", "--duration", "2s")
     assert run.wait() == 0, run.text()
     write("other.py", LEVEL_HEAD.replace("0.9)", "0.01)"))

@@ -36,6 +36,8 @@ pub struct History {
     pub(super) changes: Vec<Change>,
     /// Events for detached modules that no run has taken yet, by module.
     untaken: HashMap<Arc<str>, VecDeque<Option<usize>>>,
+    /// The cycles of requests of modules that have no answer yet.
+    unanswered: HashMap<CallOf, u64>,
     wired: Option<Wired>,
     first_cycle: Option<u64>,
 }
@@ -101,10 +103,13 @@ pub(super) struct Called {
     pub(super) service: Arc<str>,
     /// The caller; `None` for one outside the robot.
     pub(super) client: Option<Arc<str>>,
-    /// Which call of the client it belongs to.
-    call: (u32, u64),
     pub(super) is_answer: bool,
+    /// Of an answer to a module, the cycle of its request, if that was recorded.
+    requested: Option<u64>,
 }
+
+/// Which call of a client of a service: the two, the port and the number.
+type CallOf = (Arc<str>, Arc<str>, u32, u64);
 
 /// Changed settings of a module.
 pub(super) struct Change {
@@ -283,23 +288,22 @@ impl History {
         let concerned = match &event.kind {
             ModuleEventKind::Request { service, origin, .. } => {
                 let (service, client) = (Arc::clone(service), origin.client.clone());
-                let call = (origin.port, origin.number);
-                self.calls.push(Called { cycle, time, service, client, call, is_answer: false });
+                if let Some(client) = client.clone() {
+                    let call = (Arc::clone(&service), client, origin.port, origin.number);
+                    self.unanswered.insert(call, cycle);
+                }
+                self.calls.push(Called { cycle, time, service, client, is_answer: false, requested: None });
                 let server = self.server(&self.calls[self.calls.len() - 1].service, cycle);
                 server.map(|server| (Arc::clone(&self.modules[server].name), Some(self.calls.len() - 1)))
             }
             ModuleEventKind::Answer { service, origin, .. } => {
                 let (service, client) = (Arc::clone(service), origin.client.clone());
-                let call = (origin.port, origin.number);
-                self.calls.push(Called {
-                    cycle,
-                    time,
-                    service,
-                    client: client.clone(),
-                    call,
-                    is_answer: true,
-                });
-                client.map(|client| (client, Some(self.calls.len() - 1)))
+                let call = client.clone();
+                let call = call.map(|client| (Arc::clone(&service), client, origin.port, origin.number));
+                let requested = call.and_then(|call| self.unanswered.remove(&call));
+                let answered = client.clone();
+                self.calls.push(Called { cycle, time, service, client, is_answer: true, requested });
+                answered.map(|client| (client, Some(self.calls.len() - 1)))
             }
             ModuleEventKind::Command { module, .. } | ModuleEventKind::JobResult { module, .. } => {
                 Some((Arc::clone(module), None))
@@ -477,21 +481,12 @@ impl History {
         let concerns = |position: &usize| match &self.calls[*position] {
             Called { is_answer: false, service, .. } => instance.serves.contains(service),
             answer => {
+                // A module that has started again does not get the answers to what it asked before.
                 answer.client.as_ref() == Some(&instance.name)
-                    && self.requested_at(*position).is_none_or(|cycle| cycle >= instance.since)
+                    && answer.requested.is_none_or(|cycle| cycle >= instance.since)
             }
         };
         (first..end).filter(concerns).map(|position| &self.calls[position]).collect()
-    }
-
-    /// The cycle of the request to which an answer belongs: a module that has started again does not get the
-    /// answers to what it asked before.
-    fn requested_at(&self, answer: usize) -> Option<u64> {
-        let Called { service, client, call, .. } = &self.calls[answer];
-        let is_it = |other: &&Called| {
-            !other.is_answer && (&other.service, &other.client, &other.call) == (service, client, call)
-        };
-        self.calls[..answer].iter().rev().find(is_it).map(|request| request.cycle)
     }
 
     /// The run in which a request was made, or an answer given; `None` if that happened outside the robot.

@@ -87,6 +87,8 @@ struct Detached {
     captured: Captured,
     /// How many messages of each topic its runs were given or missed.
     counts: BTreeMap<String, u64>,
+    /// The topics that it publishes, each with how many messages it has published on it in this session.
+    publishes: BTreeMap<Arc<str>, (KnownType, u64)>,
 }
 
 /// What happened in a cycle.
@@ -118,8 +120,10 @@ pub struct SessionRun {
     pub step: Option<u64>,
     /// The messages that it received.
     pub received: Vec<MessageRange>,
-    /// The messages that it published.
+    /// The messages that it published; of a detached module, those of the bag, which others received.
     pub published: Vec<MessageRange>,
+    /// What a detached module published in this session.
+    pub replayed: Vec<ShownMessage>,
 }
 
 /// Messages of a topic that follow each other.
@@ -182,15 +186,17 @@ impl ReplaySession {
             plan.reached.set(first_step(reader, &mut extract, name)?.unwrap_or(i64::MIN));
             let core = Core::new().with_clock(clock.clone());
             let mut core = build(&file, reader, &plan, &mut extract, core, |module| module == name)?;
-            let captured = Captured::add(&mut core, plan.published_by(|module| module == name))?;
+            let published = plan.published_by(|module| module == name);
+            let captured = Captured::add(&mut core, published.iter().cloned())?;
             let services = Some(plan.services());
             let follower =
                 StepFollower::new(&mut core, &clock, reader, &mut extract, name, &plan.reached, services);
             let follower = follower
                 .map_err(|source| ReplayError::Steps { module: name.clone(), source: Box::new(source) })?;
             captured.add_runs(&mut core)?;
-            let counts = BTreeMap::new();
-            detached.push(Detached { name: name.clone(), core, follower, captured, counts });
+            let (name, counts) = (name.clone(), BTreeMap::new());
+            let publishes = published.into_iter().map(|(topic, of)| (topic, (of, 0))).collect();
+            detached.push(Detached { name, core, follower, captured, counts, publishes });
         }
         let start = plan.cycles.first().or(reader.start_time()).unwrap_or(0);
         let clock = ManualClock::new(Time::from_nanos(start));
@@ -280,6 +286,12 @@ impl ReplaySession {
     /// The last message of each topic.
     pub fn latest(&self) -> impl Iterator<Item = &ShownMessage> {
         self.latest.values()
+    }
+
+    /// Whether detached modules publish on a topic. What others received on it are the messages of the bag.
+    #[must_use]
+    pub fn is_published_detached(&self, topic: &str) -> bool {
+        self.detached.iter().any(|detached| detached.publishes.contains_key(topic))
     }
 
     /// The first difference from the bag so far.
@@ -443,6 +455,7 @@ impl ReplaySession {
                     step: None,
                     received: topics.filter_map(|topic| self.last.range(topic)).collect(),
                     published: messages,
+                    replayed: Vec::new(),
                 }
             });
             let mut inside: Vec<_> = inside.collect();
@@ -471,7 +484,7 @@ impl ReplaySession {
         };
         let mut runs = Vec::new();
         for detached in &mut self.detached {
-            let Detached { name, core, follower, captured, counts } = detached;
+            let Detached { name, core, follower, captured, counts, publishes } = detached;
             let source = |source| ReplayError::Steps { module: name.clone(), source: Box::new(source) };
             while let Some(step) = follower.next().filter(has_joined) {
                 let number = step.step;
@@ -485,7 +498,13 @@ impl ReplaySession {
                 let received = received.filter(|messages| messages.count > 0).collect();
                 follower.step(core).map_err(source)?;
                 core.run_sinks();
-                captured.take().into_iter().for_each(|replayed| self.comparisons.replayed(replayed));
+                let mut shown = Vec::new();
+                for replayed in captured.take() {
+                    if let Some((of, count)) = publishes.get_mut(&replayed.topic) {
+                        shown.push(replayed.shown(*of, count));
+                    }
+                    self.comparisons.replayed(replayed);
+                }
                 events.extend(captured.take_events_of(core));
                 let Some(account) = captured.take_runs() else { continue };
                 let own = account.runs.iter().find(|run| {
@@ -506,6 +525,7 @@ impl ReplaySession {
                     step: Some(number),
                     received,
                     published: messages.collect(),
+                    replayed: shown,
                 });
             }
         }
@@ -515,13 +535,21 @@ impl ReplaySession {
     /// A captured message as it is shown; `None` if its type is not known.
     fn shown(&mut self, replayed: &Replayed) -> Option<ShownMessage> {
         let message_type = *self.types.get(&replayed.topic)?;
-        let count = self.counts.entry(Arc::clone(&replayed.topic)).or_default();
-        let number = *count;
-        *count += 1;
-        let (topic, time) = (Arc::clone(&replayed.topic), Time::from_nanos(replayed.time));
-        let message = ShownMessage { topic, number, time, message_type, cdr: replayed.cdr.clone() };
+        let message =
+            replayed.shown(message_type, self.counts.entry(Arc::clone(&replayed.topic)).or_default());
         self.latest.insert(Arc::clone(&message.topic), message.clone());
         Some(message)
+    }
+}
+
+impl Replayed {
+    /// As it is shown; `count` is how many messages there were on the topic before.
+    fn shown(&self, message_type: KnownType, count: &mut u64) -> ShownMessage {
+        let number = *count;
+        *count += 1;
+        let Self { topic, time, cdr } = self;
+        let (topic, time) = (Arc::clone(topic), Time::from_nanos(*time));
+        ShownMessage { topic, number, time, message_type, cdr: cdr.clone() }
     }
 }
 

@@ -96,8 +96,9 @@ pub(crate) fn is_left(path: &Path) -> bool {
         || accounts.iter().any(|known| path.to_string_lossy().starts_with(known))
 }
 
-/// Makes a root that has what the package needs, as its `Depends` says, and nothing else: the C library, in
-/// the version of this machine. The tools of systemd, which it needs too, work from outside.
+/// Makes a root that has what the package needs, as its `Depends` says, and nothing else: the C library, which
+/// needs that of the compiler, in the versions of this machine. The tools of systemd, which it needs too, work
+/// from outside.
 pub(crate) fn prepare(root: &Path) -> anyhow::Result<()> {
     for folder in
         ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers", "proc", "root", "tmp"]
@@ -112,8 +113,9 @@ pub(crate) fn prepare(root: &Path) -> anyhow::Result<()> {
         fs::create_dir_all(root.join("usr").join(folder))?;
         std::os::unix::fs::symlink(Path::new("usr").join(folder), root.join(folder))?;
     }
-    let package = format!("libc6:{}", architecture()?.of_debian());
-    let files = output_of(Command::new("dpkg").args(["--listfiles", &package]))?;
+    let architecture = architecture()?.of_debian();
+    let packages = ["libc6", "libgcc-s1"].map(|name| format!("{name}:{architecture}"));
+    let files = output_of(Command::new("dpkg").arg("--listfiles").args(packages))?;
     for file in files.lines().map(Path::new) {
         let is_library = ["/lib", "/lib64", "/usr/lib"].iter().any(|folder| file.starts_with(folder));
         if is_library && file.is_file() {

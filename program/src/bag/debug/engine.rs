@@ -265,7 +265,7 @@ impl Engine {
     }
 
     fn run(&self, run: &SessionRun) -> Run {
-        let SessionRun { module, causes, step, received, published } = run;
+        let SessionRun { module, causes, step, received, published, replayed: _ } = run;
         // Messages are listed.
         let causes = causes.iter().filter(|cause| *cause != RunCause::Messages);
         // What took effect at the end of a cycle is there for the runs of the next one.

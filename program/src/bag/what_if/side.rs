@@ -1,12 +1,13 @@
 //! One of the two runs, in a bag.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
-use downbeat_bags::{Reader, TopicDescription, TopicId, WriterOptions};
+use downbeat_bags::{Reader, TopicDescription, TopicId, Writer, WriterOptions};
 use downbeat_msgs::encoding::Encoding;
 use downbeat_robot::encoding::topic_info;
-use downbeat_robot::replay::{ReplaySession, Standing};
+use downbeat_robot::replay::{ReplaySession, ShownMessage, Standing};
 
 /// A run that was recorded.
 pub(super) struct Side {
@@ -41,31 +42,44 @@ impl Side {
             side.cycles += 1;
             let standing = session.standing();
             for message in &standing.messages {
-                let name = format!("/{}", message.topic);
-                if !side.topics.contains_key(&name) {
-                    let (info, _) =
-                        topic_info(name.clone(), message.message_type(), Vec::new(), Encoding::Cdr)?;
-                    let id = writer.add_topic(info.clone())?;
-                    side.topics.insert(name.clone(), OfTopic { id, info, origins: Vec::new() });
+                if !session.is_published_detached(&message.topic) || is_published_inside(standing, message) {
+                    let publishers = publishers_in(standing, &message.topic);
+                    side.write(&mut writer, standing.cycle, message, publishers)?;
                 }
-                let publishers = side.publishers_in(standing, &message.topic);
-                let Some(topic) = side.topics.get_mut(&name) else { continue };
-                topic.origins.push((standing.cycle, publishers));
-                let time = message.time.as_nanos();
-                writer.write(topic.id, time, time, message.cdr())?;
+            }
+            for run in &standing.runs {
+                for message in &run.replayed {
+                    side.write(&mut writer, standing.cycle, message, vec![run.module.to_string()])?;
+                }
             }
         }
         writer.finish()?;
         Ok(side)
     }
 
-    fn publishers_in(&mut self, standing: &Standing, topic: &str) -> usize {
-        let published = standing.runs.iter().filter(|run| run.published.iter().any(|of| *of.topic == *topic));
-        let names: Vec<String> = published.map(|run| run.module.to_string()).collect();
-        self.publishers.iter().position(|known| *known == names).unwrap_or_else(|| {
-            self.publishers.push(names);
+    fn write(
+        &mut self,
+        writer: &mut Writer,
+        cycle: u64,
+        message: &ShownMessage,
+        publishers: Vec<String>,
+    ) -> anyhow::Result<()> {
+        let publishers = self.publishers.iter().position(|known| *known == publishers).unwrap_or_else(|| {
+            self.publishers.push(publishers);
             self.publishers.len() - 1
-        })
+        });
+        let topic = match self.topics.entry(format!("/{}", message.topic)) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => {
+                let (info, _) =
+                    topic_info(new.key().clone(), message.message_type(), Vec::new(), Encoding::Cdr)?;
+                let id = writer.add_topic(info.clone())?;
+                new.insert(OfTopic { id, info, origins: Vec::new() })
+            }
+        };
+        topic.origins.push((cycle, publishers));
+        let time = message.time.as_nanos();
+        Ok(writer.write(topic.id, time, time, message.cdr())?)
     }
 
     /// The cycle of a message, and the modules that published on its topic in it.
@@ -78,4 +92,18 @@ impl Side {
     pub(super) fn reader(&self) -> anyhow::Result<Reader> {
         Ok(Reader::open(&self.bag)?)
     }
+}
+
+/// The modules that published on a topic in a cycle.
+fn publishers_in(standing: &Standing, topic: &str) -> Vec<String> {
+    let published = standing.runs.iter().filter(|run| run.published.iter().any(|of| *of.topic == *topic));
+    published.map(|run| run.module.to_string()).collect()
+}
+
+/// Whether a module inside the cycle published a message in this session.
+fn is_published_inside(standing: &Standing, message: &ShownMessage) -> bool {
+    let inside = standing.runs.iter().filter(|run| run.step.is_none());
+    inside.flat_map(|run| &run.published).any(|of| {
+        of.topic == message.topic && (of.first..of.first.saturating_add(of.count)).contains(&message.number)
+    })
 }
