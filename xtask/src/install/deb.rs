@@ -96,9 +96,9 @@ pub(crate) fn is_left(path: &Path) -> bool {
         || accounts.iter().any(|known| path.to_string_lossy().starts_with(known))
 }
 
-/// Makes a root that has what the package needs, as its `Depends` says, and nothing else: the C library, which
-/// needs that of the compiler, in the versions of this machine. The tools of systemd, which it needs too, work
-/// from outside.
+/// Makes a root that has what the package needs, as its `Depends` says, and nothing else: the C library,
+/// which needs that of the compiler, in the versions of this machine. The tools of systemd, which it needs
+/// too, work from outside.
 pub(crate) fn prepare(root: &Path) -> anyhow::Result<()> {
     for folder in
         ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/lib/dpkg/triggers", "proc", "root", "tmp"]
