@@ -176,6 +176,10 @@ fn scalar(text: &str) -> String {
             '\n' => quoted.push_str("\\n"),
             '\t' => quoted.push_str("\\t"),
             '\r' => quoted.push_str("\\r"),
+            // Readers bound how deep brackets are nested before they know which of them are in strings:
+            // `downbeat_msgs::yaml` does.
+            '[' => quoted.push_str("\\x5b"),
+            '{' => quoted.push_str("\\x7b"),
             // YAML 1.2, section 5.1: these must be escaped to be printable.
             control if control.is_control() || matches!(control, '\u{2028}' | '\u{2029}' | '\u{feff}') => {
                 let _ = write!(quoted, "\\u{:04x}", u32::from(control));

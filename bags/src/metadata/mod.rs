@@ -354,6 +354,14 @@ mod tests {
     }
 
     #[test]
+    fn custom_data_may_have_any_number_of_brackets() {
+        let mut metadata = Metadata::parse(OLD, Path::new("m")).unwrap();
+        metadata.version = super::FORMAT_VERSION;
+        metadata.custom_data.insert("settings".to_owned(), "{\"a\": [1]}, ".repeat(20_000));
+        assert_eq!(Metadata::parse(&metadata.to_yaml(), Path::new("m")).unwrap(), metadata);
+    }
+
+    #[test]
     fn custom_data_is_read_back_as_text_even_where_it_looks_like_something_else() {
         let mut metadata = Metadata::parse(OLD, Path::new("m")).unwrap();
         metadata.version = super::FORMAT_VERSION;
