@@ -48,12 +48,13 @@ const PAGES: [&str; 25] = [
 ];
 
 /// Commands that other tests run, or that change the machine.
-const ELSEWHERE: [&str; 48] = [
+const ELSEWHERE: [&str; 49] = [
     "cargo xtask",
     "cargo test",
     "cargo run --release --features physics -- run robots/darwin_op_physics.toml", // tests/physics.rs
     "cargo run --release --features physics,mujoco", // needs MuJoCo: the tests of downbeat-physics
     "cargo run --release --features football -- match robots/seeing_", // tests/football.rs
+    "cargo run --release --features football -- match --processes", // tests/football_processes.rs
     "cargo run --release --features sensors",        // tests/sensors.rs
     "cargo run --release --features px4",            // tests/px4.rs, as the next five
     "ros2 topic pub -r 10 /setpoint_pose",

@@ -255,6 +255,62 @@ fn colours_are_learned_from_the_marks_of_the_page() {
 }
 
 #[test]
+fn the_match_without_an_argument_needs_no_files_and_no_player_in_it_knows_the_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let elsewhere = |line: &[&str]| {
+        let mut command = downbeat(line);
+        let domain = free_domain().to_string();
+        let command = command.current_dir(folder.path()).env("XDG_CACHE_HOME", folder.path().join("cache"));
+        let output = command.env("ROS_DOMAIN_ID", domain).output().unwrap();
+        assert!(output.status.success(), "{line:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let played =
+        elsewhere(&["match", "--fast", "--duration", "1s", "--record", "bag", "--summary", "match.svg"]);
+    assert!(played.contains("blue 0:0 red after 1 s"), "{played}");
+    let rows: Vec<_> = played.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    let table = ["goals", "blue", "blue_1", "blue_2", "red", "red_1", "red_2"];
+    assert!(rows.ends_with(&table), "{played}");
+    let picture = std::fs::read_to_string(folder.path().join("match.svg")).unwrap();
+    assert!(picture.starts_with("<svg") && picture.contains(">red_2</text>"), "{picture}");
+    let reader = Reader::open(&folder.path().join("bag")).unwrap();
+    let players = ["blue_1", "blue_2", "red_1", "red_2"];
+    for name in players {
+        for topic in ["vision/markings", "pose", "team_messages"] {
+            assert!(reader.topic(&format!("/{name}/{topic}")).is_some(), "{name}/{topic}");
+        }
+    }
+    // The file that is played by default.
+    let graph: Value = serde_json::from_str(&elsewhere(&["graph", "seeing_teams", "--json"])).unwrap();
+    let name = |list: &str, index: &Value| {
+        graph[list][index.as_u64().unwrap() as usize]["name"].as_str().unwrap().to_owned()
+    };
+    let received = graph["edges"].as_array().unwrap().iter().filter_map(|edge| edge.get("subscribes"));
+    let received: Vec<_> =
+        received.map(|edge| (name("modules", &edge["module"]), name("topics", &edge["topic"]))).collect();
+    assert!(received.contains(&("blue_1/vision".to_owned(), "blue_1/camera/image_raw".to_owned())));
+    for (module, topic) in received {
+        assert!(!topic.contains("ground_truth"), "{module} receives {topic}");
+        let (of_module, of_topic) = (module.split('/').next().unwrap(), topic.split('/').next().unwrap());
+        assert!(!players.contains(&of_module) || of_module == of_topic, "{module} receives {topic}");
+    }
+}
+
+#[test]
+fn a_summary_is_an_svg_picture_and_replaces_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = folder.path().join("match.svg");
+    std::fs::write(&picture, "mine").unwrap();
+    for (name, problem) in [("match.png", "let its name end in .svg"), ("match.svg", "exists already")] {
+        let line = ["match", "--fast", "--duration", "1s", "--summary", name];
+        let output = downbeat(&line).current_dir(folder.path()).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && error.contains(problem), "{problem}: {error}");
+    }
+    assert_eq!(std::fs::read_to_string(&picture).unwrap(), "mine");
+}
+
+#[test]
 fn a_file_without_a_match_is_refused_with_the_remedy() {
     let output =
         downbeat(&["match", "robots/darwin_op.toml"]).current_dir(env!("CARGO_MANIFEST_DIR")).output();

@@ -38,6 +38,26 @@ fn domain_and_process(game: &Running, robot: &str) -> (String, String) {
     (words[2].to_owned(), words[4].to_owned())
 }
 
+/// The process of a robot that was started again; `earlier` is the one before.
+fn next_process(game: &Running, robot: &str, earlier: &str) -> String {
+    let before = format!("started again: {robot}  domain ");
+    let mut process = None;
+    wait_until(&format!("{robot} is started again"), || {
+        let output = game.output();
+        let line = output.lines().filter_map(|line| line.split_once(&before)).next_back();
+        process = line.and_then(|(_, rest)| Some(rest.split_whitespace().nth(2)?.to_owned()));
+        process.is_some()
+    });
+    let process = process.unwrap();
+    assert_ne!(process, earlier);
+    process
+}
+
+fn kill(process: &str) {
+    let killed = std::process::Command::new("kill").args(["-KILL", process]).status().unwrap();
+    assert!(killed.success());
+}
+
 /// True if the process exists and has not ended.
 fn is_running(process: &str) -> bool {
     let state = std::fs::read_to_string(Path::new("/proc").join(process).join("stat"));
@@ -56,7 +76,7 @@ fn message_of(topic: &str, domain: &str) -> String {
 }
 
 #[test]
-fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies_does_not_end_the_match() {
+fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams() {
     // The match, and behind it each robot.
     let first_domain = free_domains(3);
     let domain = first_domain.to_string();
@@ -86,14 +106,8 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
     let told = message_of("/blue_1/team_messages", &first);
     assert!(told.contains("player: 2\n"), "{told}");
 
-    let killed = std::process::Command::new("kill").args(["-KILL", &second_process]).status().unwrap();
-    assert!(killed.success());
-    game.wait_for_output("the process of blue_2 has ended: signal: 9");
-    game.wait_for_output("blue_2 does not answer the referee");
-    assert!(is_running(&first_process) && game.is_running(), "{}", game.output());
-    message_of("/match/state", &domain);
     game.interrupt();
-    assert!(!is_running(&first_process));
+    assert!(!is_running(&first_process) && !is_running(&second_process));
 
     let reader = Reader::open(bags.join("blue_1")).unwrap();
     let topic = reader.topic("/blue_1/pose").unwrap();
@@ -106,7 +120,36 @@ fn robots_in_processes_meet_only_by_bus_pictures_and_datagrams_and_one_that_dies
 }
 
 #[test]
-fn no_robot_is_left_when_the_match_is_killed() {
+fn a_robot_whose_process_dies_is_picked_up_started_again_and_rejoins() {
+    let first_domain = free_domains(3);
+    let domain = first_domain.to_string();
+    let folder = tempfile::tempdir().unwrap();
+    let (file, bags) = (file(folder.path(), &["blue_1", "blue_2"]), folder.path().join("bags"));
+    let mut command = downbeat(&["match", "--processes", "--domain", &domain, "--record"]);
+    command.arg(&bags).arg(&file);
+    let mut game = Running::start_by(&mut command);
+    let (_, first_process) = domain_and_process(&game, "blue_1");
+    let (second, second_process) = domain_and_process(&game, "blue_2");
+    game.wait_for_output("blue_2 answers the referee");
+    kill(&second_process);
+    game.wait_for_output("the process of blue_2 has ended: signal: 9");
+    game.wait_for_output("it is started again in 1s");
+    game.wait_for_output("blue 2 is picked up as its team asked");
+    let next = next_process(&game, "blue_2", &second_process);
+    // It hears the referee, and speaks to its servos: where it is follows from their answers.
+    assert!(message_of("/blue_2/game_state", &second).contains("player: 2\n"));
+    assert!(message_of("/blue_2/pose", &second).contains("frame_id: map"));
+    message_of("/match/state", &domain);
+    assert!(is_running(&first_process) && is_running(&next) && game.is_running(), "{}", game.output());
+    game.interrupt();
+    assert!(!is_running(&first_process) && !is_running(&next));
+    // The bag of the process that was killed is kept.
+    assert!(Reader::open(bags.join("blue_2_2")).unwrap().topic("/blue_2/game_state").is_some());
+    assert!(bags.join("blue_2").is_dir());
+}
+
+#[test]
+fn no_robot_is_left_when_the_match_is_killed_not_even_one_that_was_started_again() {
     let folder = tempfile::tempdir().unwrap();
     let file = file(folder.path(), &["red_1"]);
     let [of_match, of_robot] = [free_domain(), free_domain()].map(|domain| domain.to_string());
@@ -116,9 +159,12 @@ fn no_robot_is_left_when_the_match_is_killed() {
     assert_eq!(domain, of_robot);
     game.wait_for_output("red_1 answers the referee");
     assert!(is_running(&process));
+    kill(&process);
+    let next = next_process(&game, "red_1", &process);
+    assert!(is_running(&next));
     game.signal("-KILL");
     assert!(!game.wait().success());
-    wait_until("the robot has ended", || !is_running(&process));
+    wait_until("the robot has ended", || !is_running(&next));
 }
 
 #[test]

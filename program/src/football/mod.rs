@@ -1,6 +1,7 @@
 //! `downbeat match`
 
 mod processes;
+mod restarts;
 pub(crate) mod robot;
 
 use std::collections::BTreeMap;
@@ -23,7 +24,10 @@ use downbeat_bridge::middleware::DiscoveryRange;
 use downbeat_executor::{Inbox, Received, SettingValue};
 use downbeat_files::duration::parse as duration;
 use downbeat_football::Field;
-use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
+use downbeat_football::football_interfaces::msg::{
+    GameState, Kick, MatchState, MatchStatistics, TeamMessage,
+};
+use downbeat_match::Summary;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_robot::running::{PreparedRobot, RecordPlan};
 use downbeat_robot::{Catalog, ModuleEntry, RobotFile, RosArgs};
@@ -31,8 +35,9 @@ use processes::{Prepared, Processes};
 
 #[derive(Args)]
 pub(crate) struct MatchArguments {
-    /// The robot file of the match, for example robots/match.toml.
-    #[arg(value_name = "MATCH.toml")]
+    /// The robot file of the match, or the name of a carried one (`downbeat robots list`): by default two against
+    /// two, all of whom know of the field only what their cameras show and their mates say.
+    #[arg(value_name = "MATCH.toml", default_value = DEFAULT_MATCH)]
     robot: PathBuf,
     /// Run each robot in a process of its own, in real time: they meet only through the bytes of their buses,
     /// pictures, packets of the referee and team messages. --record then makes a folder with a bag of the
@@ -52,6 +57,10 @@ pub(crate) struct MatchArguments {
     /// End after this simulated time: 500ms, 10s, 5min, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     duration: Option<Duration>,
+    /// Draw the match into this picture when it ends: where the robots walked, their kicks, and what each player
+    /// did.
+    #[arg(long, value_name = "FILE.svg", value_parser = picture)]
+    summary: Option<PathBuf>,
     /// Record the topics of the file's [record] into this new rosbag2 directory.
     #[arg(long, value_name = "DIR")]
     record: Option<PathBuf>,
@@ -73,10 +82,13 @@ struct Seen {
     began: Option<i64>,
     state: Option<MatchState>,
     events: Vec<String>,
+    summary: Summary,
     /// When each player answered last, by the numbers of team and player.
     answers: BTreeMap<(u8, u8), Instant>,
 }
 
+/// The carried match that is played if none is named.
+const DEFAULT_MATCH: &str = "seeing_teams";
 const REFRESH: Duration = Duration::from_millis(100);
 /// The last events below the field.
 const SHOWN_EVENTS: usize = 4;
@@ -98,12 +110,16 @@ pub(crate) fn play(
     if let Some(directory) = &bag {
         arguments.force.check(Output::Bag, directory)?;
     }
+    if let Some(path) = &arguments.summary {
+        arguments.force.check(Output::File, path)?;
+    }
     let mut stop = Stop::new()?;
     let mut file = arguments.parameters.read_robot(&arguments.robot, catalog, ros)?;
     let game = match_of(&file)?;
     let field = field_of(game)?;
     let options = game.options();
-    let [state, event] = ["match/state", "match/event"].map(|topic| options.resolved(topic));
+    let topics = ["match/state", "match/event", "match/kick", "match/statistics"];
+    let [state, event, kick, statistics] = topics.map(|topic| options.resolved(topic));
     let names = match options.settings.get("robots") {
         Some(SettingValue::Texts(names)) => names.clone(),
         _ => Vec::new(),
@@ -150,6 +166,7 @@ pub(crate) fn play(
     let see = move |state: Received<'_, MatchState>| {
         let mut seen = of_state.lock();
         seen.began.get_or_insert(state.header.stamp.as_nanos());
+        seen.summary.see(&state);
         seen.state = Some(state.clone());
     };
     robot.core().outlet(&state, Inbox::KeepAll, see)?.keep();
@@ -157,6 +174,12 @@ pub(crate) fn play(
     let hear = move |event: Received<'_, Text>| of_events.lock().events.push(event.data.clone());
     robot.core().outlet(&event, Inbox::KeepAll, hear)?.keep();
 
+    let of_kicks = Arc::clone(&seen);
+    let add = move |kick: Received<'_, Kick>| of_kicks.lock().summary.add(&kick);
+    robot.core().outlet(&kick, Inbox::KeepAll, add)?.keep();
+    let of_statistics = Arc::clone(&seen);
+    let count = move |counts: Received<'_, MatchStatistics>| of_statistics.lock().summary.count(&counts);
+    robot.core().outlet(&statistics, Inbox::KeepAll, count)?.keep();
     if prepared.is_some() {
         let of_answers = Arc::clone(&seen);
         let hear = move |answer: Received<'_, TeamMessage>| {
@@ -164,21 +187,24 @@ pub(crate) fn play(
         };
         robot.core().outlet(&options.resolved("answers"), Inbox::KeepAll, hear)?.keep();
     }
+    let pick_up =
+        prepared.as_ref().map(|_| robot.core().inlet(&options.resolved("match/pick_up"))).transpose()?;
 
     let robot = robot.start()?;
     #[cfg(feature = "view")]
     crate::run::print_urls(&robot);
     let start = |prepared: Prepared| {
         let bags = arguments.record.as_deref();
-        prepared.start(&arguments.robot, &arguments.parameters.to_arguments(), bags, screen)
+        prepared.start(&arguments.robot, arguments.parameters.to_arguments(), bags, screen)
     };
     let mut processes = prepared.map(start).transpose()?;
     processes.iter().flat_map(Processes::lines).for_each(|line| eprintln!("{line}"));
     let started = Instant::now();
     let mut printed = 0;
     while !stop.is_due() && !robot.is_finished() {
-        if let Some(processes) = &mut processes {
-            processes.report_ends();
+        for name in processes.iter_mut().flat_map(Processes::tend) {
+            // If the match is over, nobody is picked up.
+            let _ = pick_up.iter().try_for_each(|pick_up| pick_up.publish(Text { data: name.clone() }));
         }
         let seen = seen.lock();
         if screen.is_terminal() {
@@ -220,7 +246,13 @@ pub(crate) fn play(
             );
         }
     }
+    print!("{}", seen.summary.text());
     report_recording(summary.as_ref());
+    if let Some(path) = &arguments.summary {
+        arguments.force.make_way(Output::File, path, [])?;
+        let written = std::fs::write(path, seen.summary.svg(&field));
+        written.with_context(|| format!("cannot write {}", path.display()))?;
+    }
     Ok(())
 }
 
@@ -257,6 +289,7 @@ impl Seen {
             "blue (a, b, …) {blue} : {red} red (A, B, …)   {phase}   {half}   {clock} left   simulated"
         )];
         lines.extend(downbeat_match::draw(field, state).lines().map(str::to_owned));
+        lines.push(self.summary.line());
         let skipped = self.events.len().saturating_sub(SHOWN_EVENTS);
         lines.extend(self.events.iter().skip(skipped).cloned());
         lines
@@ -283,6 +316,15 @@ fn field_of(game: &ModuleEntry) -> anyhow::Result<Field> {
         _ => "kid_size_2013".to_owned(),
     };
     Ok(Field::named(&name)?)
+}
+
+/// The path of a picture.
+fn picture(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if path.extension().is_some_and(|extension| extension == "svg") {
+        return Ok(path);
+    }
+    Err("the picture is an SVG file: let its name end in .svg".to_owned())
 }
 
 fn speed(text: &str) -> Result<f64, String> {

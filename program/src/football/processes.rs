@@ -3,13 +3,14 @@
 //! The match and its robots share nothing but: the bytes of a robot's bus, on a pseudo terminal; the pictures
 //! of its camera, on DDS in a domain of its own; packets of a GameController and the answers to them, and
 //! team messages, as datagrams of the loopback interface. A process of a robot ends with its standard input,
-//! so none is left when this one ends, however it ends.
+//! and on Linux by a signal from the system as well, so none is left when this one ends, however it ends. One
+//! that dies is started again.
 
 use std::ffi::OsString;
 use std::io::{BufRead, BufReader, Read};
 use std::net::UdpSocket;
 use std::num::NonZeroUsize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -21,6 +22,7 @@ use downbeat_match::Team;
 use downbeat_network::udp::keep_free_port;
 use tempfile::TempDir;
 
+use super::restarts::Restarts;
 use super::robot::EVERYBODY;
 use crate::logging::Stream;
 use crate::own_command::own_command;
@@ -57,21 +59,40 @@ struct Entrant {
     camera: [String; 2],
 }
 
+/// What starts the process of any robot.
+struct Starter {
+    program: PathBuf,
+    /// Before those of `match-robot`.
+    arguments: Vec<OsString>,
+    file: PathBuf,
+    /// Of the command line, for the robot file.
+    settings: Vec<OsString>,
+    /// The folder of the bags.
+    bags: Option<PathBuf>,
+    screen: Screen,
+}
+
 /// The processes of a match. They are ended when it is dropped.
 pub(super) struct Processes {
     robots: Vec<Robot>,
+    starter: Starter,
     /// Removed when they have ended.
-    _prepared: Prepared,
+    prepared: Prepared,
 }
 
 struct Robot {
-    name: String,
-    domain: u16,
+    /// `None` between two processes, and if there is none any more.
+    process: Option<Process>,
+    restarts: Restarts,
+    starts_again_at: Option<Instant>,
+}
+
+struct Process {
     child: Child,
+    started: Instant,
     /// The process ends when it is closed.
     input: Option<ChildStdin>,
     output: Option<JoinHandle<()>>,
-    has_ended: bool,
 }
 
 /// How long the processes may take to end.
@@ -178,112 +199,170 @@ impl Prepared {
         Ok(())
     }
 
-    /// Starts the robots, once the match runs. They are given these arguments; with `bags`, each records into
+    /// Starts the robots, once the match runs. They are given these settings; with `bags`, each records into
     /// a folder there.
     pub(super) fn start(
         self,
         file: &Path,
-        arguments: &[OsString],
+        settings: Vec<OsString>,
         bags: Option<&Path>,
         screen: &Screen,
     ) -> anyhow::Result<Processes> {
         let (program, before) = own_command("match")?;
-        let mut processes = Processes { robots: Vec::with_capacity(self.robots.len()), _prepared: self };
-        for Entrant { name, team, domain, .. } in &processes._prepared.robots {
-            let prepared = &processes._prepared;
-            let mut command = Command::new(&program);
-            command.args(&before).arg("match-robot").arg(file).arg(name).args(arguments);
-            command.arg("--port").arg(prepared.folder.path().join(name));
-            let team_port = prepared.team_ports[usize::from(*team == Team::Red)];
-            let numbers = [
-                ("--domain", domain),
-                ("--control-port", &prepared.control_port),
-                ("--answer-port", &prepared.answer_port),
-                ("--team-port", &team_port),
-            ];
-            for (flag, number) in numbers {
-                command.arg(flag).arg(number.to_string());
-            }
-            if let Some(bags) = bags {
-                command.arg("--record").arg(bags.join(name));
-            }
-            for (variable, value) in
-                [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("DOWNBEAT_LOG", "warn")]
-            {
-                if std::env::var_os(variable).is_none() {
-                    command.env(variable, value);
-                }
-            }
-            // In a group of its own: Ctrl-C is for the match, which ends its robots.
-            parent::in_own_group(&mut command);
-            command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
-            let mut child =
-                parent::spawn(command).with_context(|| format!("cannot start a process for {name}"))?;
-            let (input, log) = (child.stdin.take(), child.stderr.take());
-            let screen = screen.clone();
-            let thread = std::thread::Builder::new().name(name.clone());
-            let output = log.map(|log| thread.spawn(move || pass_on(log, &screen))).transpose();
-            let robot =
-                Robot { name: name.clone(), domain: *domain, child, input, output: None, has_ended: false };
-            processes.robots.push(robot);
-            let output = output.with_context(|| format!("cannot start a thread for {name}"))?;
-            if let Some(robot) = processes.robots.last_mut() {
-                robot.output = output;
-            }
+        let starter = Starter {
+            program,
+            arguments: before.into_iter().map(OsString::from).collect(),
+            file: file.to_owned(),
+            settings,
+            bags: bags.map(Path::to_owned),
+            screen: screen.clone(),
+        };
+        let robots = Vec::with_capacity(self.robots.len());
+        let mut processes = Processes { robots, starter, prepared: self };
+        for entrant in &processes.prepared.robots {
+            let process = processes.starter.start(entrant, &processes.prepared)?;
+            let (restarts, starts_again_at) = (Restarts::default(), None);
+            processes.robots.push(Robot { process: Some(process), restarts, starts_again_at });
         }
         Ok(processes)
+    }
+}
+
+impl Starter {
+    fn start(&self, robot: &Entrant, prepared: &Prepared) -> anyhow::Result<Process> {
+        let Entrant { name, team, domain, .. } = robot;
+        let mut command = Command::new(&self.program);
+        command.args(&self.arguments).arg("match-robot").arg(&self.file).arg(name).args(&self.settings);
+        command.arg("--port").arg(prepared.folder.path().join(name));
+        let team_port = prepared.team_ports[usize::from(*team == Team::Red)];
+        let numbers = [
+            ("--domain", domain),
+            ("--control-port", &prepared.control_port),
+            ("--answer-port", &prepared.answer_port),
+            ("--team-port", &team_port),
+        ];
+        for (flag, number) in numbers {
+            command.arg(flag).arg(number.to_string());
+        }
+        if let Some(bags) = &self.bags {
+            command.arg("--record").arg(bags.join(name));
+        }
+        for (variable, value) in [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("DOWNBEAT_LOG", "warn")] {
+            if std::env::var_os(variable).is_none() {
+                command.env(variable, value);
+            }
+        }
+        // In a group of its own: Ctrl-C is for the match, which ends its robots.
+        parent::in_own_group(&mut command);
+        command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child =
+            parent::spawn(command).with_context(|| format!("cannot start a process for {name}"))?;
+        let (input, log) = (child.stdin.take(), child.stderr.take());
+        let mut process = Process { child, started: Instant::now(), input, output: None };
+        let screen = self.screen.clone();
+        let thread = std::thread::Builder::new().name(name.clone());
+        let output = log.map(|log| thread.spawn(move || pass_on(log, &screen))).transpose();
+        match output {
+            Ok(output) => process.output = output,
+            Err(error) => {
+                process.end(name, Instant::now());
+                return Err(error).with_context(|| format!("cannot start a thread for {name}"));
+            }
+        }
+        Ok(process)
+    }
+}
+
+impl Process {
+    fn ask_to_end(&mut self) {
+        self.input = None;
+    }
+
+    /// Ends it, in order until the deadline.
+    fn end(&mut self, name: &str, deadline: Instant) {
+        self.ask_to_end();
+        loop {
+            match self.child.try_wait() {
+                Ok(None) if Instant::now() < deadline => std::thread::sleep(LOOK),
+                Ok(Some(status)) => {
+                    if !status.success() {
+                        tracing::error!("the process of {name} did not end well: {status}");
+                    }
+                    break;
+                }
+                Ok(None) | Err(_) => {
+                    tracing::error!("the process of {name} did not end in time and was killed");
+                    // Without an effect if it has ended since.
+                    let _ = self.child.kill();
+                    let _ = self.child.wait();
+                    break;
+                }
+            }
+        }
+        if let Some(output) = self.output.take() {
+            let _ = output.join();
+        }
     }
 }
 
 impl Processes {
     /// A line for each robot: its domain and its process.
     pub(super) fn lines(&self) -> impl Iterator<Item = String> {
-        self.robots
-            .iter()
-            .map(|robot| format!("{}  domain {}  process {}", robot.name, robot.domain, robot.child.id()))
+        let of_robot = |(robot, entrant): (&Robot, &Entrant)| Some(line(entrant, robot.process.as_ref()?));
+        self.robots.iter().zip(&self.prepared.robots).filter_map(of_robot)
     }
 
-    /// Reports robots whose processes have ended since the last call.
-    pub(super) fn report_ends(&mut self) {
-        for robot in self.robots.iter_mut().filter(|robot| !robot.has_ended) {
-            let status = match robot.child.try_wait() {
-                Ok(None) => continue,
-                Ok(Some(status)) => status.to_string(),
-                Err(error) => error.to_string(),
-            };
-            robot.has_ended = true;
-            tracing::error!(
-                "the process of {} has ended: {status}; its servos keep their last goals, and the match goes on",
-                robot.name
-            );
-        }
-    }
-
-    fn end(&mut self) {
-        self.report_ends();
-        self.robots.iter_mut().for_each(|robot| robot.input = None);
-        let deadline = Instant::now() + PATIENCE;
-        for robot in &mut self.robots {
-            while !robot.has_ended && Instant::now() < deadline {
-                match robot.child.try_wait() {
-                    Ok(None) => std::thread::sleep(LOOK),
-                    Ok(Some(status)) => {
-                        robot.has_ended = true;
-                        if !status.success() {
-                            tracing::error!("the process of {} did not end well: {status}", robot.name);
-                        }
+    /// Starts processes again that have died, after a pause, and returns the robots whose processes have died
+    /// since the last call.
+    pub(super) fn tend(&mut self) -> Vec<String> {
+        let now = Instant::now();
+        let mut died = Vec::new();
+        for (robot, entrant) in self.robots.iter_mut().zip(&self.prepared.robots) {
+            let name = &entrant.name;
+            if robot.starts_again_at.is_some_and(|at| at <= now) {
+                match self.starter.start(entrant, &self.prepared) {
+                    Ok(process) => {
+                        tracing::warn!("started again: {}", line(entrant, &process));
+                        (robot.process, robot.starts_again_at) = (Some(process), None);
                     }
-                    Err(_) => break,
+                    Err(error) => {
+                        robot.wait(name, &format!("cannot be started again: {error:#}"), Duration::ZERO)
+                    }
                 }
             }
-            if !robot.has_ended {
-                tracing::error!("the process of {} did not end in time and was killed", robot.name);
-                // Without an effect if it has ended since.
-                let _ = robot.child.kill();
-                let _ = robot.child.wait();
+            let Some(process) = &mut robot.process else { continue };
+            let (was_asked, end) = match process.child.try_wait() {
+                Ok(None) => continue,
+                Ok(Some(status)) => (status.success(), format!("has ended: {status}")),
+                Err(error) => (false, format!("cannot be watched: {error}")),
+            };
+            let ran = now.saturating_duration_since(process.started);
+            robot.process = None;
+            if was_asked {
+                tracing::warn!(
+                    "the process of {name} has ended in order; it is not started again, and the match goes on"
+                );
+                continue;
             }
-            if let Some(output) = robot.output.take() {
-                let _ = output.join();
+            robot.wait(name, &end, ran);
+            died.push(name.clone());
+        }
+        died
+    }
+}
+
+impl Robot {
+    /// Plans the next process after one that ran for this long.
+    fn wait(&mut self, name: &str, what: &str, ran: Duration) {
+        let pause = self.restarts.pause_after(ran);
+        self.starts_again_at = pause.map(|pause| Instant::now() + pause);
+        const GOES_ON: &str = "its servos keep their last goals, and the match goes on";
+        match pause {
+            Some(pause) => {
+                tracing::error!("the process of {name} {what}; {GOES_ON}; it is started again in {pause:?}");
+            }
+            None => {
+                tracing::error!("the process of {name} {what}; {GOES_ON}; it is not started again");
             }
         }
     }
@@ -291,8 +370,20 @@ impl Processes {
 
 impl Drop for Processes {
     fn drop(&mut self) {
-        self.end();
+        let deadline = Instant::now() + PATIENCE;
+        let mut running: Vec<_> = self.robots.iter_mut().zip(&self.prepared.robots).collect();
+        // All of them at once, before any is waited for.
+        running.iter_mut().filter_map(|(robot, _)| robot.process.as_mut()).for_each(Process::ask_to_end);
+        for (robot, entrant) in running {
+            if let Some(process) = &mut robot.process {
+                process.end(&entrant.name, deadline);
+            }
+        }
     }
+}
+
+fn line(robot: &Entrant, process: &Process) -> String {
+    format!("{}  domain {}  process {}", robot.name, robot.domain, process.child.id())
 }
 
 /// Refuses a player that could not play in a process of its own.

@@ -10,6 +10,7 @@ use clap::Args;
 
 use crate::logging::Log;
 use crate::network::participant_options;
+use crate::new_output::Force;
 use crate::parameters::ParameterArguments;
 use crate::run::{PATIENCE, WatchedRobot};
 use crate::screen::Screen;
@@ -64,7 +65,9 @@ pub(crate) fn run(
         .prepared
         .expose(&ros.with_enclave(participant_options(Some(arguments.domain))?), Some(&log.of_node))?;
     if let Some(directory) = &arguments.record {
-        let plan = RecordPlan::of_robot(directory, robot.prepared.file(), None);
+        // A process that was started again does not replace the bag of the one before.
+        let directory = Force::default().next_run(directory)?;
+        let plan = RecordPlan::of_robot(&directory, robot.prepared.file(), None);
         robot.prepared.record(plan)?;
     }
     robot.run(&stop, screen)

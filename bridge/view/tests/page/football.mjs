@@ -65,6 +65,34 @@ test('the field is drawn: carpet, lines, robots and the ball', async () => {
   assert(colors.carpet > 20 * (colors.blue + colors.red) && colors.blue > 50 && colors.red > 50 && colors.ball > 10, JSON.stringify(colors));
 });
 
+test('what the players did is listed, and who had the ball', async () => {
+  const rows = page.getByTestId('match-robots').locator('tbody tr');
+  for (let position = 0; position < 4; position++) {
+    const cells = await until('the robot has counts', async () => {
+      const texts = await rows.nth(position).locator('td').allInnerTexts();
+      return /^\d+\.\d m$/.test(texts[8]) && texts;
+    });
+    for (const column of [5, 6, 7, 9, 10]) assert.match(cells[column], /^\d+/, cells.join('|'));
+  }
+  assert.match(await page.getByTestId('match-possession').getAttribute('aria-label'), /^Possession of the ball: blue .+ %, red .+ %$/);
+});
+
+test('a heat map shows where the ball lay', async () => {
+  // A cell in which it always was: its colour on the carpet, almost opaque.
+  const cells = () => page.getByTestId('match-field').evaluate((canvas) => {
+    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4) count += Math.abs(data[i] - 234) + Math.abs(data[i + 1] - 138) + Math.abs(data[i + 2] - 30) < 10 ? 1 : 0;
+    return count;
+  });
+  const heat = page.getByLabel('heat map of');
+  await heat.selectOption('');
+  await until('there is no heat map', async () => (await cells()) < 20);
+  await heat.selectOption('ball');
+  await until('the cell of the ball is drawn', async () => (await cells()) > 50);
+  await heat.selectOption('');
+});
+
 test('a chart marks the active state', async () => {
   await show('blue_2-player');
   const active = await until('a state is active', async () => {

@@ -1,4 +1,5 @@
-// A football match from above: the robots and the ball, the beliefs of each robot, and the states of its state machine.
+// A football match from above: the robots and the ball with their ways, kicks and a heat map, the beliefs of each robot, the states of its
+// state machine, and what it did so far.
 import { h, replace, setText } from '/panel.js';
 
 const PHASES = ['initial', 'ready', 'set', 'playing', 'finished', 'standby'];
@@ -6,11 +7,19 @@ const TEAM_COLORS = { blue: '#2f6fe0', red: '#d23b3b' };
 const CARPET = '#2e7d43';
 const LINE = 'rgba(255, 255, 255, 0.85)';
 const BALL = '#ff8c1a';
+/** As in football_interfaces/Kick. */
+const [PASS, SHOT, GOAL] = [1, 3, 5];
 /** m */
 const ROBOT_RADIUS = 0.13;
 const SHOWN_EVENTS = 12;
 /** A belief that is older than this is drawn faintly, in s. */
 const OLD_S = 2;
+/** For how long ways and kicks are shown, in s. */
+const SHOWN_S = 60;
+/** Points of a way that are nearer to each other are one, and those that are farther from each other are not joined, in m. */
+const [POINT, JUMP] = [0.05, 0.5];
+/** The size of a cell of the heat map, in m. */
+const CELL = 0.2;
 
 /** @param {{ x: number, y: number, z: number, w: number }} q */
 const headingOf = ({ x, y, z, w }) => Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
@@ -23,25 +32,40 @@ const teamOf = (name) => (name.startsWith('red') ? 'red' : 'blue');
 export default {
   create(root, robot, view) {
     const own = import.meta.url.split('/').at(-2);
-    const [stateTopic, fieldTopic, eventTopic] = robot.info?.panels?.find((panel) => panel.name === own)?.topics ?? [];
-    const options = { beliefs: true, ...view.get() };
+    const [stateTopic, fieldTopic, eventTopic, kickTopic, statisticsTopic] = robot.info?.panels?.find((panel) => panel.name === own)?.topics ?? [];
+    const options = { beliefs: true, tracks: true, kicks: true, heat: '', ...view.get() };
     let field = null;
     let state = null;
+    /** Where each robot and the ball were lately, with times. */
+    const tracks = new Map();
+    /** How often each robot and the ball were in each cell: arrays of columns, and the largest number. */
+    const heat = new Map();
+    let kicks = [];
     /** The beliefs of each robot: pose and ball in the frame of its team, with the times of the messages. */
     const beliefs = new Map();
     const rows = new Map();
 
     const score = h('output', { role: 'status', 'data-testid': 'match-score', style: { fontSize: '1.4em', fontWeight: '600' } });
     const canvas = h('canvas', { role: 'img', 'aria-label': 'The field from above', 'data-testid': 'match-field', style: { display: 'block', margin: '0.4rem auto', borderRadius: '0.4rem' } });
-    const shows = h('input', { type: 'checkbox', checked: options.beliefs, onchange: () => { options.beliefs = shows.checked; view.set(options); draw(); } });
+    const choice = (option, text) => {
+      const box = h('input', { type: 'checkbox', checked: options[option], onchange: () => { options[option] = box.checked; view.set(options); draw(); } });
+      return h('label', { style: { marginRight: '1em' } }, box, ` ${text}`);
+    };
+    const heatOf = h('select', { 'data-testid': 'match-heat', onchange: () => { options.heat = heatOf.value; view.set(options); draw(); } });
+    const possession = h('div', { role: 'img', 'aria-label': 'Possession of the ball', 'data-testid': 'match-possession', style: { display: 'flex', margin: '0.4rem 0', borderRadius: '0.3rem', overflow: 'hidden', color: 'white', fontWeight: '600' } });
     const body = h('tbody');
     const events = h('ol', { 'aria-label': 'Events', 'data-testid': 'match-events' });
     root.append(h('div', { style: { padding: '0.6rem 0.8rem' } },
       score,
       canvas,
-      h('label', null, shows, ' beliefs of the robots (rings: own positions; dots: the ball)'),
+      possession,
+      h('div', null,
+        choice('beliefs', 'beliefs of the robots (rings: own positions; dots: the ball)'),
+        choice('tracks', 'ways of the last minute'),
+        choice('kicks', 'kicks (yellow: goals, wide: shots, dashed: passes)'),
+        h('label', null, 'heat map of ', heatOf)),
       h('div', { style: { overflowX: 'auto' } }, h('table', { 'data-testid': 'match-robots' },
-        h('thead', null, h('tr', null, ['Robot', 'Automaton', 'Off by', 'Ball off by', ''].map((title) => h('th', { scope: 'col' }, title)))), body)),
+        h('thead', null, h('tr', null, ['Robot', 'Automaton', 'Off by', 'Ball off by', '', 'Kicks', 'Shots', 'Passes', 'Walked', 'Falls', 'Up again'].map((title) => h('th', { scope: 'col' }, title)))), body)),
       events,
     ));
     const ink = canvas.getContext('2d');
@@ -58,7 +82,7 @@ export default {
         belief.poseAt = secondsOf(header.stamp);
       });
       robot.subscribe(`/${name}/ball`, ({ header, point }) => { belief.ball = point.point; belief.ballAt = secondsOf(header.stamp); });
-      const cells = Array.from({ length: 5 }, () => h('td'));
+      const cells = Array.from({ length: 11 }, () => h('td'));
       rows.set(name, cells);
       const key = h('span', { 'aria-hidden': 'true', style: { color: TEAM_COLORS[teamOf(name)] } }, '● ');
       cells[0].append(key, name);
@@ -67,14 +91,64 @@ export default {
       if (chart) robot.subscribe(chart.topic, ({ active }) => setText(cells[1], active.join(' · ')));
     }
 
+    /** What is seen of a robot or the ball: its way, and the cell in which it is. */
+    function collect(name, { x, y }, now) {
+      const track = tracks.get(name) ?? [];
+      tracks.set(name, track);
+      const last = track.at(-1);
+      const way = last ? Math.hypot(x - last.x, y - last.y) : JUMP;
+      if (way >= POINT) track.push({ x, y, at: now, isJoined: way < JUMP });
+      while (track.length > 0 && now - track[0].at > SHOWN_S) track.shift();
+      if (!field) return;
+      const [columns, rows] = [field.length, field.width].map((size) => Math.ceil((size + 2 * field.margin) / CELL));
+      const map = heat.get(name) ?? { columns, most: 0, counts: new Uint32Array(columns * rows) };
+      heat.set(name, map);
+      const [column, row] = [Math.floor(x / CELL + columns / 2), Math.floor(y / CELL + rows / 2)];
+      if (column < 0 || column >= columns || row < 0 || row >= rows) return;
+      map.most = Math.max(map.most, ++map.counts[row * columns + column]);
+    }
+
+    /** What the players did so far, and who had the ball. */
+    function showStatistics({ players }) {
+      const of = (team) => players.filter((player) => teamOf(player.robot) === team).reduce((sum, player) => sum + player.possession, 0);
+      const [blue, red] = [of('blue'), of('red')];
+      const share = (part) => `${blue + red > 0 ? ((100 * part) / (blue + red)).toFixed(0) : '–'} %`;
+      possession.setAttribute('aria-label', `Possession of the ball: blue ${share(blue)}, red ${share(red)}`);
+      const bar = (team, part) => h('span', { style: { flex: `${part} 1 3em`, background: TEAM_COLORS[team], padding: '0 0.5em', textAlign: team === 'red' ? 'right' : 'left' } }, share(part));
+      possession.replaceChildren(bar('blue', blue), bar('red', red));
+      for (const player of players) {
+        const cells = rows.get(player.robot)?.slice(5);
+        const { kicks: count, shots, shots_on_goal: onGoal, passes, distance, falls, get_ups: ups } = player;
+        const texts = [count, onGoal > 0 ? `${shots} (${onGoal} on goal)` : shots, passes, `${distance.toFixed(1)} m`, falls, ups];
+        cells?.forEach((cell, index) => setText(cell, String(texts[index])));
+      }
+    }
+
+    /** Forgets what was collected. */
+    function forget() {
+      tracks.clear();
+      heat.clear();
+      kicks = [];
+    }
+
+    /** Offers the ball and the robots for the heat map. */
+    function offerHeat(names) {
+      if (heatOf.childElementCount === names.length + 2) return;
+      const option = (value, text) => h('option', { value, selected: value === options.heat }, text);
+      heatOf.replaceChildren(option('', 'nothing'), ...['ball', ...names].map((name) => option(name, name)));
+    }
+
     function show() {
       if (!state) return;
       const minutes = Math.floor(Math.max(0, state.seconds_remaining) / 60);
       const seconds = String(Math.floor(Math.max(0, state.seconds_remaining) % 60)).padStart(2, '0');
       setText(score, `blue ${state.blue_score} : ${state.red_score} red   ${PHASES[state.phase] ?? ''}, ${state.is_first_half ? 'first' : 'second'} half, ${minutes}:${seconds} left`);
       const now = secondsOf(state.header.stamp);
+      offerHeat(state.robots);
+      collect('ball', state.ball, now);
       state.robots.forEach((name, index) => {
         if (!beliefs.has(name)) follow(name);
+        collect(name, state.poses[index].position, now);
         const [, , off, ballOff, note] = rows.get(name);
         const { pose, ball, poseAt, ballAt } = beliefs.get(name);
         const distance = (from, to) => Math.hypot(from.x - to.x, from.y - to.y);
@@ -116,6 +190,10 @@ export default {
       }
       for (const [x, y] of field.posts) disc(x, y, 0.06, '#ffe14d');
       const now = secondsOf(state.header.stamp);
+      const colorOf = (name) => (name === 'ball' ? BALL : TEAM_COLORS[teamOf(name)]);
+      if (heat.has(options.heat)) drawHeat(heat.get(options.heat), colorOf(options.heat));
+      if (options.tracks) for (const [name, track] of tracks) drawTrack(track, colorOf(name));
+      if (options.kicks) for (const kick of kicks) drawKick(kick, now);
       if (options.beliefs) for (const [name, belief] of beliefs) drawBelief(name, belief, now);
       state.robots.forEach((name, index) => {
         const { position: { x, y }, orientation } = state.poses[index];
@@ -143,6 +221,38 @@ export default {
         ink.fillText(text, 0, 0);
         ink.restore();
       }
+      function drawHeat({ columns, most, counts }, color) {
+        ink.fillStyle = color;
+        counts.forEach((count, index) => {
+          if (count === 0) return;
+          // The root, so that ways are seen beside places where something lay for long.
+          ink.globalAlpha = 0.15 + 0.75 * Math.sqrt(count / most);
+          const [column, row] = [index % columns, Math.floor(index / columns)];
+          ink.fillRect((column - columns / 2) * CELL, (row - counts.length / columns / 2) * CELL, CELL, CELL);
+        });
+        ink.globalAlpha = 1;
+      }
+      function drawTrack(track, color) {
+        ink.strokeStyle = color;
+        ink.lineWidth = 1.5 / scale;
+        ink.globalAlpha = 0.6;
+        ink.beginPath();
+        for (const { x, y, isJoined } of track) { if (isJoined) ink.lineTo(x, y); else ink.moveTo(x, y); }
+        ink.stroke();
+        ink.globalAlpha = 1;
+      }
+      function drawKick({ header, from, to, outcome, robot: kicker }, time) {
+        const age = time - secondsOf(header.stamp);
+        if (age > SHOWN_S) return;
+        ink.globalAlpha = 1 - (0.8 * Math.max(0, age)) / SHOWN_S;
+        ink.strokeStyle = outcome === GOAL ? '#ffd400' : 'white';
+        ink.lineWidth = (outcome >= SHOT ? 3 : 1.5) / scale;
+        ink.setLineDash(outcome === PASS ? [0.1, 0.07] : []);
+        ink.beginPath(); ink.moveTo(from.x, from.y); ink.lineTo(to.x, to.y); ink.stroke();
+        ink.setLineDash([]);
+        disc(to.x, to.y, 3 / scale, TEAM_COLORS[teamOf(kicker)]);
+        ink.globalAlpha = 1;
+      }
       function drawBelief(name, { pose, ball, poseAt, ballAt, heading }, time) {
         ink.strokeStyle = TEAM_COLORS[teamOf(name)];
         ink.lineWidth = 2 / scale;
@@ -166,6 +276,8 @@ export default {
 
     if (fieldTopic) robot.subscribe(fieldTopic, ({ data }) => { field = JSON.parse(data); draw(); });
     if (stateTopic) robot.subscribe(stateTopic, (message) => { state = message; show(); });
+    if (kickTopic) robot.subscribe(kickTopic, (kick) => { kicks = [...kicks, kick].slice(-200); draw(); });
+    if (statisticsTopic) robot.subscribe(statisticsTopic, showStatistics);
     if (eventTopic) {
       robot.subscribe(eventTopic, ({ data }) => {
         events.prepend(h('li', null, data));
@@ -174,6 +286,6 @@ export default {
     }
     const resized = new ResizeObserver(draw);
     resized.observe(root);
-    return { destroy() { resized.disconnect(); }, seeked() { replace(events); } };
+    return { destroy() { resized.disconnect(); }, seeked() { replace(events, []); forget(); } };
   },
 };

@@ -55,6 +55,8 @@ pub enum Penalty {
     Fallen,
     /// The player left the carpet.
     LeftField,
+    /// The player's team asked for it.
+    PickUp,
 }
 
 /// An event of the game.
@@ -142,13 +144,14 @@ impl Team {
 }
 
 impl Penalty {
-    /// The number of the penalty in packets of version 20 of the humanoid soccer league: *incapable robot*
-    /// and *leaving the field*.
+    /// The number of the penalty in packets of version 20 of the humanoid soccer league: *incapable robot*,
+    /// *leaving the field* and *pick-up*.
     #[must_use]
     pub fn number(self) -> u8 {
         match self {
             Self::Fallen => 5,
             Self::LeftField => 8,
+            Self::PickUp => 6,
         }
     }
 }
@@ -192,6 +195,7 @@ impl fmt::Display for Event {
             Self::Stuck => f.write_str("the ball is dropped in the centre"),
             Self::Penalised(seat, Penalty::Fallen) => write!(f, "{seat} does not get up and is picked up"),
             Self::Penalised(seat, Penalty::LeftField) => write!(f, "{seat} left the field"),
+            Self::Penalised(seat, Penalty::PickUp) => write!(f, "{seat} is picked up as its team asked"),
             Self::Returned(seat) => write!(f, "{seat} returns"),
             Self::PutBack(seat) => write!(f, "{seat} is put back to its half"),
             Self::HalfTime => f.write_str("half-time"),

@@ -17,6 +17,10 @@ pub fn kinds(ports: &MemoryPorts) -> Vec<Kind> {
         )
         .drives_device()
         .emulated()
-        .with_panel("Football", PANEL, &["match/state", "match/field", "match/event"]),
+        .with_panel(
+            "Football",
+            PANEL,
+            &["match/state", "match/field", "match/event", "match/kick", "match/statistics"],
+        ),
     ]
 }

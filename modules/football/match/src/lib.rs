@@ -4,6 +4,7 @@
 //!   referee;
 //! - [`Referee`] decides the state of the game: a deterministic state machine over the true state of the
 //!   field;
+//! - [`Statistics`] counts what the players do, and [`Summary`] shows it as text and as a picture;
 //! - [`Drill`] lets one robot shoot at an empty goal;
 //! - [`player`] adds the modules of a player that can walk, kick and get up to a core.
 //!
@@ -18,6 +19,9 @@ mod module;
 mod official;
 pub mod player;
 mod referee;
+mod statistics;
+mod summary;
+mod svg;
 mod team_radio;
 
 /// The panel of a match for the robot's page.
@@ -31,3 +35,5 @@ pub use kinds::kinds;
 pub use module::{FootballMatch, seats};
 pub use official::Official;
 pub use referee::{Referee, Rules};
+pub use statistics::Statistics;
+pub use summary::Summary;

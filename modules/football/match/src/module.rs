@@ -5,6 +5,7 @@ use crate::field_world::world_of;
 use crate::game::{Order, Seat, Team, Truth};
 use crate::official::Official;
 use crate::referee::{Referee, Rules};
+use crate::statistics::Statistics;
 use crate::team_radio::TeamRadio;
 use downbeat_darwin_op::emulator::MemoryPorts;
 use downbeat_executor::{
@@ -12,7 +13,9 @@ use downbeat_executor::{
     TransitionError,
 };
 use downbeat_football::Field;
-use downbeat_football::football_interfaces::msg::{GameState, MatchState, TeamMessage};
+use downbeat_football::football_interfaces::msg::{
+    GameState, Kick, MatchState, MatchStatistics, TeamMessage,
+};
 use downbeat_football::soccer_model_msgs::msg::{Robot as OtherRobot, RobotArray};
 use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as RobotAttributes;
 use downbeat_msgs::builtin_interfaces;
@@ -41,6 +44,8 @@ use std::time::Duration;
 /// | `match/state` | football_interfaces/MatchState | ten times a second: score, time and positions |
 /// | `match/field` | std_msgs/String | the field as JSON, once every 2 s |
 /// | `match/event` | std_msgs/String | at each event: time of the match, score and event |
+/// | `match/kick` | football_interfaces/Kick | each kick, when it is known what became of it, see [`Statistics`] |
+/// | `match/statistics` | football_interfaces/MatchStatistics | what each player did so far: at each event, and twice a second |
 /// | `NAME/game_state` | football_interfaces/GameState | the state of the game for this robot: at each event, and twice a second |
 /// | `NAME/ground_truth/odom` | nav_msgs/Odometry | the pose in `map`, in which the own goal is at -x; 50 times a second |
 /// | `NAME/ground_truth/ball` | geometry_msgs/PoseStamped | the ball in the same frame |
@@ -49,6 +54,7 @@ use std::time::Duration;
 /// | `NAME/team_status` (in), `NAME/team_messages` | football_interfaces/TeamMessage | the messages of a player to its team; each mate receives a message after 50 to 150 ms, unless it is lost; penalised players neither send nor receive |
 ///
 /// | `match/place_ball` (in) | geometry_msgs/PointStamped | places the ball, in the frame of the world |
+/// | `match/pick_up` (in) | std_msgs/String | the name of a robot that the referee picks up, as its team asks |
 ///
 /// | setting | |
 /// | --- | --- |
@@ -76,6 +82,7 @@ struct Game {
     began: Option<Time>,
     tell_at: Time,
     radio: TeamRadio,
+    statistics: Statistics,
     /// Pictures that have not been delivered, in the order of their times: robot, time, pixels.
     pictures: VecDeque<(usize, Time, Vec<u8>)>,
     reported_left_out: Duration,
@@ -86,6 +93,8 @@ pub struct Ports {
     state: Publication<MatchState>,
     field: Publication<Text>,
     event: Publication<Text>,
+    kick: Publication<Kick>,
+    statistics: Publication<MatchStatistics>,
     robots: Vec<RobotPorts>,
     pictures: Job<(usize, Time, Vec<u8>)>,
 }
@@ -127,8 +136,9 @@ impl FootballMatch {
         game.arena.advance_to(now);
         let elapsed = now.saturating_since(*game.began.get_or_insert(now));
         let snapshot = game.arena.snapshot();
-        let (events, orders) = game.official.step(elapsed, &truth_of(&snapshot));
-        for order in orders {
+        let truth = truth_of(&snapshot);
+        let (events, orders) = game.official.step(elapsed, &truth);
+        for &order in &orders {
             match order {
                 Order::Ball(at) => game.arena.place_ball(at.to_array()),
                 Order::Robot { robot, position, heading } => {
@@ -141,6 +151,10 @@ impl FootballMatch {
             let (time, blue, red) = (elapsed.as_secs_f64(), state.blue_score, state.red_score);
             ctx.publish(ctx.ports.event, Text { data: format!("{time:.1} s  {blue}:{red}  {event}") });
         }
+        if let Some((at, kick)) = game.statistics.step(elapsed, &truth, (&events, &orders), &state) {
+            let header = header(now - elapsed.saturating_sub(at), "world");
+            ctx.publish(ctx.ports.kick, Kick { header, ..kick });
+        }
         let header = header(now, "map");
         // In real time, the timer is not exact.
         if !events.is_empty() || now + LOOK / 2 >= game.tell_at {
@@ -150,6 +164,8 @@ impl FootballMatch {
                 let publication = ctx.ports.robots[robot].game_state;
                 ctx.publish(publication, GameState { header: header.clone(), ..state });
             }
+            let statistics = MatchStatistics { header: header.clone(), ..game.statistics.message() };
+            ctx.publish(ctx.ports.statistics, statistics);
         }
         for robot in 0..game.seats.len() {
             let others = RobotArray { header: header.clone(), robots: game.others_of(robot, &snapshot) };
@@ -208,6 +224,14 @@ impl FootballMatch {
             game.arena.place_ball([x, y]);
         } else {
             tracing::warn!("the ball cannot be placed at {x}, {y}: the place is not on the field");
+        }
+    }
+
+    fn pick_up(&mut self, name: Received<'_, Text>, _: &mut Context<'_, Ports>) {
+        let Some(game) = &mut self.game else { return };
+        match game.names.iter().position(|known| *known == name.data) {
+            Some(robot) => game.official.pick_up(robot),
+            None => tracing::warn!("nobody is picked up: no robot \"{}\" plays", name.data.escape_debug()),
         }
     }
 
@@ -380,6 +404,7 @@ impl Module for FootballMatch {
             setup.every(DELIVER, Self::deliver)?;
         }
         setup.subscribe("match/place_ball", Self::place_ball)?;
+        setup.subscribe("match/pick_up", Self::pick_up)?;
         let robots = names.iter().map(|name| {
             let camera = match camera_hz > 0.0 {
                 false => None,
@@ -398,6 +423,7 @@ impl Module for FootballMatch {
             })
         });
         let robots = robots.collect::<Result<_, SetupError>>()?;
+        let statistics = Statistics::new(field.clone(), seats.clone(), &names);
         self.game = Some(Game {
             arena,
             official,
@@ -407,6 +433,7 @@ impl Module for FootballMatch {
             began: None,
             tell_at: Time::ZERO,
             radio,
+            statistics,
             pictures: VecDeque::new(),
             reported_left_out: Duration::ZERO,
         });
@@ -414,6 +441,8 @@ impl Module for FootballMatch {
             state: setup.publish("match/state")?,
             field: setup.publish("match/field")?,
             event: setup.publish("match/event")?,
+            kick: setup.publish("match/kick")?,
+            statistics: setup.publish("match/statistics")?,
             robots,
             pictures: setup.job(Self::keep),
         })

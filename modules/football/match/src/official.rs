@@ -36,6 +36,14 @@ impl Official {
         }
     }
 
+    /// Picks a player up at the next step, as its team asks, see [`Referee::pick_up`]. At an empty goal
+    /// nobody is picked up.
+    pub fn pick_up(&mut self, robot: usize) {
+        if let Self::Referee(referee) = self {
+            referee.pick_up(robot);
+        }
+    }
+
     /// The phase of the game.
     #[must_use]
     pub fn phase(&self) -> Phase {

@@ -39,7 +39,8 @@ pub struct Rules {
 ///   within the circle if its team does not kick off.
 /// - If the ball hardly moves for [`Rules::stuck`], it is dropped: *ready* begins again without a goal.
 /// - A player that lies for longer than [`Rules::fallen`] or leaves the carpet is *picked up*: it is taken
-///   off the field for [`Rules::penalty`], and returns upright at the touch line of its own half.
+///   off the field for [`Rules::penalty`], and returns upright at the touch line of its own half. The same
+///   happens to a player whose team asks for it, for example to start its computer again.
 /// - The game has two halves; sides change in between, and the other team kicks off.
 ///
 /// Not implemented: pushing, handling the ball, and the distance to a set play.
@@ -69,6 +70,8 @@ pub struct Referee {
 struct Player {
     down_since: Option<Duration>,
     penalty: Option<(Penalty, Duration)>,
+    /// Its team asked for a pick-up that has not happened.
+    asks_for_pick_up: bool,
 }
 
 /// A ball that moves less than this counts as lying, in m.
@@ -149,6 +152,13 @@ impl Referee {
     #[must_use]
     pub fn is_penalised(&self, robot: usize) -> bool {
         self.players.get(robot).is_some_and(|player| player.penalty.is_some())
+    }
+
+    /// Picks a player up at the next step, as its team asks. If it is penalised, its penalty begins anew.
+    pub fn pick_up(&mut self, robot: usize) {
+        if let Some(player) = self.players.get_mut(robot) {
+            player.asks_for_pick_up = true;
+        }
     }
 
     /// The place where a player starts and to which it is put back: position and heading in the world.
@@ -311,7 +321,8 @@ impl Referee {
         let outside = DVec2::new(self.field.length, self.field.width) / 2.0 + self.field.margin;
         for (robot, &(position, is_upright)) in truth.robots.iter().enumerate().take(self.seats.len()) {
             let (seat, mut player) = (self.seats[robot], self.players[robot]);
-            if let Some((_, until)) = player.penalty {
+            let is_asked = std::mem::take(&mut player.asks_for_pick_up);
+            if let Some((_, until)) = player.penalty.filter(|_| !is_asked) {
                 if now >= until {
                     player = Player::default();
                     let (position, heading) = self.beside_the_field(robot, 0.0);
@@ -321,7 +332,9 @@ impl Referee {
             } else {
                 let since = player.down_since.filter(|_| !is_upright).unwrap_or(now);
                 player.down_since = (!is_upright).then_some(since);
-                let penalty = if now.saturating_sub(since) >= self.rules.fallen {
+                let penalty = if is_asked {
+                    Some(Penalty::PickUp)
+                } else if now.saturating_sub(since) >= self.rules.fallen {
                     Some(Penalty::Fallen)
                 } else if position.x.abs() > outside.x || position.y.abs() > outside.y {
                     Some(Penalty::LeftField)
@@ -329,7 +342,8 @@ impl Referee {
                     None
                 };
                 if let Some(penalty) = penalty {
-                    player = Player { down_since: None, penalty: Some((penalty, now + self.rules.penalty)) };
+                    let until = now + self.rules.penalty;
+                    player = Player { penalty: Some((penalty, until)), ..Player::default() };
                     let (position, heading) = self.beside_the_field(robot, BESIDE);
                     orders.push(Order::Robot { robot, position, heading });
                     events.push(Event::Penalised(seat, penalty));
@@ -508,6 +522,26 @@ mod tests {
         assert!(game.events.contains(&Event::Penalised(seat(Team::Red, 1), Penalty::LeftField)));
         assert!(game.events.contains(&Event::Returned(seat(Team::Blue, 2))));
         assert!(!game.referee.is_penalised(1) && !game.referee.is_penalised(2));
+    }
+
+    #[test]
+    fn who_is_picked_up_for_its_team_is_off_the_field_as_others_and_again_if_asked_again() {
+        let mut game = Game::playing();
+        game.truth.ball = DVec2::new(0.5, 0.5);
+        game.referee.pick_up(1);
+        game.run(1.0);
+        assert_eq!(game.events, [Event::Penalised(seat(Team::Blue, 2), Penalty::PickUp)]);
+        let state = game.referee.game_state(1, game.now);
+        assert!(
+            state.is_penalised && state.penalty == 6 && game.truth.robots[1].0.y.abs() > 3.0,
+            "{state:?}"
+        );
+        game.run(20.0);
+        game.referee.pick_up(1);
+        game.run(20.0);
+        assert!(game.referee.is_penalised(1), "its penalty began anew");
+        game.run(11.0);
+        assert!(game.events.contains(&Event::Returned(seat(Team::Blue, 2))) && !game.referee.is_penalised(1));
     }
 
     #[test]

@@ -175,6 +175,22 @@ fn penalised_players_are_not_heard() {
 }
 
 #[test]
+fn a_robot_whose_team_asks_is_picked_up() {
+    let mut game = Game::new(1, Linear);
+    let pick_up = game.core.inlet("match/pick_up").unwrap();
+    game.run(2);
+    for name in ["green_1", "red_2"] {
+        pick_up.publish(Text { data: name.to_owned() }).unwrap();
+    }
+    game.run(1);
+    let (states, events) = game.end();
+    assert!(events.iter().any(|event| event.ends_with("red 2 is picked up as its team asked")), "{events:?}");
+    let last = states.last().unwrap();
+    assert_eq!(last.is_penalised, [false, true]);
+    assert!(last.poses[1].position.y.abs() > 2.0, "beside the field: {:?}", last.poses[1]);
+}
+
+#[test]
 fn a_ball_in_the_goal_counts_and_comes_back_to_the_centre() {
     let mut game = Game::new(1, Linear);
     game.run(9);
