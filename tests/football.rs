@@ -8,6 +8,7 @@ use common::{downbeat, open_with_stock_readers, text_of};
 use downbeat::bags::{Reader, Selection};
 use downbeat::msgs::cdr;
 use downbeat::msgs::geometry_msgs::msg::PoseWithCovarianceStamped;
+use downbeat::msgs::nav_msgs::msg::Odometry;
 use downbeat_football::football_interfaces::msg::TeamMessage;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -308,6 +309,33 @@ fn a_summary_is_an_svg_picture_and_replaces_nothing() {
         assert!(!output.status.success() && error.contains(problem), "{problem}: {error}");
     }
     assert_eq!(std::fs::read_to_string(&picture).unwrap(), "mine");
+}
+
+#[test]
+fn five_against_five_play_on_the_field_of_nine_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
+    let printed =
+        play_file("robots/five_against_five.toml", "1s", &bag, &["--domain", &free_domain().to_string()]);
+    assert!(printed.contains("blue 0:0 red after 1 s"), "{printed}");
+    let reader = Reader::open(&bag).unwrap();
+    let last = |topic: &str| {
+        let topic = reader.topic(topic).unwrap();
+        reader.messages(Selection::all().topics([topic])).unwrap().last().unwrap().unwrap().data.to_vec()
+    };
+    // Everybody enters where its localisation begins.
+    let places = [[-4.2, 0.0], [-1.05, 0.0], [-1.35, -0.375], [-1.65, 0.75], [-1.95, -1.125]];
+    for (number, [x, y]) in (1..).zip(places) {
+        for team in ["blue", "red"] {
+            let name = format!("{team}_{number}");
+            let believed: PoseWithCovarianceStamped =
+                cdr::from_slice(&last(&format!("/{name}/pose"))).unwrap();
+            let truth: Odometry = cdr::from_slice(&last(&format!("/{name}/ground_truth/odom"))).unwrap();
+            for at in [believed.pose.pose.position, truth.pose.pose.position] {
+                assert!((at.x - x).abs() < 0.1 && (at.y - y).abs() < 0.1, "{name}: {at:?}");
+            }
+        }
+    }
 }
 
 #[test]

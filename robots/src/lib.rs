@@ -38,7 +38,7 @@ macro_rules! files {
 /// Everything that is carried.
 pub const FILES: &[File] = files! {
     "ball_chaser.scxml" "ball_chaser.toml" "darwin_op.toml" "darwin_op.urdf" "darwin_op.xml" "darwin_op_physics.toml"
-    "darwin_op_serial.toml" "darwin_op_walks.toml" "empty_goal.toml" "football/player.scxml" "football/player.toml"
+    "darwin_op_serial.toml" "darwin_op_walks.toml" "empty_goal.toml" "five_against_five.toml" "football/player.scxml" "football/player.toml"
     "football/seeing_player.toml" "football/shooter.scxml" "football/shooter.toml" "match.toml" "op3.toml" "op3.urdf"
     "op3_humanoid.toml" "op3_motions.toml" "op3_walks.toml" "px4_emulated.toml" "px4_offboard.toml" "seeing_match.toml" "seeing_teams.toml" "sensors.toml"
     "servos/op3.toml" "servos/so101.toml" "so101.toml" "so101_teleop.toml" "worlds/field.toml"
