@@ -16,7 +16,8 @@
 //! A command holds until the next one.
 //!
 //! Far from its goal, the robot turns to the goal and walks forward; near the goal, it steps in all
-//! directions. It approaches the ball from behind, walking around it if necessary.
+//! directions. It approaches the ball from behind, walking around it if necessary; one that rolls, where it
+//! comes to rest.
 //!
 //! | setting | |
 //! | --- | --- |
@@ -190,7 +191,10 @@ impl WalkTo {
             (Goal::Place(goal), Some(here)) => {
                 self.walk_to_place(goal.seen_from(here), &obstacles, &settings)
             }
-            (Goal::Kick(target) | Goal::Dribble(target), Some(here)) => match self.beliefs.ball(now) {
+            (Goal::Kick(target) | Goal::Dribble(target), Some(here)) => match self
+                .beliefs
+                .ball_for(here.position, now)
+            {
                 Some(ball) if matches!(self.goal, Goal::Kick(_)) => {
                     self.line_up(here.point(ball), here.point(target), &obstacles, now, &settings)
                 }
