@@ -18,6 +18,9 @@ pub(crate) struct FootballArguments {
     /// pictures for each
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     seeds: Option<u64>,
+    /// The first seed of the matches and of the placements at the empty goal
+    #[arg(long, default_value_t = 1)]
+    first_seed: u64,
     /// The simulated length of the recorded matches, in s
     #[arg(long, default_value_t = 300)]
     recorded: u64,
@@ -31,8 +34,10 @@ enum Proof {
     Localisation,
     /// One robot, an empty goal
     EmptyGoal,
-    /// Two against two, two halves of five minutes
+    /// Two against two who believe the truth with noise, two halves of five minutes
     Match,
+    /// The same with players who know only what their cameras show and their mates say
+    SeeingMatch,
     /// Recorded matches, replayed under several launchers
     Replay,
 }
@@ -83,8 +88,9 @@ impl Proof {
         match self {
             Self::Vision => vision(seeds(20) * 100),
             Self::Localisation => localisation(seeds(20)),
-            Self::EmptyGoal => empty_goal(seeds(10)),
-            Self::Match => two_against_two(seeds(5)),
+            Self::EmptyGoal => empty_goal(seeds(10), arguments.first_seed),
+            Self::Match => two_against_two(seeds(5), arguments.first_seed),
+            Self::SeeingMatch => seeing_teams(seeds(10), arguments.first_seed),
             Self::Replay => (1..=seeds(1)).try_fold(Vec::new(), |mut findings, seed| {
                 findings.extend(replay(seed, arguments.recorded)?);
                 Ok(findings)
@@ -130,8 +136,8 @@ fn localisation(walks: u64) -> anyhow::Result<Vec<Finding>> {
     ])
 }
 
-fn empty_goal(tries: u64) -> anyhow::Result<Vec<Finding>> {
-    let chart = ["--chart", "robots/football/shooter.scxml"];
+fn empty_goal(tries: u64, first_seed: u64) -> anyhow::Result<Vec<Finding>> {
+    let chart = ["--chart", "robots/football/shooter.scxml", "--seed", &first_seed.to_string()];
     let game = ["--game", "empty_goal", "--robots", "blue_2", "--count", &tries.to_string()];
     let games = play(&[game.as_slice(), &chart].concat())?;
     let goals: u64 = games.iter().filter_map(|game| game["blue"].as_u64()).sum();
@@ -143,8 +149,41 @@ fn empty_goal(tries: u64) -> anyhow::Result<Vec<Finding>> {
     }])
 }
 
-fn two_against_two(matches: u64) -> anyhow::Result<Vec<Finding>> {
-    let games = play(&["--count", &matches.to_string(), "--threads", "2"])?;
+fn two_against_two(matches: u64, first_seed: u64) -> anyhow::Result<Vec<Finding>> {
+    let [count, seed] = [matches, first_seed].map(|number| number.to_string());
+    let games = play(&["--count", &count, "--seed", &seed, "--threads", "2"])?;
+    Ok(findings_of_matches(&games, matches))
+}
+
+/// Two against two with eyes: also whether it is worth watching.
+fn seeing_teams(matches: u64, first_seed: u64) -> anyhow::Result<Vec<Finding>> {
+    let [count, seed] = [matches, first_seed].map(|number| number.to_string());
+    let games = play(&["--eyes", "--count", &count, "--seed", &seed, "--threads", "2"])?;
+    let mut findings = findings_of_matches(&games, matches);
+    let sum = |game: &Value, key: &str| -> f64 {
+        game["players"].as_array().into_iter().flatten().filter_map(|player| player[key].as_f64()).sum()
+    };
+    let all = |key: &str| games.iter().map(|game| sum(game, key)).sum::<f64>();
+    let goals: f64 =
+        games.iter().flat_map(|game| [&game["blue"], &game["red"]]).filter_map(Value::as_f64).sum();
+    let players = games.iter().filter_map(|game| game["players"].as_array()).flatten().count();
+    let without_shot = games.iter().filter(|game| sum(game, "shots") == 0.0).count();
+    findings.extend([
+        at_least("goals in a match, mean", goals / games.len() as f64, 3.0),
+        Finding {
+            what: "matches without a shot",
+            found: without_shot.to_string(),
+            goal: "0".to_owned(),
+            is_met: without_shot == 0,
+        },
+        // Of two halves.
+        at_most("falls of a robot in a half, mean", all("falls") / (2 * players) as f64, 2.0),
+        at_least("share of falls after which it got up", all("get_ups") / all("falls"), 0.9),
+    ]);
+    Ok(findings)
+}
+
+fn findings_of_matches(games: &[Value], matches: u64) -> Vec<Finding> {
     let players = || games.iter().filter_map(|game| game["players"].as_array()).flatten();
     let most = |key: &str| players().filter_map(|player| player[key].as_f64()).fold(0.0, f64::max);
     let count = |key: &str| players().filter_map(|player| player[key].as_u64()).sum::<u64>();
@@ -159,7 +198,7 @@ fn two_against_two(matches: u64) -> anyhow::Result<Vec<Finding>> {
     let scores: Vec<_> = games.iter().map(|game| format!("{}:{}", game["blue"], game["red"])).collect();
     let speed = games.iter().filter_map(|game| game["speed"].as_f64()).fold(f64::MAX, f64::min);
     let dropped = of_games("dropped");
-    Ok(vec![
+    vec![
         Finding {
             what: "matches played to the end",
             found: games.len().to_string(),
@@ -194,7 +233,7 @@ fn two_against_two(matches: u64) -> anyhow::Result<Vec<Finding>> {
             is_met: dropped == 0,
         },
         at_least("times real time, the slowest", speed, 1.0),
-    ])
+    ]
 }
 
 /// Records a match without vision and one with, and replays them.

@@ -10,7 +10,7 @@ use downbeat_executor::{
     Core, Inbox, Linear, ManualClock, ModuleOptions, ModuleState, Pool, Receipt, Received, SettingValue,
     Snapshot, Time,
 };
-use downbeat_football::football_interfaces::msg::{GameState, MatchState};
+use downbeat_football::football_interfaces::msg::{GameState, MatchState, MatchStatistics};
 use downbeat_kinematics::robot_state_publisher::RobotStatePublisher;
 use downbeat_localisation::Localisation;
 use downbeat_match::{FootballMatch, player};
@@ -65,8 +65,6 @@ struct Watched {
     /// The position and time of its last movement.
     moved: Option<(DVec2, f64)>,
     stillness: f64,
-    falls: u32,
-    get_ups: u32,
     is_down: bool,
     /// The time of its penalty, and its position half a second later.
     penalised: Option<(f64, Option<DVec2>)>,
@@ -82,6 +80,7 @@ struct Watch {
     traced: f64,
     is_over: bool,
     last: MatchState,
+    counts: MatchStatistics,
     /// The statistics of the core at the end.
     core: Option<Receipt<Snapshot>>,
 }
@@ -104,10 +103,11 @@ fn main() -> anyhow::Result<()> {
             continue;
         }
         println!("seed {seed}: {blue_score}:{red_score} in {simulated:.0} s, {speed:.1} times real time");
-        for (name, player) in arguments.robots.iter().zip(&watch.players) {
+        for ((name, player), counts) in arguments.robots.iter().zip(&watch.players).zip(&watch.counts.players)
+        {
             println!(
-                "  {name}: still for up to {:.0} s, {} falls, {} times up again, {:.3} m when penalised",
-                player.stillness, player.falls, player.get_ups, player.strayed
+                "  {name}: still for up to {:.0} s, {} falls, {} times up again, {} shots, {:.1} m walked, {:.3} m when penalised",
+                player.stillness, counts.falls, counts.get_ups, counts.shots, counts.distance, player.strayed
             );
         }
     }
@@ -177,6 +177,9 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
         }
     };
     core.outlet("match/state", Inbox::KeepAll, see)?.keep();
+    let seen = Arc::clone(&watch);
+    let count = move |counts: Received<'_, MatchStatistics>| seen.lock().counts = counts.clone();
+    core.outlet("match/statistics", Inbox::KeepAll, count)?.keep();
     let tell = |event: Received<'_, Text>| println!("{}", event.data);
     core.outlet("match/event", Inbox::KeepAll, tell)?.keep();
     let end = Time::from_nanos(1_000_000_000) + Duration::from_secs(36_000);
@@ -220,9 +223,13 @@ fn add_eyes(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> anyh
 
 impl Watch {
     fn json(&self, names: &[String], seed: i64, simulated: f64, speed: f64) -> serde_json::Value {
-        let players = names.iter().zip(&self.players).map(|(name, player)| {
-            let Watched { stillness, falls, get_ups, strayed, .. } = player;
-            json!({ "name": name, "still_s": stillness, "falls": falls, "get_ups": get_ups, "strayed_m": strayed })
+        let players = names.iter().zip(&self.players).zip(&self.counts.players);
+        let players = players.map(|((name, player), counts)| {
+            let Watched { stillness, strayed, .. } = player;
+            json!({
+                "name": name, "still_s": stillness, "falls": counts.falls, "get_ups": counts.get_ups, "strayed_m": strayed,
+                "kicks": counts.kicks, "shots": counts.shots, "passes": counts.passes, "walked_m": counts.distance,
+            })
         });
         // Requested in the last cycle.
         let core = self.core.as_ref().and_then(Receipt::try_take);
@@ -244,8 +251,6 @@ impl Watch {
             let pose = &state.poses[robot];
             let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);
             let is_down = 1.0 - 2.0 * (q.x * q.x + q.y * q.y) < 0.5;
-            player.falls += u32::from(is_down && !player.is_down);
-            player.get_ups += u32::from(!is_down && player.is_down && !state.is_penalised[robot]);
             player.is_down = is_down;
             let is_able = state.phase == GameState::PLAYING && !is_down && !state.is_penalised[robot];
             let (from, since) = *player.moved.get_or_insert((place, now));
