@@ -155,7 +155,9 @@ impl RobotFile {
         let names = || self.modules.iter().map(|module| module.name.as_str());
         let (module, setting) = parameter.split_once('.').unwrap_or((parameter, ""));
         let Some(position) = names().position(|name| name == module) else {
-            let hint = with_slashes(parameter, names()).unwrap_or_else(|| suggestion(module, names()));
+            let hint = with_slashes(parameter, names())
+                .or_else(|| of_namespace(module, setting, names()))
+                .unwrap_or_else(|| suggestion(module, names()));
             return Err(self.error_at(&place, format!("the robot has no module \"{module}\"{hint}")));
         };
         if setting.is_empty() {
@@ -197,6 +199,23 @@ fn with_slashes<'a>(parameter: &str, modules: impl Iterator<Item = &'a str>) -> 
     Some(format!(
         ", did you mean \"{module}{rest}\"? Modules in the namespace {namespace} are named {namespace}/module"
     ))
+}
+
+/// Explains a name that has a namespace in place of a module, before the setting.
+fn of_namespace<'a>(
+    namespace: &str,
+    setting: &str,
+    modules: impl Iterator<Item = &'a str>,
+) -> Option<String> {
+    let is_inside = |name: &&str| name.strip_prefix(namespace).is_some_and(|name| name.starts_with('/'));
+    let inside: Vec<_> = modules.filter(is_inside).collect();
+    let setting = if setting.is_empty() { "setting" } else { setting };
+    (!inside.is_empty() && !setting.contains('.')).then(|| {
+        let inside = inside.join(", ");
+        format!(
+            ": it is a namespace, so write {namespace}/module.{setting} with one of its modules: {inside}"
+        )
+    })
 }
 
 /// Converts a value to that of a setting. Errors contain what was expected and found.

@@ -220,6 +220,11 @@ fn dots_in_place_of_the_slashes_of_a_module_in_a_namespace_are_reported_with_the
     for (argument, expected) in [
         ("blue_2.arm.mux.hold_s:=1.0", "no module \"blue_2\", did you mean \"blue_2/arm/mux.hold_s\"?"),
         ("blue_2.arm.mux:=1.0", "did you mean \"blue_2/arm/mux.setting\"?"),
+        (
+            "blue_2.hold_s:=1.0",
+            "no module \"blue_2\": it is a namespace, so write blue_2/module.hold_s with one of its modules: blue_2/arm/mux",
+        ),
+        ("blue_2:=1.0", "so write blue_2/module.setting with one of its modules"),
         ("blue_2.arm.max.hold_s:=1.0", "no module \"blue_2\"; there is"),
     ] {
         let error = file.set_from_argument(argument).unwrap_err().to_string();
