@@ -35,8 +35,8 @@ use processes::{Prepared, Processes};
 
 #[derive(Args)]
 pub(crate) struct MatchArguments {
-    /// The robot file of the match, or the name of a carried one (`downbeat robots list`): by default two against
-    /// two, all of whom know of the field only what their cameras show and their mates say.
+    /// The robot file of the match, or the name of a carried one (`downbeat robots list`): by default two
+    /// against two, all of whom know of the field only what their cameras show and their mates say.
     #[arg(value_name = "MATCH.toml", default_value = DEFAULT_MATCH)]
     robot: PathBuf,
     /// Run each robot in a process of its own, in real time: they meet only through the bytes of their buses,
@@ -57,8 +57,8 @@ pub(crate) struct MatchArguments {
     /// End after this simulated time: 500ms, 10s, 5min, 1h.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     duration: Option<Duration>,
-    /// Draw the match into this picture when it ends: where the robots walked, their kicks, and what each player
-    /// did.
+    /// Draw the match into this picture when it ends: where the robots walked, their kicks, and what each
+    /// player did.
     #[arg(long, value_name = "FILE.svg", value_parser = picture)]
     summary: Option<PathBuf>,
     /// Record the topics of the file's [record] into this new rosbag2 directory.

@@ -14,8 +14,8 @@ use std::time::Duration;
 ///
 /// A *kick* is a ball that suddenly rolls at [`Statistics::KICK_SPEED`] or faster. It is of the player who
 /// touched the ball last, and ends where the ball is touched by another player, kicked again, almost at rest,
-/// or out of play. It is a *shot* if the ball is fast enough to reach the goal line of the opponents, whatever
-/// rolling friction takes of its speed, and would cross it in the goal or at most half a metre beside it.
+/// or out of play. It is a *shot* if the ball would reach the goal line of the opponents in spite of rolling
+/// friction, and cross it in the goal or at most half a metre beside it.
 ///
 /// The result depends only on what is passed to [`Statistics::step`].
 pub struct Statistics {
@@ -352,8 +352,8 @@ mod tests {
             self.now += Duration::from_millis(100);
         }
 
-        /// Rolls the ball at this speed, which falls by 0.05 m/s in each step, as rolling friction does, until
-        /// it lies or has passed `x`.
+        /// Rolls the ball at this speed, which rolling friction reduces by 0.05 m/s in each step, until it
+        /// lies or has passed `x`.
         fn roll(&mut self, direction: DVec2, mut speed: f64, x: f64) {
             while speed > 0.05 && self.truth.ball.x < x {
                 self.truth.ball += direction.normalize() * speed * 0.1;
