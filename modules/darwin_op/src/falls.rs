@@ -12,8 +12,9 @@
 //! A robot that tilts by more than `tilt_limit` falls. Its joints are then commanded to where they are, so
 //! that the servos hold with nothing but friction. When it has lain still for `still_s`, it plays the motion
 //! for the side on which it lies, up to `attempts` times in a row; from back and sides it may first roll on
-//! its front, in turn over one side and over the other. After the last attempt it is helpless, until somebody
-//! puts it on its feet. Modules that walk pause while the state is not `upright`.
+//! its front, in turn over one side and over the other, and gets up from there at once. After the last attempt
+//! it is helpless, until somebody puts it on its feet. Modules that walk pause while the state is not
+//! `upright`.
 //!
 //! | setting | |
 //! | --- | --- |
@@ -43,6 +44,10 @@ use std::time::Duration;
 pub struct Falls {
     state: State,
     is_tilted: bool,
+    /// Up in the frame of the trunk.
+    up: DVec3,
+    /// Whether the motion that plays rolls the robot on its front.
+    is_rolling: bool,
     attempts: i64,
     pose: PresentPose,
     get_ups: ActionClient<PlayMotion>,
@@ -96,7 +101,7 @@ impl Falls {
         let now = ctx.now();
         let tilt_limit = *ctx.get(ctx.ports.tilt_limit);
         let is_tilted = up.z < libm::cos(tilt_limit);
-        self.is_tilted = is_tilted;
+        (self.is_tilted, self.up) = (is_tilted, up);
         let rate = &imu.angular_velocity;
         let is_still = DVec3::new(rate.x, rate.y, rate.z).length() <= *ctx.get(ctx.ports.still_rate);
         match self.state {
@@ -114,7 +119,7 @@ impl Falls {
                 if is_at_rest && !is_tilted {
                     self.stand(ctx);
                 } else if is_at_rest {
-                    self.get_up(up, ctx);
+                    self.get_up(ctx);
                 }
             }
             State::Fallen | State::Helpless if !is_tilted => self.stand(ctx),
@@ -134,8 +139,8 @@ impl Falls {
         }
     }
 
-    fn get_up(&mut self, up: DVec3, ctx: &mut Context<'_, Ports>) {
-        let side = Side::facing_down(up);
+    fn get_up(&mut self, ctx: &mut Context<'_, Ports>) {
+        let side = Side::facing_down(self.up);
         if !ctx.get(ctx.ports.get_up) {
             tracing::info!("the robot lies on its {side}; setting \"get_up\" is off");
             return self.enter(State::Fallen, ctx);
@@ -145,6 +150,7 @@ impl Falls {
             return self.enter(State::Helpless, ctx);
         }
         self.attempts += 1;
+        self.is_rolling = side != Side::Front;
         // Whatever is in the way of a roll may be so again: the next one goes to the other side.
         let swaps = self.attempts % 2 == 0;
         let name = match side {
@@ -158,12 +164,15 @@ impl Falls {
         self.enter(State::GettingUp, ctx);
     }
 
-    /// A motion has ended, or never began: the tilt decides what follows.
+    /// A motion has ended, or never began: the tilt decides what follows. A robot that has rolled on its front
+    /// gets up at once.
     fn on_end(&mut self, problem: Option<String>, ctx: &mut Context<'_, Ports>) {
         if let Some(problem) = problem {
             tracing::warn!("the motion to get up was not played: {problem}");
         }
+        let has_rolled = self.is_rolling && Side::facing_down(self.up) == Side::Front;
         match (self.state, self.is_tilted) {
+            (State::GettingUp, true) if has_rolled => self.get_up(ctx),
             (State::GettingUp, true) => self.enter(State::Falling { still_since: None }, ctx),
             (State::GettingUp, false) => self.stand(ctx),
             _ => {}
@@ -365,6 +374,18 @@ mod tests {
             robot.hold(orientation, 0.0, 700);
             assert_eq!(robot.played(), ["", motion]);
         }
+    }
+
+    #[test]
+    fn a_robot_that_has_rolled_on_its_front_gets_up_at_once() {
+        let mut robot = Robot::new();
+        robot.hold(pitched(-90.0), 0.0, 1500);
+        assert_eq!(robot.played(), ["", "get_up_back"]);
+        // It still rocks.
+        robot.hold(pitched(90.0), 1.0, 3000);
+        assert_eq!(robot.played(), ["get_up_back", "", "get_up_front"]);
+        robot.hold(pitched(0.0), 0.0, 10_000);
+        assert_eq!(robot.states().last().unwrap(), "upright");
     }
 
     #[test]
