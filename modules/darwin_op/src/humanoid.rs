@@ -30,7 +30,7 @@ use downbeat_executor::{Module, Setup, SetupError};
 use downbeat_files::toml::{self, Spanned};
 use downbeat_kinematics::description::{JointKind, LinkId};
 use downbeat_kinematics::leg::{Leg, LegError, Side};
-use downbeat_kinematics::{DescriptionError, Pose, Robot, darwin_op};
+use downbeat_kinematics::{DescriptionError, Masses, Pose, Robot, darwin_op};
 use glam::DVec3;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -51,6 +51,8 @@ pub struct Humanoid {
     /// The joints that swing the arms, right and left, with 1 for one that turns about y as its angle grows,
     /// and -1 for one that turns the other way.
     arms: Option<[(usize, f64); 2]>,
+    /// In the base while the robot stands, in m; 0 if the description has no masses.
+    centre_of_mass: DVec3,
 }
 
 /// A leg, and the positions of its joints among those of the robot.
@@ -89,6 +91,8 @@ impl From<LegError> for HumanoidError {
 
 /// The largest file, in bytes.
 const MAX_BYTES: u64 = 1 << 16;
+/// While it stands, from its description, in m.
+const DARWIN_OP_CENTRE_OF_MASS: DVec3 = DVec3::new(-0.001_67, 0.0, 0.013_94);
 /// The speed of an MX-28 without load at 12 V, in rad/s.
 const MX28_SPEED: f64 = 5.76;
 
@@ -131,6 +135,7 @@ impl Humanoid {
             base: names.base,
             legs: [leg(Side::Right), leg(Side::Left)],
             arms: Some(["r_sho_pitch", "l_sho_pitch"].map(arm)),
+            centre_of_mass: DARWIN_OP_CENTRE_OF_MASS,
         }
     }
 
@@ -181,6 +186,7 @@ impl Humanoid {
             base: names.base,
             legs: [legs[0], legs[1]],
             arms: None,
+            centre_of_mass: DVec3::ZERO,
         };
         if !names.arm.is_empty() {
             let [right, left] = names.sides.each_ref().map(|side| format!("{side}{}", names.arm));
@@ -211,6 +217,18 @@ impl Humanoid {
                 }
                 (joint.stand, joint.is_of_gait) = (angle, true);
             }
+        }
+        if let Ok(masses) = Masses::new(robot) {
+            let mut positions = vec![0.0; robot.coordinates().len()];
+            for joint in humanoid.joints.iter() {
+                if let Some(coordinate) = robot.coordinate(&joint.name) {
+                    positions[coordinate] = joint.stand;
+                }
+            }
+            let mut pose = Pose::new(robot);
+            pose.update(robot, &positions);
+            humanoid.centre_of_mass =
+                pose.base_from_link(base).inverse().transform_point(masses.center_of_mass(&pose));
         }
         Ok(humanoid)
     }
@@ -269,6 +287,11 @@ impl Humanoid {
             Side::Right => &self.legs[0],
             Side::Left => &self.legs[1],
         }
+    }
+
+    /// Where its centre of mass is in the base while it stands, in m.
+    pub(crate) fn centre_of_mass(&self) -> DVec3 {
+        self.centre_of_mass
     }
 
     /// The joints that swing the arms, right and left, each with the sign of its axis about y.
@@ -431,6 +454,16 @@ mod tests {
         );
         let moved = humanoid.joints.iter().filter(|joint| joint.is_of_gait).count();
         assert_eq!(moved, 13);
+    }
+
+    #[test]
+    fn the_centre_of_mass_is_that_of_the_stand() {
+        let stand =
+            "sho_pitch = -48.3\nsho_roll = -17.8\nel = 29.3\nhip_pitch = -36.1\nknee = 53.2\nank_pitch = 30";
+        let described = read(&format!("[stand_degrees]\n{stand}\n")).unwrap();
+        let known = Humanoid::darwin_op();
+        let off = described.centre_of_mass - known.centre_of_mass;
+        assert!(off.length() < 2e-4, "{} and {}", described.centre_of_mass, known.centre_of_mass);
     }
 
     #[test]

@@ -20,10 +20,16 @@
 //! is, the feet never jump, whatever the velocities are. With a constant velocity the trajectories are those
 //! of the walking module of the DARwIn-OP framework, except that (1) starts at 0.
 //!
+//! A [placement](Correction) puts the swinging foot elsewhere. In the next half period the body moves over it.
+//! In a step that [kicks](Engine::kick), the swinging foot swings back, forward, and to where it lands.
+//! A robot that stands and has to step skips the growth of the sway: it lifts a foot at once.
+//!
 //! # References
 //! I. Ha, Y. Tamura, H. Asama, "Gait pattern generation and stabilization for humanoid robot based on coupled
 //! oscillators", IROS 2011; ROBOTIS DARwIn-OP framework 1.6, module `Walking`, for the amplitudes.
 
+use downbeat_kinematics::leg::Side;
+use glam::DVec2;
 use std::f64::consts::{PI, TAU};
 
 /// Parameters of the engine, in m, rad and s.
@@ -47,6 +53,10 @@ pub struct Parameters {
     pub stance: [f64; 3],
     /// How much further forward the feet are while the robot walks.
     pub walking_shift: f64,
+    /// The duration of two steps of a robot that stood and has to step to stay on its feet.
+    pub catching_period: f64,
+    /// How far a foot that kicks swings ahead of its way.
+    pub kick_length: f64,
     /// The largest velocities.
     pub limits: Limits,
 }
@@ -66,6 +76,19 @@ pub struct Limits {
     pub acceleration: f64,
     /// Of a turn.
     pub turn_acceleration: f64,
+    /// How many times faster the robot slows down.
+    pub braking: f64,
+}
+
+/// What keeps the robot on its feet.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Correction {
+    /// The foot that a robot that stands has to lift.
+    pub must_step: Option<Side>,
+    /// Where the swinging foot lands, beside where the velocity leads it, in m.
+    pub placement: DVec2,
+    /// How much faster the present step goes, 0 to stay as it is.
+    pub haste: f64,
 }
 
 /// A velocity of the body.
@@ -134,6 +157,8 @@ enum Stage {
     Standing,
     /// The sway grows, the feet stay on the ground.
     Starting,
+    /// The sway grows while a foot is already in the air.
+    Catching,
     Walking,
     /// The sway fades, the feet stay on the ground.
     Stopping,
@@ -149,9 +174,22 @@ pub struct Engine {
     velocity: Velocity,
     from: Separation,
     to: Separation,
+    /// Where the left and the right foot are beside that: at the start of the half period, and at its end.
+    placed_from: [DVec2; 2],
+    placed_to: [DVec2; 2],
+    /// Whether the steps are those of a robot that catches itself.
+    is_catching: bool,
+    /// The foot that kicks with its next step, and whether the present step kicks.
+    kick: Option<Side>,
+    is_kicking: bool,
     /// The amplitude of (5).
     swing: f64,
 }
+
+/// The fastest change of a placement, in m/s.
+const PLACING_SPEED: f64 = 1.0;
+/// How far from its place a foot may stay when the robot stops, in m.
+const TOGETHER: f64 = 0.002;
 
 impl Engine {
     /// Returns true while the feet or the body move.
@@ -166,29 +204,81 @@ impl Engine {
         self.velocity
     }
 
+    /// Lets a foot kick with its next step, for which a robot that stands begins to walk.
+    pub fn kick(&mut self, side: Side) {
+        self.kick = Some(side);
+    }
+
+    /// Returns true while the robot steps because it stood and had to.
+    #[must_use]
+    pub fn is_catching(&self) -> bool {
+        self.is_catching
+    }
+
+    /// Where the robot is in a step: the side of the swinging foot, and the time since the start of the half
+    /// period and its duration, in s; `None` while both feet stay on the ground.
+    #[must_use]
+    pub fn step_in_progress(&self, parameters: &Parameters) -> Option<(Side, f64, f64)> {
+        let duration = self.period(parameters) / 2.0;
+        let side = if self.phase < 0.5 { Side::Left } else { Side::Right };
+        let is_stepping = matches!(self.stage, Stage::Walking | Stage::Catching);
+        is_stepping.then_some((side, (self.phase * 2.0).fract() * duration, duration))
+    }
+
     /// Advances by `dt` in s. Walking starts when a velocity is wanted, and stops with the feet side by side
     /// when none is wanted any more.
-    pub fn step(&mut self, dt: f64, wanted: Velocity, parameters: &Parameters) -> Targets {
+    pub fn step(
+        &mut self,
+        dt: f64,
+        wanted: Velocity,
+        correction: Correction,
+        parameters: &Parameters,
+    ) -> Targets {
         self.velocity = parameters.limits.slewed(self.velocity, parameters.limits.limited(wanted), dt);
-        let is_wanted = wanted != Velocity::default();
+        let is_wanted =
+            wanted != Velocity::default() || correction.must_step.is_some() || self.kick.is_some();
         if self.stage == Stage::Standing {
-            if !is_wanted {
-                return self.targets(parameters);
-            }
-            *self = Self { stage: Stage::Starting, velocity: self.velocity, ..Self::default() };
+            let (velocity, kick) = (self.velocity, self.kick);
+            *self = match correction.must_step {
+                Some(side) => {
+                    let phase = if side == Side::Left { 0.0 } else { 0.5 };
+                    Self {
+                        stage: Stage::Catching,
+                        is_catching: true,
+                        phase,
+                        velocity,
+                        kick,
+                        ..Self::default()
+                    }
+                }
+                None if is_wanted => Self { stage: Stage::Starting, velocity, kick, ..Self::default() },
+                None => return self.targets(parameters),
+            };
+        }
+        if let Some((side, ..)) = self.step_in_progress(parameters) {
+            let placed = &mut self.placed_to[usize::from(side == Side::Right)];
+            *placed += (correction.placement - *placed).clamp_length_max(PLACING_SPEED * dt);
         }
         let half_before = self.phase >= 0.5;
-        self.phase = (self.phase + dt / parameters.period).fract();
+        let hastened = dt * (1.0 + correction.haste);
+        self.phase = (self.phase + hastened / self.period(parameters)).fract();
         if (self.phase >= 0.5) != half_before {
             self.begin_half_period(is_wanted, parameters);
         }
         self.targets(parameters)
     }
 
+    fn period(&self, parameters: &Parameters) -> f64 {
+        if self.is_catching { parameters.catching_period } else { parameters.period }
+    }
+
     fn begin_half_period(&mut self, is_wanted: bool, parameters: &Parameters) {
-        let are_feet_together = self.to == Separation::default();
+        let are_feet_together = self.to == Separation::default()
+            && self.placed_to.iter().all(|placed| placed.length() < TOGETHER);
         self.stage = match self.stage {
-            Stage::Walking if !is_wanted && are_feet_together && self.velocity == Velocity::default() => {
+            Stage::Walking | Stage::Catching
+                if !is_wanted && are_feet_together && self.velocity == Velocity::default() =>
+            {
                 Stage::Stopping
             }
             Stage::Stopping if !is_wanted => {
@@ -197,12 +287,17 @@ impl Engine {
             }
             // A walk that is wanted again while it stops goes on after the sway has faded and grown again.
             Stage::Stopping => Stage::Starting,
-            Stage::Standing | Stage::Starting | Stage::Walking => Stage::Walking,
+            Stage::Standing | Stage::Starting | Stage::Catching | Stage::Walking => Stage::Walking,
         };
+        self.is_catching &= self.velocity == Velocity::default();
         self.from = self.to;
+        self.placed_from = std::mem::take(&mut self.placed_to);
         self.swing = 0.0;
+        self.is_kicking = false;
         if self.stage == Stage::Walking {
             let left_swings = self.phase < 0.5;
+            let side = if left_swings { Side::Left } else { Side::Right };
+            self.is_kicking = self.kick.take_if(|kick| *kick == side).is_some();
             let Velocity { forward, left, turn } = self.velocity;
             let x = forward * parameters.period / 4.0;
             // The feet open in the step towards the side and close in the other one.
@@ -221,7 +316,7 @@ impl Engine {
         let half = (self.phase * 2.0).fract();
         let level = match self.stage {
             Stage::Standing => 0.0,
-            Stage::Starting => smooth(half),
+            Stage::Starting | Stage::Catching => smooth(half),
             Stage::Walking => 1.0,
             Stage::Stopping => 1.0 - smooth(half),
         };
@@ -236,7 +331,7 @@ impl Engine {
             yaw: between(self.from.yaw, self.to.yaw),
         };
         let left_swings = self.phase < 0.5;
-        let is_stepping = self.stage == Stage::Walking;
+        let is_stepping = matches!(self.stage, Stage::Walking | Stage::Catching);
         let lifting = if is_stepping { (1.0 - libm::cos(TAU * u)) / 2.0 } else { 0.0 };
         let lift = parameters.foot_height * lifting;
         let (left_lift, right_lift) = if left_swings { (lift, 0.0) } else { (0.0, lift) };
@@ -251,16 +346,20 @@ impl Engine {
             (true, true) => Support::Right,
             (true, false) => Support::Left,
         };
+        let [left_placed, right_placed] =
+            [0, 1].map(|index| self.placed_from[index].lerp(self.placed_to[index], blend));
+        let kick = if self.is_kicking { parameters.kick_length * kicking(u) } else { 0.0 };
+        let (left_kick, right_kick) = if left_swings { (kick, 0.0) } else { (0.0, kick) };
         Targets {
             left: Foot {
-                x: x + separation.x,
-                y: y + stance_y + separation.y,
+                x: x + separation.x + left_placed.x + left_kick,
+                y: y + stance_y + separation.y + left_placed.y,
                 z: z + left_lift,
                 yaw: separation.yaw,
             },
             right: Foot {
-                x: x - separation.x,
-                y: y - stance_y - separation.y,
+                x: x - separation.x + right_placed.x + right_kick,
+                y: y - stance_y - separation.y + right_placed.y,
                 z: z + right_lift,
                 yaw: -separation.yaw,
             },
@@ -290,12 +389,30 @@ impl Limits {
     }
 
     fn slewed(&self, from: Velocity, to: Velocity, dt: f64) -> Velocity {
-        let slew = |from: f64, to: f64, limit: f64| from + (to - from).clamp(-limit * dt, limit * dt);
+        let slew = |from: f64, to: f64, limit: f64| {
+            let is_slower = to.abs() < from.abs() || from * to < 0.0;
+            let limit = if is_slower { limit * self.braking } else { limit };
+            from + (to - from).clamp(-limit * dt, limit * dt)
+        };
         Velocity {
             forward: slew(from.forward, to.forward, self.acceleration),
             left: slew(from.left, to.left, self.acceleration),
             turn: slew(from.turn, to.turn, self.turn_acceleration),
         }
+    }
+}
+
+/// How far a foot that kicks is ahead in its swing, as a share of the most.
+fn kicking(u: f64) -> f64 {
+    const BACK: f64 = 0.3;
+    const BACK_AT: f64 = 0.3;
+    const AHEAD_AT: f64 = 0.65;
+    if u < BACK_AT {
+        -BACK * smooth(u / BACK_AT)
+    } else if u < AHEAD_AT {
+        -BACK + (1.0 + BACK) * smooth((u - BACK_AT) / (AHEAD_AT - BACK_AT))
+    } else {
+        smooth((1.0 - u) / (1.0 - AHEAD_AT))
     }
 }
 
@@ -318,6 +435,8 @@ mod tests {
         pelvis_roll: 0.05,
         stance: [-0.01, 0.0025, 0.02],
         walking_shift: -0.01,
+        catching_period: 0.4,
+        kick_length: 0.06,
         limits: Limits {
             forward: 0.2,
             backward: 0.1,
@@ -325,6 +444,7 @@ mod tests {
             turn: 1.0,
             acceleration: 0.2,
             turn_acceleration: 2.0,
+            braking: 1.0,
         },
     };
 
@@ -336,7 +456,9 @@ mod tests {
 
     /// The targets of a time in s with a wanted velocity.
     fn run(engine: &mut Engine, seconds: f64, wanted: Velocity) -> Vec<Targets> {
-        (0..(seconds / DT).round() as usize).map(|_| engine.step(DT, wanted, &PARAMETERS)).collect()
+        (0..(seconds / DT).round() as usize)
+            .map(|_| engine.step(DT, wanted, Correction::default(), &PARAMETERS))
+            .collect()
     }
 
     /// How far the supporting feet have pushed the body: forward, left, turned.
@@ -432,6 +554,50 @@ mod tests {
         for Targets { left, right, support, .. } in targets {
             let lift = (left.z - right.z).abs();
             assert!(lift < 1e-12 || support != Support::Both);
+        }
+    }
+
+    #[test]
+    fn a_robot_that_has_to_step_lifts_a_foot_at_once_and_stands_again() {
+        for (side, support) in [(Side::Left, Support::Right), (Side::Right, Support::Left)] {
+            let mut engine = Engine::default();
+            let caught = Correction {
+                must_step: Some(side),
+                placement: DVec2::new(0.05, 0.0),
+                ..Correction::default()
+            };
+            let step: Vec<Targets> =
+                (0..20).map(|_| engine.step(DT, Velocity::default(), caught, &PARAMETERS)).collect();
+            assert_eq!(step[5].support, support);
+            let landed = step[19];
+            let ahead = landed.left.x - landed.right.x;
+            let ahead = if side == Side::Left { ahead } else { -ahead };
+            assert!((ahead - 0.05).abs() < 0.01, "{ahead}");
+            let after = run(&mut engine, 3.0, Velocity::default());
+            assert!(!engine.is_walking());
+            let ends = after[after.len() - 1];
+            assert_eq!((ends.left.x, ends.right.x), (PARAMETERS.stance[0], PARAMETERS.stance[0]));
+            for pair in [step, after].concat().windows(2) {
+                let moved = [pair[1].left.x - pair[0].left.x, pair[1].right.x - pair[0].right.x];
+                assert!(moved.iter().all(|moved| moved.abs() < 0.01), "{moved:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_foot_kicks_once_with_its_next_step_and_the_walk_goes_on() {
+        for is_walking in [true, false] {
+            let mut engine = Engine::default();
+            let wanted = velocity(if is_walking { 0.1 } else { 0.0 }, 0.0, 0.0);
+            run(&mut engine, 2.0, wanted);
+            let usual = run(&mut engine, 1.2, wanted).iter().map(|step| step.right.x).fold(-1.0, f64::max);
+            engine.kick(Side::Right);
+            let kicked = run(&mut engine, 1.2, wanted);
+            let ahead = kicked.iter().map(|step| step.right.x).fold(-1.0, f64::max);
+            assert!(ahead > usual + 0.03, "{ahead} {usual}");
+            let after = run(&mut engine, 1.2, wanted);
+            let ahead = after.iter().map(|step| step.right.x).fold(-1.0, f64::max);
+            assert!(ahead < usual + 1e-3 && engine.is_walking() == is_walking, "{ahead} {usual}");
         }
     }
 

@@ -44,6 +44,18 @@ pub(super) fn balance(humanoid: &Humanoid, pose: &mut [f64], rate: DVec3, settin
     }
 }
 
+/// Moves the goals of the legs away from where their joints are: they act as with a P gain that is higher by
+/// the factor `stiffness`.
+pub(super) fn stiffen(humanoid: &Humanoid, goals: &mut [f64], measured: &[f64], stiffness: f64) {
+    for side in [Side::Right, Side::Left] {
+        for joint in humanoid.leg(side).joints {
+            let [min, max] = humanoid.joints()[joint].limits;
+            let goal = goals[joint];
+            goals[joint] = (measured[joint] + (goal - measured[joint]) * stiffness).clamp(min, max);
+        }
+    }
+}
+
 /// The left and the right sole in the base.
 pub(super) fn soles(humanoid: &Humanoid, pose: &[f64]) -> [DVec3; 2] {
     [Side::Left, Side::Right].map(|side| {
@@ -72,6 +84,18 @@ mod tests {
         let [left, right] = soles(&humanoid, &pose(&humanoid, &targets, &settings));
         assert!((left - DVec3::new(0.02, 0.047, -0.1895)).length() < 1e-9, "{left}");
         assert!((right - DVec3::new(-0.02, -0.027, -0.1895)).length() < 1e-9, "{right}");
+    }
+
+    #[test]
+    fn stiff_legs_have_goals_beyond_what_is_missing() {
+        let humanoid = Humanoid::darwin_op();
+        let measured = humanoid.joints().stand();
+        let knee = humanoid.leg(Side::Left).joints[KNEE];
+        let mut goals = measured.clone();
+        goals[knee] -= 0.1;
+        stiffen(&humanoid, &mut goals, &measured, 2.0);
+        assert!((measured[knee] - goals[knee] - 0.2).abs() < 1e-12);
+        assert_eq!(goals[0], measured[0]);
     }
 
     #[test]

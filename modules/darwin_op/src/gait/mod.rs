@@ -3,6 +3,7 @@
 //! | name | type | |
 //! | --- | --- | --- |
 //! | `cmd_vel` (in) | `geometry_msgs/Twist` | velocity of the body: `linear.x`, `linear.y` in m/s, `angular.z` in rad/s; without commands for `command_timeout` the robot stops |
+//! | `gait/kick` (in) | `std_msgs/String` | `left` or `right`: this foot kicks with its next step |
 //! | `gait/start`, `gait/stop` | services `std_srvs/Trigger` | the robot gets ready and follows `cmd_vel`; it stops and stands |
 //! | `joint_states`, `joint_goals` (in) | `sensor_msgs/JointState` | the start pose, and odometry |
 //! | `imu/data` (in) | `sensor_msgs/Imu` | for balance and heading |
@@ -14,15 +15,22 @@
 //!
 //! The robot starts and stops in phases in which both feet are on the ground, and changes its velocity with
 //! limited acceleration. While it walks, its yaw follows the integral of the commanded turn rate. The
-//! gyroscope acts on knees, ankles and hips against tipping over. A robot that fell continues its walk when
-//! it is upright again.
+//! gyroscope acts on knees, ankles and hips against tipping over. With the setting `step_gain`, a robot that is
+//! pushed catches itself with steps, also one that stands. A robot that fell continues its walk when it is
+//! upright again.
+//!
+//! With a `stiffness` s, the goals of the legs are beyond their trajectory, by s - 1 times what the joints lag
+//! behind or give way: they act as with s times the P gain.
 //!
 //! The setting `humanoid` names the file of the robot's numbers: see [`humanoid`](crate::humanoid). The
 //! others are those of the [engine], with the names and defaults in `downbeat check --kinds`.
 //!
 //! # References
-//! DARwIn-OP framework 1.6, module `Walking`, for the balance; see [`engine`] for the trajectories.
+//! DARwIn-OP framework 1.6, module `Walking`, for the balance; see [`engine`] for the trajectories. J. Pratt,
+//! J. Carff, S. Drakunov, A. Goswami, "Capture Point: A Step toward Humanoid Push Recovery", Humanoids 2006, for
+//! the steps that answer pushes.
 
+mod capture;
 pub mod engine;
 mod legs;
 mod odometry;
@@ -32,7 +40,9 @@ use crate::attitude::world_from_trunk;
 use crate::hardware::CYCLE;
 use crate::humanoid::Humanoid;
 use crate::present_pose::{PresentPose, command};
+use capture::Capture;
 use downbeat_executor::{Context, Module, Publication, Received, Setup, SetupError, Time};
+use downbeat_kinematics::leg::Side;
 use downbeat_kinematics::wrapped;
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::downbeat_interfaces::msg::RobotState;
@@ -42,7 +52,7 @@ use downbeat_msgs::sensor_msgs::msg::{Imu, JointState};
 use downbeat_msgs::std_msgs::msg::{Bool, Header, String as Text};
 use downbeat_msgs::std_srvs::srv::{TriggerRequest, TriggerResponse};
 use downbeat_transforms::TransformBroadcaster;
-use engine::{Engine, Parameters, Targets, Velocity};
+use engine::{Correction, Engine, Parameters, Targets, Velocity};
 use glam::{DQuat, DVec2, DVec3};
 use odometry::{Odometry, pitch_of, yaw_of};
 use settings::{SettingKeys, Settings};
@@ -64,12 +74,15 @@ pub struct Gait {
     pose: PresentPose,
     attitude: Option<Attitude>,
     engine: Engine,
+    capture: Capture,
     /// Where the robot should be while it walks.
     reference: Option<Reference>,
     /// The smoothed pitch of the trunk, in rad.
     pitch: Option<f64>,
     /// The last angles without lead and balance.
     trajectory: Option<Vec<f64>>,
+    /// From 0 to 1 after the robot got ready: the share of the stiffness.
+    stiffened: f64,
     last_tick: Option<Time>,
     odometry: Odometry,
     odometry_at: Option<Time>,
@@ -121,6 +134,9 @@ const WIDEST_LEASH: f64 = 0.5;
 /// Time constant of the pitch of the trunk, in s: half a step.
 const PITCH_SMOOTHING: f64 = 0.15;
 
+/// For how long the stiffness rises after the robot got ready, in s.
+const STIFFENING: f64 = 0.4;
+
 const REPORT: Duration = Duration::from_secs(1);
 
 impl Gait {
@@ -129,6 +145,20 @@ impl Gait {
         if [command.forward, command.left, command.turn].iter().all(|value| value.is_finite()) {
             self.command = command;
             self.commanded_at = Some(ctx.now());
+        }
+    }
+
+    fn on_kick(&mut self, foot: Received<'_, Text>, _: &mut Context<'_, Ports>) {
+        let side = match foot.data.as_str() {
+            "left" => Side::Left,
+            "right" => Side::Right,
+            other => {
+                let other: String = other.chars().take(64).collect();
+                return tracing::warn!("gait/kick names the foot \"{other}\"; the feet are left and right");
+            }
+        };
+        if matches!(self.stage, Stage::On) && !self.is_down && !self.is_motion_playing {
+            self.engine.kick(side);
         }
     }
 
@@ -151,7 +181,12 @@ impl Gait {
         let soles = legs::soles(&self.humanoid, &self.pose.measured_or_stand());
         let now = ctx.now();
         let dt = self.odometry_at.replace(now).map_or(0.0, |last| now.saturating_since(last).as_secs_f64());
-        self.odometry.update(soles, world_from_trunk, dt);
+        let settings = ctx.ports.settings.values(ctx);
+        let shares = DVec2::new(settings.odometry_forward, settings.odometry_side);
+        self.odometry.update(soles, world_from_trunk, shares, dt);
+        let level_from_base = DQuat::from_rotation_z(-yaw_of(world_from_trunk)) * world_from_trunk;
+        let masses = soles.map(|sole| self.humanoid.centre_of_mass() - sole);
+        self.capture.measure(masses, level_from_base, attitude.rate, dt);
         let stamp = states.header.stamp;
         let base = self.humanoid.base();
         publish_odometry(&self.odometry, base, world_from_trunk, attitude, stamp, ctx);
@@ -188,16 +223,28 @@ impl Gait {
                 let is_wanted = self.follows && may_move && is_fresh;
                 let wanted = if is_wanted { self.command } else { Velocity::default() };
                 let wanted = self.corrected(wanted, dt.as_secs_f64(), &settings);
-                let parameters = self.leaning(settings.parameters(), dt.as_secs_f64(), &settings);
-                let targets = self.engine.step(dt.as_secs_f64(), wanted, &parameters);
+                let seconds = dt.as_secs_f64();
+                let parameters = self.leaning(settings.parameters(), seconds, &settings);
+                let correction = if may_move {
+                    self.correction(seconds, &parameters, &settings)
+                } else {
+                    Correction::default()
+                };
+                let targets = self.engine.step(seconds, wanted, correction, &parameters);
                 let trajectory = legs::pose(&humanoid, &targets, &settings);
                 let last = self.trajectory.replace(trajectory.clone());
                 let last = last.as_deref().unwrap_or(&trajectory);
-                let lead = if dt.is_zero() { 0.0 } else { settings.servo_lead / dt.as_secs_f64() };
+                let lead = if dt.is_zero() { 0.0 } else { settings.servo_lead / seconds };
                 let way = trajectory.iter().zip(last);
                 let mut pose: Vec<f64> = way.map(|(now, last)| now + (now - last) * lead).collect();
                 let rate = self.attitude.map_or(DVec3::ZERO, |attitude| attitude.rate);
                 legs::balance(&humanoid, &mut pose, rate, &settings);
+                self.stiffened = (self.stiffened + seconds / STIFFENING).min(1.0);
+                let stiffness = 1.0 + (settings.stiffness - 1.0) * self.stiffened;
+                if stiffness > 1.0 {
+                    let measured = self.pose.measured(&pose);
+                    legs::stiffen(&humanoid, &mut pose, &measured, stiffness);
+                }
                 publish_command(&humanoid, &pose, ctx);
                 if !may_move && !self.engine.is_walking() {
                     self.switch_off();
@@ -227,6 +274,21 @@ impl Gait {
         self.reference = None;
         self.pitch = None;
         self.trajectory = None;
+        self.stiffened = 0.0;
+        self.capture.reset();
+    }
+
+    /// What keeps the robot on its feet now.
+    fn correction(&mut self, dt: f64, parameters: &Parameters, settings: &Settings) -> Correction {
+        let capture = settings.capture(&self.humanoid);
+        match self.engine.step_in_progress(parameters) {
+            Some(step) => {
+                let (forward, is_catching) = (self.engine.velocity().forward, self.engine.is_catching());
+                self.capture.stepping(step, forward, is_catching, dt, &capture)
+            }
+            None if self.engine.is_walking() => Correction::default(),
+            None => self.capture.standing(dt, &capture),
+        }
     }
 
     /// The velocity that leads back to where the robot would be if it had followed all commands.
@@ -298,6 +360,7 @@ impl Module for Gait {
         setup.subscribe("joint_goals", |gait: &mut Self, goals: Received<'_, JointState>, ctx| {
             gait.pose.take_goals(&goals, ctx.now());
         })?;
+        setup.subscribe("gait/kick", Self::on_kick)?;
         setup.subscribe("robot_state", |gait: &mut Self, state: Received<'_, Text>, _| {
             gait.is_down = state.data != RobotState::UPRIGHT;
         })?;
@@ -323,7 +386,7 @@ impl Module for Gait {
 
 /// The targets of a robot that stands.
 fn standing(settings: &Settings) -> Targets {
-    Engine::default().step(0.0, Velocity::default(), &settings.parameters())
+    Engine::default().step(0.0, Velocity::default(), Correction::default(), &settings.parameters())
 }
 
 fn publish_command(humanoid: &Humanoid, pose: &[f64], ctx: &mut Context<'_, Ports>) {

@@ -7,9 +7,10 @@
 //! (1)  displacement = R' p' - R p, of the old over the new pose
 //!
 //! The lower sole carries the robot. A foot that slips, or turns over an edge, makes an error that is not
-//! noticed.
+//! noticed. What of a way is lost like that in every step is known of a gait: two shares, of the way forward
+//! and of that to a side, are what is really gone.
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 /// Where base_link is in the world, from the legs and the orientation of the trunk.
 #[derive(Clone, Debug, Default)]
@@ -35,8 +36,8 @@ const LONGEST: f64 = 0.05;
 
 impl Odometry {
     /// Takes the soles in the base and the orientation of the base in the world, `dt` in s after the last
-    /// ones.
-    pub(super) fn update(&mut self, soles: [DVec3; 2], world_from_base: DQuat, dt: f64) {
+    /// ones. Of the way forward and to the left, these `shares` are gone.
+    pub(super) fn update(&mut self, soles: [DVec3; 2], world_from_base: DQuat, shares: DVec2, dt: f64) {
         let soles = soles.map(|sole| world_from_base * sole);
         let (support, displacement) = match self.last {
             None => (usize::from(soles[1].z < soles[0].z), DVec3::ZERO),
@@ -50,6 +51,13 @@ impl Odometry {
         if displacement.length() > LONGEST {
             return;
         }
+        let displacement = if shares == DVec2::ONE {
+            displacement
+        } else {
+            let heading = DVec2::from_angle(yaw_of(world_from_base));
+            let ahead = DVec2::new(heading.x, -heading.y).rotate(displacement.truncate());
+            heading.rotate(ahead * shares).extend(displacement.z)
+        };
         self.position.x += displacement.x;
         self.position.y += displacement.y;
         self.position.z = -soles[support].z;
@@ -81,13 +89,16 @@ mod tests {
         let mut odometry = Odometry::default();
         let turned = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
         let soles = |x: f64, lift: f64| [DVec3::new(x, 0.04, -0.2), DVec3::new(-x, -0.04, -0.2 + lift)];
-        odometry.update(soles(0.01, 0.02), turned, 0.008);
-        odometry.update(soles(-0.01, 0.02), turned, 0.008);
+        odometry.update(soles(0.01, 0.02), turned, DVec2::ONE, 0.008);
+        odometry.update(soles(-0.01, 0.02), turned, DVec2::ONE, 0.008);
         let DVec3 { x, y, z } = odometry.position;
         assert!(x.abs() < 1e-12 && (y - 0.02).abs() < 1e-12 && (z - 0.2).abs() < 1e-12);
-        odometry.update(soles(-0.01, -0.02), turned, 0.008);
-        odometry.update(soles(0.01, -0.02), turned, 0.008);
+        odometry.update(soles(-0.01, -0.02), turned, DVec2::ONE, 0.008);
+        odometry.update(soles(0.01, -0.02), turned, DVec2::ONE, 0.008);
         assert!((odometry.position.y - 0.04).abs() < 1e-12, "the other foot carries it on");
+        let before = odometry.position;
+        odometry.update(soles(0.02, -0.02), turned, DVec2::new(0.5, 0.8), 0.008);
+        assert!((odometry.position.y - before.y - 0.005).abs() < 1e-12, "half of the way forward");
         assert!((yaw_of(turned) - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     }
 }
