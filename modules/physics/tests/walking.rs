@@ -28,8 +28,8 @@ fn it_stands_ready_to_walk_for_a_minute() {
 }
 
 #[test]
-fn it_walks_three_metres_at_8_centimetres_a_second_and_stops() {
-    assert!(does(Task::Walk, 1) > 0.1);
+fn it_walks_ten_metres_at_20_centimetres_a_second_and_stops() {
+    assert!(does(Task::Walk, 1) >= 0.2);
 }
 
 #[test]
@@ -49,12 +49,8 @@ fn it_stops_within_half_a_metre() {
 }
 
 #[test]
-fn it_walks_backward() {
-    let mut robot = standing();
-    let time = robot.walk_until([-0.06, 0.0, 0.0], 20.0, |place| place.position.x < -0.5).unwrap();
-    assert!(time < 20.0, "{:?}", robot.place());
-    robot.run(3.0).unwrap();
-    robot.stands_still().unwrap();
+fn it_walks_two_metres_backward() {
+    assert!(does(Task::Backward, 1) >= 0.08);
 }
 
 #[test]

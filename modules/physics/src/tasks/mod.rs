@@ -21,9 +21,11 @@ use crate::harness::SimulatedRunError;
 use crate::scenery::Ball;
 use crate::simulation::SimulationOptions;
 use crate::world::{Posture, Variation};
-use downbeat_executor::{InletError, SetupError};
+use downbeat_executor::{InletError, SettingValue, SetupError};
 use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_servos::servo_emulator::Random;
+use glam::DVec2;
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::fmt;
 use std::time::Duration;
@@ -33,12 +35,18 @@ use std::time::Duration;
 pub enum Task {
     /// Stands for 60 s.
     Stand,
-    /// Walks 3 m straight ahead, at 0.08 m/s or faster, and stops.
+    /// Walks 10 m straight ahead, and stops.
     Walk,
-    /// Turns by 180 degrees on the spot.
-    Turn,
+    /// Walks 2 m backward, and stops.
+    Backward,
     /// Steps 1 m to a side.
     SideStep,
+    /// Walks 1 m ahead and to a side at once.
+    Diagonal,
+    /// Turns by 180 degrees on the spot.
+    Turn,
+    /// Turns by 360 degrees while it walks.
+    Curve,
     /// Stops while it walks at full speed.
     Stop,
     /// Stays on its feet when its trunk is pushed with 0.5 N s, from all four sides.
@@ -51,6 +59,8 @@ pub enum Task {
     Fall,
     /// Kicks a ball 1 m far and stays on its feet.
     Kick,
+    /// Kicks a ball 1 m far while it walks, at most 1.5 s after it was told to, and stays on its feet.
+    WalkingKick,
 }
 
 /// In which world a task is done, and by which robot.
@@ -62,6 +72,8 @@ pub struct Conditions {
     pub seed: u64,
     /// The file of motions; empty for the built-in motions.
     pub motions: String,
+    /// Settings of the gait other than its defaults: those of `robots/darwin_op_walks.toml`.
+    pub gait: BTreeMap<String, SettingValue>,
 }
 
 /// A task that was done.
@@ -69,7 +81,7 @@ pub struct Conditions {
 pub struct Success {
     /// How well, in [`Task::unit`].
     pub figure: f64,
-    /// How many motions the robot played to get up.
+    /// How often the robot tried to get up.
     pub attempts: usize,
 }
 
@@ -109,7 +121,7 @@ pub enum Failure {
     /// The robot did not get up.
     #[error("lies after {attempts} attempts to get up")]
     Lies {
-        /// How many motions it played.
+        /// How often it tried.
         attempts: usize,
     },
     /// The robot cannot be simulated.
@@ -126,26 +138,35 @@ pub enum Failure {
     Inlet(#[from] InletError),
 }
 
-/// The largest distance and angle from a straight way of 3 m, in m and rad.
-const WIDEST: [f64; 2] = [0.5, 0.3];
+/// The largest distance from a straight way: in m, and beside that as a share of the way.
+const WIDEST: [f64; 2] = [0.2, 0.1];
+/// The largest angle by which a robot turns on a straight way, in rad.
+const MOST_TURNED: f64 = 0.3;
 /// The way from the ball to the robot's feet, in m.
 const BALL_AHEAD: f64 = 0.11;
+const BALL_FAR_AHEAD: f64 = 0.35;
+/// The way from the ball to the robot when it is told to kick while it walks, in m.
+const KICKING_DISTANCE: f64 = 0.18;
 /// How long a robot may take to get up, in s.
 const PATIENCE: f64 = 60.0;
 
 impl Task {
     /// All tasks.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 14] = [
         Self::Stand,
         Self::Walk,
-        Self::Turn,
+        Self::Backward,
         Self::SideStep,
+        Self::Diagonal,
+        Self::Turn,
+        Self::Curve,
         Self::Stop,
         Self::Push,
         Self::GetUpFront,
         Self::GetUpBack,
         Self::Fall,
         Self::Kick,
+        Self::WalkingKick,
     ];
 
     /// Its name on the command line.
@@ -154,14 +175,18 @@ impl Task {
         match self {
             Self::Stand => "stand",
             Self::Walk => "walk",
-            Self::Turn => "turn",
+            Self::Backward => "backward",
             Self::SideStep => "side_step",
+            Self::Diagonal => "diagonal",
+            Self::Turn => "turn",
+            Self::Curve => "curve",
             Self::Stop => "stop",
             Self::Push => "push",
             Self::GetUpFront => "get_up_front",
             Self::GetUpBack => "get_up_back",
             Self::Fall => "fall",
             Self::Kick => "kick",
+            Self::WalkingKick => "walking_kick",
         }
     }
 
@@ -170,12 +195,12 @@ impl Task {
     pub fn unit(self) -> &'static str {
         match self {
             Self::Stand => "m moved",
-            Self::Walk | Self::SideStep => "m/s",
-            Self::Turn => "rad/s",
+            Self::Walk | Self::Backward | Self::SideStep | Self::Diagonal => "m/s",
+            Self::Turn | Self::Curve => "rad/s",
             Self::Stop => "m to stop",
             Self::Push => "rad tilted",
             Self::GetUpFront | Self::GetUpBack | Self::Fall => "s",
-            Self::Kick => "m",
+            Self::Kick | Self::WalkingKick => "m",
         }
     }
 
@@ -189,8 +214,9 @@ impl Task {
         match self {
             Self::GetUpFront => simulation.start.posture = Posture::Prone,
             Self::GetUpBack => simulation.start.posture = Posture::Supine,
-            Self::Kick => {
-                let ball = Ball { position: [BALL_AHEAD, 0.045 * side], ..Ball::default() };
+            Self::Kick | Self::WalkingKick => {
+                let ahead = if self == Self::Kick { BALL_AHEAD } else { BALL_FAR_AHEAD };
+                let ball = Ball { position: [ahead, 0.045 * side], ..Ball::default() };
                 simulation.world.ball = Some(ball);
             }
             _ => {}
@@ -199,9 +225,12 @@ impl Task {
         let mut robot = WalkingRobot::new(conditions)?;
         let (figure, attempts) = match self {
             Self::Stand => (stand(&mut robot)?, 0),
-            Self::Walk => (walk(&mut robot)?, 0),
-            Self::Turn => (turn(&mut robot, side)?, 0),
-            Self::SideStep => (side_step(&mut robot, side)?, 0),
+            Self::Walk => (straight(&mut robot, [0.22, 0.0], 10.0, 0.2)?, 0),
+            Self::Backward => (straight(&mut robot, [-0.09, 0.0], 2.0, 0.08)?, 0),
+            Self::SideStep => (straight(&mut robot, [0.0, 0.065 * side], 1.0, 0.05)?, 0),
+            Self::Diagonal => (straight(&mut robot, [0.07, 0.04 * side], 1.0, 0.05)?, 0),
+            Self::Turn => (turn(&mut robot, [0.0, 0.6 * side], PI)?, 0),
+            Self::Curve => (turn(&mut robot, [0.1, 0.4 * side], 2.0 * PI)?, 0),
             Self::Stop => (stop(&mut robot)?, 0),
             Self::Push => (push(&mut robot, 0.5)?, 0),
             Self::GetUpFront | Self::GetUpBack => get_up(&mut robot)?,
@@ -210,6 +239,7 @@ impl Task {
                 get_up(&mut robot)?
             }
             Self::Kick => (kick(&mut robot, side)?, 0),
+            Self::WalkingKick => (walking_kick(&mut robot, side)?, 0),
         };
         Ok(Success { figure, attempts })
     }
@@ -219,7 +249,12 @@ impl Conditions {
     /// The Darwin OP and its floor as described.
     #[must_use]
     pub fn described(seed: u64) -> Self {
-        Self { simulation: SimulationOptions::darwin_op(), seed, motions: String::new() }
+        Self {
+            simulation: SimulationOptions::darwin_op(),
+            seed,
+            motions: String::new(),
+            gait: darwin_op_walks(),
+        }
     }
 
     /// As described, except for [`Variation::of_seed`].
@@ -229,6 +264,21 @@ impl Conditions {
         conditions.simulation.variation = Variation::of_seed(seed);
         conditions
     }
+}
+
+/// The settings of the gait in `robots/darwin_op_walks.toml`.
+fn darwin_op_walks() -> BTreeMap<String, SettingValue> {
+    let settings = [
+        ("stiffness", 2.0),
+        ("servo_lead", 0.035),
+        ("stance_x", -0.003),
+        ("walking_x", -0.0095),
+        ("acceleration", 0.2),
+        ("max_forward", 0.25),
+        ("max_backward", 0.13),
+        ("max_side", 0.1),
+    ];
+    settings.map(|(name, value)| (name.to_owned(), SettingValue::from(value))).into()
 }
 
 impl fmt::Display for Task {
@@ -256,18 +306,18 @@ impl Variation {
     }
 }
 
-/// The largest impulse at rest that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a
-/// direction in the plane.
+/// The largest impulse that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a direction in
+/// the plane. The robot walks ahead with this velocity in m/s, or stands.
 ///
 /// # Errors
 /// If the robot cannot be simulated.
-pub fn push_limit(conditions: &Conditions, direction: [f64; 2]) -> Result<f64, Failure> {
+pub fn push_limit(conditions: &Conditions, direction: [f64; 2], walking: f64) -> Result<f64, Failure> {
     let mut limit = 0.0;
     for step in 1..=100 {
         let impulse = f64::from(step) * 0.05;
         let mut robot = WalkingRobot::new(conditions.clone())?;
-        match push_once(&mut robot, direction.map(|share| share * impulse)) {
-            Ok(_) => limit = impulse,
+        match push_while_walking(&mut robot, walking, direction.map(|share| share * impulse)) {
+            Ok(()) => limit = impulse,
             Err(Failure::Fell { .. } | Failure::Moves { .. }) => break,
             Err(other) => return Err(other),
         }
@@ -283,35 +333,41 @@ fn stand(robot: &mut WalkingRobot) -> Result<f64, Failure> {
     Ok((robot.place().position - start).length())
 }
 
-fn walk(robot: &mut WalkingRobot) -> Result<f64, Failure> {
-    const WAY: f64 = 3.0;
-    const SLOWEST: f64 = 0.08;
+/// Walks a way with a velocity (forward and to the left, in m/s), at this speed or faster, and stops.
+fn straight(robot: &mut WalkingRobot, velocity: [f64; 2], way: f64, slowest: f64) -> Result<f64, Failure> {
     let start = robot.place();
-    let way = |place: Place| place.position.x - start.position.x;
-    let time = robot.walk_until([0.12, 0.0, 0.0], WAY / SLOWEST, |place| way(place) >= WAY)?;
+    let [forward, left] = velocity;
+    let direction = DVec2::from_angle(start.yaw).rotate(DVec2::new(forward, left).normalize_or_zero());
+    let moved = |place: Place| (place.position - start.position).truncate();
+    let along = |place: Place| moved(place).dot(direction);
+    let time = robot.walk_until([forward, left, 0.0], way / slowest, |place| along(place) >= way)?;
     let there = robot.place();
-    if way(there) < WAY {
-        return Err(Failure::Short { found: way(there), wanted: WAY, unit: "m" });
+    if along(there) < way {
+        return Err(Failure::Short { found: along(there), wanted: way, unit: "m" });
     }
-    let off = [there.position.y - start.position.y, there.yaw - start.yaw];
-    if off.iter().zip(WIDEST).any(|(off, widest)| off.abs() > widest) {
-        return Err(Failure::Strayed { aside: off[0], turned: off[1] });
+    let aside = direction.perp_dot(moved(there));
+    let turned = downbeat_kinematics::wrapped(there.yaw - start.yaw);
+    let [widest, share] = WIDEST;
+    if aside.abs() > widest + share * way || turned.abs() > MOST_TURNED {
+        return Err(Failure::Strayed { aside, turned });
     }
     comes_to_rest(robot)?;
-    Ok(way(there) / time)
+    Ok(way / time)
 }
 
-fn turn(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
+/// Turns by an angle with a velocity (forward in m/s, and to the left in rad/s).
+fn turn(robot: &mut WalkingRobot, [forward, rate]: [f64; 2], angle: f64) -> Result<f64, Failure> {
     let start = robot.place();
     let (mut yaw, mut turned) = (start.yaw, 0.0);
-    let time = robot.walk_until([0.0, 0.0, 0.6 * side], 10.0, |place| {
-        turned += downbeat_kinematics::wrapped(place.yaw - yaw) * side;
+    let time = robot.walk_until([forward, 0.0, rate], 5.0 / 3.0 * angle / rate.abs(), |place| {
+        turned += downbeat_kinematics::wrapped(place.yaw - yaw) * rate.signum();
         yaw = place.yaw;
-        turned >= PI
+        turned >= angle
     })?;
-    if turned < PI {
-        return Err(Failure::Short { found: turned, wanted: PI, unit: "rad" });
+    if turned < angle {
+        return Err(Failure::Short { found: turned, wanted: angle, unit: "rad" });
     }
+    // A full turn ends where it began, and so does one on the spot.
     let aside = (robot.place().position - start.position).truncate().length();
     if aside > 0.2 {
         return Err(Failure::Strayed { aside, turned });
@@ -320,21 +376,8 @@ fn turn(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
     Ok(turned / time)
 }
 
-fn side_step(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
-    const WAY: f64 = 1.0;
-    let start = robot.place();
-    let way = |place: Place| (place.position.y - start.position.y) * side;
-    let time = robot.walk_until([0.0, 0.05 * side, 0.0], 60.0, |place| way(place) >= WAY)?;
-    let found = way(robot.place());
-    if found < WAY {
-        return Err(Failure::Short { found, wanted: WAY, unit: "m" });
-    }
-    comes_to_rest(robot)?;
-    Ok(found / time)
-}
-
 fn stop(robot: &mut WalkingRobot) -> Result<f64, Failure> {
-    robot.walk_until([0.15, 0.0, 0.0], 5.0, |_| false)?;
+    robot.walk_until([0.2, 0.0, 0.0], 5.0, |_| false)?;
     let start = robot.place().position;
     comes_to_rest(robot)?;
     Ok((robot.place().position - start).length())
@@ -367,6 +410,20 @@ fn push_once(robot: &mut WalkingRobot, [x, y]: [f64; 2]) -> Result<f64, Failure>
     }
     robot.stands_still()?;
     Ok(worst)
+}
+
+/// The time in which a robot that was pushed comes to rest, in s.
+const SETTLES: f64 = 5.0;
+
+/// Walks ahead, is pushed, walks on and stops.
+fn push_while_walking(robot: &mut WalkingRobot, velocity: f64, [x, y]: [f64; 2]) -> Result<(), Failure> {
+    let walks = if velocity == 0.0 { 0.0 } else { 3.0 };
+    robot.walk_until([velocity, 0.0, 0.0], walks, |_| false)?;
+    robot.simulated().push("torso", [x, y, 0.0]);
+    robot.walk_until([velocity, 0.0, 0.0], walks, |_| false)?;
+    robot.run(SETTLES)?;
+    robot.has_not_fallen()?;
+    robot.stands_still()
 }
 
 /// The sides of successive seeds are a golden angle apart, which covers all of them evenly.
@@ -406,8 +463,30 @@ fn kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
     robot.play(motion, 12.0)?;
     robot.has_not_fallen()?;
     robot.stands_still()?;
+    let found = ball(robot) - BALL_AHEAD;
+    if found < WAY { Err(Failure::Short { found, wanted: WAY, unit: "m" }) } else { Ok(found) }
+}
+
+/// How far ahead the ball is, in m.
+fn ball(robot: &mut WalkingRobot) -> f64 {
     let things = robot.simulated().snapshot().things;
     let ball = things.iter().find(|(name, ..)| name == "ball");
-    let found = ball.map_or(0.0, |(.., ball)| ball.world_from_body.translation.x - BALL_AHEAD);
+    ball.map_or(0.0, |(.., ball)| ball.world_from_body.translation.x)
+}
+
+fn walking_kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
+    const WAY: f64 = 1.0;
+    const LATEST: f64 = 1.5;
+    const VELOCITY: [f64; 3] = [0.1, 0.0, 0.0];
+    robot.walk_until(VELOCITY, 5.0, |place| BALL_FAR_AHEAD - place.position.x <= KICKING_DISTANCE)?;
+    robot.kick(if side > 0.0 { "left" } else { "right" })?;
+    robot.walk_until(VELOCITY, LATEST, |_| false)?;
+    let found = ball(robot) - BALL_FAR_AHEAD;
+    if found <= 0.01 {
+        return Err(Failure::Short { found, wanted: WAY, unit: "m within 1.5 s" });
+    }
+    comes_to_rest(robot)?;
+    robot.run(2.0)?;
+    let found = ball(robot) - BALL_FAR_AHEAD;
     if found < WAY { Err(Failure::Short { found, wanted: WAY, unit: "m" }) } else { Ok(found) }
 }

@@ -22,6 +22,7 @@ pub struct WalkingRobot {
     robot: SimulatedRobot,
     cmd_vel: Inlet<Twist>,
     play: Inlet<Text>,
+    kick: Inlet<Text>,
     states: Arc<Mutex<Vec<String>>>,
     /// In s.
     elapsed: f64,
@@ -47,7 +48,7 @@ impl WalkingRobot {
     /// # Errors
     /// If it cannot be simulated.
     pub fn new(conditions: Conditions) -> Result<Self, Failure> {
-        let Conditions { simulation, seed, motions } = conditions;
+        let Conditions { simulation, seed, motions, gait } = conditions;
         let mut robot = SimulatedRobot::new(simulation, seed)?;
         robot.hardware_listens_to("joint_goals")?;
         robot.add("imu_filter", ImuFilter::default())?;
@@ -55,12 +56,15 @@ impl WalkingRobot {
             settings: [(setting.to_owned(), value)].into(),
             ..ModuleOptions::default()
         };
-        robot.core().add_with("gait", Gait::default(), with("start", true.into()))?;
+        let mut options = with("start", true.into());
+        options.settings.extend(gait);
+        robot.core().add_with("gait", Gait::default(), options)?;
         robot.core().add_with("motions", MotionPlayer::default(), with("file", motions.into()))?;
         robot.add("falls", Falls::default())?;
         robot.add("mux", JointCommandMux::default())?;
         let cmd_vel = robot.core().inlet("cmd_vel")?;
         let play = robot.core().inlet("motions/play")?;
+        let kick = robot.core().inlet("gait/kick")?;
         let states = Arc::<Mutex<Vec<String>>>::default();
         let collected = Arc::clone(&states);
         let collect = move |state: Received<'_, Text>| {
@@ -70,7 +74,7 @@ impl WalkingRobot {
             }
         };
         robot.core().outlet("robot_state", Inbox::KeepAll, collect)?.keep();
-        let mut robot = Self { robot, cmd_vel, play, states, elapsed: 0.0 };
+        let mut robot = Self { robot, cmd_vel, play, kick, states, elapsed: 0.0 };
         robot.run(READY)?;
         Ok(robot)
     }
@@ -119,6 +123,14 @@ impl WalkingRobot {
     pub fn play(&mut self, motion: &str, seconds: f64) -> Result<(), Failure> {
         self.play.publish(Text { data: motion.to_owned() })?;
         self.run(seconds)
+    }
+
+    /// Lets the `left` or the `right` foot kick with its next step.
+    ///
+    /// # Errors
+    /// If the core does not take messages.
+    pub fn kick(&mut self, foot: &str) -> Result<(), Failure> {
+        Ok(self.kick.publish(Text { data: foot.to_owned() })?)
     }
 
     /// Where the robot is.
