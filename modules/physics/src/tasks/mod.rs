@@ -226,7 +226,7 @@ impl Task {
         let (figure, attempts) = match self {
             Self::Stand => (stand(&mut robot)?, 0),
             Self::Walk => (straight(&mut robot, [0.22, 0.0], 10.0, 0.2)?, 0),
-            Self::Backward => (straight(&mut robot, [-0.09, 0.0], 2.0, 0.08)?, 0),
+            Self::Backward => (straight(&mut robot, [-0.11, 0.0], 2.0, 0.08)?, 0),
             Self::SideStep => (straight(&mut robot, [0.0, 0.065 * side], 1.0, 0.05)?, 0),
             Self::Diagonal => (straight(&mut robot, [0.07, 0.04 * side], 1.0, 0.05)?, 0),
             Self::Turn => (turn(&mut robot, [0.0, 0.6 * side], PI)?, 0),
@@ -273,6 +273,7 @@ fn darwin_op_walks() -> BTreeMap<String, SettingValue> {
         ("servo_lead", 0.035),
         ("stance_x", -0.003),
         ("walking_x", -0.0095),
+        ("odometry_forward", 1.15),
         ("acceleration", 0.2),
         ("max_forward", 0.25),
         ("max_backward", 0.13),
