@@ -12,8 +12,8 @@
 //! A robot that tilts by more than `tilt_limit` falls. Its joints are then commanded to where they are, so
 //! that the servos hold with nothing but friction. When it has lain still for `still_s`, it plays the motion
 //! for the side on which it lies, up to `attempts` times in a row; from back and sides it may first roll on
-//! its front, in turn over one side and over the other, and gets up from there at once. After the last attempt
-//! it is helpless, until somebody puts it on its feet. Modules that walk pause while the state is not
+//! its front, in turn over one side and over the other, and gets up from there at once. After the last
+//! attempt it is helpless, until somebody puts it on its feet. Modules that walk pause while the state is not
 //! `upright`.
 //!
 //! | setting | |
@@ -164,8 +164,8 @@ impl Falls {
         self.enter(State::GettingUp, ctx);
     }
 
-    /// A motion has ended, or never began: the tilt decides what follows. A robot that has rolled on its front
-    /// gets up at once.
+    /// A motion has ended, or never began: the tilt decides what follows. A robot that has rolled on its
+    /// front gets up at once.
     fn on_end(&mut self, problem: Option<String>, ctx: &mut Context<'_, Ports>) {
         if let Some(problem) = problem {
             tracing::warn!("the motion to get up was not played: {problem}");

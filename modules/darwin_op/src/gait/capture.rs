@@ -1,13 +1,13 @@
 //! Footsteps that answer pushes: where the swinging foot has to land, and how soon.
 //!
-//! The robot is a mass at the height h on a leg without mass, a linear inverted pendulum. With ω = √(g/h), the
-//! position x of the centre of mass with respect to the sole that carries the robot, and its velocity v, the
-//! point on the floor above which the robot comes to rest if a foot is put there is the capture point
+//! The robot is a mass at the height h on a leg without mass, a linear inverted pendulum. With ω = √(g/h),
+//! the position x of the centre of mass with respect to the sole that carries the robot, and its velocity v,
+//! the point on the floor above which the robot comes to rest if a foot is put there is the capture point
 //!
 //! (1)  ξ = x + v/ω
 //!
-//! which runs away from the sole: ξ(t) = ξ(0) exp(ωt). In a walk with steps of the duration T, the length L and
-//! the width W it repeats itself if it begins each step at
+//! which runs away from the sole: ξ(t) = ξ(0) exp(ωt). In a walk with steps of the duration T, the length L
+//! and the width W it repeats itself if it begins each step at
 //!
 //! (2)  ξ = (L / (exp(ωT) - 1), W / (1 + exp(ωT)))
 //!
@@ -89,8 +89,8 @@ const CALM: f64 = 0.5;
 const LEAST_HEIGHT: f64 = 0.05;
 
 impl Capture {
-    /// Takes where the centre of mass is with respect to the left and the right sole, in axes of the base, the
-    /// tilt of the base without its heading, and its rate in rad/s, `dt` in s after the last measurement.
+    /// Takes where the centre of mass is with respect to the left and the right sole, in axes of the base,
+    /// the tilt of the base without its heading, and its rate in rad/s, `dt` in s after the last measurement.
     pub(super) fn measure(&mut self, masses: [DVec3; 2], level_from_base: DQuat, rate: DVec3, dt: f64) {
         let last = self.last.replace(masses);
         let Some(last) = last.filter(|_| dt > 0.0) else { return };
@@ -141,9 +141,9 @@ impl Capture {
         Correction { must_step: Some(side), ..Correction::default() }
     }
 
-    /// For a robot that steps: where its foot lands, and when. `side` is that of the swinging foot, `time` the
-    /// time in the step of the given `duration`, and `forward` the velocity of the walk in m/s; `is_catching`
-    /// while nothing but a push makes it step.
+    /// For a robot that steps: where its foot lands, and when. `side` is that of the swinging foot, `time`
+    /// the time in the step of the given `duration`, and `forward` the velocity of the walk in m/s;
+    /// `is_catching` while nothing but a push makes it step.
     pub(super) fn stepping(
         &mut self,
         (side, time, duration): (Side, f64, f64),
@@ -206,8 +206,8 @@ mod tests {
     const DT: f64 = 0.008;
     const HEIGHT: f64 = 0.21;
 
-    /// A robot whose centre of mass is there with respect to the middle of its feet, and turns about its soles
-    /// with this rate.
+    /// A robot whose centre of mass is there with respect to the middle of its feet, and turns about its
+    /// soles with this rate.
     fn moving(capture: &mut Capture, [x, y]: [f64; 2], rate: DVec3) {
         let masses = [-0.04, 0.04].map(|to_middle| DVec3::new(x, y + to_middle, HEIGHT));
         capture.measure(masses, DQuat::IDENTITY, rate, DT);

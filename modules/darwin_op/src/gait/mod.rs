@@ -15,20 +15,20 @@
 //!
 //! The robot starts and stops in phases in which both feet are on the ground, and changes its velocity with
 //! limited acceleration. While it walks, its yaw follows the integral of the commanded turn rate. The
-//! gyroscope acts on knees, ankles and hips against tipping over. With the setting `step_gain`, a robot that is
-//! pushed catches itself with steps, also one that stands. A robot that fell continues its walk when it is
+//! gyroscope acts on knees, ankles and hips against tipping over. With the setting `step_gain`, a robot that
+//! is pushed catches itself with steps, also one that stands. A robot that fell continues its walk when it is
 //! upright again.
 //!
-//! With a `stiffness` s, the goals of the legs are beyond their trajectory, by s - 1 times what the joints lag
-//! behind or give way: they act as with s times the P gain.
+//! With a `stiffness` s, the goals of the legs are beyond their trajectory, by s - 1 times what the joints
+//! lag behind or give way: they act as with s times the P gain.
 //!
 //! The setting `humanoid` names the file of the robot's numbers: see [`humanoid`](crate::humanoid). The
 //! others are those of the [engine], with the names and defaults in `downbeat check --kinds`.
 //!
 //! # References
 //! DARwIn-OP framework 1.6, module `Walking`, for the balance; see [`engine`] for the trajectories. J. Pratt,
-//! J. Carff, S. Drakunov, A. Goswami, "Capture Point: A Step toward Humanoid Push Recovery", Humanoids 2006, for
-//! the steps that answer pushes.
+//! J. Carff, S. Drakunov, A. Goswami, "Capture Point: A Step toward Humanoid Push Recovery", Humanoids 2006,
+//! for the steps that answer pushes.
 
 mod capture;
 pub mod engine;

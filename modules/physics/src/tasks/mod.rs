@@ -307,8 +307,8 @@ impl Variation {
     }
 }
 
-/// The largest impulse that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a direction in
-/// the plane. The robot walks ahead with this velocity in m/s, or stands.
+/// The largest impulse that does not throw the robot over, in N s, in steps of 0.05 up to 5, in a direction
+/// in the plane. The robot walks ahead with this velocity in m/s, or stands.
 ///
 /// # Errors
 /// If the robot cannot be simulated.
