@@ -64,7 +64,7 @@ const ELSEWHERE: [&str; 49] = [
     "DOWNBEAT_PX4_RELEASE=1.15 downbeat topic echo",
     "downbeat vision calibrate",                    // tests/football.rs
     "downbeat bag replay robots/seeing_match.toml", // tests/football.rs
-    "downbeat bag debug",                           // tests/bag_debug.rs, as the next two
+    "downbeat bag debug",                           // tests/bag_debug/, as the next two
     "downbeat bag replay bags/recordings/darwin_op_walk_simulated.toml bags/recordings/darwin_op_walk_simulated --with",
     "downbeat bag bisect",
     "downbeat top --plot", // tests/top.rs

@@ -184,9 +184,13 @@ impl Gait {
         let settings = ctx.ports.settings.values(ctx);
         let shares = DVec2::new(settings.odometry_forward, settings.odometry_side);
         self.odometry.update(soles, world_from_trunk, shares, dt);
-        let level_from_base = DQuat::from_rotation_z(-yaw_of(world_from_trunk)) * world_from_trunk;
-        let masses = soles.map(|sole| self.humanoid.centre_of_mass() - sole);
-        self.capture.measure(masses, level_from_base, attitude.rate, dt);
+        if settings.step_gain > 0.0 {
+            let level_from_base = DQuat::from_rotation_z(-yaw_of(world_from_trunk)) * world_from_trunk;
+            let masses = soles.map(|sole| self.humanoid.centre_of_mass() - sole);
+            self.capture.measure(masses, level_from_base, attitude.rate, dt);
+        } else {
+            self.capture.reset();
+        }
         let stamp = states.header.stamp;
         let base = self.humanoid.base();
         publish_odometry(&self.odometry, base, world_from_trunk, attitude, stamp, ctx);

@@ -145,7 +145,7 @@ const MOST_TURNED: f64 = 0.3;
 /// The way from the ball to the robot's feet, in m.
 const BALL_AHEAD: f64 = 0.11;
 const BALL_FAR_AHEAD: f64 = 0.35;
-/// The way from the ball to the robot when it is told to kick while it walks, in m.
+/// How far the ball is ahead when the walking robot is told to kick it, in m.
 const KICKING_DISTANCE: f64 = 0.18;
 /// How long a robot may take to get up, in s.
 const PATIENCE: f64 = 60.0;
