@@ -19,6 +19,8 @@ pub(super) fn document(packages: &[Package]) -> anyhow::Result<()> {
         cargo
             .arg("--target-dir")
             .arg(workspace().join("target/docs_rs"))
+            // Only macros and build scripts are compiled, once per set of features, and run for moments.
+            .args(["--config", "profile.dev.package.'*'.opt-level=0"])
             .env("RUSTDOCFLAGS", "--deny warnings");
         run(&mut cargo)?;
     }
