@@ -38,14 +38,24 @@ impl Hypotheses {
         self.add(starts);
     }
 
+    /// Forgets all that was known: the robot is at this pose, with these standard deviations in m and rad.
+    pub(crate) fn restart_at(&mut self, pose: Pose, deviations: (f64, f64)) {
+        self.filters.clear();
+        self.add_with(&[pose], deviations);
+    }
+
     /// It may have been put to one of these poses.
     pub(crate) fn add(&mut self, starts: &[Pose]) {
+        self.add_with(starts, DEVIATIONS);
+    }
+
+    fn add_with(&mut self, starts: &[Pose], deviations: (f64, f64)) {
         self.pictures = 0;
         self.filters.iter_mut().for_each(|(filter, before)| *before = filter.evidence());
         for start in starts.iter().take(MOST.saturating_sub(self.filters.len())) {
             // Another seed for each one, and the same ones in each run.
             self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            self.filters.push((Filter::new(&self.field, &[*start], DEVIATIONS, self.seed), 0.0));
+            self.filters.push((Filter::new(&self.field, &[*start], deviations, self.seed), 0.0));
         }
     }
 

@@ -15,7 +15,7 @@ use downbeat_football::{Field, IntersectionKind, floor_covariance};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::geometry_msgs::msg::{
-    Point, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3,
+    Point, Pose as PoseMessage, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3,
 };
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::std_msgs::msg::Header;
@@ -36,6 +36,7 @@ use std::time::Duration;
 /// | `vision/ball` (in) | soccer_model_msgs/Ball | in `base_footprint`, with covariance |
 /// | `vision/robots` (in) | soccer_vision_3d_msgs/RobotArray | in `base_footprint` |
 /// | `game_state` (in) | football_interfaces/GameState | when the robot is put somewhere; works without |
+/// | `initialpose` (in) | geometry_msgs/PoseWithCovarianceStamped | in `map`, as RViz and Foxglove send it: the robot is there; begins anew |
 /// | `pose` | geometry_msgs/PoseWithCovarianceStamped | of `base_link` in `map`, at most 50 times a second |
 /// | `tf` | tf2_msgs/TFMessage | `map` to `odom`, with each pose |
 /// | `ball` | soccer_model_msgs/Ball | in `map`, with each pose, until `ball_timeout` after it was last seen; covariances with respect to the robot |
@@ -53,7 +54,7 @@ use std::time::Duration;
 /// | `robot_timeout` | the same of other robots, s |
 ///
 /// The robot starts at one of `starts` when the module starts, when the game returns to its initial state,
-/// and when the teams change sides; at one of `returns` after a penalty. With several places all are followed
+/// and when the teams change sides; at one of `returns` after a penalty; at `initialpose` when that arrives. With several places all are followed
 /// until what is seen tells which is right. When the referee sets the robots up, it may have been put back to
 /// a start: that is followed beside what was believed before. Landmarks are not used while the robot is
 /// penalised.
@@ -75,6 +76,8 @@ pub struct Localisation {
     robots_published_at: Option<Time>,
     game: Option<Game>,
     published_at: Option<Time>,
+    /// When the robot was put somewhere: pictures from before are of another place.
+    put_at: Time,
     /// When something arrived last: odometry, and landmarks.
     heard_at: [Option<Time>; 2],
     refused: Option<String>,
@@ -264,7 +267,7 @@ impl Localisation {
         self.robots.see(&sightings, at);
     }
 
-    fn on_game(&mut self, message: Received<'_, GameState>, _: &mut Context<'_, Ports>) {
+    fn on_game(&mut self, message: Received<'_, GameState>, ctx: &mut Context<'_, Ports>) {
         let game = Game {
             state: message.state,
             own_half_is_left: message.own_half_is_left,
@@ -283,6 +286,41 @@ impl Localisation {
         } else {
             return;
         }
+        self.forget(ctx.now());
+    }
+
+    fn on_initial_pose(
+        &mut self,
+        message: Received<'_, PoseWithCovarianceStamped>,
+        ctx: &mut Context<'_, Ports>,
+    ) {
+        let frame = message.header.frame_id.as_str();
+        if !frame.is_empty() && frame != MAP {
+            self.refused = Some(format!("initialpose is in the frame {frame:?}; send it in {MAP}"));
+            return;
+        }
+        let Some((pose, _)) =
+            pose_from(&message.pose.pose).filter(|(pose, _)| pose.position.length() < FARTHEST)
+        else {
+            self.refused = Some("initialpose is no pose on the field".to_owned());
+            return;
+        };
+        let deviation = |at: usize, [least, most]: [f64; 2]| {
+            let variance = message.pose.covariance[at];
+            // 0 is what a sender leaves out.
+            if variance > 0.0 { variance.sqrt().clamp(least, most) } else { (least * most).sqrt() }
+        };
+        let deviations = (deviation(0, [0.1, 1.0]).max(deviation(7, [0.1, 1.0])), deviation(35, [0.05, 1.0]));
+        if let Some(hypotheses) = &mut self.hypotheses {
+            hypotheses.restart_at(pose, deviations);
+            self.forget(ctx.now());
+        }
+    }
+
+    /// The robot was put somewhere else: what was seen from where it was is of no use.
+    fn forget(&mut self, now: Time) {
+        self.put_at = now;
+        self.seeing = None;
         self.walked = self.odometry.back().copied();
         self.ball = BallFilter::default();
         self.robots = RobotTracks::default();
@@ -310,7 +348,7 @@ impl Localisation {
             return None;
         }
         self.refused = None;
-        Some(at)
+        Some(at).filter(|at| *at > self.put_at)
     }
 
     /// What is seen at this time so far; what was seen at another is used as it is.
@@ -527,6 +565,7 @@ impl Module for Localisation {
         // Negative seeds are valid.
         self.hypotheses = Some(Hypotheses::new(found, &self.starts, seed.cast_unsigned()));
         setup.subscribe("game_state", Self::on_game)?;
+        setup.subscribe("initialpose", Self::on_initial_pose)?;
         setup.subscribe("odom", Self::on_odometry)?;
         setup.subscribe("vision/markings", Self::on_markings)?;
         setup.subscribe("vision/goalposts", Self::on_posts)?;
@@ -595,8 +634,12 @@ fn time(header: &Header) -> Time {
 
 /// On the floor, and the whole orientation.
 fn pose_of(message: &Odometry) -> Option<(Pose, DQuat)> {
-    let Point { x, y, z } = message.pose.pose.position;
-    let q = message.pose.pose.orientation;
+    pose_from(&message.pose.pose)
+}
+
+fn pose_from(message: &PoseMessage) -> Option<(Pose, DQuat)> {
+    let Point { x, y, z } = message.position;
+    let q = message.orientation;
     let orientation = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
     let is_pose = [x, y, z].iter().all(|part| part.abs() < 1e6) && (orientation.length() - 1.0).abs() < 0.01;
     let orientation = orientation.normalize();

@@ -46,6 +46,7 @@ struct Robot {
     balls: Inlet<Ball>,
     robots: Inlet<seen::RobotArray>,
     game: Inlet<GameState>,
+    initial_pose: Inlet<PoseWithCovarianceStamped>,
     heard: Arc<Mutex<Heard>>,
     /// What arrives one picture later, as vision takes its time.
     late: Option<(seen::MarkingArray, seen::GoalpostArray, Option<Ball>)>,
@@ -90,6 +91,7 @@ impl Robot {
             balls: core.inlet("vision/ball").unwrap(),
             robots: core.inlet("vision/robots").unwrap(),
             game: core.inlet("game_state").unwrap(),
+            initial_pose: core.inlet("initialpose").unwrap(),
             walk: Walk::new(seed),
             // Somewhere, as after a while of walking.
             odometry: Pose { position: DVec2::new(0.7, -3.0), heading: 2.0 },
@@ -303,6 +305,42 @@ fn after_a_penalty_it_is_where_it_returns() {
     robot.moves_by(Pose::default());
     let (off, turned) = robot.error();
     assert!(off < 0.15 && turned < 0.15, "{off} {turned}");
+}
+
+#[test]
+fn it_is_where_somebody_says_and_pictures_from_before_do_not_count() {
+    let mut robot = Robot::new(3, &AT_THE_TOUCH_LINE);
+    (0..100).for_each(|_| robot.step());
+    robot.walk.truth = Pose { position: DVec2::new(2.0, -1.0), heading: FRAC_PI_2 };
+    let told = robot.walk.truth;
+    let pose = |frame: &str, orientation: DQuat| {
+        let mut message =
+            PoseWithCovarianceStamped { header: header(frame, robot.clock_now()), ..Default::default() };
+        (message.pose.pose.position.x, message.pose.pose.position.y) = (told.position.x, told.position.y);
+        let q = &mut message.pose.pose.orientation;
+        (q.x, q.y, q.z, q.w) = (orientation.x, orientation.y, orientation.z, orientation.w);
+        message
+    };
+    let somewhere_else = pose("odom", DQuat::from_rotation_z(told.heading));
+    let no_pose = pose("map", DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
+    let there = pose("map", DQuat::from_rotation_z(told.heading));
+    robot.sees = false;
+    for refused in [somewhere_else, no_pose] {
+        robot.initial_pose.publish(refused).unwrap();
+        robot.moves_by(Pose::default());
+        assert!(robot.error().0 > 0.5, "it is believed to be there");
+    }
+    // As vision takes its time, a picture of the old place arrives with it.
+    let old = Landmarks { posts: vec![DVec2::new(1.0, 1.0), DVec2::new(1.0, -0.5)], ..Landmarks::default() };
+    let at = robot.clock_now();
+    robot.late = Some((markings(&old, at), posts(&old, at), None));
+    robot.initial_pose.publish(there).unwrap();
+    robot.moves_by(Pose::default());
+    let (off, turned) = robot.error();
+    assert!(off < 0.15 && turned < 0.15, "{off} {turned}");
+    robot.sees = true;
+    (0..50).for_each(|_| robot.step());
+    assert!(robot.error().0 < 0.2, "{:?}", robot.error());
 }
 
 #[test]
