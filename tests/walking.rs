@@ -9,8 +9,6 @@ mod common;
 use common::matrix::{Way, With, check};
 use common::rclpy::{Peer, python};
 use common::{Running, downbeat, wait_until};
-use downbeat_executor::SettingValue;
-use downbeat_physics::tasks::Conditions;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Stdio};
@@ -122,15 +120,4 @@ fn the_teleoperation_on_the_page_steers_the_robot() {
     assert!(teleop.0.wait().is_ok());
     program.interrupt();
     rclpy.leave();
-}
-
-#[test]
-fn the_tasks_have_the_gait_of_the_robot_file() {
-    let file: toml::Table = std::fs::read_to_string(ROBOT).unwrap().parse().unwrap();
-    let gait =
-        file["module"].as_array().unwrap().iter().find(|module| module["name"].as_str() == Some("gait"));
-    let settings = gait.unwrap()["settings"].as_table().unwrap().iter();
-    let numbers =
-        settings.filter_map(|(name, value)| Some((name.clone(), SettingValue::from(value.as_float()?))));
-    assert_eq!(numbers.collect::<std::collections::BTreeMap<_, _>>(), Conditions::described(1).gait);
 }

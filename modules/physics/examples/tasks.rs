@@ -26,8 +26,7 @@ struct Arguments {
     /// A file of motions in place of the built-in one
     #[arg(long, default_value = "")]
     motions: String,
-    /// A setting of the gait other than in robots/darwin_op_walks.toml, as in `--gait period=0.5`; may be
-    /// repeated
+    /// A setting of the gait other than its default, as in `--gait period=0.5`; may be repeated
     #[arg(long, value_parser = setting)]
     gait: Vec<(String, SettingValue)>,
     /// The seed of the first world

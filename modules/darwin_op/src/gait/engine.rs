@@ -21,8 +21,8 @@
 //! of the walking module of the DARwIn-OP framework, except that (1) starts at 0.
 //!
 //! A [placement](Correction) puts the swinging foot elsewhere. In the next half period the body moves over
-//! it. In a step that [kicks](Engine::kick), the swinging foot swings back, forward, and to where it lands. A
-//! robot that stands and has to step skips the growth of the sway: it lifts a foot at once.
+//! it. In a step that [kicks](Engine::kick) and has a period of its own, the swinging foot swings back, forward,
+//! and to where it lands. A robot that stands and has to step skips the growth of the sway: it lifts a foot at once.
 //!
 //! # References
 //! I. Ha, Y. Tamura, H. Asama, "Gait pattern generation and stabilization for humanoid robot based on coupled
@@ -57,6 +57,8 @@ pub struct Parameters {
     pub catching_period: f64,
     /// How far a foot that kicks swings ahead of its way.
     pub kick_length: f64,
+    /// The duration of two steps of which one kicks, while it kicks.
+    pub kick_period: f64,
     /// The largest velocities.
     pub limits: Limits,
 }
@@ -269,7 +271,11 @@ impl Engine {
     }
 
     fn period(&self, parameters: &Parameters) -> f64 {
-        if self.is_catching { parameters.catching_period } else { parameters.period }
+        match self {
+            Self { is_kicking: true, .. } => parameters.kick_period,
+            Self { is_catching: true, .. } => parameters.catching_period,
+            _ => parameters.period,
+        }
     }
 
     fn begin_half_period(&mut self, is_wanted: bool, parameters: &Parameters) {
@@ -404,9 +410,9 @@ impl Limits {
 
 /// How far a foot that kicks is ahead in its swing, as a share of the most.
 fn kicking(u: f64) -> f64 {
-    const BACK: f64 = 0.3;
-    const BACK_AT: f64 = 0.3;
-    const AHEAD_AT: f64 = 0.65;
+    const BACK: f64 = 0.42;
+    const BACK_AT: f64 = 0.2;
+    const AHEAD_AT: f64 = 0.57;
     if u < BACK_AT {
         -BACK * smooth(u / BACK_AT)
     } else if u < AHEAD_AT {
@@ -437,6 +443,7 @@ mod tests {
         walking_shift: -0.01,
         catching_period: 0.4,
         kick_length: 0.06,
+        kick_period: 0.8,
         limits: Limits {
             forward: 0.2,
             backward: 0.1,
@@ -595,7 +602,9 @@ mod tests {
             let kicked = run(&mut engine, 1.2, wanted);
             let ahead = kicked.iter().map(|step| step.right.x).fold(-1.0, f64::max);
             assert!(ahead > usual + 0.03, "{ahead} {usual}");
-            let after = run(&mut engine, 1.2, wanted);
+            // The step that kicks takes longer.
+            let after = run(&mut engine, 1.2 + (PARAMETERS.kick_period - PARAMETERS.period) / 2.0, wanted);
+            let after = &after[after.len() - (1.2 / DT) as usize..];
             let ahead = after.iter().map(|step| step.right.x).fold(-1.0, f64::max);
             assert!(ahead < usual + 1e-3 && engine.is_walking() == is_walking, "{ahead} {usual}");
         }

@@ -126,11 +126,6 @@ struct Reference {
     yaw: f64,
 }
 
-/// The largest distance and angle from the reference, in m and rad: it does not run away from a robot that
-/// cannot follow.
-const LONGEST_LEASH: f64 = 0.1;
-const WIDEST_LEASH: f64 = 0.5;
-
 /// Time constant of the pitch of the trunk, in s: half a step.
 const PITCH_SMOOTHING: f64 = 0.15;
 
@@ -184,6 +179,10 @@ impl Gait {
         let settings = ctx.ports.settings.values(ctx);
         let shares = DVec2::new(settings.odometry_forward, settings.odometry_side);
         self.odometry.update(soles, world_from_trunk, shares, dt);
+        if self.engine.is_walking() {
+            let aside = self.engine.velocity().left.abs() * dt;
+            self.odometry.drift(settings.odometry_drift * aside, world_from_trunk);
+        }
         if settings.step_gain > 0.0 {
             let level_from_base = DQuat::from_rotation_z(-yaw_of(world_from_trunk)) * world_from_trunk;
             let masses = soles.map(|sole| self.humanoid.centre_of_mass() - sole);
@@ -307,9 +306,10 @@ impl Gait {
         let Reference { position: reference, yaw: heading } =
             self.reference.unwrap_or(Reference { position, yaw });
         let step = DVec2::new(limited.forward, limited.left) * dt;
-        let ahead =
-            (reference + DVec2::from_angle(heading).rotate(step) - position).clamp_length_max(LONGEST_LEASH);
-        let turned = wrapped(heading + limited.turn * dt - yaw).clamp(-WIDEST_LEASH, WIDEST_LEASH);
+        let ahead = (reference + DVec2::from_angle(heading).rotate(step) - position)
+            .clamp_length_max(settings.path_leash);
+        let turned =
+            wrapped(heading + limited.turn * dt - yaw).clamp(-settings.heading_leash, settings.heading_leash);
         self.reference = Some(Reference { position: position + ahead, yaw: yaw + turned });
         let correction = DVec2::from_angle(-yaw).rotate(ahead) * settings.path_gain;
         Velocity {

@@ -8,7 +8,8 @@
 //!
 //! The lower sole carries the robot. A foot that slips, or turns over an edge, makes an error that is not
 //! noticed. What of a way is lost like that in every step is known of a gait: two shares, of the way forward
-//! and of that to a side, are what is really gone.
+//! and of that to a side, are what is really gone. A robot that steps to a side also drifts forward or backward by a
+//! share of that way.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -35,6 +36,12 @@ const SMOOTHING: f64 = 0.3;
 const LONGEST: f64 = 0.05;
 
 impl Odometry {
+    /// Takes a way forward that the legs do not measure, in m.
+    pub(super) fn drift(&mut self, forward: f64, world_from_base: DQuat) {
+        let way = DVec2::from_angle(yaw_of(world_from_base)) * forward;
+        self.position += way.extend(0.0);
+    }
+
     /// Takes the soles in the base and the orientation of the base in the world, `dt` in s after the last
     /// ones. Of the way forward and to the left, these `shares` are gone.
     pub(super) fn update(&mut self, soles: [DVec3; 2], world_from_base: DQuat, shares: DVec2, dt: f64) {
@@ -99,6 +106,8 @@ mod tests {
         let before = odometry.position;
         odometry.update(soles(0.02, -0.02), turned, DVec2::new(0.5, 0.8), 0.008);
         assert!((odometry.position.y - before.y - 0.005).abs() < 1e-12, "half of the way forward");
+        odometry.drift(0.1, turned);
+        assert!((odometry.position.y - before.y - 0.105).abs() < 1e-12, "a way that the legs do not measure");
         assert!((yaw_of(turned) - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     }
 }

@@ -52,14 +52,14 @@ settings! {
     nod = 0.005 in 0.0..=0.02, "m; half of how far the body goes down in double support";
     body_swing = 0.28 in -1.0..=1.0, "swing of the body forward and back, as a fraction of the step";
     pelvis_roll = 0.05 in 0.0..=0.3, "rad; roll of the supporting hip that keeps the pelvis level";
-    stance_x = -0.01 in -0.06..=0.06, "m; how far the feet are ahead of the hips";
-    walking_x = -0.0025 in -0.06..=0.06, "m; how much further they are ahead while the robot walks";
+    stance_x = -0.003 in -0.06..=0.06, "m; how far the feet are ahead of the hips";
+    walking_x = -0.0095 in -0.06..=0.06, "m; how much further they are ahead while the robot walks";
     stance_y = 0.0025 in -0.02..=0.04, "m; how far each foot is outside its hip";
     crouch = 0.015 in 0.0..=0.08, "m; how far the hips are below those of straight legs";
     hip_pitch = 0.25 in -0.3..=0.6, "rad; lean of the trunk forward";
     arm_swing = 15.0 in 0.0..=60.0, "rad/m; swing of the arms by half the distance of the feet";
-    servo_lead = 0.06 in 0.0..=0.2, "s; goals are as far ahead of the trajectory, for servos lag behind a moving goal";
-    stiffness = 1.0 in 1.0..=4.0, "goals of the legs are beyond the trajectory by this less 1, times what is missing: as with a higher P gain";
+    servo_lead = 0.035 in 0.0..=0.2, "s; goals are as far ahead of the trajectory, for servos lag behind a moving goal";
+    stiffness = 2.0 in 1.0..=4.0, "goals of the legs are beyond the trajectory by this less 1, times what is missing: as with a higher P gain";
     balance_knee = 0.034 in 0.0..=0.5, "s; angle of the knees by pitch rate";
     balance_ankle_pitch = 0.1 in 0.0..=0.5, "s; angle of the ankles by pitch rate";
     balance_hip_roll = 0.056 in 0.0..=0.5, "s; angle of the hips by roll rate";
@@ -74,17 +74,21 @@ settings! {
     catch_forward = 0.05 in 0.0..=0.2, "m; a robot that stands steps if its capture point is farther ahead";
     catch_backward = 0.055 in 0.0..=0.2, "m; or behind";
     catch_side = 0.2 in 0.0..=0.2, "m; or to a side; a robot cannot step to where it falls, so this is far";
-    kick_length = 0.06 in 0.0..=0.15, "m; how far a foot that kicks swings ahead of its way";
-    odometry_forward = 1.0 in 0.1..=2.0, "share of the way forward and backward that a walking robot really goes";
+    kick_length = 0.093 in 0.0..=0.15, "m; how far a foot that kicks swings ahead of its way";
+    kick_period = 1.6 in 0.2..=2.0, "s; duration of two steps, while one of them kicks";
+    odometry_forward = 1.15 in 0.1..=2.0, "share of the way forward and backward that a walking robot really goes";
     odometry_side = 1.0 in 0.1..=2.0, "share of the way to a side that a walking robot really goes";
+    odometry_drift = 0.25 in -2.0..=2.0, "m; how far a robot that steps to a side by 1 m drifts forward, which its legs do not measure";
     path_gain = 1.5 in 0.0..=10.0, "1/s; velocity by distance from where the commands lead, by odometry";
     heading_gain = 2.0 in 0.0..=10.0, "1/s; turn rate by deviation from the commanded heading";
-    max_forward = 0.15 in 0.0..=0.5, "m/s; largest velocity forward";
-    max_backward = 0.1 in 0.0..=0.5, "m/s; largest velocity backward";
-    max_side = 0.06 in 0.0..=0.3, "m/s; largest velocity to the side";
+    path_leash = 0.1 in 0.0..=1.0, "m; how far a robot that cannot follow its commands may be behind them; less for one that others steer by where it is";
+    heading_leash = 0.5 in 0.0..=3.0, "rad; the same of its heading";
+    max_forward = 0.25 in 0.0..=0.5, "m/s; largest velocity forward";
+    max_backward = 0.13 in 0.0..=0.5, "m/s; largest velocity backward";
+    max_side = 0.1 in 0.0..=0.3, "m/s; largest velocity to the side";
     max_turn = 0.8 in 0.0..=3.0, "rad/s; largest turn rate";
-    acceleration = 0.1 in 0.01..=2.0, "m/s^2; largest acceleration";
-    turn_acceleration = 1.0 in 0.1..=20.0, "rad/s^2; largest acceleration of a turn";
+    acceleration = 0.2 in 0.01..=2.0, "m/s^2; largest acceleration";
+    turn_acceleration = 2.0 in 0.1..=20.0, "rad/s^2; largest acceleration of a turn";
     braking = 1.0 in 0.1..=20.0, "how many times faster the robot slows down";
     command_timeout = 0.5 in 0.02..=60.0, "s; the robot stops this long after the last command";
     ready_speed = 1.0 in 0.1..=5.0, "rad/s; largest speed of a joint on the way to the stand";
@@ -105,6 +109,7 @@ impl Settings {
             walking_shift: self.walking_x,
             catching_period: self.catching_period,
             kick_length: self.kick_length,
+            kick_period: self.kick_period,
             limits: Limits {
                 forward: self.max_forward,
                 backward: self.max_backward,

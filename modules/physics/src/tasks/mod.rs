@@ -51,9 +51,9 @@ pub enum Task {
     Stop,
     /// Stays on its feet when its trunk is pushed with 0.5 N s, from all four sides.
     Push,
-    /// Gets up from its front and walks.
+    /// Gets up from its front, where it lies with its head turned to a side, and walks.
     GetUpFront,
-    /// Gets up from its back and walks.
+    /// Gets up from its back, where it lies with its head turned to a side, and walks.
     GetUpBack,
     /// Is pushed over while it walks, from a side that the seed tells, gets up and walks.
     Fall,
@@ -72,7 +72,7 @@ pub struct Conditions {
     pub seed: u64,
     /// The file of motions; empty for the built-in motions.
     pub motions: String,
-    /// Settings of the gait other than its defaults: those of `robots/darwin_op_walks.toml`.
+    /// Settings of the gait other than its defaults.
     pub gait: BTreeMap<String, SettingValue>,
 }
 
@@ -146,7 +146,7 @@ const MOST_TURNED: f64 = 0.3;
 const BALL_AHEAD: f64 = 0.11;
 const BALL_FAR_AHEAD: f64 = 0.35;
 /// How far the ball is ahead when the walking robot is told to kick it, in m.
-const KICKING_DISTANCE: f64 = 0.18;
+const KICKING_DISTANCE: f64 = 0.112;
 /// How long a robot may take to get up, in s.
 const PATIENCE: f64 = 60.0;
 
@@ -233,7 +233,10 @@ impl Task {
             Self::Curve => (turn(&mut robot, [0.1, 0.4 * side], 2.0 * PI)?, 0),
             Self::Stop => (stop(&mut robot)?, 0),
             Self::Push => (push(&mut robot, 0.5)?, 0),
-            Self::GetUpFront | Self::GetUpBack => get_up(&mut robot)?,
+            Self::GetUpFront | Self::GetUpBack => {
+                robot.look(1.2 * side, 0.5)?;
+                get_up(&mut robot)?
+            }
             Self::Fall => {
                 fall(&mut robot, seed)?;
                 get_up(&mut robot)?
@@ -253,7 +256,7 @@ impl Conditions {
             simulation: SimulationOptions::darwin_op(),
             seed,
             motions: String::new(),
-            gait: darwin_op_walks(),
+            gait: BTreeMap::new(),
         }
     }
 
@@ -264,22 +267,6 @@ impl Conditions {
         conditions.simulation.variation = Variation::of_seed(seed);
         conditions
     }
-}
-
-/// The settings of the gait in `robots/darwin_op_walks.toml`.
-fn darwin_op_walks() -> BTreeMap<String, SettingValue> {
-    let settings = [
-        ("stiffness", 2.0),
-        ("servo_lead", 0.035),
-        ("stance_x", -0.003),
-        ("walking_x", -0.0095),
-        ("odometry_forward", 1.15),
-        ("acceleration", 0.2),
-        ("max_forward", 0.25),
-        ("max_backward", 0.13),
-        ("max_side", 0.1),
-    ];
-    settings.map(|(name, value)| (name.to_owned(), SettingValue::from(value))).into()
 }
 
 impl fmt::Display for Task {
@@ -437,17 +424,25 @@ fn fall(robot: &mut WalkingRobot, seed: u64) -> Result<(), Failure> {
     robot.run(1.5)
 }
 
+/// From the beginning of the first motion until the robot is upright, in s.
 fn get_up(robot: &mut WalkingRobot) -> Result<(f64, usize), Failure> {
-    let attempts =
-        |robot: &WalkingRobot| robot.states().iter().filter(|state| *state == RobotState::GETTING_UP).count();
-    let mut time = 0.0;
-    while attempts(robot) == 0 || robot.states().last().is_none_or(|state| state != RobotState::UPRIGHT) {
-        if time > PATIENCE || robot.states().last().is_some_and(|state| state == RobotState::HELPLESS) {
+    let attempts = |robot: &WalkingRobot| {
+        robot.states().iter().filter(|(_, state)| state == RobotState::GETTING_UP).count()
+    };
+    let is = |robot: &WalkingRobot, what: &str| robot.states().last().is_some_and(|(_, state)| state == what);
+    let mut waited = 0.0;
+    while attempts(robot) == 0 || !is(robot, RobotState::UPRIGHT) {
+        if waited > PATIENCE || is(robot, RobotState::HELPLESS) {
             return Err(Failure::Lies { attempts: attempts(robot) });
         }
         robot.run(0.1)?;
-        time += 0.1;
+        waited += 0.1;
     }
+    let states = robot.states();
+    let begun = states.iter().find(|(_, state)| state == RobotState::GETTING_UP);
+    let time = begun
+        .zip(states.last())
+        .map_or(0.0, |((begun, _), (upright, _))| upright.saturating_since(*begun).as_secs_f64());
     let tried = attempts(robot);
     robot.run(3.0)?;
     robot.stands_still()?;
@@ -478,10 +473,11 @@ fn ball(robot: &mut WalkingRobot) -> f64 {
 fn walking_kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
     const WAY: f64 = 1.0;
     const LATEST: f64 = 1.5;
-    const VELOCITY: [f64; 3] = [0.1, 0.0, 0.0];
-    robot.walk_until(VELOCITY, 5.0, |place| BALL_FAR_AHEAD - place.position.x <= KICKING_DISTANCE)?;
+    const VELOCITY: [f64; 3] = [0.05, 0.0, 0.0];
+    const KICKING: [f64; 3] = [0.02, 0.0, 0.0];
+    robot.walk_until(VELOCITY, 10.0, |place| BALL_FAR_AHEAD - place.position.x <= KICKING_DISTANCE)?;
     robot.kick(if side > 0.0 { "left" } else { "right" })?;
-    robot.walk_until(VELOCITY, LATEST, |_| false)?;
+    robot.walk_until(KICKING, LATEST, |_| false)?;
     let found = ball(robot) - BALL_FAR_AHEAD;
     if found <= 0.01 {
         return Err(Failure::Short { found, wanted: WAY, unit: "m within 1.5 s" });

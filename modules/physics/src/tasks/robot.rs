@@ -5,10 +5,11 @@ use crate::harness::SimulatedRobot;
 use downbeat_darwin_op::falls::Falls;
 use downbeat_darwin_op::gait::Gait;
 use downbeat_darwin_op::motions::MotionPlayer;
-use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue};
+use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue, Time};
 use downbeat_imu_filter::ImuFilter;
 use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::Twist;
+use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_servos::joint_command_mux::JointCommandMux;
 use glam::DVec3;
@@ -23,7 +24,9 @@ pub struct WalkingRobot {
     cmd_vel: Inlet<Twist>,
     play: Inlet<Text>,
     kick: Inlet<Text>,
-    states: Arc<Mutex<Vec<String>>>,
+    joint_commands: Inlet<JointState>,
+    /// What `robot_state` was, and since when.
+    states: Arc<Mutex<Vec<(Time, String)>>>,
     /// In s.
     elapsed: f64,
 }
@@ -65,16 +68,17 @@ impl WalkingRobot {
         let cmd_vel = robot.core().inlet("cmd_vel")?;
         let play = robot.core().inlet("motions/play")?;
         let kick = robot.core().inlet("gait/kick")?;
-        let states = Arc::<Mutex<Vec<String>>>::default();
+        let joint_commands = robot.core().inlet("joint_commands")?;
+        let states = Arc::<Mutex<Vec<(Time, String)>>>::default();
         let collected = Arc::clone(&states);
         let collect = move |state: Received<'_, Text>| {
             let mut states = collected.lock();
-            if states.last() != Some(&state.data) {
-                states.push(state.data.clone());
+            if states.last().is_none_or(|(_, last)| *last != state.data) {
+                states.push((state.time(), state.data.clone()));
             }
         };
         robot.core().outlet("robot_state", Inbox::KeepAll, collect)?.keep();
-        let mut robot = Self { robot, cmd_vel, play, kick, states, elapsed: 0.0 };
+        let mut robot = Self { robot, cmd_vel, play, kick, joint_commands, states, elapsed: 0.0 };
         robot.run(READY)?;
         Ok(robot)
     }
@@ -133,6 +137,16 @@ impl WalkingRobot {
         Ok(self.kick.publish(Text { data: foot.to_owned() })?)
     }
 
+    /// Turns the head to a side and down, as to a ball; angles in rad. It stays there until something else moves it.
+    ///
+    /// # Errors
+    /// If the core does not take messages.
+    pub fn look(&mut self, pan: f64, tilt: f64) -> Result<(), Failure> {
+        let name = ["head_pan", "head_tilt"].map(str::to_owned).to_vec();
+        let position = vec![pan, tilt];
+        Ok(self.joint_commands.publish(JointState { name, position, ..JointState::default() })?)
+    }
+
     /// Where the robot is.
     #[must_use]
     pub fn place(&self) -> Place {
@@ -148,9 +162,9 @@ impl WalkingRobot {
         libm::acos(up.z.clamp(-1.0, 1.0))
     }
 
-    /// What `robot_state` was, one after another.
+    /// What `robot_state` was, one after another, and since when.
     #[must_use]
-    pub fn states(&self) -> Vec<String> {
+    pub fn states(&self) -> Vec<(Time, String)> {
         self.states.lock().clone()
     }
 
@@ -164,8 +178,8 @@ impl WalkingRobot {
     /// # Errors
     /// [`Failure::Fell`].
     pub fn has_not_fallen(&self) -> Result<(), Failure> {
-        let has_fallen =
-            !self.robot.is_upright() || self.states.lock().iter().any(|state| state != RobotState::UPRIGHT);
+        let has_fallen = !self.robot.is_upright()
+            || self.states.lock().iter().any(|(_, state)| state != RobotState::UPRIGHT);
         if has_fallen { Err(Failure::Fell { after: self.elapsed }) } else { Ok(()) }
     }
 
