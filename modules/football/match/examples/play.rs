@@ -146,8 +146,7 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
         }
         let chart = StateMachineOptions { path: arguments.chart.clone(), is_reloaded: false };
         let make = Arc::new(move || downbeat_state_machine::load(&chart));
-        let settings = arguments.eyes.then(|| ("glances".to_owned(), true.into())).into_iter().collect();
-        let options = ModuleOptions { namespace: name.clone(), settings, ..ModuleOptions::default() };
+        let options = ModuleOptions { namespace: name.clone(), ..ModuleOptions::default() };
         let (interfaces, of_module) = (interfaces.clone(), options.clone());
         let make = move || ForeignModule::new(make.clone(), interfaces.clone(), of_module.clone());
         core.add_restartable(&format!("{name}/player"), make, options)?;

@@ -2,7 +2,7 @@
 
 use crate::drill::Drill;
 use crate::field_world::world_of;
-use crate::game::{Order, Seat, Team, Truth};
+use crate::game::{Event, Order, Phase, Seat, Team, Truth};
 use crate::official::Official;
 use crate::referee::{Referee, Rules};
 use crate::statistics::Statistics;
@@ -19,14 +19,16 @@ use downbeat_football::football_interfaces::msg::{
 use downbeat_football::soccer_model_msgs::msg::{Robot as OtherRobot, RobotArray};
 use downbeat_football::soccer_vision_attribute_msgs::msg::Robot as RobotAttributes;
 use downbeat_msgs::builtin_interfaces;
-use downbeat_msgs::geometry_msgs::msg::{Point, PointStamped, Pose, PoseStamped, Quaternion};
+use downbeat_msgs::geometry_msgs::msg::{
+    Point, PointStamped, Pose, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion,
+};
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use downbeat_msgs::std_msgs::msg::{Header, String as Text};
 use downbeat_physics::camera::Camera;
 use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Motion, RobotTruth, Variation};
 use downbeat_transforms::Isometry;
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use serde_json::json;
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -86,6 +88,8 @@ struct Game {
     /// Pictures that have not been delivered, in the order of their times: robot, time, pixels.
     pictures: VecDeque<(usize, Time, Vec<u8>)>,
     reported_left_out: Duration,
+    /// When a robot that a drill put somewhere stands.
+    stands_at: Option<Time>,
 }
 
 /// The keys of [`FootballMatch`].
@@ -105,6 +109,8 @@ struct RobotPorts {
     ball: Publication<PoseStamped>,
     others: Publication<RobotArray>,
     team_messages: Publication<TeamMessage>,
+    /// Where a drill puts it.
+    initial_pose: Option<Publication<PoseWithCovarianceStamped>>,
     camera: Option<(Publication<Image>, Publication<CameraInfo>)>,
 }
 
@@ -121,6 +127,8 @@ const TRUTH: Duration = Duration::from_millis(20);
 const LATENCY: Duration = Duration::from_millis(30);
 const DELIVER: Duration = Duration::from_millis(10);
 const FIELD: Duration = Duration::from_secs(2);
+/// How long a robot that a drill put somewhere needs to stand.
+const STANDS_AFTER: Duration = Duration::from_millis(1500);
 const MOST_ROBOTS: usize = 22;
 
 impl FootballMatch {
@@ -143,6 +151,22 @@ impl FootballMatch {
                 Order::Ball(at) => game.arena.place_ball(at.to_array()),
                 Order::Robot { robot, position, heading } => {
                     game.arena.place_robot(robot, position.to_array(), heading);
+                }
+            }
+        }
+        let is_put =
+            |event: &Event| matches!(event, Event::Phase(Phase::Playing) | Event::Goal(_) | Event::TimeUp);
+        let is_put = events.iter().any(is_put);
+        // Again when it stands, because to be turned by hand looks to it like a turn of its own.
+        let stands = game.stands_at.take_if(|at| *at <= now).is_some();
+        if is_put {
+            game.stands_at = Some(now + STANDS_AFTER);
+        }
+        if is_put || stands {
+            for robot in 0..game.seats.len() {
+                if let Some(publication) = ctx.ports.robots[robot].initial_pose {
+                    let (position, heading) = game.official.place_of(robot);
+                    ctx.publish(publication, initial_pose(header(now, "map"), position, heading));
                 }
             }
         }
@@ -419,6 +443,10 @@ impl Module for FootballMatch {
                 ball: setup.publish(&format!("{name}/ground_truth/ball"))?,
                 others: setup.publish(&format!("{name}/ground_truth/robots"))?,
                 team_messages: setup.publish(&format!("{name}/team_messages"))?,
+                initial_pose: match &official {
+                    Official::Drill(_) => Some(setup.publish(&format!("{name}/initialpose"))?),
+                    Official::Referee(_) => None,
+                },
                 camera,
             })
         });
@@ -436,6 +464,7 @@ impl Module for FootballMatch {
             statistics,
             pictures: VecDeque::new(),
             reported_left_out: Duration::ZERO,
+            stands_at: None,
         });
         Ok(Ports {
             state: setup.publish("match/state")?,
@@ -591,6 +620,16 @@ fn pose_message(of: &Isometry) -> Pose {
     let (DVec3 { x, y, z }, rotation) = (of.translation, of.rotation);
     let orientation = Quaternion { x: rotation.x, y: rotation.y, z: rotation.z, w: rotation.w };
     Pose { position: Point { x, y, z }, orientation }
+}
+
+/// Where a drill puts a robot, about as well as a human would know it.
+fn initial_pose(header: Header, position: DVec2, heading: f64) -> PoseWithCovarianceStamped {
+    const VARIANCES: [f64; 2] = [0.09, 0.04];
+    let orientation = DQuat::from_rotation_z(heading);
+    let pose = pose_message(&Isometry { translation: position.extend(0.0), rotation: orientation });
+    let mut covariance = [0.0; 36];
+    [covariance[0], covariance[7], covariance[35]] = [VARIANCES[0], VARIANCES[0], VARIANCES[1]];
+    PoseWithCovarianceStamped { header, pose: PoseWithCovariance { pose, covariance } }
 }
 
 fn header(at: Time, frame_id: &str) -> Header {

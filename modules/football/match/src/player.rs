@@ -23,6 +23,9 @@ const HEIGHT: f64 = 0.29;
 /// How long a servo that has switched itself off rests, in s: the setting of `hardware` in the robot files.
 const SHUTDOWN_REST_S: f64 = 2.0;
 
+/// How far the gait may be behind its commands, in m and rad: the settings of `gait` in the robot files.
+const LEASHES: [f64; 2] = [0.04, 0.12];
+
 /// The field of the matches: the setting of `walk_to` in the robot files.
 const FIELD: &str = "kid_size_2013";
 
@@ -33,7 +36,7 @@ const FIELD: &str = "kid_size_2013";
 /// # Errors
 /// If a module cannot join.
 pub fn add_skills(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> Result<(), SetupError> {
-    add_body(core, ports, name, HEIGHT)?;
+    add_modules(core, ports, name, (HEIGHT, false))?;
     Player { core, name }.add("beliefs", TruthBeliefs::default(), [("seed", seed.into())])
 }
 
@@ -47,19 +50,30 @@ pub fn add_body(
     name: &str,
     head_height: f64,
 ) -> Result<(), SetupError> {
+    add_modules(core, ports, name, (head_height, true))
+}
+
+fn add_modules(
+    core: &mut Core,
+    ports: &MemoryPorts,
+    name: &str,
+    (head_height, glances): (f64, bool),
+) -> Result<(), SetupError> {
     let mut player = Player { core, name };
     let port = ("port", format!("memory:{name}").into());
     let mut hardware = player.options([port, ("shutdown_rest_s", SHUTDOWN_REST_S.into())]);
     hardware.remaps.insert("joint_commands".to_owned(), "joint_goals".to_owned());
     player.add_with("hardware", DarwinOp::new(Box::new(ports.bus())), hardware)?;
     player.add("imu_filter", ImuFilter::default(), [])?;
-    player.add("gait", Gait::default(), [("start", true.into())])?;
+    let [path_leash, heading_leash] = LEASHES.map(SettingValue::from);
+    let settings = [("start", true.into()), ("path_leash", path_leash), ("heading_leash", heading_leash)];
+    player.add("gait", Gait::default(), settings)?;
     player.add("motions", MotionPlayer::default(), [])?;
     player.add("falls", Falls::default(), [])?;
     player.add("team", Team::default(), [])?;
     // Both follow the ball of the team.
     let joint = |topic: &str| (topic.to_owned(), format!("team/{topic}"));
-    let head = player.options([("height", head_height.into())]);
+    let head = player.options([("height", head_height.into()), ("glances", glances.into())]);
     player.add_with("head", Head::default(), ModuleOptions { remaps: [joint("ball")].into(), ..head })?;
     let remaps = [joint("ball"), joint("robots")].into();
     let walk_to = ModuleOptions { remaps, ..player.options([("field", FIELD.to_owned().into())]) };

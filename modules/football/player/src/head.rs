@@ -17,6 +17,7 @@
 //! | `sweep` | how far the search pans to each side, rad |
 //! | `sweep_s` | duration of a sweep there and back, s |
 //! | `height` | of `base_link` above the floor, m |
+//! | `glances` | whether it looks up from the ball now and then, ahead and to both sides in turn, for nothing at the feet tells a robot that sees where it is |
 
 use crate::beliefs::Beliefs;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
@@ -39,6 +40,8 @@ pub struct Head {
     angles: DVec2,
     /// The duration of the current search, in s.
     searched: f64,
+    /// For how long the ball is followed, in s.
+    tracked: f64,
 }
 
 /// The keys of [`Head`].
@@ -48,6 +51,7 @@ pub struct Ports {
     sweep: Setting<f64>,
     sweep_s: Setting<f64>,
     height: Setting<f64>,
+    glances: Setting<bool>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,6 +67,10 @@ const PERIOD: Duration = Duration::from_millis(40);
 const TILTS: [f64; 2] = [0.45, 0.0];
 /// The tilt with a view over the field, in rad.
 const AHEAD_TILT: f64 = 0.5;
+/// From one glance to the next, and how long it lasts, in s; and where it goes, in rad to the left.
+const GLANCE_PERIOD: f64 = 3.8;
+const GLANCE: f64 = 0.8;
+const GLANCE_PANS: [f64; 3] = [0.0, 0.6, -0.6];
 /// The forward lean of the trunk while the robot stands or walks, in rad.
 const LEAN: f64 = 0.2;
 /// Half the diameter of a ball, in m.
@@ -72,8 +80,11 @@ impl Head {
     fn turn(&mut self, ctx: &mut Context<'_, Ports>) {
         let now = ctx.now();
         let seen = self.beliefs.place(now).zip(self.beliefs.ball(now));
+        self.tracked += PERIOD.as_secs_f64();
+        let glance = self.glance().filter(|_| *ctx.get(ctx.ports.glances));
         let wanted = match (self.mode, seen) {
             (Mode::Ahead, _) => DVec2::new(0.0, AHEAD_TILT),
+            (Mode::Track, Some(_)) if let Some(pan) = glance => DVec2::new(pan, AHEAD_TILT),
             (Mode::Track, Some((place, ball))) => {
                 let ball = place.point(ball);
                 let below = BALL_HEIGHT - *ctx.get(ctx.ports.height);
@@ -82,6 +93,7 @@ impl Head {
                 DVec2::new(look.pan, look.tilt)
             }
             (Mode::Search | Mode::Track, _) => {
+                self.tracked = 0.0;
                 let sweeps = self.searched / *ctx.get(ctx.ports.sweep_s);
                 let tilt = if sweeps.fract() < 0.5 { TILTS[0] } else { TILTS[1] };
                 self.searched += PERIOD.as_secs_f64();
@@ -98,6 +110,13 @@ impl Head {
             ..JointState::default()
         };
         ctx.publish(ctx.ports.commands, command);
+    }
+
+    /// Where the head looks while it does not follow the ball, in rad.
+    fn glance(&self) -> Option<f64> {
+        let glances = self.tracked / GLANCE_PERIOD;
+        let is_glance = glances.fract() * GLANCE_PERIOD >= GLANCE_PERIOD - GLANCE;
+        is_glance.then(|| GLANCE_PANS[glances as usize % GLANCE_PANS.len()])
     }
 }
 
@@ -132,6 +151,7 @@ impl Module for Head {
             sweep: setup.setting_in("sweep", 1.3, 0.1..=2.3, "rad; how far the search pans to each side")?,
             sweep_s: setup.setting_in("sweep_s", 4.0, 0.5..=60.0, "s; a sweep there and back")?,
             height: setup.setting_in("height", 0.29, 0.1..=1.0, "m; base_link above the floor")?,
+            glances: setup.setting("glances", false, "whether it looks up from the ball now and then")?,
         })
     }
 
