@@ -34,7 +34,7 @@ pub struct Placement {
 
 impl Drill {
     /// The time limit of a try.
-    pub const TIME: Duration = Duration::from_secs(120);
+    pub const TIME: Duration = Duration::from_secs(90);
 
     /// A drill of `tries` tries, with this seed and the following ones.
     #[must_use]
@@ -133,8 +133,8 @@ mod tests {
         let (events, orders) = drill.step(Duration::from_secs(5), &truth(goal));
         assert_eq!((events, orders.len()), (vec![Event::Goal(Team::Blue)], 2));
         assert_ne!(drill.placement(), first);
-        assert_eq!(drill.step(Duration::from_secs(124), &truth(DVec2::ZERO)).0, []);
-        let (events, orders) = drill.step(Duration::from_secs(125), &truth(DVec2::ZERO));
+        assert_eq!(drill.step(Duration::from_secs(94), &truth(DVec2::ZERO)).0, []);
+        let (events, orders) = drill.step(Duration::from_secs(95), &truth(DVec2::ZERO));
         assert_eq!((events, orders), (vec![Event::TimeUp, Event::Phase(Phase::Finished)], vec![]));
         assert_eq!(drill.score(), [1, 2]);
     }
