@@ -20,8 +20,8 @@ const SOON: [&str; 2] = ["-p", "match.ready_s:=5"];
 /// The simulated length of a match.
 const LENGTH: &str = "40s";
 
-/// Parts of the names of tests of what qemu cannot: start the own program as a child, multicast over the loopback
-/// interface, and the addresses of the error queue of a socket.
+/// Parts of the names of tests of what qemu cannot: start the own program as a child, multicast over the
+/// loopback interface, and the addresses of the error queue of a socket.
 const NOT_UNDER_QEMU: [&str; 4] = [
     "killed",
     "a_full_disk_is_reported_once",
@@ -74,8 +74,8 @@ fn tests(skips: &skips::Run) -> anyhow::Result<()> {
     // Peers are programs of this machine.
     cargo.envs(environment(Target::Aarch64)?).env_remove("DOWNBEAT_STRICT").envs([skips.variable()]);
     cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER", "qemu-aarch64-static -L /");
-    // The emulator is slow enough with code that is optimised; the generated code in the tests of messages takes
-    // longer to optimise than to run.
+    // The emulator is slow enough with code that is optimised; the generated code in the tests of messages
+    // takes longer to optimise than to run.
     cargo.env("CARGO_PROFILE_DEV_OPT_LEVEL", "1").env("CARGO_PROFILE_DEV_DEBUG", "false");
     cargo.args(["--config", "profile.dev.package.downbeat-msgs.opt-level=0"]);
     cargo.env("CARGO_TARGET_DIR", workspace().join("target/aarch64")).env("CARGO_INCREMENTAL", "0");

@@ -21,8 +21,9 @@
 //! of the walking module of the DARwIn-OP framework, except that (1) starts at 0.
 //!
 //! A [placement](Correction) puts the swinging foot elsewhere. In the next half period the body moves over
-//! it. In a step that [kicks](Engine::kick) and has a period of its own, the swinging foot swings back, forward,
-//! and to where it lands. A robot that stands and has to step skips the growth of the sway: it lifts a foot at once.
+//! it. In a step that [kicks](Engine::kick) and has a period of its own, the swinging foot swings back,
+//! forward, and to where it lands. A robot that stands and has to step skips the growth of the sway: it lifts
+//! a foot at once.
 //!
 //! # References
 //! I. Ha, Y. Tamura, H. Asama, "Gait pattern generation and stabilization for humanoid robot based on coupled

@@ -8,8 +8,8 @@
 //!
 //! The lower sole carries the robot. A foot that slips, or turns over an edge, makes an error that is not
 //! noticed. What of a way is lost like that in every step is known of a gait: two shares, of the way forward
-//! and of that to a side, are what is really gone. A robot that steps to a side also drifts forward or backward by a
-//! share of that way.
+//! and of that to a side, are what is really gone. A robot that steps to a side also drifts forward or
+//! backward by a share of that way.
 
 use glam::{DQuat, DVec2, DVec3};
 

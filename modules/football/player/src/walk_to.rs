@@ -114,8 +114,8 @@ const STILL_STRAIGHT: f64 = 1.3;
 const TOO_NEAR: f64 = 0.03;
 /// The speed of a robot that does no more than step, in m/s.
 const ON_THE_SPOT: f64 = 0.02;
-/// For how long a walking robot that was told to kick does no more than step: until its foot has swung and it is
-/// steady again.
+/// For how long a walking robot that was told to kick does no more than step: until its foot has swung and it
+/// is steady again.
 const SWING: Duration = Duration::from_millis(1600);
 /// The time for which a robot sways after it has stopped.
 const REST: Duration = Duration::from_secs(1);
@@ -142,7 +142,8 @@ const BACK_OFF: f64 = 0.05;
 const OTHER_FOOT: f64 = 0.05;
 /// The same while the robot walks, if it does not matter with which.
 const OTHER_FOOT_OF_WALK: f64 = 0.02;
-/// Time constant of where the ball is to the side of a robot that walks, in s, and by how much it sways, in m.
+/// Time constant of where the ball is to the side of a robot that walks, in s, and by how much it sways, in
+/// m.
 const SWAY_SMOOTHING: f64 = 0.4;
 const SWAYS: f64 = 0.08;
 /// The angle by which the ball is pushed past another robot, in rad.
@@ -325,8 +326,8 @@ impl WalkTo {
         smoothed
     }
 
-    /// Walks behind the ball and up to it: `off` is the way to the place of the kick in axes of the kick, whose
-    /// direction is `heading`.
+    /// Walks behind the ball and up to it: `off` is the way to the place of the kick in axes of the kick,
+    /// whose direction is `heading`.
     fn approach(
         &mut self,
         ball: DVec2,
@@ -411,8 +412,8 @@ impl WalkTo {
     }
 }
 
-/// Slows down towards obstacles, stops before near ones and backs off from very near ones, because robots that
-/// touch fall, and who lies entangled does not get up.
+/// Slows down towards obstacles, stops before near ones and backs off from very near ones, because robots
+/// that touch fall, and who lies entangled does not get up.
 fn keeping_off<'a>(mut velocity: Velocity, obstacles: impl IntoIterator<Item = &'a Obstacle>) -> Velocity {
     for Obstacle { at, keep } in obstacles {
         let distance = at.length();

@@ -137,7 +137,8 @@ impl WalkingRobot {
         Ok(self.kick.publish(Text { data: foot.to_owned() })?)
     }
 
-    /// Turns the head to a side and down, as to a ball; angles in rad. It stays there until something else moves it.
+    /// Turns the head to a side and down, as to a ball; angles in rad. It stays there until something else
+    /// moves it.
     ///
     /// # Errors
     /// If the core does not take messages.
