@@ -179,7 +179,7 @@ fn what_cannot_be_played_in_processes_is_refused_with_the_remedy() {
     std::fs::write(&nobody, text.replace("namespace = \"blue_1\"", "namespace = \"blue_7\"")).unwrap();
     let [seeing, blind, nobody] = [&seeing, &blind, &nobody].map(|path| path.to_str().unwrap());
     for (line, problem) in [
-        (&["robots/match.toml"][..], "player.toml:32: \"blue_1/beliefs\" believes the ground truth"),
+        (&["robots/match.toml"][..], "player.toml:33: \"blue_1/beliefs\" believes the ground truth"),
         (&["robots/match.toml"], "football/seeing_player.toml"),
         (&[blind], "blind.toml:4: robots in processes of their own know the field only from pictures"),
         (&[nobody], "no [[include]] with namespace = \"blue_1\""),

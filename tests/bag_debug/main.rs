@@ -74,7 +74,7 @@ fn a_cycle_is_the_same_from_before_from_behind_and_at_once() {
     let mut lines = String::new();
     let look =
         "print joint_goals\nprint odom\nmodule gait\nmodule falls\nmodule mux\nmodule hardware\nmark\n";
-    for cycle in random().map(|number| 200 + number % 5000).take(cycles) {
+    for cycle in random().map(|number| 200 + number % 4000).take(cycles) {
         let _ = write!(lines, "mark\ngo #{cycle}\n{look}");
         let _ = write!(lines, "go #{}\nstep 7\nmark\nstep\n{look}", cycle - 8);
         let _ = write!(lines, "go #{}\nback 11\nmark\nback\n{look}", cycle + 12);
@@ -177,7 +177,7 @@ fn what_is_wrong_is_said_and_the_debugger_goes_on() {
     let printed = debugged(WALKER, WALK, lines);
     for sentence in [
         "unknown command \"fly\"",
-        "joint_goals has 1649 messages",
+        " messages, counted from 0",
         "there is no module or topic \"joint_goal\", did you mean \"joint_goals\"?",
         "simulator: it drives a device",
         "there is no module or topic \"gai\", did you mean \"gait\"?",
