@@ -108,6 +108,8 @@ const REPORT: Duration = Duration::from_secs(1);
 const STANDING_WINDOW: f64 = 1.4;
 /// The longest time to stop for a kick.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// The share of the tolerances of a kick within which a robot walks straight to the ball.
+const STRAIGHT: f64 = 0.8;
 /// The factor by which the ball may be farther aside before a robot that walks straight to it lines up again.
 const STILL_STRAIGHT: f64 = 1.3;
 /// How much too near the ball may be for a kick out of the walk, in m.
@@ -196,6 +198,13 @@ settings! {
     there_angle = 0.2 in 0.01..=3.2, "rad; how far its heading may be off at a place";
 }
 
+impl Settings {
+    /// Whether the ball is in line for a kick, within a share of the tolerances.
+    fn is_beside(&self, off: DVec2, heading: f64, share: f64) -> bool {
+        off.y.abs() < self.kick_width * share && heading.abs() < self.kick_angle * share
+    }
+}
+
 impl WalkTo {
     fn tick(&mut self, ctx: &mut Context<'_, Ports>) {
         let (now, settings) = (ctx.now(), ctx.ports.settings.values(ctx));
@@ -280,26 +289,11 @@ impl WalkTo {
         };
         self.foot = Some(foot);
         let off = straight - DVec2::new(ahead, foot * settings.kick_aside);
-        let is_beside = |share: f64| {
-            off.y.abs() < settings.kick_width * share && heading.abs() < settings.kick_angle * share
-        };
         if is_striking {
-            // The foot swings some time after it was told to: the robot steps on the spot until then.
-            let before_it = off.x > -TOO_NEAR;
-            let width = if self.goes_straight { STILL_STRAIGHT } else { 0.8 };
-            self.goes_straight = self.is_closing_in && before_it && is_beside(width);
-            let since = self.strikes_since.filter(|since| now < *since + SWING);
-            self.strikes_since = since.or_else(|| (self.goes_straight && off.x < 0.0).then_some(now));
-            let straight_at = |speed: f64| Velocity { linear: DVec2::new(speed, 0.0), turn: 0.0 };
-            if self.strikes_since.is_some() {
-                let state = if foot > 0.0 { WalkState::STRIKE_LEFT } else { WalkState::STRIKE_RIGHT };
-                return (Some(straight_at(ON_THE_SPOT)), state);
-            }
-            let approach = self.approach(ball, off, heading, is_beside(0.8), obstacles, settings);
-            let velocity = if self.goes_straight { straight_at(settings.strike_speed) } else { approach };
-            return (Some(velocity), WalkState::WALKING);
+            return self.strike(ball, off, heading, obstacles, now, settings);
         }
-        let is_in_window = |share: f64| off.x.abs() < settings.kick_reach * share && is_beside(share);
+        let is_in_window =
+            |share: f64| off.x.abs() < settings.kick_reach * share && settings.is_beside(off, heading, share);
         // The robot kicks while standing, after it has come to rest, because only then the position of the
         // ball relative to its feet is known.
         let is_at_rest = self.stands_since.is_some_and(|since| since + REST <= now);
@@ -315,7 +309,34 @@ impl WalkTo {
         if self.stops_since.is_some() {
             return (Some(Velocity::default()), WalkState::WALKING);
         }
-        (Some(self.approach(ball, off, heading, is_beside(0.8), obstacles, settings)), WalkState::WALKING)
+        (Some(self.approach(ball, off, heading, obstacles, settings)), WalkState::WALKING)
+    }
+
+    /// Lines up for a kick out of the walk, and kicks: as [`WalkTo::approach`].
+    fn strike(
+        &mut self,
+        ball: DVec2,
+        off: DVec2,
+        heading: f64,
+        obstacles: &[Obstacle],
+        now: Time,
+        settings: &Settings,
+    ) -> (Option<Velocity>, &'static str) {
+        let width = if self.goes_straight { STILL_STRAIGHT } else { STRAIGHT };
+        self.goes_straight =
+            self.is_closing_in && off.x > -TOO_NEAR && settings.is_beside(off, heading, width);
+        let since = self.strikes_since.filter(|since| now < *since + SWING);
+        self.strikes_since = since.or_else(|| (self.goes_straight && off.x < 0.0).then_some(now));
+        let straight_at = |speed: f64| Some(Velocity { linear: DVec2::new(speed, 0.0), turn: 0.0 });
+        // The foot swings some time after it was told to: the robot steps on the spot until then.
+        if self.strikes_since.is_some() {
+            let is_left = self.foot.is_some_and(|foot| foot > 0.0);
+            let state = if is_left { WalkState::STRIKE_LEFT } else { WalkState::STRIKE_RIGHT };
+            return (straight_at(ON_THE_SPOT), state);
+        }
+        let approach = self.approach(ball, off, heading, obstacles, settings);
+        let velocity = if self.goes_straight { straight_at(settings.strike_speed) } else { Some(approach) };
+        (velocity, WalkState::WALKING)
     }
 
     /// Where the ball is to the side of a robot that sways from foot to foot, on average.
@@ -333,7 +354,6 @@ impl WalkTo {
         ball: DVec2,
         off: DVec2,
         heading: f64,
-        is_beside: bool,
         obstacles: &[Obstacle],
         settings: &Settings,
     ) -> Velocity {
@@ -343,6 +363,7 @@ impl WalkTo {
         if self.is_closing_in {
             // First to the side and around, then ahead: feet that step next to the place of the kick would
             // push the ball.
+            let is_beside = settings.is_beside(off, heading, STRAIGHT);
             let ahead = if is_beside { off.x } else { off.x - BEHIND };
             let way = DVec2::from_angle(heading).rotate(DVec2::new(ahead, off.y));
             step(way, heading, settings)
