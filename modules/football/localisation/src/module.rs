@@ -296,14 +296,13 @@ impl Localisation {
     ) {
         let frame = message.header.frame_id.as_str();
         if !frame.is_empty() && frame != MAP {
-            self.refused = Some(format!("initialpose is in the frame {frame:?}; send it in {MAP}"));
-            return;
+            let frame: String = frame.chars().take(64).collect();
+            return self.refuse(format!("initialpose is in the frame \"{frame}\"; send it in {MAP}"), ctx);
         }
         let Some((pose, _)) =
             pose_from(&message.pose.pose).filter(|(pose, _)| pose.position.length() < FARTHEST)
         else {
-            self.refused = Some("initialpose is no pose on the field".to_owned());
-            return;
+            return self.refuse("initialpose is no pose on the field".to_owned(), ctx);
         };
         let deviation = |at: usize, [least, most]: [f64; 2]| {
             let variance = message.pose.covariance[at];
@@ -315,6 +314,12 @@ impl Localisation {
             hypotheses.restart_at(pose, deviations);
             self.forget(ctx.now());
         }
+    }
+
+    /// Reports at once what the next picture would make forgotten.
+    fn refuse(&mut self, problem: String, ctx: &mut Context<'_, Ports>) {
+        self.refused = Some(problem);
+        self.report(ctx);
     }
 
     /// The robot was put somewhere else: what was seen from where it was is of no use.

@@ -325,10 +325,12 @@ fn it_is_where_somebody_says_and_pictures_from_before_do_not_count() {
     let no_pose = pose("map", DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
     let there = pose("map", DQuat::from_rotation_z(told.heading));
     robot.sees = false;
-    for refused in [somewhere_else, no_pose] {
+    for (refused, problem) in [(somewhere_else, "in the frame \"odom\""), (no_pose, "no pose")] {
         robot.initial_pose.publish(refused).unwrap();
         robot.moves_by(Pose::default());
         assert!(robot.error().0 > 0.5, "it is believed to be there");
+        let told = robot.heard.lock().unwrap().diagnostics.clone();
+        assert!(told.iter().any(|told| told.contains(problem)), "{told:?}");
     }
     // As vision takes its time, a picture of the old place arrives with it.
     let old = Landmarks { posts: vec![DVec2::new(1.0, 1.0), DVec2::new(1.0, -0.5)], ..Landmarks::default() };

@@ -542,24 +542,19 @@ impl Module for WalkTo {
                 other => tracing::warn!("a goal in the frame {other:?} is ignored; use map or base_link"),
             }
         })?;
-        setup.subscribe("walk_to/kick", |walk: &mut Self, target: Received<'_, PointStamped>, _| {
-            let target = DVec2::new(target.point.x, target.point.y);
-            if target.is_finite() {
-                walk.goal = Goal::Kick(target);
-            }
-        })?;
-        setup.subscribe("walk_to/strike", |walk: &mut Self, target: Received<'_, PointStamped>, _| {
-            let target = DVec2::new(target.point.x, target.point.y);
-            if target.is_finite() {
-                walk.goal = Goal::Strike(target);
-            }
-        })?;
-        setup.subscribe("walk_to/dribble", |walk: &mut Self, target: Received<'_, PointStamped>, _| {
-            let target = DVec2::new(target.point.x, target.point.y);
-            if target.is_finite() {
-                walk.goal = Goal::Dribble(target);
-            }
-        })?;
+        let goals: [(&str, fn(DVec2) -> Goal); 3] = [
+            ("walk_to/kick", Goal::Kick),
+            ("walk_to/strike", Goal::Strike),
+            ("walk_to/dribble", Goal::Dribble),
+        ];
+        for (topic, goal) in goals {
+            setup.subscribe(topic, move |walk: &mut Self, target: Received<'_, PointStamped>, _| {
+                let target = DVec2::new(target.point.x, target.point.y);
+                if target.is_finite() {
+                    walk.goal = goal(target);
+                }
+            })?;
+        }
         setup.subscribe("walk_to/stop", |walk: &mut Self, _: Received<'_, Empty>, _| {
             walk.goal = Goal::Nothing;
         })?;

@@ -51,9 +51,9 @@ pub enum Task {
     Stop,
     /// Stays on its feet when its trunk is pushed with 0.5 N s, from all four sides.
     Push,
-    /// Gets up from its front, where it lies with its head turned to a side, and walks.
+    /// Gets up from its front and walks.
     GetUpFront,
-    /// Gets up from its back, where it lies with its head turned to a side, and walks.
+    /// Gets up from its back and walks.
     GetUpBack,
     /// Is pushed over while it walks, from a side that the seed tells, gets up and walks.
     Fall,
@@ -233,10 +233,7 @@ impl Task {
             Self::Curve => (turn(&mut robot, [0.1, 0.4 * side], 2.0 * PI)?, 0),
             Self::Stop => (stop(&mut robot)?, 0),
             Self::Push => (push(&mut robot, 0.5)?, 0),
-            Self::GetUpFront | Self::GetUpBack => {
-                robot.look(1.2 * side, 0.5)?;
-                get_up(&mut robot)?
-            }
+            Self::GetUpFront | Self::GetUpBack => get_up(&mut robot)?,
             Self::Fall => {
                 fall(&mut robot, seed)?;
                 get_up(&mut robot)?

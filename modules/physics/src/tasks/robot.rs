@@ -9,7 +9,6 @@ use downbeat_executor::{Inbox, Inlet, ModuleOptions, Received, SettingValue, Tim
 use downbeat_imu_filter::ImuFilter;
 use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::Twist;
-use downbeat_msgs::sensor_msgs::msg::JointState;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_servos::joint_command_mux::JointCommandMux;
 use glam::DVec3;
@@ -24,7 +23,6 @@ pub struct WalkingRobot {
     cmd_vel: Inlet<Twist>,
     play: Inlet<Text>,
     kick: Inlet<Text>,
-    joint_commands: Inlet<JointState>,
     /// What `robot_state` was, and since when.
     states: Arc<Mutex<Vec<(Time, String)>>>,
     /// In s.
@@ -68,7 +66,6 @@ impl WalkingRobot {
         let cmd_vel = robot.core().inlet("cmd_vel")?;
         let play = robot.core().inlet("motions/play")?;
         let kick = robot.core().inlet("gait/kick")?;
-        let joint_commands = robot.core().inlet("joint_commands")?;
         let states = Arc::<Mutex<Vec<(Time, String)>>>::default();
         let collected = Arc::clone(&states);
         let collect = move |state: Received<'_, Text>| {
@@ -78,7 +75,7 @@ impl WalkingRobot {
             }
         };
         robot.core().outlet("robot_state", Inbox::KeepAll, collect)?.keep();
-        let mut robot = Self { robot, cmd_vel, play, kick, joint_commands, states, elapsed: 0.0 };
+        let mut robot = Self { robot, cmd_vel, play, kick, states, elapsed: 0.0 };
         robot.run(READY)?;
         Ok(robot)
     }
@@ -135,17 +132,6 @@ impl WalkingRobot {
     /// If the core does not take messages.
     pub fn kick(&mut self, foot: &str) -> Result<(), Failure> {
         Ok(self.kick.publish(Text { data: foot.to_owned() })?)
-    }
-
-    /// Turns the head to a side and down, as to a ball; angles in rad. It stays there until something else
-    /// moves it.
-    ///
-    /// # Errors
-    /// If the core does not take messages.
-    pub fn look(&mut self, pan: f64, tilt: f64) -> Result<(), Failure> {
-        let name = ["head_pan", "head_tilt"].map(str::to_owned).to_vec();
-        let position = vec![pan, tilt];
-        Ok(self.joint_commands.publish(JointState { name, position, ..JointState::default() })?)
     }
 
     /// Where the robot is.
