@@ -542,7 +542,8 @@ impl Module for WalkTo {
                 other => tracing::warn!("a goal in the frame {other:?} is ignored; use map or base_link"),
             }
         })?;
-        let goals: [(&str, fn(DVec2) -> Goal); 3] = [
+        type GoalAt = fn(DVec2) -> Goal;
+        let goals: [(&str, GoalAt); 3] = [
             ("walk_to/kick", Goal::Kick),
             ("walk_to/strike", Goal::Strike),
             ("walk_to/dribble", Goal::Dribble),
