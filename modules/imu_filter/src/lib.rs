@@ -13,7 +13,7 @@
 //! | `gain` | how fast gravity corrects roll and pitch, 1/s |
 //! | `bias_gain` | how fast this correction changes the bias, 1/s² |
 //! | `gravity_tolerance` | how far the specific force may differ from g, as a fraction of g, to count as gravity |
-//! | `still_s` | for how long the robot must be still until the mean of the gyroscope becomes its bias, s; 0 for never |
+//! | `still_s` | for how long the robot must be still until the mean of the gyroscope becomes its bias, s; 0 for never. Later means are averaged |
 //! | `still_deviation` | the largest standard deviation of an axis of the gyroscope while still, rad/s |
 //! | `max_bias` | the largest bias of an axis, rad/s |
 //! | `tilt_deviation` | the standard deviation of roll and pitch to report, rad |
@@ -44,6 +44,7 @@ pub fn kinds() -> Vec<Kind> {
 pub struct ImuFilter {
     filter: OrientationFilter,
     rest: Rest,
+    average: Average,
     /// The stamp of the last message and the time since the first one, both in ns.
     time: Option<(i64, i64)>,
 }
@@ -91,12 +92,13 @@ impl ImuFilter {
         } else {
             // The first message, or one after a gap or from an earlier time.
             self.filter.start(force);
-            self.rest = Rest::default();
+            (self.rest, self.average) = Default::default();
         }
         self.time = Some((stamp, elapsed.saturating_add(step.max(0))));
         let still = (*ctx.get(ctx.ports.still_s), *ctx.get(ctx.ports.still_deviation));
-        if let Some(mean) = self.rest.add(gyro, dt, still.0, still.1) {
-            self.filter.bias = clamped(mean, gains.max_bias);
+        if let Some(bias) = self.rest.add(gyro, dt, still.0, still.1).and_then(|mean| self.average.add(mean))
+        {
+            self.filter.bias = clamped(bias, gains.max_bias);
         }
         let Some(orientation) = self.filter.world_from_imu() else { return };
         let tilt_variance = ctx.get(ctx.ports.tilt_deviation).powi(2);
@@ -266,6 +268,42 @@ impl Rest {
     }
 }
 
+/// The mean of what rests told: one of them is as exact as a fraction of the gyroscope's step, which turns a
+/// walking robot by degrees within a minute.
+#[derive(Clone, Debug, Default)]
+struct Average {
+    mean: DVec3,
+    count: f64,
+    /// How many in a row were far off.
+    far: u32,
+}
+
+impl Average {
+    /// What is averaged, in windows: so long ago, a temperature was another one.
+    const MOST: f64 = 20.0;
+    /// Who seems to be at rest but is so far off turns slowly, in rad/s.
+    const FAR: f64 = 0.03;
+    /// Unless it does so many times in a row.
+    const MOST_FAR: u32 = 5;
+    /// The least number of windows that tells what is far off.
+    const LEAST: f64 = 3.0;
+
+    /// The new mean, unless this one is far off.
+    fn add(&mut self, rest: DVec3) -> Option<DVec3> {
+        if self.count >= Self::LEAST && (rest - self.mean).abs().max_element() > Self::FAR {
+            self.far += 1;
+            if self.far < Self::MOST_FAR {
+                return None;
+            }
+            *self = Self::default();
+        }
+        self.far = 0;
+        self.count = (self.count + 1.0).min(Self::MOST);
+        self.mean += (rest - self.mean) / self.count;
+        Some(self.mean)
+    }
+}
+
 fn dvec3(vector: &Vector3) -> DVec3 {
     DVec3::new(vector.x, vector.y, vector.z)
 }
@@ -364,6 +402,20 @@ mod tests {
         assert!(yaw.abs() < 0.15, "it has turned for less than a second, {yaw}");
         assert!(last.orientation_covariance[8] > data[0].orientation_covariance[8]);
         assert_eq!(last.orientation_covariance[0], 0.03 * 0.03);
+    }
+
+    #[test]
+    fn a_slow_turn_does_not_become_the_bias_but_a_new_bias_does() {
+        let mut average = Average::default();
+        for off in [0.0, 0.02, -0.02, 0.02, -0.02] {
+            average.add(DVec3::new(0.0, 0.0, 0.1 + off)).unwrap();
+        }
+        assert!((average.mean.z - 0.1).abs() < 1e-9, "{average:?}");
+        let turns = DVec3::new(0.0, 0.0, 0.2);
+        for _ in 1..Average::MOST_FAR {
+            assert_eq!(average.add(turns), None);
+        }
+        assert_eq!(average.add(turns), Some(turns));
     }
 
     #[test]

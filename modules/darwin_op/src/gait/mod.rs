@@ -69,6 +69,8 @@ pub struct Gait {
     command: Velocity,
     commanded_at: Option<Time>,
     is_down: bool,
+    /// Until when a robot that got up stands, for it still sways.
+    sways_until: Time,
     is_motion_playing: bool,
     humanoid: Arc<Humanoid>,
     pose: PresentPose,
@@ -131,6 +133,8 @@ const PITCH_SMOOTHING: f64 = 0.15;
 
 /// For how long the stiffness rises after the robot got ready, in s.
 const STIFFENING: f64 = 0.4;
+/// For how long a robot sways that got up.
+const SWAYING: Duration = Duration::from_millis(1200);
 
 const REPORT: Duration = Duration::from_secs(1);
 
@@ -223,7 +227,7 @@ impl Gait {
             Stage::On => {
                 let timeout = Duration::from_secs_f64(settings.command_timeout);
                 let is_fresh = self.commanded_at.is_some_and(|at| now.saturating_since(at) < timeout);
-                let is_wanted = self.follows && may_move && is_fresh;
+                let is_wanted = self.follows && may_move && is_fresh && now >= self.sways_until;
                 let wanted = if is_wanted { self.command } else { Velocity::default() };
                 let wanted = self.corrected(wanted, dt.as_secs_f64(), &settings);
                 let seconds = dt.as_secs_f64();
@@ -365,8 +369,11 @@ impl Module for Gait {
             gait.pose.take_goals(&goals, ctx.now());
         })?;
         setup.subscribe("gait/kick", Self::on_kick)?;
-        setup.subscribe("robot_state", |gait: &mut Self, state: Received<'_, Text>, _| {
-            gait.is_down = state.data != RobotState::UPRIGHT;
+        setup.subscribe("robot_state", |gait: &mut Self, state: Received<'_, Text>, ctx| {
+            let was_down = std::mem::replace(&mut gait.is_down, state.data != RobotState::UPRIGHT);
+            if was_down && !gait.is_down {
+                gait.sways_until = ctx.now() + SWAYING;
+            }
         })?;
         setup.subscribe("motions/playing", |gait: &mut Self, name: Received<'_, Text>, _| {
             gait.is_motion_playing = !name.data.is_empty();
@@ -538,7 +545,12 @@ mod tests {
         robot.walk(1.0);
         assert_eq!(robot.commands.take(), []);
         robot.robot_state.publish(Text { data: "upright".to_owned() }).unwrap();
-        robot.walk(3.0);
+        robot.walk(1.0);
+        assert!(
+            !robot.is_walking() && !robot.commands.take().is_empty(),
+            "it stands until it no longer sways"
+        );
+        robot.walk(2.0);
         assert!(robot.is_walking());
     }
 }

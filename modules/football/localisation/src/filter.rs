@@ -8,8 +8,9 @@
 //! - (4) a field looks the same when turned by half: of the two, particles are drawn on the side on which the
 //!   heading agrees with the odometry, whose gyroscope keeps turning with the robot also while it is carried.
 //! - (5) while it walks, a robot does not know its pitch to two degrees, and all landmarks of a picture seem
-//!   nearer or farther together: the pitch error is that of a few values around the last one with which they
-//!   fit best, seen from the believed pose.
+//!   nearer or farther together: for each particle the pitch is taken with which they fit best, by least
+//!   squares, and as likely as it is far from that of late, which follows what the believed pose tells.
+//! - (6) the belief stays with the particles around it until others have several times their weight.
 //!
 //! # References
 //! - S. Thrun, W. Burgard, D. Fox, Probabilistic Robotics, 2005: table 8.3 (augmented Monte Carlo
@@ -20,7 +21,7 @@
 use downbeat_football::{Field, Intersection, IntersectionKind, Line, floor_covariance};
 use fastrand::Rng;
 use glam::DVec2;
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// A pose on the field.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,26 +63,29 @@ const WAY_NOISE: f64 = 0.15;
 const TURN_NOISE: f64 = 0.1;
 const DRIFT_NOISE: f64 = 0.03;
 /// Of the direction of what is seen, in rad.
-const ANGLE_DEVIATION: f64 = 0.035;
-/// All landmarks of a picture share the error of the camera's pitch: more than this many count as so many.
-const INDEPENDENT: f64 = 3.0;
+const ANGLE_DEVIATION: f64 = 0.02;
+/// Landmarks of a picture share more errors than that of the pitch: more than this many count as so many.
+const INDEPENDENT: f64 = 2.0;
 /// Equation (3): how far the mean of late may fall before anything is drawn anew.
-const PATIENCE: f64 = 1.3;
+const PATIENCE: f64 = 2.0;
 /// ε of equation (2): how often something is seen that is not there.
 const OUTLIER: f64 = 0.05;
 /// How fast the means of equation (3) follow.
 const FAST: f64 = 0.1;
 const SLOW: f64 = 0.02;
 /// The largest share of particles that are drawn anew at once.
-const MOST_RESET: f64 = 0.1;
-/// The values of (5) on either side of the last one, and their distance, in rad.
-const PITCHES: i32 = 4;
-const PITCH_STEP: f64 = 0.004;
-/// Standard deviations of the error's change between pictures, and of the error, in rad.
-const PITCH_CHANGE: f64 = 0.008;
-const PITCH_DEVIATION: f64 = 0.015;
-/// How certain the heading by odometry is, in rad.
+const MOST_RESET: f64 = 0.05;
+/// Equation (5): how far the pitch of a picture is from that of late, which follows it by a share and fades, for
+/// where everything that is seen is ahead, a wrong pitch is a wrong place; and the most.
+const PITCH_DEVIATION: f64 = 0.03;
+const PITCH_SHARE: f64 = 0.1;
+const PITCH_FADING: f64 = 0.02;
+const MOST_PITCH: f64 = 0.1;
+/// How certain the heading by odometry is, in rad; and by which share of its error a picture corrects it.
 const HEADING_DEVIATION: f64 = 0.2;
+const HEADING_SHARE: f64 = 0.01;
+/// How many times as much weight others need than those around the pose that is believed.
+const INCUMBENT: f64 = 3.0;
 /// How far particles may be from the best one to belong to it: m, rad.
 const CLUSTER: (f64, f64) = (0.6, 0.6);
 
@@ -104,6 +108,8 @@ pub struct Filter {
     half: DVec2,
     /// The mean weights of equation (3): of late, and of long.
     means: Option<[f64; 2]>,
+    /// What was believed after the last picture, moved by the odometry since.
+    incumbent: Option<Pose>,
     /// The heading that odometry alone would give, corrected slowly.
     heading: f64,
     evidence: f64,
@@ -128,13 +134,14 @@ impl Landmarks {
     }
 }
 
-/// Where a point of the floor is if the camera looks up by this angle (rad) more than was thought: (d² + h²)
-/// / h for each rad.
+/// Where a point of the floor is if the camera looks up by this angle (rad) more than was thought; at most
+/// twice as far.
 pub(crate) fn pitched(point: DVec2, height: f64, angle: f64) -> DVec2 {
     let (distance, height) = (point.length(), height.max(0.05));
-    let farther = angle * (distance * distance + height * height) / height;
-    // Far away the linear step is too long.
-    point + point.normalize_or_zero() * farther.clamp(-0.5 * distance, distance)
+    let below = libm::atan2(height, distance) - angle;
+    let least = libm::atan2(height, 2.0 * distance);
+    let distance = height / libm::tan(below.clamp(least, FRAC_PI_2));
+    point.normalize_or_zero() * distance
 }
 
 impl Pose {
@@ -177,6 +184,7 @@ impl Filter {
             circle_radius: field.circle_diameter / 2.0,
             half: DVec2::new(field.length, field.width) / 2.0 + field.margin,
             means: None,
+            incumbent: None,
             heading: 0.0,
             evidence: 0.0,
             pitch: 0.0,
@@ -190,7 +198,7 @@ impl Filter {
         let fallback = [Pose::default()];
         let starts = if starts.is_empty() { &fallback[..] } else { starts };
         self.heading = starts[0].heading;
-        self.means = None;
+        (self.means, self.incumbent) = (None, None);
         self.evidence = 0.0;
         let poses: Vec<Pose> = (0..PARTICLES)
             .map(|index| self.scattered(starts[index % starts.len()], metres, radians))
@@ -204,12 +212,20 @@ impl Filter {
         let way = step.position.length();
         let turn = step.heading.abs();
         self.heading = wrapped(self.heading + step.heading);
+        self.incumbent = self.incumbent.map(|pose| pose.then(step));
         for index in 0..self.particles.len() {
             let noise = DVec2::new(self.normal(), self.normal()) * WAY_NOISE * way;
             let turned = step.heading + self.normal() * (TURN_NOISE * turn + DRIFT_NOISE * way);
             let pose = &mut self.particles[index].pose;
             pose.position = pose.place(step.position + noise).clamp(-self.half, self.half);
             pose.heading = wrapped(pose.heading + turned);
+        }
+    }
+
+    /// The robot was moved by about so much without its odometry, in m and rad.
+    pub fn scatter(&mut self, (metres, radians): (f64, f64)) {
+        for index in 0..self.particles.len() {
+            self.particles[index].pose = self.scattered(self.particles[index].pose, metres, radians);
         }
     }
 
@@ -225,8 +241,10 @@ impl Filter {
         let landmarks = &landmarks.pitched(self.pitch);
         let temper = (INDEPENDENT / count as f64).min(1.0);
         let mut sum = 0.0;
+        let mut fits = Vec::with_capacity(count);
         for index in 0..self.particles.len() {
-            let likelihood = libm::pow(self.likelihood(landmarks, self.particles[index].pose), temper);
+            let (likelihood, _) = self.likelihood(landmarks, self.particles[index].pose, &mut fits);
+            let likelihood = libm::pow(likelihood, temper);
             let particle = &mut self.particles[index];
             particle.weight *= likelihood;
             sum += particle.weight;
@@ -242,11 +260,14 @@ impl Filter {
             particle.weight = if sum > 1e-300 { particle.weight / sum } else { 1.0 / PARTICLES as f64 };
         }
         let believed = self.believed();
-        self.correct_pitch(landmarks, temper, believed.pose);
+        self.incumbent = Some(believed.pose);
+        let (_, pitch) = self.likelihood(landmarks, believed.pose, &mut fits);
+        let pitch = (1.0 - PITCH_FADING) * (self.pitch + PITCH_SHARE * pitch);
+        self.pitch = pitch.clamp(-MOST_PITCH, MOST_PITCH);
         let error = wrapped(believed.pose.heading - self.heading);
         // Drift of the gyroscope, not a turn by half.
         if error.abs() < 0.5 {
-            self.heading = wrapped(self.heading + 0.05 * error);
+            self.heading = wrapped(self.heading + HEADING_SHARE * error);
         }
         self.draw(landmarks, reset);
         believed
@@ -277,7 +298,8 @@ impl Filter {
         };
         let candidates =
             self.particles.iter().step_by(8).map(|particle| (weight_around(particle.pose), particle.pose));
-        let best = candidates.max_by(|one, other| one.0.total_cmp(&other.0));
+        let incumbent = self.incumbent.map(|pose| (INCUMBENT * weight_around(pose), pose));
+        let best = candidates.chain(incumbent).max_by(|one, other| one.0.total_cmp(&other.0));
         let Some((_, best)) = best else { return Believed::default() };
         let near = |particle: &&Particle| is_near(best, particle);
         let (mut weight, mut position, mut turn) = (0.0, DVec2::ZERO, 0.0);
@@ -307,32 +329,24 @@ impl Filter {
         self.pitch
     }
 
-    /// Point (5), for landmarks that are corrected by the last error already.
-    fn correct_pitch(&mut self, landmarks: &Landmarks, temper: f64, pose: Pose) {
-        let fit = |index: i32| {
-            let off = f64::from(index) * PITCH_STEP;
-            let likelihood = libm::log(self.likelihood(&landmarks.pitched(off), pose).max(1e-300));
-            let [change, size] = [off / PITCH_CHANGE, (self.pitch + off) / PITCH_DEVIATION];
-            (temper * likelihood - 0.5 * (change * change + size * size), off)
-        };
-        let best = (-PITCHES..=PITCHES).map(fit).max_by(|one, other| one.0.total_cmp(&other.0));
-        let off = best.map_or(0.0, |(_, off)| off);
-        self.pitch += 0.5 * off;
+    /// Equation (2), and the pitch of equation (5) with respect to that of the landmarks.
+    fn likelihood(&self, landmarks: &Landmarks, pose: Pose, fits: &mut Vec<Fit>) -> (f64, f64) {
+        fits.clear();
+        let mut likelihood = self.fits(landmarks, pose, fits);
+        let pitch = pitch_of(fits);
+        likelihood *= libm::exp(-0.5 * (pitch / PITCH_DEVIATION).powi(2));
+        for fit in fits {
+            likelihood *= OUTLIER + libm::exp(-0.5 * fit.square(pitch));
+        }
+        (likelihood, pitch)
     }
 
-    /// Equation (2).
-    fn likelihood(&self, landmarks: &Landmarks, pose: Pose) -> f64 {
+    /// How far what is seen is from the nearest of its kind; returns how likely the directions are, and all that
+    /// is of no kind.
+    fn fits(&self, landmarks: &Landmarks, pose: Pose, fits: &mut Vec<Fit>) -> f64 {
         let height = landmarks.camera_height;
         let heading = DVec2::from_angle(pose.heading);
-        let fit = |seen: DVec2, off: DVec2| {
-            // Into the axes of the robot, in which the covariance is.
-            let off = DVec2::new(heading.dot(off), heading.perp_dot(off));
-            let [[xx, xy], [_, yy]] = floor_covariance(height, seen, ANGLE_DEVIATION);
-            let (xx, yy) = (xx + 0.0009, yy + 0.0009);
-            let square =
-                (yy * off.x * off.x - 2.0 * xy * off.x * off.y + xx * off.y * off.y) / (xx * yy - xy * xy);
-            OUTLIER + libm::exp(-0.5 * square)
-        };
+        let in_robot = |off: DVec2| DVec2::new(heading.dot(off), heading.perp_dot(off));
         let nearest = |at: DVec2, candidates: &mut dyn Iterator<Item = DVec2>| {
             candidates
                 .map(|candidate| candidate - at)
@@ -341,46 +355,51 @@ impl Filter {
         let off = wrapped(pose.heading - self.heading) / HEADING_DEVIATION;
         let mut product = OUTLIER + libm::exp(-0.5 * off * off);
         for (seen, kind, turned) in &landmarks.intersections {
-            let at = pose.place(*seen);
             let turned = pose.heading + turned;
             let fitting = |one: &&Intersection| {
                 one.kind == *kind
                     && (*kind == IntersectionKind::X || wrapped(one.heading - turned).abs() < 0.6)
             };
             let mut candidates = self.intersections.iter().filter(fitting).map(|one| one.position);
-            product *= nearest(at, &mut candidates).map_or(OUTLIER, |off| fit(*seen, off));
+            match nearest(pose.place(*seen), &mut candidates) {
+                Some(off) => fits.push(Fit::of_point(*seen, in_robot(off), height)),
+                None => product *= OUTLIER,
+            }
         }
         for seen in &landmarks.posts {
-            product *= nearest(pose.place(*seen), &mut self.posts.into_iter())
-                .map_or(OUTLIER, |off| fit(*seen, off));
+            if let Some(off) = nearest(pose.place(*seen), &mut self.posts.into_iter()) {
+                fits.push(Fit::of_point(*seen, in_robot(off), height));
+            }
         }
         if let Some(seen) = landmarks.circle {
-            product *= fit(seen, -pose.place(seen));
+            fits.push(Fit::of_point(seen, in_robot(-pose.place(seen)), height));
         }
         for ends in &landmarks.lines {
             let middle = (ends[0] + ends[1]) / 2.0;
-            let along = DVec2::from_angle(pose.heading).rotate((ends[1] - ends[0]).normalize_or(DVec2::X));
+            let along = heading.rotate((ends[1] - ends[0]).normalize_or(DVec2::X));
             let at = pose.place(middle);
-            let mut candidates = self.lines.iter().filter_map(|line| {
+            let candidates = self.lines.iter().filter_map(|line| {
                 let direction = (line.to - line.from).normalize();
                 // Within a third of a right angle.
                 if direction.perp_dot(along).abs() > 0.5 {
                     return None;
                 }
                 let way = (at - line.from).dot(direction).clamp(0.0, line.from.distance(line.to));
-                Some(line.from + direction * way)
+                Some((line.from + direction * way - at, direction))
             });
-            let mut candidates_off = nearest(at, &mut candidates);
-            let sharpness = 1.0 / (0.06 + 0.05 / ends[0].distance(ends[1]).max(0.1));
             // An arc of the circle looks like a short line.
             let is_short = ends[0].distance(ends[1]) < 0.8 * self.circle_radius;
             let off_circle = off_circle(at, along, self.circle_radius).filter(|_| is_short);
-            if let Some(off) = off_circle {
-                candidates_off = Some(candidates_off.map_or(off, |other: DVec2| {
-                    if other.length_squared() < off.length_squared() { other } else { off }
-                }));
+            let nearest = candidates
+                .chain(off_circle.map(|off| (off, at.normalize_or(DVec2::X).perp())))
+                .min_by(|one, other| one.0.length_squared().total_cmp(&other.0.length_squared()));
+            match nearest {
+                Some((off, direction)) => {
+                    fits.push(Fit::of_line(middle, in_robot(off), in_robot(direction), height));
+                }
+                None => product *= OUTLIER,
             }
-            product *= candidates_off.map_or(OUTLIER, |off| fit(middle, off));
+            let sharpness = 1.0 / (0.06 + 0.05 / ends[0].distance(ends[1]).max(0.1));
             let angle = self
                 .lines
                 .iter()
@@ -462,6 +481,61 @@ impl Filter {
     fn normal(&mut self) -> f64 {
         ((0..4).map(|_| self.random.f64()).sum::<f64>() - 2.0) * 3.0_f64.sqrt()
     }
+}
+
+/// How far a landmark is from where it should be, along two axes, in m; by how much that changes with the pitch
+/// of the camera, in m for each rad; and the variance, in m².
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    axes: [(f64, f64, f64); 2],
+}
+
+impl Fit {
+    /// Along the line of sight and across. All are in axes of the robot.
+    fn of_point(seen: DVec2, off: DVec2, height: f64) -> Self {
+        let sight = seen.normalize_or(DVec2::X);
+        Self { axes: [sight, sight.perp()].map(|axis| Self::along(axis, off, seen, height)) }
+    }
+
+    /// Across the line, and along it only beyond its ends.
+    fn of_line(seen: DVec2, off: DVec2, direction: DVec2, height: f64) -> Self {
+        let mut along = Self::along(direction, off, seen, height);
+        if along.0.abs() < 1e-6 {
+            along.1 = 0.0;
+        }
+        Self { axes: [Self::along(direction.perp(), off, seen, height), along] }
+    }
+
+    fn along(axis: DVec2, off: DVec2, seen: DVec2, height: f64) -> (f64, f64, f64) {
+        let height = height.max(0.05);
+        let slope =
+            axis.dot(seen.normalize_or(DVec2::X)) * (seen.length_squared() + height * height) / height;
+        let [[xx, xy], [_, yy]] = floor_covariance(height, seen, ANGLE_DEVIATION);
+        let variance = xx * axis.x * axis.x + 2.0 * xy * axis.x * axis.y + yy * axis.y * axis.y;
+        (axis.dot(off), slope, variance + 0.0009)
+    }
+
+    /// Squared distance, in standard deviations.
+    fn square(&self, pitch: f64) -> f64 {
+        self.axes.iter().map(|(off, slope, variance)| (off - slope * pitch).powi(2) / variance).sum()
+    }
+}
+
+/// The pitch with which landmarks fit best: least squares, in which those that do not fit count less.
+fn pitch_of(fits: &[Fit]) -> f64 {
+    let mut pitch: f64 = 0.0;
+    for _ in 0..2 {
+        let (mut above, mut below) = (0.0, PITCH_DEVIATION.powi(-2));
+        for fit in fits {
+            let weight = 1.0 / (1.0 + fit.square(pitch) / 4.0);
+            for (off, slope, variance) in fit.axes {
+                above += weight * slope * off / variance;
+                below += weight * slope * slope / variance;
+            }
+        }
+        pitch = (above / below).clamp(-MOST_PITCH, MOST_PITCH);
+    }
+    pitch
 }
 
 /// From the nearest point of the circle to one on a line in this direction, if the circle runs that way

@@ -63,6 +63,11 @@ impl Hypotheses {
         self.filters.iter_mut().for_each(|(filter, _)| filter.walk(step));
     }
 
+    /// The robot was moved by about so much without its odometry, in m and rad.
+    pub(crate) fn scatter(&mut self, deviations: (f64, f64)) {
+        self.filters.iter_mut().for_each(|(filter, _)| filter.scatter(deviations));
+    }
+
     pub(crate) fn see(&mut self, landmarks: &Landmarks) {
         for (filter, _) in &mut self.filters {
             filter.see(landmarks);

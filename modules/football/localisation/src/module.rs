@@ -14,11 +14,12 @@ use downbeat_football::soccer_vision_3d_msgs::msg::{
 use downbeat_football::{Field, IntersectionKind, floor_covariance};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
+use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::{
     Point, Pose as PoseMessage, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3,
 };
 use downbeat_msgs::nav_msgs::msg::Odometry;
-use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_msgs::std_msgs::msg::{Header, String as Text};
 use downbeat_transforms::TransformBroadcaster;
 use glam::{DMat2, DQuat, DVec2};
 use std::collections::VecDeque;
@@ -36,6 +37,7 @@ use std::time::Duration;
 /// | `vision/ball` (in) | soccer_model_msgs/Ball | in `base_footprint`, with covariance |
 /// | `vision/robots` (in) | soccer_vision_3d_msgs/RobotArray | in `base_footprint` |
 /// | `game_state` (in) | football_interfaces/GameState | when the robot is put somewhere; works without |
+/// | `robot_state` (in) | std_msgs/String | from `falls`: what a robot that lies or gets up sees is of no use; works without |
 /// | `initialpose` (in) | geometry_msgs/PoseWithCovarianceStamped | in `map`, as RViz and Foxglove send it: the robot is there; begins anew |
 /// | `pose` | geometry_msgs/PoseWithCovarianceStamped | of `base_link` in `map`, at most 50 times a second |
 /// | `tf` | tf2_msgs/TFMessage | `map` to `odom`, with each pose |
@@ -53,11 +55,12 @@ use std::time::Duration;
 /// | `ball_timeout` | after which an unseen ball is forgotten, s |
 /// | `robot_timeout` | the same of other robots, s |
 ///
-/// The robot starts at one of `starts` when the module starts, when the game returns to its initial state,
-/// and when the teams change sides; at one of `returns` after a penalty; at `initialpose` when that arrives.
-/// With several places all are followed until what is seen tells which is right. When the referee sets the
-/// robots up, it may have been put back to a start: that is followed beside what was believed before.
-/// Landmarks are not used while the robot is penalised.
+/// The robot starts at one of `starts` when the module starts, when the game enters its initial state and when
+/// it leaves it, for meanwhile the robot is carried to its place, and when the teams change sides; at one of
+/// `returns` after a penalty; at `initialpose` when that arrives. With several places all are followed until
+/// what is seen tells which is right. When the referee sets the robots up, it may have been put back to a
+/// start: that is followed beside what was believed before. Landmarks are not used while the robot is
+/// penalised.
 #[derive(Debug, Default)]
 pub struct Localisation {
     hypotheses: Option<Hypotheses>,
@@ -76,8 +79,11 @@ pub struct Localisation {
     robots_published_at: Option<Time>,
     game: Option<Game>,
     published_at: Option<Time>,
-    /// When the robot was put somewhere: pictures from before are of another place.
+    /// When the robot was put somewhere, or stood up: pictures from before are of no use.
     put_at: Time,
+    is_down: bool,
+    /// When it stands again after the referee may have put it back to a start.
+    may_be_put_at: Option<Time>,
     /// When something arrived last: odometry, and landmarks.
     heard_at: [Option<Time>; 2],
     refused: Option<String>,
@@ -137,6 +143,10 @@ const MOST_LANDMARKS: usize = 24;
 const CIRCLE_CONFIDENCE: f32 = 0.6;
 /// After which silence is reported.
 const SILENCE: Duration = Duration::from_secs(5);
+/// How long a robot that is put somewhere is carried: its gyroscope turns with it.
+const CARRIED: Duration = Duration::from_secs(2);
+/// How far a fall may move and turn a robot without its odometry: m, rad.
+const FALLEN: (f64, f64) = (0.15, 0.15);
 /// The least deviation of a ball's position, in m.
 const BALL_DEVIATION: f64 = 0.01;
 /// Of a robot's: it is wide, and its feet move. And of the direction to it, in rad.
@@ -160,6 +170,10 @@ impl Localisation {
             }
         }
         self.odometry.push_back((at, pose));
+        let stands = self.may_be_put_at.take_if(|stands| *stands <= ctx.now()).is_some();
+        if let Some(hypotheses) = self.hypotheses.as_mut().filter(|_| stands) {
+            hypotheses.add(&self.starts);
+        }
         while self.odometry.len() > MOST_KEPT
             || self.odometry.front().is_some_and(|(oldest, _)| at.saturating_since(*oldest) > KEPT)
         {
@@ -275,18 +289,28 @@ impl Localisation {
         };
         let Some(last) = self.game.replace(game) else { return };
         let Some(hypotheses) = &mut self.hypotheses else { return };
-        let begins = game.state == GameState::INITIAL && last.state != GameState::INITIAL;
-        if begins || game.own_half_is_left != last.own_half_is_left {
+        let is_placed = (game.state == GameState::INITIAL) != (last.state == GameState::INITIAL);
+        if is_placed || game.own_half_is_left != last.own_half_is_left {
             hypotheses.restart(&self.starts);
         } else if last.is_penalised && !game.is_penalised {
             hypotheses.restart(&self.returns);
         } else if game.state == GameState::SET && last.state != GameState::SET {
-            hypotheses.add(&self.starts);
+            self.may_be_put_at = Some(ctx.now() + CARRIED);
             return;
         } else {
             return;
         }
         self.forget(ctx.now());
+    }
+
+    fn on_robot_state(&mut self, state: Received<'_, Text>, ctx: &mut Context<'_, Ports>) {
+        let was_down = std::mem::replace(&mut self.is_down, state.data != RobotState::UPRIGHT);
+        if was_down && !self.is_down {
+            self.put_at = ctx.now();
+            if let Some(hypotheses) = &mut self.hypotheses {
+                hypotheses.scatter(FALLEN);
+            }
+        }
     }
 
     fn on_initial_pose(
@@ -353,7 +377,7 @@ impl Localisation {
             return None;
         }
         self.refused = None;
-        Some(at).filter(|at| *at > self.put_at)
+        Some(at).filter(|at| !self.is_down && *at > self.put_at)
     }
 
     /// What is seen at this time so far; what was seen at another is used as it is.
@@ -570,6 +594,7 @@ impl Module for Localisation {
         // Negative seeds are valid.
         self.hypotheses = Some(Hypotheses::new(found, &self.starts, seed.cast_unsigned()));
         setup.subscribe("game_state", Self::on_game)?;
+        setup.subscribe("robot_state", Self::on_robot_state)?;
         setup.subscribe("initialpose", Self::on_initial_pose)?;
         setup.subscribe("odom", Self::on_odometry)?;
         setup.subscribe("vision/markings", Self::on_markings)?;

@@ -14,7 +14,7 @@ use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::DiagnosticArray;
 use downbeat_msgs::geometry_msgs::msg::{Point, PoseWithCovarianceStamped, Vector3};
 use downbeat_msgs::nav_msgs::msg::Odometry;
-use downbeat_msgs::std_msgs::msg::Header;
+use downbeat_msgs::std_msgs::msg::{Header, String as Text};
 use downbeat_msgs::tf2_msgs::msg::TFMessage;
 use downbeat_transforms::isometry;
 use glam::{DQuat, DVec2, DVec3};
@@ -47,6 +47,7 @@ struct Robot {
     robots: Inlet<seen::RobotArray>,
     game: Inlet<GameState>,
     initial_pose: Inlet<PoseWithCovarianceStamped>,
+    robot_state: Inlet<Text>,
     heard: Arc<Mutex<Heard>>,
     /// What arrives one picture later, as vision takes its time.
     late: Option<(seen::MarkingArray, seen::GoalpostArray, Option<Ball>)>,
@@ -92,6 +93,7 @@ impl Robot {
             robots: core.inlet("vision/robots").unwrap(),
             game: core.inlet("game_state").unwrap(),
             initial_pose: core.inlet("initialpose").unwrap(),
+            robot_state: core.inlet("robot_state").unwrap(),
             walk: Walk::new(seed),
             // Somewhere, as after a while of walking.
             odometry: Pose { position: DVec2::new(0.7, -3.0), heading: 2.0 },
@@ -305,6 +307,45 @@ fn after_a_penalty_it_is_where_it_returns() {
     robot.moves_by(Pose::default());
     let (off, turned) = robot.error();
     assert!(off < 0.15 && turned < 0.15, "{off} {turned}");
+}
+
+/// As at half-time: its gyroscope feels that it is turned round.
+#[test]
+fn who_is_carried_to_its_place_before_a_half_faces_the_other_goal() {
+    let mut robot = Robot::new(3, &AT_THE_TOUCH_LINE);
+    (0..100).for_each(|_| robot.step());
+    let half =
+        |state: u8, own_half_is_left: bool| GameState { state, own_half_is_left, ..GameState::default() };
+    robot.game.publish(half(GameState::PLAYING, true)).unwrap();
+    robot.moves_by(Pose::default());
+    robot.game.publish(half(GameState::INITIAL, false)).unwrap();
+    robot.sees = false;
+    robot.walk.truth = Pose { position: DVec2::new(-2.0, 3.0), heading: -FRAC_PI_2 };
+    (0..10).for_each(|_| robot.moves_by(Pose { heading: PI / 10.0, ..Pose::default() }));
+    robot.game.publish(half(GameState::READY, false)).unwrap();
+    robot.moves_by(Pose::default());
+    let (off, turned) = robot.error();
+    assert!(off < 0.15 && turned < 0.15, "{off} {turned}");
+    robot.sees = true;
+    (0..100).for_each(|_| robot.step());
+    let (off, turned) = robot.error();
+    assert!(off < 0.3 && turned < 0.2, "{off} {turned}");
+}
+
+#[test]
+fn what_a_robot_sees_that_lies_does_not_count() {
+    let mut robot = Robot::new(3, &AT_THE_TOUCH_LINE);
+    (0..100).for_each(|_| robot.step());
+    let truth = robot.walk.truth;
+    robot.robot_state.publish(Text { data: "falling".to_owned() }).unwrap();
+    // What it sees on the floor looks like another place.
+    robot.walk.truth = Pose { position: DVec2::new(2.0, -1.0), heading: truth.heading };
+    (0..50).for_each(|_| robot.moves_by(Pose::default()));
+    robot.walk.truth = truth;
+    robot.robot_state.publish(Text { data: "upright".to_owned() }).unwrap();
+    robot.moves_by(Pose::default());
+    let (off, turned) = robot.error();
+    assert!(off < 0.3 && turned < 0.2, "{off} {turned}");
 }
 
 #[test]

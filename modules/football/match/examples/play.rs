@@ -14,7 +14,8 @@ use downbeat_football::football_interfaces::msg::{GameState, MatchState, MatchSt
 use downbeat_kinematics::robot_state_publisher::RobotStatePublisher;
 use downbeat_localisation::Localisation;
 use downbeat_match::{FootballMatch, player};
-use downbeat_msgs::geometry_msgs::msg::Twist;
+use downbeat_msgs::geometry_msgs::msg::{Point, PoseWithCovarianceStamped, Twist};
+use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::std_msgs::msg::String as Text;
 use downbeat_state_machine::StateMachineOptions;
 use downbeat_vision::Vision;
@@ -76,7 +77,12 @@ struct Watched {
 struct Watch {
     players: Vec<Watched>,
     walking: Vec<String>,
+    /// The motion that each robot plays.
+    motions: Vec<String>,
     commands: Vec<[f64; 3]>,
+    /// Where each robot is, and how far off it believed to be each time, in m.
+    places: Vec<DVec2>,
+    errors: Vec<Vec<f64>>,
     traced: f64,
     is_over: bool,
     last: MatchState,
@@ -154,16 +160,34 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
     let watch = Arc::new(Mutex::new(Watch::default()));
     watch.lock().players.resize_with(arguments.robots.len(), Watched::default);
     watch.lock().walking.resize(arguments.robots.len(), String::new());
+    watch.lock().motions.resize(arguments.robots.len(), String::new());
     watch.lock().commands.resize(arguments.robots.len(), [0.0; 3]);
+    watch.lock().places.resize(arguments.robots.len(), DVec2::ZERO);
+    watch.lock().errors.resize(arguments.robots.len(), Vec::new());
     for (robot, name) in arguments.robots.iter().enumerate() {
         let seen = Arc::clone(&watch);
         let see = move |state: Received<'_, Text>| seen.lock().walking[robot].clone_from(&state.data);
         core.outlet(&format!("{name}/walk_to/state"), Inbox::KeepAll, see)?.keep();
         let seen = Arc::clone(&watch);
+        let see = move |motion: Received<'_, Text>| seen.lock().motions[robot].clone_from(&motion.data);
+        core.outlet(&format!("{name}/motions/playing"), Inbox::KeepAll, see)?.keep();
+        let seen = Arc::clone(&watch);
         let see = move |twist: Received<'_, Twist>| {
             seen.lock().commands[robot] = [twist.linear.x, twist.linear.y, twist.angular.z];
         };
         core.outlet(&format!("{name}/cmd_vel"), Inbox::KeepAll, see)?.keep();
+        let seen = Arc::clone(&watch);
+        let see = move |truth: Received<'_, Odometry>| {
+            let Point { x, y, .. } = truth.pose.pose.position;
+            seen.lock().places[robot] = DVec2::new(x, y);
+        };
+        core.outlet(&format!("{name}/ground_truth/odom"), Inbox::KeepAll, see)?.keep();
+        let seen = Arc::clone(&watch);
+        let see = move |pose: Received<'_, PoseWithCovarianceStamped>| {
+            let Point { x, y, .. } = pose.pose.pose.position;
+            seen.lock().believes(robot, DVec2::new(x, y));
+        };
+        core.outlet(&format!("{name}/pose"), Inbox::KeepAll, see)?.keep();
     }
     let (seen, handle, trace) = (Arc::clone(&watch), core.handle(), arguments.trace);
     let see = move |state: Received<'_, MatchState>| {
@@ -222,10 +246,14 @@ fn add_eyes(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> anyh
 
 impl Watch {
     fn json(&self, names: &[String], seed: i64, simulated: f64, speed: f64) -> serde_json::Value {
-        let players = names.iter().zip(&self.players).zip(&self.counts.players);
-        let players = players.map(|((name, player), counts)| {
+        let players = names.iter().zip(&self.players).zip(&self.counts.players).zip(&self.errors);
+        let players = players.map(|(((name, player), counts), errors)| {
             let Watched { stillness, strayed, .. } = player;
+            let mut errors = errors.clone();
+            errors.sort_by(f64::total_cmp);
+            let error = |percent: usize| errors.get(errors.len() * percent / 100);
             json!({
+                "pose_error_m": [error(50), error(95)],
                 "name": name, "still_s": stillness, "falls": counts.falls, "get_ups": counts.get_ups, "strayed_m": strayed,
                 "kicks": counts.kicks, "shots": counts.shots, "passes": counts.passes, "walked_m": counts.distance,
             })
@@ -242,6 +270,14 @@ impl Watch {
             "speed": speed, "players": players.collect::<Vec<_>>(), "modules": core.modules.len(),
             "stopped_modules": stopped.map(|known| &known.name).collect::<Vec<_>>(), "dropped": dropped.sum::<u64>(),
         })
+    }
+
+    /// Notes how far off a robot that plays believes to be.
+    fn believes(&mut self, robot: usize, place: DVec2) {
+        let is_penalised = self.last.is_penalised.get(robot).is_none_or(|is_penalised| *is_penalised);
+        if self.last.phase == GameState::PLAYING && !is_penalised && !self.players[robot].is_down {
+            self.errors[robot].push(place.distance(self.places[robot]));
+        }
     }
 
     fn see(&mut self, state: &MatchState, trace: bool) {
@@ -276,10 +312,12 @@ impl Watch {
                 let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);
                 let yaw = 2.0 * libm::atan2(q.z, q.w);
                 let seen = DVec2::from_angle(-yaw).rotate(ball - place);
-                let down = if self.players[robot].is_down { " down" } else { "" };
+                let down = if self.players[robot].is_down { " down " } else { "" };
+                let motion = &self.motions[robot];
                 let (walking, [ahead, left, turn]) = (&self.walking[robot], self.commands[robot]);
+                let error = self.errors[robot].last().unwrap_or(&0.0);
                 print!(
-                    " | {:.2} {:.2} {yaw:.1} seen {:.2} {:.2} {walking} {ahead:.2} {left:.2} {turn:.2}{down}",
+                    " | {:.2} {:.2} {yaw:.1} off {error:.2} seen {:.2} {:.2} {walking} {ahead:.2} {left:.2} {turn:.2}{down}{motion}",
                     place.x, place.y, seen.x, seen.y
                 );
             }

@@ -25,7 +25,7 @@ pub struct Seat {
 /// The phase of the game.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Before the game.
+    /// Before a half: players are put to their places.
     Initial,
     /// Players walk to their positions.
     Ready,

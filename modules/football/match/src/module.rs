@@ -63,7 +63,7 @@ use std::time::Duration;
 /// | `robots` | their names, such as `blue_1`: the team, blue or red, and the number; number 1 is the goalkeeper |
 /// | `game` | `match`, or `empty_goal`: one robot shoots at an empty goal, in `tries` tries |
 /// | `field` | a built-in field, or a file |
-/// | `half_s`, `ready_s` | the duration of a half while the ball is in play, and the time for players to take their positions, in s |
+/// | `half_s`, `initial_s`, `ready_s` | the duration of a half while the ball is in play, and before it the time for which players stand, and that for them to take their positions, in s |
 /// | `seed` | of all noise, of the robots' deviations from their description, and of the tries |
 /// | `team_loss` | the share of team messages that are lost |
 /// | `camera_hz` | pictures per second; 0 for none |
@@ -379,7 +379,8 @@ impl Module for FootballMatch {
             _ => {
                 let half = Duration::from_secs_f64(within(setup, settings.half_s, [1.0, 36_000.0])?);
                 let ready = Duration::from_secs_f64(within(setup, settings.ready_s, [0.0, 600.0])?);
-                let rules = Rules { half, ready, ..Rules::default() };
+                let initial = Duration::from_secs_f64(within(setup, settings.initial_s, [0.0, 600.0])?);
+                let rules = Rules { half, initial, ready, ..Rules::default() };
                 Official::Referee(Box::new(Referee::new(field.clone(), rules, seats.clone())))
             }
         };
@@ -489,6 +490,7 @@ struct Settings {
     tries: Setting<i64>,
     field: Setting<String>,
     half_s: Setting<f64>,
+    initial_s: Setting<f64>,
     ready_s: Setting<f64>,
     seed: Setting<i64>,
     team_loss: Setting<f64>,
@@ -514,6 +516,11 @@ impl Settings {
                 "a built-in field, or a file",
             )?,
             half_s: setup.read_only_setting("half_s", 300.0, "s, 1 to 36000; duration of a half, in play")?,
+            initial_s: setup.read_only_setting(
+                "initial_s",
+                6.0,
+                "s, 0 to 600; for players to stand before a half, so that their gyroscopes settle",
+            )?,
             ready_s: setup.read_only_setting(
                 "ready_s",
                 30.0,

@@ -12,6 +12,8 @@ use std::time::Duration;
 pub struct Rules {
     /// The duration of a half, while the ball is in play.
     pub half: Duration,
+    /// The time for which players stand where they were put before a half: their gyroscopes settle.
+    pub initial: Duration,
     /// The time for players to walk to their positions.
     pub ready: Duration,
     /// The time for which players stand before the game continues.
@@ -29,8 +31,8 @@ pub struct Rules {
 /// A referee that sees the true state of the field.
 ///
 /// # Rules
-/// - A half begins, and is resumed after a goal, with *ready* (players walk to their positions), *set*
-///   (players stand) and *playing*. The ball lies in the centre; the team that did not score kicks off.
+/// - A half begins with *initial* (players are put to their places, and stand); it goes on, as after a goal, with
+///   *ready* (players walk to their positions), *set* (players stand) and *playing*. The ball lies in the centre; the team that did not score kicks off.
 /// - A goal counts if the whole ball is behind the goal line, between the posts and below the crossbar.
 /// - If the ball crosses a touch line, it is put back where it left, as a throw-in for the other team. If it
 ///   crosses a goal line, the set play is a goal kick at the corner of the goal area or a corner kick. Play
@@ -86,6 +88,7 @@ impl Default for Rules {
     fn default() -> Self {
         Self {
             half: Duration::from_secs(600),
+            initial: Duration::from_secs(6),
             ready: Duration::from_secs(30),
             set: Duration::from_secs(5),
             set_play: Duration::from_secs(10),
@@ -188,7 +191,9 @@ impl Referee {
         }
         let in_phase = now.saturating_sub(self.since);
         match self.phase {
-            Phase::Initial => self.begin_ready(now, &mut events, &mut orders),
+            Phase::Initial if in_phase >= self.rules.initial => {
+                self.begin_ready(now, &mut events, &mut orders);
+            }
             Phase::Ready if in_phase >= self.rules.ready => {
                 self.enter(Phase::Set, now, &mut events);
                 orders.push(Order::Ball(DVec2::ZERO));
@@ -206,7 +211,7 @@ impl Referee {
                     self.end_half(now, &mut events, &mut orders);
                 }
             }
-            Phase::Ready | Phase::Set | Phase::Finished => {}
+            Phase::Initial | Phase::Ready | Phase::Set | Phase::Finished => {}
         }
         if self.phase != Phase::Finished {
             self.watch_players(now, truth, &mut events, &mut orders);
@@ -235,7 +240,8 @@ impl Referee {
             let (position, heading) = self.place_of(robot);
             orders.push(Order::Robot { robot, position, heading });
         }
-        self.begin_ready(now, events, orders);
+        orders.push(Order::Ball(DVec2::ZERO));
+        self.enter(Phase::Initial, now, events);
     }
 
     /// Puts players in forbidden places back to their places.
@@ -435,7 +441,8 @@ mod tests {
         fn new(half: u64) -> Self {
             let seats = [(Team::Blue, 1), (Team::Blue, 2), (Team::Red, 1), (Team::Red, 2)];
             let seats = seats.map(|(team, number)| seat(team, number)).to_vec();
-            let rules = Rules { half: Duration::from_secs(half), ..Rules::default() };
+            let half = Duration::from_secs(half);
+            let rules = Rules { half, initial: Duration::ZERO, ..Rules::default() };
             let referee = Referee::new(Field::default(), rules, seats);
             let robots = (0..4).map(|robot| (referee.place_of(robot).0, true)).collect();
             let truth = Truth { ball: DVec2::ZERO, ball_height: 0.05, last_touch: None, robots };
@@ -471,6 +478,24 @@ mod tests {
         let mut game = Game::new(600);
         game.run(36.0);
         assert_eq!(game.events, [Phase::Ready, Phase::Set, Phase::Playing].map(Event::Phase));
+    }
+
+    #[test]
+    fn before_each_half_players_stand_where_they_were_put() {
+        let mut game = Game::new(20);
+        let rules = Rules { half: Duration::from_secs(20), ..Rules::default() };
+        game.referee.rules = rules;
+        let initial = rules.initial.as_secs_f64();
+        game.run(initial);
+        assert_eq!(game.referee.game_state(0, game.now).state, GameState::INITIAL);
+        game.run(0.2);
+        assert_eq!(game.referee.phase(), Phase::Ready);
+        // Until half-time.
+        game.run(35.0 + 20.0);
+        assert_eq!(game.referee.phase(), Phase::Initial);
+        assert!(game.truth.robots[0].0.x > 4.0);
+        game.run(initial);
+        assert_eq!(game.referee.phase(), Phase::Ready);
     }
 
     #[test]

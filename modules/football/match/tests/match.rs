@@ -31,8 +31,12 @@ impl Game {
         let mut core = Core::new().with_clock(clock.clone()).with_launcher(launcher);
         let ports = MemoryPorts::default();
         let robots: Vec<String> = robots.iter().map(|name| (*name).to_owned()).collect();
-        let settings: [(&str, SettingValue); 3] =
-            [("robots", robots.clone().into()), ("seed", seed.into()), ("ready_s", 3.0.into())];
+        let settings: [(&str, SettingValue); 4] = [
+            ("robots", robots.clone().into()),
+            ("seed", seed.into()),
+            ("initial_s", 0.0.into()),
+            ("ready_s", 3.0.into()),
+        ];
         let settings = settings.map(|(name, value)| (name.to_owned(), value)).into();
         let options = ModuleOptions { settings, ..ModuleOptions::default() };
         core.add_with("match", FootballMatch::new(ports.clone()), options).unwrap();

@@ -20,6 +20,9 @@ pub struct Walk {
     /// Constant errors of this walk's odometry: of the way, and rad per s.
     bias: (DVec2, f64),
     time: f64,
+    /// The error of the camera's pitch: of all pictures, and how much it differs between them, in rad.
+    pub pitch: (f64, f64),
+    pitch_now: f64,
 }
 
 pub fn wrapped(angle: f64) -> f64 {
@@ -36,6 +39,8 @@ impl Walk {
             goal: DVec2::ZERO,
             bias: (DVec2::ONE, 0.0),
             time: 0.0,
+            pitch: (0.0, 0.0),
+            pitch_now: 0.0,
         };
         walk.bias =
             (DVec2::new(walk.between(0.9, 1.1), walk.between(-0.1, 0.1)), walk.between(-0.003, 0.003));
@@ -92,7 +97,9 @@ impl Walk {
         let (a, b) = (xx.sqrt(), xy / xx.sqrt());
         let c = (yy - b * b).max(0.0).sqrt();
         let (one, other) = (self.normal(), self.normal());
-        point + DVec2::new(a * one, b * one + c * other)
+        let below = libm::atan2(HEIGHT, point.length()) - self.pitch_now;
+        let pitched = point.normalize() * HEIGHT / libm::tan(below.max(0.05));
+        pitched + DVec2::new(a * one, b * one + c * other)
     }
 
     pub fn is_visible(&self, point: DVec2) -> bool {
@@ -101,6 +108,7 @@ impl Walk {
     }
 
     pub fn see(&mut self) -> Landmarks {
+        self.pitch_now = self.pitch.0 + self.pitch.1 * self.normal();
         let mut seen = Landmarks { camera_height: HEIGHT, ..Landmarks::default() };
         for one in self.field.intersections() {
             let at = self.in_robot(one.position);
