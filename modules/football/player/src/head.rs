@@ -17,7 +17,7 @@
 //! | `sweep` | how far the search pans to each side, rad |
 //! | `sweep_s` | duration of a sweep there and back, s |
 //! | `height` | of `base_link` above the floor, m |
-//! | `glances` | whether it looks up from the ball now and then, ahead and to both sides in turn, for nothing at the feet tells a robot that sees where it is |
+//! | `glances` | whether it looks up from the ball now and then, ahead and to both sides in turn, for nothing at the feet tells a robot that sees where it is; rarely from a ball that it is about to kick |
 
 use crate::beliefs::Beliefs;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError};
@@ -71,6 +71,9 @@ const AHEAD_TILT: f64 = 0.5;
 const GLANCE_PERIOD: f64 = 3.8;
 const GLANCE: f64 = 0.8;
 const GLANCE_PANS: [f64; 3] = [0.0, 0.6, -0.6];
+/// Nearer than this a ball is about to be kicked, in m: only one of so many glances is made.
+const NEAR: f64 = 0.4;
+const NEAR_RARER: usize = 4;
 /// The forward lean of the trunk while the robot stands or walks, in rad.
 const LEAN: f64 = 0.2;
 /// Half the diameter of a ball, in m.
@@ -81,7 +84,8 @@ impl Head {
         let now = ctx.now();
         let seen = self.beliefs.place(now).zip(self.beliefs.ball(now));
         self.tracked += PERIOD.as_secs_f64();
-        let glance = self.glance().filter(|_| *ctx.get(ctx.ports.glances));
+        let is_near = seen.is_some_and(|(place, ball)| place.position.distance(ball) < NEAR);
+        let glance = self.glance(is_near).filter(|_| *ctx.get(ctx.ports.glances));
         let wanted = match (self.mode, seen) {
             (Mode::Ahead, _) => DVec2::new(0.0, AHEAD_TILT),
             (Mode::Track, Some(_)) if let Some(pan) = glance => DVec2::new(pan, AHEAD_TILT),
@@ -113,10 +117,12 @@ impl Head {
     }
 
     /// Where the head looks while it does not follow the ball, in rad.
-    fn glance(&self) -> Option<f64> {
+    fn glance(&self, is_near: bool) -> Option<f64> {
         let glances = self.tracked / GLANCE_PERIOD;
         let is_glance = glances.fract() * GLANCE_PERIOD >= GLANCE_PERIOD - GLANCE;
-        is_glance.then(|| GLANCE_PANS[glances as usize % GLANCE_PANS.len()])
+        let number = glances as usize;
+        let is_left_out = is_near && !number.is_multiple_of(NEAR_RARER);
+        (is_glance && !is_left_out).then(|| GLANCE_PANS[number % GLANCE_PANS.len()])
     }
 }
 

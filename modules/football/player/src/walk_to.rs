@@ -109,11 +109,11 @@ const STANDING_WINDOW: f64 = 1.4;
 /// The longest time to stop for a kick.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// The share of the tolerances of a kick within which a robot walks straight to the ball.
-const STRAIGHT: f64 = 0.8;
+const STRAIGHT: f64 = 1.0;
 /// The factor by which the ball may be farther aside before a robot that walks straight to it lines up again.
-const STILL_STRAIGHT: f64 = 1.3;
+const STILL_STRAIGHT: f64 = 1.5;
 /// How much too near the ball may be for a kick out of the walk, in m.
-const TOO_NEAR: f64 = 0.03;
+const TOO_NEAR: f64 = 0.02;
 /// The speed of a robot that does no more than step, in m/s.
 const ON_THE_SPOT: f64 = 0.02;
 /// For how long a walking robot that was told to kick does no more than step: until its foot has swung and it
@@ -192,7 +192,7 @@ settings! {
     kick_reach = 0.035 in 0.001..=0.2, "m; how far the ball may be off ahead";
     kick_width = 0.033 in 0.001..=0.2, "m; how far the ball may be off to the side";
     kick_angle = 0.25 in 0.01..=1.0, "rad; how far the direction of a kick may be off";
-    strike_ahead = 0.12 in 0.02..=0.4, "m; the ball ahead of base_link for a kick out of the walk";
+    strike_ahead = 0.11 in 0.02..=0.4, "m; the ball ahead of base_link for a kick out of the walk";
     strike_speed = 0.05 in 0.0..=0.5, "m/s; velocity towards a ball that is kicked out of the walk";
     there_distance = 0.1 in 0.01..=2.0, "m; how far the robot may be off at a place";
     there_angle = 0.2 in 0.01..=3.2, "rad; how far its heading may be off at a place";
