@@ -170,6 +170,11 @@ fn seeing_teams(matches: u64, first_seed: u64) -> anyhow::Result<Vec<Finding>> {
     let goals: f64 =
         games.iter().flat_map(|game| [&game["blue"], &game["red"]]).filter_map(Value::as_f64).sum();
     let players = games.iter().filter_map(|game| game["players"].as_array()).flatten().count();
+    // Median and 95 % of a player.
+    let pose_error = |which: usize| {
+        let errors = games.iter().filter_map(|game| game["players"].as_array()).flatten();
+        errors.filter_map(|player| player["pose_error_m"][which].as_f64()).sum::<f64>() / players as f64
+    };
     let without_shot = games.iter().filter(|game| sum(game, "shots") == 0.0).count();
     findings.extend([
         at_least("goals in a match, mean", goals / games.len() as f64, 3.0),
@@ -182,6 +187,8 @@ fn seeing_teams(matches: u64, first_seed: u64) -> anyhow::Result<Vec<Finding>> {
         // Of two halves.
         at_most("falls of a robot in a half, mean", all("falls") / (2 * players) as f64, 2.0),
         at_least("share of falls after which it got up", all("get_ups") / all("falls"), 0.9),
+        at_most("position, median, mean of the players, m", pose_error(0), 0.08),
+        at_most("position, 95 %, mean of the players, m", pose_error(1), 0.25),
     ]);
     Ok(findings)
 }

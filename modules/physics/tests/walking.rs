@@ -78,6 +78,15 @@ fn it_kicks_a_ball_a_metre_far_with_either_foot() {
     does(Task::Kick, 2);
 }
 
+/// In worlds in which a trunk that does not lean falls on its back.
+#[test]
+fn it_kicks_out_of_the_walk_where_no_ball_is_and_walks_on() {
+    for seed in [9, 12] {
+        let done = Task::MissedKick.run(Conditions::perturbed(seed));
+        assert!(done.is_ok(), "seed {seed}: {}", done.unwrap_err());
+    }
+}
+
 #[test]
 fn worlds_are_perturbed_within_their_bounds_and_alike_for_the_same_seed() {
     for seed in 0..1000 {

@@ -60,6 +60,8 @@ pub struct Parameters {
     pub kick_length: f64,
     /// The duration of two steps of which one kicks, while it kicks.
     pub kick_period: f64,
+    /// How far the trunk leans ahead of the standing foot against the swing of a kick.
+    pub kick_lean: f64,
     /// The largest velocities.
     pub limits: Limits,
 }
@@ -357,6 +359,7 @@ impl Engine {
             [0, 1].map(|index| self.placed_from[index].lerp(self.placed_to[index], blend));
         let kick = if self.is_kicking { parameters.kick_length * kicking(u) } else { 0.0 };
         let (left_kick, right_kick) = if left_swings { (kick, 0.0) } else { (0.0, kick) };
+        let x = x - if self.is_kicking { parameters.kick_lean * leaning(u) } else { 0.0 };
         Targets {
             left: Foot {
                 x: x + separation.x + left_placed.x + left_kick,
@@ -423,6 +426,13 @@ fn kicking(u: f64) -> f64 {
     }
 }
 
+/// How far the trunk leans ahead during a kick, as a share of the most: without it, whoever misses the ball falls
+/// on its back.
+fn leaning(u: f64) -> f64 {
+    const FROM: f64 = 0.4;
+    (1.0 - libm::cos(TAU * ((u - FROM) / (1.0 - FROM)).clamp(0.0, 1.0))) / 2.0
+}
+
 /// Rises from 0 to 1, level at both ends.
 fn smooth(u: f64) -> f64 {
     (1.0 - libm::cos(PI * u)) / 2.0
@@ -445,6 +455,7 @@ mod tests {
         catching_period: 0.4,
         kick_length: 0.06,
         kick_period: 0.8,
+        kick_lean: 0.01,
         limits: Limits {
             forward: 0.2,
             backward: 0.1,

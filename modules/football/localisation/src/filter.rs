@@ -64,6 +64,8 @@ const TURN_NOISE: f64 = 0.1;
 const DRIFT_NOISE: f64 = 0.03;
 /// Of the direction of what is seen, in rad.
 const ANGLE_DEVIATION: f64 = 0.02;
+/// Of where it is, however near, in m².
+const LEAST_VARIANCE: f64 = 0.0009;
 /// Landmarks of a picture share more errors than that of the pitch: more than this many count as so many.
 const INDEPENDENT: f64 = 2.0;
 /// Equation (3): how far the mean of late may fall before anything is drawn anew.
@@ -483,41 +485,54 @@ impl Filter {
     }
 }
 
-/// How far a landmark is from where it should be, along two axes, in m; by how much that changes with the pitch
-/// of the camera, in m for each rad; and the variance, in m².
+/// How far a landmark is from where it should be, along two axes.
 #[derive(Clone, Copy, Debug)]
-struct Fit {
-    axes: [(f64, f64, f64); 2],
+struct Fit([Axis; 2]);
+
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    /// In m.
+    off: f64,
+    /// How far the landmark moves with the pitch of the camera, in m for each rad.
+    by_pitch: f64,
+    /// In m².
+    variance: f64,
 }
 
 impl Fit {
     /// Along the line of sight and across. All are in axes of the robot.
     fn of_point(seen: DVec2, off: DVec2, height: f64) -> Self {
         let sight = seen.normalize_or(DVec2::X);
-        Self { axes: [sight, sight.perp()].map(|axis| Self::along(axis, off, seen, height)) }
+        Self([sight, sight.perp()].map(|axis| Axis::new(axis, seen, off, height)))
     }
 
     /// Across the line, and along it only beyond its ends.
     fn of_line(seen: DVec2, off: DVec2, direction: DVec2, height: f64) -> Self {
-        let mut along = Self::along(direction, off, seen, height);
-        if along.0.abs() < 1e-6 {
-            along.1 = 0.0;
+        let across = Axis::new(direction.perp(), seen, off, height);
+        let mut along = Axis::new(direction, seen, off, height);
+        if along.off.abs() < 1e-6 {
+            along.by_pitch = 0.0;
         }
-        Self { axes: [Self::along(direction.perp(), off, seen, height), along] }
-    }
-
-    fn along(axis: DVec2, off: DVec2, seen: DVec2, height: f64) -> (f64, f64, f64) {
-        let height = height.max(0.05);
-        let slope =
-            axis.dot(seen.normalize_or(DVec2::X)) * (seen.length_squared() + height * height) / height;
-        let [[xx, xy], [_, yy]] = floor_covariance(height, seen, ANGLE_DEVIATION);
-        let variance = xx * axis.x * axis.x + 2.0 * xy * axis.x * axis.y + yy * axis.y * axis.y;
-        (axis.dot(off), slope, variance + 0.0009)
+        Self([across, along])
     }
 
     /// Squared distance, in standard deviations.
     fn square(&self, pitch: f64) -> f64 {
-        self.axes.iter().map(|(off, slope, variance)| (off - slope * pitch).powi(2) / variance).sum()
+        self.0.iter().map(|axis| (axis.off - axis.by_pitch * pitch).powi(2) / axis.variance).sum()
+    }
+}
+
+impl Axis {
+    fn new(axis: DVec2, seen: DVec2, off: DVec2, height: f64) -> Self {
+        let height = height.max(0.05);
+        let farther = (seen.length_squared() + height * height) / height;
+        let [[xx, xy], [_, yy]] = floor_covariance(height, seen, ANGLE_DEVIATION);
+        let DVec2 { x, y } = axis;
+        Self {
+            off: axis.dot(off),
+            by_pitch: axis.dot(seen.normalize_or(DVec2::X)) * farther,
+            variance: xx * x * x + 2.0 * xy * x * y + yy * y * y + LEAST_VARIANCE,
+        }
     }
 }
 
@@ -525,12 +540,12 @@ impl Fit {
 fn pitch_of(fits: &[Fit]) -> f64 {
     let mut pitch: f64 = 0.0;
     for _ in 0..2 {
-        let (mut above, mut below) = (0.0, PITCH_DEVIATION.powi(-2));
+        let (mut above, mut below) = (0.0, 1.0 / (PITCH_DEVIATION * PITCH_DEVIATION));
         for fit in fits {
             let weight = 1.0 / (1.0 + fit.square(pitch) / 4.0);
-            for (off, slope, variance) in fit.axes {
-                above += weight * slope * off / variance;
-                below += weight * slope * slope / variance;
+            for Axis { off, by_pitch, variance } in fit.0 {
+                above += weight * by_pitch * off / variance;
+                below += weight * by_pitch * by_pitch / variance;
             }
         }
         pitch = (above / below).clamp(-MOST_PITCH, MOST_PITCH);

@@ -61,6 +61,8 @@ pub enum Task {
     Kick,
     /// Kicks a ball 1 m far while it walks, at most 1.5 s after it was told to, and stays on its feet.
     WalkingKick,
+    /// Kicks while it walks where no ball is, and walks on.
+    MissedKick,
 }
 
 /// In which world a task is done, and by which robot.
@@ -152,7 +154,7 @@ const PATIENCE: f64 = 60.0;
 
 impl Task {
     /// All tasks.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Stand,
         Self::Walk,
         Self::Backward,
@@ -167,6 +169,7 @@ impl Task {
         Self::Fall,
         Self::Kick,
         Self::WalkingKick,
+        Self::MissedKick,
     ];
 
     /// Its name on the command line.
@@ -187,6 +190,7 @@ impl Task {
             Self::Fall => "fall",
             Self::Kick => "kick",
             Self::WalkingKick => "walking_kick",
+            Self::MissedKick => "missed_kick",
         }
     }
 
@@ -201,6 +205,7 @@ impl Task {
             Self::Push => "rad tilted",
             Self::GetUpFront | Self::GetUpBack | Self::Fall => "s",
             Self::Kick | Self::WalkingKick => "m",
+            Self::MissedKick => "m walked",
         }
     }
 
@@ -240,6 +245,7 @@ impl Task {
             }
             Self::Kick => (kick(&mut robot, side)?, 0),
             Self::WalkingKick => (walking_kick(&mut robot, side)?, 0),
+            Self::MissedKick => (missed_kick(&mut robot, side)?, 0),
         };
         Ok(Success { figure, attempts })
     }
@@ -483,4 +489,15 @@ fn walking_kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
     robot.run(2.0)?;
     let found = ball(robot) - BALL_FAR_AHEAD;
     if found < WAY { Err(Failure::Short { found, wanted: WAY, unit: "m" }) } else { Ok(found) }
+}
+
+fn missed_kick(robot: &mut WalkingRobot, side: f64) -> Result<f64, Failure> {
+    const KICKS: f64 = 1.5;
+    robot.walk_until([0.05, 0.0, 0.0], 3.0, |_| false)?;
+    let from = robot.place().position;
+    robot.kick(if side > 0.0 { "left" } else { "right" })?;
+    robot.walk_until([0.02, 0.0, 0.0], KICKS, |_| false)?;
+    robot.walk_until([0.1, 0.0, 0.75 * side], 4.0, |_| false)?;
+    comes_to_rest(robot)?;
+    Ok(robot.place().position.distance(from))
 }
