@@ -94,8 +94,8 @@ impl Servo {
         self.error
     }
 
-    /// From the supply, at most: the bridge lets current through for a share of the time, and its mean is that share
-    /// of what the motor draws at full drive.
+    /// From the supply, at most: the bridge lets current through for a share of the time, and its mean is
+    /// that share of what the motor draws at full drive.
     pub(super) fn current_a(&self) -> f64 {
         self.motion.drive * self.motion.drive * STALL_CURRENT_A
     }

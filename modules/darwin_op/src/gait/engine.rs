@@ -426,8 +426,8 @@ fn kicking(u: f64) -> f64 {
     }
 }
 
-/// How far the trunk leans ahead during a kick, as a share of the most: without it, whoever misses the ball falls
-/// on its back.
+/// How far the trunk leans ahead during a kick, as a share of the most: without it, whoever misses the ball
+/// falls on its back.
 fn leaning(u: f64) -> f64 {
     const FROM: f64 = 0.4;
     (1.0 - libm::cos(TAU * ((u - FROM) / (1.0 - FROM)).clamp(0.0, 1.0))) / 2.0

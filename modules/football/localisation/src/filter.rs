@@ -77,8 +77,8 @@ const FAST: f64 = 0.1;
 const SLOW: f64 = 0.02;
 /// The largest share of particles that are drawn anew at once.
 const MOST_RESET: f64 = 0.05;
-/// Equation (5): how far the pitch of a picture is from that of late, which follows it by a share and fades, for
-/// where everything that is seen is ahead, a wrong pitch is a wrong place; and the most.
+/// Equation (5): how far the pitch of a picture is from that of late, which follows it by a share and fades,
+/// for where everything that is seen is ahead, a wrong pitch is a wrong place; and the most.
 const PITCH_DEVIATION: f64 = 0.03;
 const PITCH_SHARE: f64 = 0.1;
 const PITCH_FADING: f64 = 0.02;
@@ -343,8 +343,8 @@ impl Filter {
         (likelihood, pitch)
     }
 
-    /// How far what is seen is from the nearest of its kind; returns how likely the directions are, and all that
-    /// is of no kind.
+    /// How far what is seen is from the nearest of its kind; returns how likely the directions are, and all
+    /// that is of no kind.
     fn fits(&self, landmarks: &Landmarks, pose: Pose, fits: &mut Vec<Fit>) -> f64 {
         let height = landmarks.camera_height;
         let heading = DVec2::from_angle(pose.heading);
