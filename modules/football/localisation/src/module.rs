@@ -57,10 +57,9 @@ use std::time::Duration;
 ///
 /// The robot starts at one of `starts` when the module starts, when the game enters its initial state and
 /// when it leaves it, for meanwhile the robot is carried to its place, and when the teams change sides; at
-/// one of
-/// `returns` after a penalty; at `initialpose` when that arrives. With several places all are followed until
-/// what is seen tells which is right. When the referee sets the robots up, it may have been put back to a
-/// start: that is followed beside what was believed before. Landmarks are not used while the robot is
+/// one of `returns` after a penalty; at `initialpose` when that arrives. With several places all are followed
+/// until what is seen tells which is right. When the referee sets the robots up, it may have been put back to
+/// a start: that is followed beside what was believed before. Landmarks are not used while the robot is
 /// penalised.
 #[derive(Debug, Default)]
 pub struct Localisation {

@@ -31,10 +31,9 @@ pub struct Rules {
 /// A referee that sees the true state of the field.
 ///
 /// # Rules
-/// - A half begins with *initial* (players are put to their places, and stand); it goes on, as after a goal,
-/// with
-/// *ready* (players walk to their positions), *set* (players stand) and *playing*. The ball lies in the
-/// centre; the team that did not score kicks off.
+/// - A half begins with *initial* (players are put to their places, and stand); it goes on, as after a
+///   goal, with *ready* (players walk to their positions), *set* (players stand) and *playing*. The ball
+///   lies in the centre; the team that did not score kicks off.
 /// - A goal counts if the whole ball is behind the goal line, between the posts and below the crossbar.
 /// - If the ball crosses a touch line, it is put back where it left, as a throw-in for the other team. If it
 ///   crosses a goal line, the set play is a goal kick at the corner of the goal area or a corner kick. Play
