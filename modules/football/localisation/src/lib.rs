@@ -8,6 +8,7 @@ mod ball;
 mod filter;
 mod hypotheses;
 mod kinds;
+mod messages;
 mod module;
 mod robots;
 mod track;

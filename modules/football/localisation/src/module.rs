@@ -3,20 +3,19 @@
 use crate::ball::BallFilter;
 use crate::filter::{Believed, Landmarks, Pose, pitched};
 use crate::hypotheses::Hypotheses;
+use crate::messages::{FARTHEST, intersection, point, pose_from, pose_of, quaternion, time};
 use crate::robots::{RobotTracks, Sighting};
 use crate::track::Track;
 use downbeat_executor::{Context, Module, Publication, Received, Setting, Setup, SetupError, Time};
 use downbeat_football::football_interfaces::msg::GameState;
 use downbeat_football::soccer_model_msgs::msg::{Ball, Robot, RobotArray};
-use downbeat_football::soccer_vision_3d_msgs::msg::{
-    GoalpostArray, MarkingArray, MarkingIntersection, RobotArray as SeenRobots,
-};
-use downbeat_football::{Field, IntersectionKind, floor_covariance};
+use downbeat_football::soccer_vision_3d_msgs::msg::{GoalpostArray, MarkingArray, RobotArray as SeenRobots};
+use downbeat_football::{Field, floor_covariance};
 use downbeat_msgs::builtin_interfaces;
 use downbeat_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus};
 use downbeat_msgs::downbeat_interfaces::msg::RobotState;
 use downbeat_msgs::geometry_msgs::msg::{
-    Point, Pose as PoseMessage, PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Vector3,
+    Point, PoseWithCovarianceStamped, Transform, TransformStamped, Vector3,
 };
 use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::std_msgs::msg::{Header, String as Text};
@@ -135,8 +134,6 @@ const AHEAD: Duration = Duration::from_millis(100);
 const BEHIND: Duration = Duration::from_secs(1);
 /// The longest step of odometry that is no restart of it, in m.
 const LONGEST_STEP: f64 = 0.5;
-/// Beyond it nothing is used, in m.
-const FARTHEST: f64 = 15.0;
 /// The most landmarks of a sort that are used.
 const MOST_LANDMARKS: usize = 24;
 /// How much of the round of a circle has to be seen. Of simulated circles below it two of three are lines.
@@ -658,55 +655,7 @@ fn touch_lines(field: &Field) -> Vec<Pose> {
     vec![at(1.0), at(-1.0)]
 }
 
-fn time(header: &Header) -> Time {
-    Time::from_nanos(header.stamp.as_nanos())
-}
-
-/// On the floor, and the whole orientation.
-fn pose_of(message: &Odometry) -> Option<(Pose, DQuat)> {
-    pose_from(&message.pose.pose)
-}
-
-fn pose_from(message: &PoseMessage) -> Option<(Pose, DQuat)> {
-    let Point { x, y, z } = message.position;
-    let q = message.orientation;
-    let orientation = DQuat::from_xyzw(q.x, q.y, q.z, q.w);
-    let is_pose = [x, y, z].iter().all(|part| part.abs() < 1e6) && (orientation.length() - 1.0).abs() < 0.01;
-    let orientation = orientation.normalize();
-    let ahead = orientation * glam::DVec3::X;
-    is_pose
-        .then(|| (Pose { position: DVec2::new(x, y), heading: libm::atan2(ahead.y, ahead.x) }, orientation))
-}
-
-fn quaternion(of: DQuat) -> Quaternion {
-    let DQuat { x, y, z, w } = of;
-    Quaternion { x, y, z, w }
-}
-
 /// The pose of the origin of odometry in the map, from poses of the robot in both.
 fn of_origin(in_map: Pose, in_odom: Pose) -> Pose {
     in_map.then(in_odom.step_to(Pose::default()))
-}
-
-/// A point on the floor near the robot.
-fn point(of: &Point) -> Option<DVec2> {
-    let point = DVec2::new(of.x, of.y);
-    (point.is_finite() && point.length() <= FARTHEST).then_some(point)
-}
-
-fn intersection(message: &MarkingIntersection) -> Option<(DVec2, IntersectionKind, f64)> {
-    let kind = match message.rays.len() {
-        2 => IntersectionKind::L,
-        3 => IntersectionKind::T,
-        4 => IntersectionKind::X,
-        _ => return None,
-    };
-    let rays = message.rays.iter().map(|ray| DVec2::new(ray.x, ray.y).normalize_or_zero());
-    // Of a T the two opposite arms cancel each other, of an L the sum is between its arms.
-    let heading = match kind {
-        IntersectionKind::X => rays.take(1).sum::<DVec2>(),
-        _ => rays.sum(),
-    };
-    let is_possible = heading.is_finite() && heading.length() > 0.1;
-    is_possible.then_some((point(&message.center)?, kind, heading.to_angle()))
 }

@@ -20,22 +20,27 @@ fn share(sorted: &mut [f64], of: f64) -> f64 {
     sorted[((sorted.len() - 1) as f64 * of) as usize]
 }
 
+/// Errors of position (m) and heading (rad) at each of 600 pictures, without the first seconds, which are for
+/// settling.
+fn errors_of(walk: &mut Walk, filter: &mut Filter) -> Vec<(f64, f64)> {
+    let pictures = (0..600).map(|_| {
+        let step = walk.step();
+        filter.walk(step);
+        let seen = walk.see();
+        walk.error(filter.see(&seen).pose)
+    });
+    pictures.skip(50).collect()
+}
+
 #[test]
 fn twenty_walks_are_followed() {
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
     for seed in 0..walks() {
         let mut walk = Walk::new(seed);
         let mut filter = filter_at_the_start(&walk, seed);
-        for picture in 0..600 {
-            let step = walk.step();
-            filter.walk(step);
-            let seen = walk.see();
-            let (off, turned) = walk.error(filter.see(&seen).pose);
-            // The first seconds are for settling.
-            if picture >= 50 {
-                metres.push(off);
-                radians.push(turned);
-            }
+        for (off, turned) in errors_of(&mut walk, &mut filter) {
+            metres.push(off);
+            radians.push(turned);
         }
     }
     let found = [
@@ -59,17 +64,7 @@ fn a_robot_that_nods_and_does_not_know_the_pitch_of_its_camera_is_followed() {
         let mut walk = Walk::new(seed);
         walk.pitch = (if seed % 2 == 0 { -0.03 } else { 0.03 }, 0.03);
         let mut filter = filter_at_the_start(&walk, seed);
-        let before = metres.len();
-        for picture in 0..600 {
-            let step = walk.step();
-            filter.walk(step);
-            let seen = walk.see();
-            let (off, _) = walk.error(filter.see(&seen).pose);
-            if picture >= 50 {
-                metres.push(off);
-            }
-        }
-        println!("{seed}: 95 % {:.2} m", share(&mut metres[before..].to_vec(), 0.95));
+        metres.extend(errors_of(&mut walk, &mut filter).into_iter().map(|(off, _)| off));
     }
     let found = [share(&mut metres, 0.5), share(&mut metres, 0.95)];
     println!("median {:.3} m, 95 % {:.3} m", found[0], found[1]);
