@@ -139,6 +139,8 @@ cases! {
         requests::requests_beyond_the_bound_are_refused_and_counted;
         requests::calls_beyond_the_bound_are_refused;
         requests::a_server_that_left_is_no_longer_there;
+        requests::a_server_that_leaves_delivers_its_reply_first;
+        requests::a_server_that_leaves_waits_for_a_client_that_is_found_late;
         requests::a_dropped_client_ends_its_calls;
         requests::large_requests_and_replies_arrive_whole;
     }

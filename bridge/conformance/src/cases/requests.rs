@@ -8,7 +8,7 @@ use bytes::Bytes;
 use downbeat_bridge::middleware::rpc::{
     CallError, IncomingRequest, MAX_IN_FLIGHT, RequestClient, RequestServer, Responder, ServiceEndpoint,
 };
-use downbeat_bridge::middleware::{Endpoint, Middleware, SampleIdentity};
+use downbeat_bridge::middleware::{Endpoint, Middleware, SampleIdentity, Writer};
 use downbeat_bridge::worker::Worker;
 use downbeat_msgs::qos::QosProfile;
 use std::sync::mpsc::{Receiver, channel};
@@ -145,6 +145,19 @@ pub(super) fn a_call_that_is_not_answered_ends_when_its_time_is_up(domain: &Doma
     assert!(short.recv().is_err(), "the answer that came too late is not given as a second one");
 }
 
+/// Asks as one half of a client, and echoes. Returns the number of the request.
+fn ask_until_heard(writer: &dyn Writer, requests: &Receiver<IncomingRequest>) -> i64 {
+    wait_until("the server hears the client", || writer.matched() == 1);
+    loop {
+        // Matched on this side may be before the other.
+        let number = writer.write_with(cdr([7; 4]), Default::default()).unwrap();
+        if let Ok(request) = requests.recv_timeout(Duration::from_millis(200)) {
+            echo(request);
+            return number;
+        }
+    }
+}
+
 pub(super) fn a_reply_waits_until_the_client_that_asked_is_matched(domain: &Domain<'_>) -> Ran {
     let (alice, bob) = (Peer::join(domain), Peer::join(domain));
     if alice.middleware.services().is_some() {
@@ -153,15 +166,7 @@ pub(super) fn a_reply_waits_until_the_client_that_asked_is_matched(domain: &Doma
     let (_server, requests) = alice.listen();
     let ServiceEndpoint { request_topic, request_type, reply_topic, reply_type, qos, .. } = reset();
     let writer = bob.middleware.create_writer(&Endpoint::new(request_topic, request_type, qos)).unwrap();
-    wait_until("the server hears the client", || writer.matched() == 1);
-    let number = loop {
-        // Matched on this side may be before the other.
-        let number = writer.write_with(cdr([7; 4]), Default::default()).unwrap();
-        if let Ok(request) = requests.recv_timeout(Duration::from_millis(200)) {
-            echo(request);
-            break number;
-        }
-    };
+    let number = ask_until_heard(&*writer, &requests);
     let (_reader, replies) = subscribe(&*bob.middleware, &Endpoint::new(reply_topic, reply_type, qos));
     let reply = next(&replies);
     assert_eq!(reply.cdr, cdr([7; 4]));
@@ -235,6 +240,38 @@ pub(super) fn a_server_that_left_is_no_longer_there(domain: &Domain<'_>) {
     assert!(answer(&call(&client, &[2; 4], WATCHDOG)).is_err());
     drop(client);
     assert_eq!(answer(&unanswered), Err(CallError::Closed { service: "/reset".into() }));
+}
+
+pub(super) fn a_server_that_leaves_delivers_its_reply_first(domain: &Domain<'_>) {
+    let bob = Peer::join(domain);
+    let client = bob.client();
+    for number in 0..10_u8 {
+        let alice = Peer::join(domain);
+        let (server, requests) = alice.listen();
+        assert!(client.wait_for_server(WATCHDOG));
+        let answer = call(&client, &[number; 4], WATCHDOG);
+        echo(requests.recv_timeout(WATCHDOG).unwrap());
+        drop(server);
+        drop(alice);
+        is_echo(&answer, &[number; 4]);
+        wait_until("the client knows", || client.servers() == 0);
+    }
+}
+
+pub(super) fn a_server_that_leaves_waits_for_a_client_that_is_found_late(domain: &Domain<'_>) -> Ran {
+    let (alice, bob) = (Peer::join(domain), Peer::join(domain));
+    if alice.middleware.services().is_some() {
+        return Ran::NotApplicable(ONE_WAY);
+    }
+    let (server, requests) = alice.listen();
+    let ServiceEndpoint { request_topic, request_type, reply_topic, reply_type, qos, .. } = reset();
+    let writer = bob.middleware.create_writer(&Endpoint::new(request_topic, request_type, qos)).unwrap();
+    ask_until_heard(&*writer, &requests);
+    let leaving = std::thread::spawn(move || drop(server));
+    let (_reader, replies) = subscribe(&*bob.middleware, &Endpoint::new(reply_topic, reply_type, qos));
+    assert_eq!(next(&replies).cdr, cdr([7; 4]));
+    leaving.join().unwrap();
+    Ran::Done(None)
 }
 
 pub(super) fn a_dropped_client_ends_its_calls(domain: &Domain<'_>) {

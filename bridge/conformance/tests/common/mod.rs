@@ -36,6 +36,8 @@ macro_rules! each_case {
             requests_beyond_the_bound_are_refused_and_counted
             calls_beyond_the_bound_are_refused
             a_server_that_left_is_no_longer_there
+            a_server_that_leaves_delivers_its_reply_first
+            a_server_that_leaves_waits_for_a_client_that_is_found_late
             a_dropped_client_ends_its_calls
             large_requests_and_replies_arrive_whole
             a_peer_that_leaves_disappears_immediately

@@ -27,7 +27,8 @@ use super::{Endpoint, Gid};
 use downbeat_msgs::qos::History;
 use std::time::Duration;
 
-/// How long a reply waits for the reader of the client that asked.
+/// How long a reply waits for the reader of the client that asked, and a server that leaves for the
+/// acknowledgement of its replies.
 pub const REPLY_HOLD: Duration = Duration::from_secs(1);
 
 /// The most requests that a server has accepted and not answered, and the most calls of a client without an

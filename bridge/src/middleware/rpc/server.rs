@@ -13,8 +13,11 @@ use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, Weak};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use thiserror::Error;
+
+/// How often a server that leaves looks whether its last replies are sent.
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
 /// Takes the requests of one server, in the order of each client.
 pub type RequestHandler = Box<dyn FnMut(IncomingRequest) + Send>;
@@ -49,8 +52,8 @@ pub enum ReplyError {
     Write(#[from] WriteError),
 }
 
-/// Accepts requests and sends replies. Dropping it removes the endpoints; a handler that is running ends by
-/// itself.
+/// Accepts requests and sends replies. Dropping it removes the endpoints, once what was replied has arrived or
+/// its time is up; a handler that is running ends by itself.
 pub struct RequestServer {
     shared: Arc<Shared>,
     receiving: Receiving,
@@ -212,6 +215,7 @@ impl RequestServer {
 impl Drop for RequestServer {
     fn drop(&mut self) {
         self.shared.is_closed.store(true, Ordering::Release);
+        self.shared.deliver();
     }
 }
 
@@ -471,6 +475,17 @@ impl Shared {
         };
         topics.writer.write_with(payload, WriteOptions { related, only_to: reader })?;
         Ok(())
+    }
+
+    /// Waits until replies have reached their clients: a server that answers and leaves would take along what
+    /// waits for a client, or was lost on the way and would be sent again.
+    fn deliver(&self) {
+        let Some(topics) = &self.topics else { return };
+        let may_arrive = |held: &Held| Instant::now() < held.until && !self.has_left(&held.address);
+        while self.held.lock().iter().any(may_arrive) {
+            std::thread::sleep(LOOK_AGAIN);
+        }
+        topics.writer.flush(REPLY_HOLD);
     }
 
     fn send_held(&self) {
