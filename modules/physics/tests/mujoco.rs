@@ -50,6 +50,15 @@ fn both_engines_agree_that_it_stands_and_stays_on_its_feet_when_it_is_pushed() {
 }
 
 #[test]
+fn it_gets_up_in_this_engine_too() {
+    let Some(options) = options() else { return };
+    for task in [Task::GetUpFront, Task::GetUpBack] {
+        let done = task.run(Conditions { simulation: options.clone(), ..Conditions::described(1) });
+        assert_eq!(done.unwrap().attempts, 1, "{task}");
+    }
+}
+
+#[test]
 fn a_push_throws_it_over_and_it_lies_on_its_shapes() {
     let Some(options) = options() else { return };
     let mut robot = SimulatedRobot::new(options, 1).unwrap();

@@ -73,6 +73,16 @@ fn it_gets_up_from_its_front_and_its_back_and_walks_on() {
 }
 
 #[test]
+fn it_gets_up_with_weak_servos() {
+    for seed in 53..56 {
+        let mut conditions = Conditions::perturbed(seed);
+        conditions.simulation.variation.strength *= 0.8;
+        let done = Task::GetUpFront.run(conditions);
+        assert!(done.is_ok(), "seed {seed}: {}", done.unwrap_err());
+    }
+}
+
+#[test]
 fn it_kicks_a_ball_a_metre_far_with_either_foot() {
     does(Task::Kick, 1);
     does(Task::Kick, 2);

@@ -35,7 +35,7 @@ use std::time::Duration;
 pub enum Task {
     /// Stands for 60 s.
     Stand,
-    /// Walks 10 m straight ahead, and stops.
+    /// Walks 10 m straight ahead after it has stood for ten seconds, and stops.
     Walk,
     /// Walks 2 m backward, and stops.
     Backward,
@@ -144,6 +144,9 @@ pub enum Failure {
 const WIDEST: [f64; 2] = [0.2, 0.1];
 /// The largest angle by which a robot turns on a straight way, in rad.
 const MOST_TURNED: f64 = 0.3;
+/// How long a robot stands before a long walk, in s: from that its IMU filter learns the bias of the gyroscope, which
+/// turns it meanwhile.
+const RESTS: f64 = 10.0;
 /// The way from the ball to the robot's feet, in m.
 const BALL_AHEAD: f64 = 0.11;
 const BALL_FAR_AHEAD: f64 = 0.35;
@@ -230,7 +233,10 @@ impl Task {
         let mut robot = WalkingRobot::new(conditions)?;
         let (figure, attempts) = match self {
             Self::Stand => (stand(&mut robot)?, 0),
-            Self::Walk => (straight(&mut robot, [0.22, 0.0], 10.0, 0.2)?, 0),
+            Self::Walk => {
+                robot.run(RESTS)?;
+                (straight(&mut robot, [0.235, 0.0], 10.0, 0.2)?, 0)
+            }
             Self::Backward => (straight(&mut robot, [-0.11, 0.0], 2.0, 0.08)?, 0),
             Self::SideStep => (straight(&mut robot, [0.0, 0.065 * side], 1.0, 0.05)?, 0),
             Self::Diagonal => (straight(&mut robot, [0.07, 0.04 * side], 1.0, 0.05)?, 0),
