@@ -52,8 +52,8 @@ pub enum ReplyError {
     Write(#[from] WriteError),
 }
 
-/// Accepts requests and sends replies. Dropping it removes the endpoints, once what was replied has arrived or
-/// its time is up; a handler that is running ends by itself.
+/// Accepts requests and sends replies. Dropping it removes the endpoints, once what was replied has arrived
+/// or its time is up; a handler that is running ends by itself.
 pub struct RequestServer {
     shared: Arc<Shared>,
     receiving: Receiving,

@@ -144,8 +144,8 @@ pub enum Failure {
 const WIDEST: [f64; 2] = [0.2, 0.1];
 /// The largest angle by which a robot turns on a straight way, in rad.
 const MOST_TURNED: f64 = 0.3;
-/// How long a robot stands before a long walk, in s: from that its IMU filter learns the bias of the gyroscope, which
-/// turns it meanwhile.
+/// How long a robot stands before a long walk, in s: its IMU filter learns the bias of the gyroscope from
+/// that.
 const RESTS: f64 = 10.0;
 /// The way from the ball to the robot's feet, in m.
 const BALL_AHEAD: f64 = 0.11;
