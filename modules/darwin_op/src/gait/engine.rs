@@ -282,7 +282,8 @@ impl Engine {
     }
 
     fn begin_half_period(&mut self, is_wanted: bool, parameters: &Parameters) {
-        let are_feet_together = self.to == Separation::default()
+        let are_feet_together = !self.is_kicking
+            && self.to == Separation::default()
             && self.placed_to.iter().all(|placed| placed.length() < TOGETHER);
         self.stage = match self.stage {
             Stage::Walking | Stage::Catching
@@ -302,7 +303,10 @@ impl Engine {
         self.from = self.to;
         self.placed_from = std::mem::take(&mut self.placed_to);
         self.swing = 0.0;
-        self.is_kicking = false;
+        if std::mem::take(&mut self.is_kicking) {
+            let has_kicked = usize::from(self.phase < 0.5);
+            self.placed_from[has_kicked].x += LANDS_AHEAD * parameters.kick_length;
+        }
         if self.stage == Stage::Walking {
             let left_swings = self.phase < 0.5;
             let side = if left_swings { Side::Left } else { Side::Right };
@@ -412,6 +416,10 @@ impl Limits {
     }
 }
 
+/// Where a foot that kicked lands, as a share of how far it swung ahead; the body follows with the next step.
+/// Who swings a foot back to where it began turns and topples.
+const LANDS_AHEAD: f64 = 0.3;
+
 /// How far a foot that kicks is ahead in its swing, as a share of the most.
 fn kicking(u: f64) -> f64 {
     const BACK: f64 = 0.42;
@@ -422,7 +430,7 @@ fn kicking(u: f64) -> f64 {
     } else if u < AHEAD_AT {
         -BACK + (1.0 + BACK) * smooth((u - BACK_AT) / (AHEAD_AT - BACK_AT))
     } else {
-        smooth((1.0 - u) / (1.0 - AHEAD_AT))
+        LANDS_AHEAD + (1.0 - LANDS_AHEAD) * smooth((1.0 - u) / (1.0 - AHEAD_AT))
     }
 }
 
@@ -615,7 +623,13 @@ mod tests {
             let ahead = kicked.iter().map(|step| step.right.x).fold(-1.0, f64::max);
             assert!(ahead > usual + 0.03, "{ahead} {usual}");
             // The step that kicks takes longer.
-            let after = run(&mut engine, 1.2 + (PARAMETERS.kick_period - PARAMETERS.period) / 2.0, wanted);
+            let after = run(&mut engine, 1.5 + (PARAMETERS.kick_period - PARAMETERS.period) / 2.0, wanted);
+            for pair in [kicked, after.clone()].concat().windows(2) {
+                let apart = [0, 1].map(|at: usize| pair[at].right.x - pair[at].left.x);
+                let moved = (apart[1] - apart[0]).abs();
+                let is_on_both = pair.iter().all(|step| step.support == Support::Both);
+                assert!(moved < if is_on_both { 1e-9 } else { 0.011 }, "{pair:?}");
+            }
             let after = &after[after.len() - (1.2 / DT) as usize..];
             let ahead = after.iter().map(|step| step.right.x).fold(-1.0, f64::max);
             assert!(ahead < usual + 1e-3 && engine.is_walking() == is_walking, "{ahead} {usual}");

@@ -11,6 +11,7 @@ use downbeat_executor::{
     Snapshot, Time,
 };
 use downbeat_football::football_interfaces::msg::{GameState, MatchState, MatchStatistics};
+use downbeat_football::soccer_model_msgs::msg::{Robot, RobotArray};
 use downbeat_kinematics::robot_state_publisher::RobotStatePublisher;
 use downbeat_localisation::Localisation;
 use downbeat_match::{FootballMatch, player};
@@ -80,6 +81,8 @@ struct Watch {
     /// The motion that each robot plays.
     motions: Vec<String>,
     commands: Vec<[f64; 3]>,
+    /// The other robots that each knows, in its map.
+    known: Vec<Vec<DVec2>>,
     /// Where each robot is, and how far off it believed to be each time, in m.
     places: Vec<DVec2>,
     errors: Vec<Vec<f64>>,
@@ -162,6 +165,7 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
     watch.lock().walking.resize(arguments.robots.len(), String::new());
     watch.lock().motions.resize(arguments.robots.len(), String::new());
     watch.lock().commands.resize(arguments.robots.len(), [0.0; 3]);
+    watch.lock().known.resize(arguments.robots.len(), Vec::new());
     watch.lock().places.resize(arguments.robots.len(), DVec2::ZERO);
     watch.lock().errors.resize(arguments.robots.len(), Vec::new());
     for (robot, name) in arguments.robots.iter().enumerate() {
@@ -176,6 +180,12 @@ fn play(arguments: &Arguments, seed: i64) -> anyhow::Result<Watch> {
             seen.lock().commands[robot] = [twist.linear.x, twist.linear.y, twist.angular.z];
         };
         core.outlet(&format!("{name}/cmd_vel"), Inbox::KeepAll, see)?.keep();
+        let seen = Arc::clone(&watch);
+        let see = move |robots: Received<'_, RobotArray>| {
+            let at = |robot: &Robot| DVec2::new(robot.pose.pose.position.x, robot.pose.pose.position.y);
+            seen.lock().known[robot] = robots.robots.iter().map(at).collect();
+        };
+        core.outlet(&format!("{name}/team/robots"), Inbox::KeepAll, see)?.keep();
         let seen = Arc::clone(&watch);
         let see = move |truth: Received<'_, Odometry>| {
             let Point { x, y, .. } = truth.pose.pose.position;
@@ -237,6 +247,7 @@ fn add_eyes(core: &mut Core, ports: &MemoryPorts, name: &str, seed: i64) -> anyh
         field(),
         ("seed", seed.into()),
         ("ball_timeout", 2.0.into()),
+        ("robot_timeout", 5.0.into()),
         ("starts", vec![start, 0.0, 0.0].into()),
         ("returns", vec![back, -2.0, std::f64::consts::FRAC_PI_2].into()),
     ];
@@ -309,6 +320,16 @@ impl Watch {
             let ball = DVec2::new(state.ball.x, state.ball.y);
             print!("{now:6.0} ball {:.2} {:.2}", ball.x, ball.y);
             for (robot, pose) in state.poses.iter().enumerate() {
+                // In the map of either team, the opponents' goal is at +x: the truth is in that of blue.
+                let sign = if robot * 2 < state.poses.len() { 1.0 } else { -1.0 };
+                let of_match = |at: &DVec2| *at * sign;
+                let others = state.poses.iter().enumerate().filter(|(other, _)| *other != robot);
+                let offs = others.map(|(_, other)| {
+                    let at = DVec2::new(other.position.x, other.position.y);
+                    let off = self.known[robot].iter().map(|known| of_match(known).distance(at));
+                    (at.distance(DVec2::new(pose.position.x, pose.position.y)), off.fold(9.0, f64::min))
+                });
+                let nearest = offs.min_by(|one, other| one.0.total_cmp(&other.0)).unwrap_or_default();
                 let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);
                 let yaw = 2.0 * libm::atan2(q.z, q.w);
                 let seen = DVec2::from_angle(-yaw).rotate(ball - place);
@@ -317,8 +338,14 @@ impl Watch {
                 let (walking, [ahead, left, turn]) = (&self.walking[robot], self.commands[robot]);
                 let error = self.errors[robot].last().unwrap_or(&0.0);
                 print!(
-                    " | {:.2} {:.2} {yaw:.1} off {error:.2} seen {:.2} {:.2} {walking} {ahead:.2} {left:.2} {turn:.2}{down}{motion}",
-                    place.x, place.y, seen.x, seen.y
+                    " | {:.2} {:.2} {yaw:.1} off {error:.2} seen {:.2} {:.2} {walking} {ahead:.2} {left:.2} {turn:.2}{down}{motion} other {:.2} off {:.2} of {}",
+                    place.x,
+                    place.y,
+                    seen.x,
+                    seen.y,
+                    nearest.0,
+                    nearest.1,
+                    self.known[robot].len()
                 );
             }
             println!();

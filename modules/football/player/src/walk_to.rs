@@ -135,11 +135,13 @@ const PUSH_FROM: f64 = 0.225;
 /// The distance that the robot keeps from the ball when it walks around it, in m.
 const CLEARANCE: f64 = 0.3;
 /// The distances that the robot keeps from other robots, from fallen ones, which need room to get up, and
-/// from posts, in m; and the speed at which it backs off from a much nearer obstacle, in m/s.
+/// from posts, in m; and the speed at which it backs off from a much nearer obstacle, in m/s, and how fast it
+/// turns there at most, in rad/s.
 const KEEP_OFF: f64 = 0.35;
 const KEEP_OFF_FALLEN: f64 = 0.6;
 const KEEP_OFF_POST: f64 = 0.2;
-const BACK_OFF: f64 = 0.05;
+const BACK_OFF: f64 = 0.08;
+const TURN_BESIDE: f64 = 0.2;
 /// How far the ball has to be on the other side before the foot changes, in m.
 const OTHER_FOOT: f64 = 0.05;
 /// The same while the robot walks, if it does not matter with which.
@@ -446,6 +448,7 @@ fn keeping_off<'a>(mut velocity: Velocity, obstacles: impl IntoIterator<Item = &
         velocity.linear -= towards * (speed - (GAIN * (distance - keep)).max(0.0)).max(0.0);
         if distance < 0.75 * keep {
             velocity.linear -= towards * BACK_OFF;
+            velocity.turn = velocity.turn.clamp(-TURN_BESIDE, TURN_BESIDE);
         }
     }
     velocity

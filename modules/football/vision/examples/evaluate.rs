@@ -6,7 +6,7 @@
 #[path = "../tests/evaluation/mod.rs"]
 mod evaluation;
 
-use evaluation::{Totals, evaluate};
+use evaluation::{Near, Totals, evaluate, evaluate_near};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -15,6 +15,9 @@ fn main() -> ExitCode {
     // Other pictures than those of the tests.
     (1000..1000 + pictures).for_each(|seed| evaluate(seed, &mut totals));
     println!("{pictures} simulated pictures: {totals}");
+    let mut near = Near::default();
+    (1000..1000 + pictures / 4).for_each(|seed| evaluate_near(seed, &mut near));
+    println!("{} pictures of a ball at the feet: {near}", pictures / 4);
     let is_good = totals.recall() >= 0.95 && totals.precision() >= 0.98 && totals.median_error() < 0.05;
     if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

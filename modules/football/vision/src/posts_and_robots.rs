@@ -94,24 +94,31 @@ struct Columns {
 /// From this share of a robot's height on it stands, and down to that one it lies.
 const STANDING: f64 = 0.5;
 const LYING: f64 = 0.12;
-/// The share of the height that is seen at least of one whose head is above the picture.
-const CUT: f64 = 0.25;
-/// How much carpet is seen between the parts of one, as a share of the height.
+/// The width of one that lies at least, as a share of that of one that stands.
+const LEAST_LYING: f64 = 0.7;
+/// The width of what is seen at least of one that the picture cuts off, in m: that of a foot.
+const PART: f64 = 0.04;
+/// How much carpet is seen between the parts of one, as a share of the height, and at most as a share of the
+/// picture.
 const GAP: f64 = 0.12;
+const WIDEST_GAP: f64 = 0.25;
 /// How far to either side its parts are, as a share of the width.
 const ASIDE: f64 = 0.7;
+/// How far its middle is behind what is seen of its feet, in m.
+const HALF_DEPTH: f64 = 0.05;
 /// Beyond this distance a robot that lies looks like a line or a shadow and is not reported, in m.
 const LYING_RANGE: f64 = 3.0;
 /// Beyond this distance no robot is reported, in m.
 const RANGE: f64 = 8.0;
-/// The share of a robot's box that its colour covers at least, and how much more of it there has to be than
+/// The share of the robot's box that its colour covers at least, and how much more of it there has to be than
 /// of the other one.
 const WORN: f64 = 0.03;
 const CLEARLY: usize = 4;
 
 /// Other robots, the nearest first: columns in which something that is not carpet is about as high as a robot
 /// there, side by side, with what else is above their feet; as wide as a robot. What is lower, and still
-/// wide, lies. The team is what most pixels of a team's colour in the box are.
+/// wide, lies; of one that the picture cuts off a part is enough. The team is what most pixels of a team's
+/// colour in the box are.
 pub(crate) fn robots(
     labels: &Labels,
     view: &View,
@@ -126,14 +133,7 @@ pub(crate) fn robots(
         if posts.iter().any(|post| (post.foot.x - column as f64).abs() <= post.size.x) {
             continue;
         }
-        let is_ball = |foot: usize| {
-            let near = |ball: &SeenBall| {
-                ball.centre.distance(DVec2::new(column as f64, foot as f64)) < 1.5 * ball.radius
-            };
-            balls.iter().any(near)
-        };
-        let body = body_in(labels, view, boundary, field, column);
-        let Some((top, foot)) = body.filter(|(_, foot)| !is_ball(*foot)) else { continue };
+        let Some((top, foot)) = body_in(labels, view, boundary, field, balls, column) else { continue };
         match groups.last_mut() {
             Some(group)
                 if foot.abs_diff(group.foot) as f64 <= 12.0 * labels.scale()
@@ -159,19 +159,29 @@ pub(crate) fn robots(
     found.take(MOST).collect()
 }
 
+/// How many pixels high a robot is at a place; of one whose head is beside the camera, endless.
+fn height_at(view: &View, place: DVec2, field: &Field) -> f64 {
+    view.height_at(place, field.robot.height).unwrap_or(f64::INFINITY)
+}
+
 /// The rows of something in a column that is at least as high as a robot that lies: its top and its foot.
 fn body_in(
     labels: &Labels,
     view: &View,
     boundary: &[DVec2],
     field: &Field,
+    balls: &[SeenBall],
     column: usize,
 ) -> Option<(usize, usize)> {
     let border = boundary_at(boundary, column as f64).max(0.0);
+    let is_ball = |row: usize| {
+        let at = DVec2::new(column as f64, row as f64);
+        balls.iter().any(|ball| ball.centre.distance(at) < 1.2 * ball.radius)
+    };
     let mut row = labels.height;
     while row > 0 && row as f64 > border {
         row -= 1;
-        if labels.class(column, row) == Class::Green {
+        if labels.class(column, row) == Class::Green || is_ball(row) {
             continue;
         }
         // A line in front of a robot, with carpet between them, is no part of it.
@@ -185,23 +195,28 @@ fn body_in(
         }
         let foot = row;
         let place = view.on_floor(DVec2::new(column as f64, foot as f64))?;
-        let high = view.height_at(place, field.robot.height)?;
+        let high = height_at(view, place, field);
         if place.length() > RANGE || high < 8.0 {
             return None;
         }
-        let (least, gap) = (foot as f64 - high, (GAP * high).max(2.0) as usize);
+        let least = foot as f64 - high;
+        let gap = (GAP * high).min(WIDEST_GAP * labels.height as f64).max(2.0) as usize;
         let (mut top, mut other) = (row, 0);
         while row as f64 > least && row > 0 && top - row <= gap {
             let class = labels.class(column, row);
-            if class != Class::Green {
+            if class != Class::Green && !is_ball(row) {
                 top = row;
                 other += usize::from(!matches!(class, Class::White | Class::Yellow));
             }
             row -= 1;
         }
         let height = (foot - top + 1) as f64;
+        let reached = view.height_over(place, DVec2::new(column as f64, top as f64));
         // Lines are white all over, and goals yellow; robots are not.
-        if other as f64 > 0.3 * height && height > (LYING * high).max(4.0 * labels.scale()) {
+        if other as f64 > 0.3 * height
+            && height > 4.0 * labels.scale()
+            && reached > LYING * field.robot.height
+        {
             return Some((top, foot));
         }
         row = top;
@@ -217,7 +232,7 @@ impl Columns {
     /// Whether columns that end above its feet can be a part of it.
     fn has_part(&self, part: &Self, view: &View, field: &Field) -> bool {
         let Some(place) = view.on_floor(self.middle()) else { return false };
-        let Some(high) = view.height_at(place, field.robot.height) else { return false };
+        let high = height_at(view, place, field);
         let wide = view.width_at(place.extend(0.0), field.robot.width);
         (part.middle().x - self.middle().x).abs() < ASIDE * wide && part.foot as f64 > self.foot as f64 - high
     }
@@ -230,23 +245,38 @@ impl Columns {
 
 fn robot(labels: &Labels, view: &View, field: &Field, columns: Columns, step: usize) -> Option<SeenRobot> {
     let Columns { first, last, foot, top } = columns;
-    let foot_at = columns.middle();
-    let place = view.on_floor(foot_at)?;
-    let high = view.height_at(place, field.robot.height)?;
-    let height = (foot - top + 1) as f64;
-    let is_cut = top <= 2 && height > CUT * high;
-    let is_fallen = height <= STANDING * high && !is_cut;
+    let mut foot_at = columns.middle();
+    let on_floor = view.on_floor(foot_at)?;
+    let reached = view.height_over(on_floor, DVec2::new(foot_at.x, top as f64));
     let width = (last - first + step) as f64;
-    let wide = view.width_at(place.extend(0.0), field.robot.width);
+    let wide = view.width_at(on_floor.extend(0.0), field.robot.width);
     let share = width / wide;
+    let [is_cut_left, is_cut_right] = [first < step, last + step >= labels.width];
+    let is_cut_above = top <= 2;
+    let is_part = is_cut_above || (is_cut_left || is_cut_right) && share < LEAST_LYING;
+    let is_fallen = reached <= STANDING * field.robot.height && !is_part;
+    // One that lies is as wide as it is high, or seen from its head or its feet.
+    let possible = match (is_fallen, is_part) {
+        (true, _) => LEAST_LYING..=3.0,
+        (false, true) => PART / field.robot.width..=3.5,
+        (false, false) => 0.35..=3.5,
+    };
+    // The rest of it is beside the picture.
+    match (is_cut_left, is_cut_right) {
+        (true, false) => foot_at.x = foot_at.x.min(last as f64 - wide / 2.0),
+        (false, true) => foot_at.x = foot_at.x.max(first as f64 + wide / 2.0),
+        _ => {}
+    }
+    let place = view.on_floor(foot_at)?;
+    let place =
+        place + (place - view.ground_from_camera.translation.truncate()).normalize_or_zero() * HALF_DEPTH;
     // What is beside the middle may be somebody behind it.
     let aside = if is_fallen { width / 2.0 } else { (0.4 * wide).min(width / 2.0) };
-    let within = [foot_at.x - aside, foot_at.x + aside].map(|column| column.max(0.0) as usize);
-    // One that lies is as wide as it is high, or seen from its head or its feet.
-    let possible = if is_fallen { 0.7..=3.0 } else { 0.35..=3.5 };
+    let middle = columns.middle().x;
+    let within = [middle - aside, middle + aside].map(|column| column.max(0.0) as usize);
     (possible.contains(&share) && (!is_fallen || place.length() < LYING_RANGE)).then(|| SeenRobot {
-        foot: foot_at,
-        size: DVec2::new(width, height),
+        foot: columns.middle(),
+        size: DVec2::new(width, (foot - top + 1) as f64),
         place,
         team: worn(labels, within, [top, foot]),
         is_fallen,

@@ -113,6 +113,16 @@ impl View {
         Some(self.pixel_of(point.extend(0.0))?.distance(self.pixel_of(point.extend(height))?))
     }
 
+    /// The height above a place on the floor at which the line of sight of a pixel passes it, in m; the pixel
+    /// is about above that of the place.
+    #[must_use]
+    pub fn height_over(&self, place: DVec2, pixel: DVec2) -> f64 {
+        let (eye, ray) = (self.ground_from_camera.translation, self.ray(pixel));
+        let ahead = ray.truncate().dot((place - eye.truncate()).normalize_or_zero());
+        let slope = if ahead > 1e-3 { ray.z / ahead } else { f64::INFINITY };
+        eye.z + place.distance(eye.truncate()) * slope
+    }
+
     /// The row of the horizon in a column; may be far outside of the picture.
     #[must_use]
     pub fn horizon(&self, column: f64) -> f64 {

@@ -5,7 +5,7 @@
 #[path = "evaluation/mod.rs"]
 mod evaluation;
 
-use evaluation::{Totals, evaluate};
+use evaluation::{Near, Totals, evaluate, evaluate_near};
 
 #[test]
 fn balls_places_and_robots_with_their_teams_are_found_in_varied_pictures() {
@@ -20,6 +20,17 @@ fn balls_places_and_robots_with_their_teams_are_found_in_varied_pictures() {
     let robots = &totals.robots;
     assert!(robots.standing[0] >= 20 && robots.recall() >= 0.75 && robots.precision() >= 0.85, "{totals}");
     assert!(robots.teams[0] >= 20 && robots.team_precision() >= 0.85, "{totals}");
+}
+
+#[test]
+fn a_robot_at_the_ball_is_found_by_the_part_of_it_in_the_picture() {
+    let mut near = Near::default();
+    for seed in 0..40 {
+        evaluate_near(seed, &mut near);
+    }
+    println!("{near}");
+    assert!(near.robots >= 15 && near.found * 20 >= near.robots * 19, "{near}");
+    assert!(near.lying == 0 && near.teams[1] == 0 && near.wrong <= 4, "{near}");
 }
 
 #[test]

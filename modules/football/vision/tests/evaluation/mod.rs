@@ -304,21 +304,9 @@ pub struct Other {
 /// Up to three robots in front of the camera; one of four lies on its front, its back or a side.
 fn others(random: &mut Rng, map_from_ground: &Isometry) -> Vec<Other> {
     let model = ArenaOptions::darwin_op([]).model;
-    let stand = Start::walking_ready().angles;
     (0..random.usize(..4))
         .map(|_| {
-            let angle_of =
-                |name: &str| stand.iter().find(|(joint, _)| joint == name).map_or(0.0, |(_, angle)| *angle);
-            let angles: Vec<f64> = model
-                .bodies
-                .iter()
-                .map(|body| {
-                    body.joint
-                        .as_ref()
-                        .map_or(0.0, |joint| angle_of(&joint.name) + between(random, -0.15, 0.15))
-                })
-                .collect();
-            let poses = model.poses(&angles);
+            let poses = standing(&model, || between(random, -0.15, 0.15));
             let at = DVec2::from_angle(between(random, -0.6, 0.6)) * between(random, 0.5, 4.0);
             let lies = random.u8(..4) == 0;
             let turn = DQuat::from_rotation_z(between(random, -PI, PI));
@@ -340,6 +328,17 @@ fn others(random: &mut Rng, map_from_ground: &Isometry) -> Vec<Other> {
             Other { model: model.clone(), poses, map_from_root, colour, team, lies }
         })
         .collect()
+}
+
+/// The poses of the bodies of a robot that stands, each joint off by some angle.
+fn standing(model: &Model, mut off: impl FnMut() -> f64) -> Vec<Isometry> {
+    let stand = Start::walking_ready().angles;
+    let angle_of =
+        |name: &str| stand.iter().find(|(joint, _)| joint == name).map_or(0.0, |(_, angle)| *angle);
+    let joints = model.bodies.iter().map(|body| body.joint.as_ref());
+    let angles: Vec<f64> =
+        joints.map(|joint| joint.map_or(0.0, |joint| angle_of(&joint.name) + off())).collect();
+    model.poses(&angles)
 }
 
 /// How far below the origin of its root a robot ends.
@@ -435,5 +434,94 @@ fn disturb(data: &mut [u8], random: &mut Rng) {
         for (part, cast) in pixel.iter_mut().zip(cast) {
             *part = (f64::from(*part) * light * cast + noise * normal(random)).clamp(0.0, 255.0) as u8;
         }
+    }
+}
+
+/// Of robots so near that the picture holds but a part of them.
+#[derive(Clone, Debug, Default)]
+pub struct Near {
+    /// Robots that cover more than a twentieth of the picture, and those of them that were found.
+    pub robots: usize,
+    pub found: usize,
+    /// Of those that were found: with the right team, with the wrong one, and those that were said to lie.
+    pub teams: [usize; 2],
+    pub lying: usize,
+    /// How far off they were, in m.
+    pub errors: Vec<f64>,
+    /// Pictures without another robot, and robots that were reported there or elsewhere.
+    pub empty: usize,
+    pub wrong: usize,
+}
+
+impl fmt::Display for Near {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { robots, found, teams, lying, errors, empty, wrong } = self;
+        write!(
+            f,
+            "near robots {found} of {robots}, {lying} of them said to lie, team right {}, wrong {}; ",
+            teams[0], teams[1]
+        )?;
+        write!(
+            f,
+            "median error {:.3} m; {wrong} robots where none is ({empty} pictures without one)",
+            median(errors)
+        )
+    }
+}
+
+/// One picture of a robot that looks at the ball at its feet, three of four times with another robot there.
+pub fn evaluate_near(seed: u64, near: &mut Near) {
+    let mut random = Rng::with_seed(seed);
+    let place = DVec3::new(between(&mut random, -3.5, 3.5), between(&mut random, -2.0, 2.0), 0.0);
+    let map_from_ground =
+        Isometry { translation: place, rotation: DQuat::from_rotation_z(between(&mut random, -PI, PI)) };
+    let ball_at = DVec2::from_angle(between(&mut random, -0.3, 0.3)) * between(&mut random, 0.12, 0.5);
+    let height = between(&mut random, 0.38, 0.45);
+    let down = libm::atan2(height - 0.05, ball_at.x) + between(&mut random, -0.1, 0.1);
+    let view = view_at(height, down, between(&mut random, -0.08, 0.08));
+    let to_map = |point: DVec2| map_from_ground.transform_point(point.extend(0.0)).truncate();
+    let ball = Ball { position: to_map(ball_at).to_array(), ..Ball::default() };
+    let world = WorldFile {
+        floor: Floor { colour: [40, 130, 50], ..Floor::default() },
+        field: Some(downbeat_physics::Field::default()),
+        ball: Some(ball),
+        ..WorldFile::default()
+    };
+    let other = (random.u8(..4) > 0).then(|| {
+        let at = DVec2::from_angle(between(&mut random, -0.7, 0.7)) * between(&mut random, 0.2, 0.6);
+        let turn = DQuat::from_rotation_z(between(&mut random, -PI, PI));
+        let model = ArenaOptions::darwin_op([]).model;
+        let poses = standing(&model, || 0.0);
+        let mut map_from_root = map_from_ground * Isometry { translation: at.extend(0.0), rotation: turn };
+        map_from_root.translation.z = -lowest(&model, &poses, &map_from_root);
+        let (team, colour) =
+            if random.bool() { (TeamColour::Blue, [30, 60, 200]) } else { (TeamColour::Red, [190, 30, 40]) };
+        Other { model, poses, map_from_root, colour, team: Some(team), lies: false }
+    });
+    let render = |others: &mut dyn Iterator<Item = &Other>| {
+        let scene = others.fold(Scene::new(&world, |_| None), |scene, other| other.added_to(scene));
+        scene.render(&Rendered::darwin_op(), &(map_from_ground * view.ground_from_camera))
+    };
+    let mut data = render(&mut other.iter());
+    let without = render(&mut [].iter());
+    let covered = data.chunks(3).zip(without.chunks(3)).filter(|(one, other)| one != other).count();
+    disturb(&mut data, &mut random);
+    let picture = Picture::new([320, 240], 960, Encoding::Rgb8, &data).unwrap();
+    let seen = detector().see(&picture, &view);
+    let truth = other
+        .as_ref()
+        .map(|other| map_from_ground.inverse().transform_point(other.map_from_root.translation).truncate());
+    let is_there = |place: DVec2| truth.is_some_and(|at| at.distance(place) < 0.2);
+    near.empty += usize::from(truth.is_none());
+    near.wrong += seen.robots.iter().filter(|robot| !is_there(robot.place)).count();
+    let Some((other, at)) = other.zip(truth).filter(|_| covered > 320 * 240 / 20) else { return };
+    near.robots += 1;
+    let found = seen.robots.iter().find(|robot| is_there(robot.place));
+    let Some(found) = found else { return };
+    near.found += 1;
+    near.lying += usize::from(found.is_fallen);
+    near.errors.push(found.place.distance(at));
+    if let (Some(own), Some(seen)) = (other.team, found.team) {
+        near.teams[usize::from(own != seen)] += 1;
     }
 }
