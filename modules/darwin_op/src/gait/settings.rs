@@ -51,7 +51,7 @@ settings! {
     sway = 0.02 in 0.0..=0.06, "m; how far the body sways to each side";
     nod = 0.005 in 0.0..=0.02, "m; half of how far the body goes down in double support";
     body_swing = 0.28 in -1.0..=1.0, "swing of the body forward and back, as a fraction of the step";
-    pelvis_roll = 0.05 in 0.0..=0.3, "rad; roll of the supporting hip that keeps the pelvis level";
+    pelvis_roll = 0.0 in 0.0..=0.3, "rad; roll of the supporting hip that keeps the pelvis level";
     stance_x = -0.003 in -0.06..=0.06, "m; how far the feet are ahead of the hips";
     walking_x = -0.0095 in -0.06..=0.06, "m; how much further they are ahead while the robot walks";
     stance_y = 0.0025 in -0.02..=0.04, "m; how far each foot is outside its hip";

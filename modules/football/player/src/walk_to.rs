@@ -240,7 +240,9 @@ impl WalkTo {
         let has_ball = self.is_closing_in && is_at_ball;
         let ball = here.zip(self.beliefs.ball(now)).filter(|_| has_ball).map(|(here, ball)| here.point(ball));
         let is_beyond = |at: DVec2| ball.is_some_and(|ball| ball.dot(at) > ball.length_squared());
-        let near = obstacles.iter().filter(|obstacle| !is_beyond(obstacle.at));
+        // Who steps aside while a foot swings falls.
+        let swings = matches!(state, WalkState::STRIKE_LEFT | WalkState::STRIKE_RIGHT);
+        let near = obstacles.iter().filter(|obstacle| !swings && !is_beyond(obstacle.at));
         if let Some(Velocity { linear, turn }) = velocity.map(|velocity| keeping_off(velocity, near)) {
             let mut twist = Twist::default();
             (twist.linear.x, twist.linear.y, twist.angular.z) = (linear.x, linear.y, turn);
@@ -670,7 +672,8 @@ mod tests {
         assert!((slowed.linear.x - 0.04).abs() < 1e-9 && slowed.linear.y == 0.02, "{slowed:?}");
         let stopped = keeping_off(ahead, &[at(0.3), at(2.0)]);
         assert_eq!(stopped, Velocity { linear: DVec2::new(0.0, 0.02), turn: 0.3 });
-        assert!(keeping_off(ahead, &[at(0.2)]).linear.x < 0.0);
+        let back = keeping_off(ahead, &[at(0.2)]);
+        assert!(back.linear.x < 0.0 && back.turn == TURN_BESIDE, "{back:?}");
         assert_eq!(keeping_off(ahead, &[at(-0.3)]), ahead);
     }
 

@@ -85,6 +85,8 @@ impl RapierWorld {
         physics.gravity = Vector::new(0.0, 0.0, -STANDARD_GRAVITY as f32);
         physics.integration_parameters.dt = step.as_secs_f32();
         physics.integration_parameters.num_solver_iterations = 1;
+        // With one, a robot that stands creeps: it turns by 0.05 rad in 10 s. More cost next to nothing.
+        physics.integration_parameters.num_internal_pgs_iterations = 4;
         let friction_of = |variation: &Variation| (file.floor.friction * variation.friction) as f32;
         let friction = robots.first().map_or(file.floor.friction as f32, |(_, first)| friction_of(first));
         let things = surroundings(file).into_iter().map(|thing| thing.insert(&mut physics, friction));
