@@ -11,6 +11,7 @@ use downbeat_msgs::sensor_msgs::msg::CameraInfo;
 use downbeat_msgs::std_msgs::msg::Header;
 use downbeat_transforms::Isometry;
 use glam::{Vec2, Vec3};
+use std::ops::Range;
 
 /// A pinhole camera without distortion. Lengths in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,6 +85,8 @@ const LINE: Vec3 = Vec3::new(235.0, 235.0, 235.0);
 const LIMB: Vec3 = Vec3::new(60.0, 60.0, 65.0);
 /// Beyond this the floor fades into the sky, in m.
 const HORIZON: f32 = 60.0;
+/// How many pixels of a row are looked at together for lines.
+const RUN: usize = 16;
 
 impl Scene {
     /// The world, with the boxes and the ball at these poses; at those of the file if they are not named.
@@ -173,13 +176,14 @@ impl Scene {
         let pixels = view.width * view.height;
         let (mut colours, mut depths) = (vec![SKY; pixels], vec![f32::INFINITY; pixels]);
         for row in 0..view.height {
-            for column in 0..view.width {
-                let ray = view.ray(column, row);
-                if ray.z < 0.0 {
-                    let depth = -view.eye.z / ray.z;
+            for first in (0..view.width).step_by(RUN) {
+                let columns = first..(first + RUN).min(view.width);
+                let has_lines = self.has_lines(&view, row, &columns);
+                for column in columns {
+                    let Some((point, depth)) = view.on_floor(column, row) else { continue };
                     let index = row * view.width + column;
                     depths[index] = depth;
-                    colours[index] = self.floor_at(view.eye + ray * depth, depth, view.pixel);
+                    colours[index] = self.floor_at(point, depth, view.pixel, has_lines);
                 }
             }
         }
@@ -204,10 +208,22 @@ impl Scene {
         bytes
     }
 
-    fn floor_at(&self, point: Vec3, depth: f32, pixel: f32) -> Vec3 {
+    /// Whether a line may be in these columns of a row: they show a straight stretch of the floor, on which no
+    /// point is farther from a line than its middle is, and half of its length.
+    fn has_lines(&self, view: &View, row: usize, columns: &Range<usize>) -> bool {
+        let Some(field) = &self.field else { return false };
+        let ends = [columns.start, columns.end - 1].map(|column| view.on_floor(column, row));
+        let [Some((one, near)), Some((other, far))] = ends else { return true };
+        let (half_length, depth) = (one.distance(other) / 2.0, near.max(far));
+        let middle = (one + other) / 2.0;
+        let clear = field.line_width as f32 / 2.0 + half_length + depth * view.pixel;
+        distance_to_lines(field, Vec2::new(middle.x, middle.y).abs()) < 1.01 * clear + 1e-3
+    }
+
+    fn floor_at(&self, point: Vec3, depth: f32, pixel: f32, has_lines: bool) -> Vec3 {
         let far = (depth / HORIZON).min(1.0);
         let mut colour = self.floor;
-        if let Some(field) = &self.field {
+        if let Some(field) = self.field.as_ref().filter(|_| has_lines) {
             let share = line_share(field, Vec2::new(point.x, point.y).abs(), depth * pixel);
             colour += (LINE - colour) * share;
         }
@@ -223,6 +239,14 @@ fn line_share(field: &Field, at: Vec2, pixel: f32) -> f32 {
     if at.x > length + pixel || at.y > width + pixel {
         return 0.0;
     }
+    let nearest = distance_to_lines(field, at);
+    ((half_line - nearest) / pixel.max(1e-6) + 0.5).clamp(0.0, 1.0)
+}
+
+/// How far the middle of the nearest line is from a point of the first quadrant, in m.
+fn distance_to_lines(field: &Field, at: Vec2) -> f32 {
+    let half_line = field.line_width as f32 / 2.0;
+    let (length, width) = (field.length as f32 / 2.0, field.width as f32 / 2.0);
     let area = [field.goal_area[0] as f32, field.goal_area[1] as f32 / 2.0];
     let mark = Vec2::new(length - field.penalty_mark as f32, 0.0);
     // Distances from the middles of lines; each is limited along its line.
@@ -237,8 +261,7 @@ fn line_share(field: &Field, at: Vec2, pixel: f32) -> f32 {
         (at - mark).length() - half_line,
         at.length() - half_line,
     ];
-    let nearest = distances.into_iter().fold(f32::INFINITY, f32::min);
-    ((half_line - nearest) / pixel.max(1e-6) + 0.5).clamp(0.0, 1.0)
+    distances.into_iter().fold(f32::INFINITY, f32::min)
 }
 
 /// A camera in the world.
@@ -279,6 +302,13 @@ impl View {
     fn ray(&self, column: usize, row: usize) -> Vec3 {
         let centre = self.centre();
         self.forward + self.right * (column as f32 - centre.x) + self.down * (row as f32 - centre.y)
+    }
+
+    /// The point of the floor that a pixel shows, and where it is on its ray; `None` above the horizon.
+    fn on_floor(&self, column: usize, row: usize) -> Option<(Vec3, f32)> {
+        let ray = self.ray(column, row);
+        let depth = -self.eye.z / ray.z;
+        (ray.z < 0.0).then(|| (self.eye + ray * depth, depth))
     }
 
     /// The columns and rows in which a body can be; `None` if it is behind the camera.
@@ -450,6 +480,39 @@ mod tests {
             red > 140 && green > 130 && blue < 60
         });
         assert!(yellow.count() > 300);
+    }
+
+    #[test]
+    fn where_no_lines_are_looked_for_none_are() {
+        let file = WorldFile { field: Some(Field::default()), ..WorldFile::default() };
+        let scene = Scene::new(&file, |_| None);
+        let field = scene.field.as_ref().unwrap();
+        let mut without = 0;
+        for [x, y, down] in
+            [[0.0, 0.0, 0.2], [-1.3, 0.7, 0.6], [2.1, -1.9, 0.9], [4.0, 2.8, 0.4], [-4.4, 0.3, 1.2]]
+        {
+            let mut from = looking(0.42, down);
+            from.translation += DVec3::new(x, y, 0.0);
+            from.rotation = DQuat::from_rotation_z(x + y) * from.rotation;
+            let view = View::new(&Camera::darwin_op(), &from);
+            for row in 0..view.height {
+                for first in (0..view.width).step_by(RUN) {
+                    let mut columns = first..first + RUN;
+                    if scene.has_lines(&view, row, &columns) {
+                        continue;
+                    }
+                    without += 1;
+                    let is_free = |(at, depth): (Vec3, f32)| {
+                        line_share(field, Vec2::new(at.x, at.y).abs(), depth * view.pixel) == 0.0
+                    };
+                    assert!(
+                        columns.all(|column| view.on_floor(column, row).is_none_or(is_free)),
+                        "{first} {row}"
+                    );
+                }
+            }
+        }
+        assert!(without > 8_000, "of 24,000: {without}");
     }
 
     #[test]
