@@ -194,7 +194,7 @@ settings! {
     kick_reach = 0.035 in 0.001..=0.2, "m; how far the ball may be off ahead";
     kick_width = 0.033 in 0.001..=0.2, "m; how far the ball may be off to the side";
     kick_angle = 0.25 in 0.01..=1.0, "rad; how far the direction of a kick may be off";
-    strike_ahead = 0.11 in 0.02..=0.4, "m; the ball ahead of base_link for a kick out of the walk";
+    strike_ahead = 0.125 in 0.02..=0.4, "m; the ball ahead of base_link for a kick out of the walk";
     strike_speed = 0.05 in 0.0..=0.5, "m/s; velocity towards a ball that is kicked out of the walk";
     there_distance = 0.1 in 0.01..=2.0, "m; how far the robot may be off at a place";
     there_angle = 0.2 in 0.01..=3.2, "rad; how far its heading may be off at a place";
