@@ -208,8 +208,8 @@ impl Scene {
         bytes
     }
 
-    /// Whether a line may be in these columns of a row: they show a straight stretch of the floor, on which no
-    /// point is farther from a line than its middle is, and half of its length.
+    /// Whether a line may be in these columns of a row. They show a straight stretch of the floor, none of
+    /// whose points is nearer to a line than its middle is, less half of its length.
     fn has_lines(&self, view: &View, row: usize, columns: &Range<usize>) -> bool {
         let Some(field) = &self.field else { return false };
         let ends = [columns.start, columns.end - 1].map(|column| view.on_floor(column, row));
