@@ -320,14 +320,14 @@ impl Watch {
             let ball = DVec2::new(state.ball.x, state.ball.y);
             print!("{now:6.0} ball {:.2} {:.2}", ball.x, ball.y);
             for (robot, pose) in state.poses.iter().enumerate() {
-                // In the map of either team, the opponents' goal is at +x: the truth is in that of blue.
-                let sign = if robot * 2 < state.poses.len() { 1.0 } else { -1.0 };
-                let of_match = |at: &DVec2| *at * sign;
+                // The map of its team is the world, or turned by half a circle.
+                let here = DVec2::new(pose.position.x, pose.position.y);
+                let sign = if self.places[robot].dot(here) < 0.0 { -1.0 } else { 1.0 };
                 let others = state.poses.iter().enumerate().filter(|(other, _)| *other != robot);
                 let offs = others.map(|(_, other)| {
                     let at = DVec2::new(other.position.x, other.position.y);
-                    let off = self.known[robot].iter().map(|known| of_match(known).distance(at));
-                    (at.distance(DVec2::new(pose.position.x, pose.position.y)), off.fold(9.0, f64::min))
+                    let off = self.known[robot].iter().map(|known| (*known * sign).distance(at));
+                    (at.distance(here), off.fold(9.0, f64::min))
                 });
                 let nearest = offs.min_by(|one, other| one.0.total_cmp(&other.0)).unwrap_or_default();
                 let (place, q) = (DVec2::new(pose.position.x, pose.position.y), &pose.orientation);

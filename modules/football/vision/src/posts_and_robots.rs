@@ -110,7 +110,7 @@ const HALF_DEPTH: f64 = 0.05;
 const LYING_RANGE: f64 = 3.0;
 /// Beyond this distance no robot is reported, in m.
 const RANGE: f64 = 8.0;
-/// The share of the robot's box that its colour covers at least, and how much more of it there has to be than
+/// The share of a robot's box that its colour covers at least, and how much more of it there has to be than
 /// of the other one.
 const WORN: f64 = 0.03;
 const CLEARLY: usize = 4;
