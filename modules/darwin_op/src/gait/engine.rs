@@ -60,6 +60,8 @@ pub struct Parameters {
     pub kick_length: f64,
     /// The duration of two steps of which one kicks, while it kicks.
     pub kick_period: f64,
+    /// How high it is lifted: a foot that touches the ground while it swings back turns the robot.
+    pub kick_height: f64,
     /// How far the trunk leans ahead of the standing foot against the swing of a kick.
     pub kick_lean: f64,
     /// The largest velocities.
@@ -346,7 +348,8 @@ impl Engine {
         let left_swings = self.phase < 0.5;
         let is_stepping = matches!(self.stage, Stage::Walking | Stage::Catching);
         let lifting = if is_stepping { (1.0 - libm::cos(TAU * u)) / 2.0 } else { 0.0 };
-        let lift = parameters.foot_height * lifting;
+        let height = if self.is_kicking { parameters.kick_height } else { parameters.foot_height };
+        let lift = height * lifting;
         let (left_lift, right_lift) = if left_swings { (lift, 0.0) } else { (0.0, lift) };
         let x = stance_x + parameters.walking_shift * level + self.swing * libm::sin(TAU * half - PI);
         let y = parameters.sway * level * libm::sin(TAU * self.phase);
@@ -463,6 +466,7 @@ mod tests {
         catching_period: 0.4,
         kick_length: 0.06,
         kick_period: 0.8,
+        kick_height: 0.05,
         kick_lean: 0.01,
         limits: Limits {
             forward: 0.2,
@@ -622,6 +626,8 @@ mod tests {
             let kicked = run(&mut engine, 1.2, wanted);
             let ahead = kicked.iter().map(|step| step.right.x).fold(-1.0, f64::max);
             assert!(ahead > usual + 0.03, "{ahead} {usual}");
+            let highest = kicked.iter().map(|step| step.right.z - step.left.z).fold(0.0, f64::max);
+            assert!((highest - PARAMETERS.kick_height).abs() < 1e-3, "{highest}");
             // The step that kicks takes longer.
             let after = run(&mut engine, 1.5 + (PARAMETERS.kick_period - PARAMETERS.period) / 2.0, wanted);
             for pair in [kicked, after.clone()].concat().windows(2) {

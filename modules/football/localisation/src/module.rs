@@ -142,8 +142,9 @@ const CIRCLE_CONFIDENCE: f32 = 0.6;
 const SILENCE: Duration = Duration::from_secs(5);
 /// How long a robot that is put somewhere is carried: its gyroscope turns with it.
 const CARRIED: Duration = Duration::from_secs(2);
-/// How far a fall may move and turn a robot without its odometry: m, rad.
-const FALLEN: (f64, f64) = (0.15, 0.15);
+/// How far a fall moves and turns a robot without its odometry, most of all one that rolls over to get up:
+/// m, rad.
+const FALLEN: (f64, f64) = (0.25, 0.2);
 /// The least deviation of a ball's position, in m.
 const BALL_DEVIATION: f64 = 0.01;
 /// Of a robot's: it is wide, and its feet move. And of the direction to it, in rad.
