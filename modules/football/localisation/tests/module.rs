@@ -349,6 +349,26 @@ fn what_a_robot_sees_that_lies_does_not_count() {
 }
 
 #[test]
+fn who_rolls_over_to_get_up_soon_knows_where_it_is() {
+    let mut found = 0;
+    for seed in 0..20 {
+        let mut robot = Robot::new(seed, &AT_THE_TOUCH_LINE);
+        (0..150).for_each(|_| robot.step());
+        robot.robot_state.publish(Text { data: "falling".to_owned() }).unwrap();
+        let way = DVec2::from_angle(seed as f64) * 0.5;
+        robot.walk.truth.position += way;
+        robot.walk.truth.heading += if seed % 2 == 0 { 0.35 } else { -0.35 };
+        (0..50).for_each(|_| robot.moves_by(Pose::default()));
+        robot.robot_state.publish(Text { data: "upright".to_owned() }).unwrap();
+        (0..30).for_each(|_| robot.step());
+        let (off, turned) = robot.error();
+        println!("{seed}: {off:.2} m, {turned:.2} rad");
+        found += u32::from(off < 0.3 && turned < 0.2);
+    }
+    assert!(found >= 10, "{found} of 20");
+}
+
+#[test]
 fn it_is_where_somebody_says_and_pictures_from_before_do_not_count() {
     let mut robot = Robot::new(3, &AT_THE_TOUCH_LINE);
     (0..100).for_each(|_| robot.step());
