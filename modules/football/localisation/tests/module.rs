@@ -365,7 +365,7 @@ fn who_rolls_over_to_get_up_soon_knows_where_it_is() {
         println!("{seed}: {off:.2} m, {turned:.2} rad");
         found += u32::from(off < 0.3 && turned < 0.2);
     }
-    assert!(found >= 10, "{found} of 20");
+    assert!(found >= 18, "{found} of 20");
 }
 
 #[test]
