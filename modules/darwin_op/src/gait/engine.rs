@@ -60,7 +60,8 @@ pub struct Parameters {
     pub kick_length: f64,
     /// The duration of two steps of which one kicks, while it kicks.
     pub kick_period: f64,
-    /// How high it is lifted: a foot that touches the ground while it swings back turns the robot.
+    /// How high a foot that kicks is lifted: if it touches the ground while it swings back, it turns the
+    /// robot.
     pub kick_height: f64,
     /// How far the trunk leans ahead of the standing foot against the swing of a kick.
     pub kick_lean: f64,

@@ -76,7 +76,7 @@ settings! {
     catch_side = 0.2 in 0.0..=0.2, "m; or to a side; a robot cannot step to where it falls, so this is far";
     kick_length = 0.093 in 0.0..=0.15, "m; how far a foot that kicks swings ahead of its way";
     kick_period = 1.5 in 0.2..=2.0, "s; duration of two steps, while one of them kicks";
-    kick_height = 0.045 in 0.0..=0.1, "m; how high it is lifted: one that touches the ground while it swings back turns the robot";
+    kick_height = 0.045 in 0.0..=0.1, "m; how high a foot that kicks is lifted: if it touches the ground while it swings back, it turns the robot";
     kick_lean = 0.016 in 0.0..=0.1, "m; how far the trunk leans ahead against the swing of a kick";
     odometry_forward = 1.15 in 0.1..=2.0, "share of the way forward and backward that a walking robot really goes";
     odometry_side = 1.0 in 0.1..=2.0, "share of the way to a side that a walking robot really goes";
