@@ -14,11 +14,10 @@ use crate::steps::{Steps, output_of, run, workspace};
 
 /// A bag and, beside it, its robot file.
 const WALK: &str = "bags/recordings/darwin_op_walk_simulated";
-const MATCH: &str = "robots/match.toml";
+/// Matches, of players that believe the truth and of players that see, with their simulated lengths.
+const MATCHES: [(&str, &str); 2] = [("robots/match.toml", "40s"), ("robots/seeing_teams.toml", "20s")];
 /// A match that begins soon, so that it has shots and falls.
 const SOON: [&str; 2] = ["-p", "match.ready_s:=5"];
-/// The simulated length of a match.
-const LENGTH: &str = "40s";
 
 /// Parts of the names of tests of what qemu cannot: start the own program as a child, multicast over the
 /// loopback interface, and the addresses of the error queue of a socket.
@@ -51,14 +50,19 @@ pub(crate) fn aarch64() -> anyhow::Result<()> {
             let except = ["--strict", "--except", "ground_truth/*", "simulation", "simulator/**"];
             aarch64.replays(&Path::new(WALK).with_extension("toml"), Path::new(WALK), &except)
         });
-        for (records, replays) in [(x86_64, aarch64), (aarch64, x86_64)] {
-            let name = format!("a match recorded on {}, on {}", records.target, replays.target);
-            steps.step(&name, || {
-                let folder = tempfile::tempdir()?;
-                let bag = folder.path().join("match");
-                records.records(&bag)?;
-                replays.replays(Path::new(MATCH), &bag, &SOON)
-            });
+        for (file, length) in MATCHES {
+            for (records, replays) in [(x86_64, aarch64), (aarch64, x86_64)] {
+                let name = format!("{file} recorded on {}, on {}", records.target, replays.target);
+                steps.step(&name, || {
+                    let folder = tempfile::tempdir()?;
+                    let bag = folder.path().join("match");
+                    records.records(file, length, &bag)?;
+                    ["linear", "pool:2"].iter().try_for_each(|launcher| {
+                        let options = [&SOON[..], &["--launcher", launcher]].concat();
+                        replays.replays(Path::new(file), &bag, &options)
+                    })
+                });
+            }
         }
     }
     skips.print()?;
@@ -96,9 +100,9 @@ impl Machine {
         command
     }
 
-    fn records(&self, bag: &Path) -> anyhow::Result<()> {
+    fn records(&self, file: &str, length: &str, bag: &Path) -> anyhow::Result<()> {
         let mut plays = self.command();
-        plays.args(["match", MATCH, "--fast", "--duration", LENGTH]).args(SOON);
+        plays.args(["match", file, "--fast", "--duration", length]).args(SOON);
         run(plays.arg("--record").arg(bag))
     }
 
