@@ -26,13 +26,18 @@ use downbeat_msgs::nav_msgs::msg::Odometry;
 use downbeat_msgs::sensor_msgs::msg::{CameraInfo, Image};
 use downbeat_msgs::std_msgs::msg::{Header, String as Text};
 use downbeat_physics::camera::Camera;
-use downbeat_physics::{Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Motion, RobotTruth, Variation};
+use downbeat_physics::{
+    Arena, ArenaOptions, ArenaRobot, ArenaSnapshot, Motion, Picture, RobotTruth, Variation,
+};
 use downbeat_transforms::Isometry;
 use glam::{DQuat, DVec2, DVec3};
 use serde_json::json;
 use std::collections::VecDeque;
 use std::f64::consts::PI;
+use std::num::NonZeroUsize;
+use std::panic::resume_unwind;
 use std::path::PathBuf;
+use std::thread;
 use std::time::Duration;
 
 /// A football field with a ball, robots and a referee. All data is simulated.
@@ -100,7 +105,7 @@ pub struct Ports {
     kick: Publication<Kick>,
     statistics: Publication<MatchStatistics>,
     robots: Vec<RobotPorts>,
-    pictures: Job<(usize, Time, Vec<u8>)>,
+    pictures: Job<(Time, Vec<Rendered>)>,
 }
 
 struct RobotPorts {
@@ -289,16 +294,17 @@ impl FootballMatch {
         let now = ctx.now();
         let Some(game) = &self.game else { return };
         game.arena.advance_to(now);
-        for robot in 0..game.seats.len() {
-            let Some(picture) = game.arena.picture(robot) else { continue };
-            ctx.spawn(ctx.ports.pictures, move || (robot, now, picture.render(&Camera::darwin_op())));
-        }
+        let views = (0..game.seats.len()).filter_map(|robot| Some((robot, game.arena.picture(robot)?)));
+        let views: Vec<_> = views.collect();
+        ctx.spawn(ctx.ports.pictures, move || (now, rendered(&views)));
     }
 
-    fn keep(&mut self, picture: Result<(usize, Time, Vec<u8>), JobError>, _: &mut Context<'_, Ports>) {
-        match (picture, &mut self.game) {
-            (Ok(picture), Some(game)) => game.pictures.push_back(picture),
-            (Err(error), _) => tracing::error!("a picture was not rendered: {error}"),
+    fn keep(&mut self, pictures: Result<(Time, Vec<Rendered>), JobError>, _: &mut Context<'_, Ports>) {
+        match (pictures, &mut self.game) {
+            (Ok((at, pictures)), Some(game)) => {
+                game.pictures.extend(pictures.into_iter().map(|(robot, data)| (robot, at, data)));
+            }
+            (Err(error), _) => tracing::error!("pictures were not rendered: {error}"),
             (Ok(_), None) => {}
         }
     }
@@ -321,6 +327,26 @@ impl FootballMatch {
             ctx.publish(image, picture);
         }
     }
+}
+
+/// The picture of a robot, by its index.
+type Rendered = (usize, Vec<u8>);
+
+/// Renders pictures on all cores: in simulated time the executor waits for them.
+fn rendered(views: &[(usize, Picture)]) -> Vec<Rendered> {
+    let render = |(robot, view): &(usize, Picture)| (*robot, view.render(&Camera::darwin_op()));
+    let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    let mut shares = views.chunks(views.len().div_ceil(cores).max(1));
+    let first = shares.next().unwrap_or_default();
+    thread::scope(|scope| {
+        let others: Vec<_> =
+            shares.map(|share| scope.spawn(move || share.iter().map(render).collect::<Vec<_>>())).collect();
+        let mut pictures: Vec<_> = first.iter().map(render).collect();
+        for other in others {
+            pictures.extend(other.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        }
+        pictures
+    })
 }
 
 impl Game {
