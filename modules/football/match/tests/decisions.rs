@@ -122,7 +122,7 @@ fn a_kick_off_passes_who_stands_ahead() {
     assert_eq!(aim([0.0, 0.0], &[]), [HALF_LENGTH + 0.5, 0.0]);
     for side in [-0.05, 0.05] {
         let [x, y] = aim([0.0, 0.0], &[([0.9, side], OPPONENT)]);
-        let way = (0.9 * y - side * x).abs() / x.hypot(y);
+        let way = (0.9 * y - side * x).abs() / libm::hypot(x, y);
         assert!(way > 0.35 && x > 0.0, "{way} m beside the opponent, towards {x}, {y}");
     }
 }
